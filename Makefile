@@ -69,7 +69,7 @@ docs: install-all  ## the documentation as HTML in build/docs; a broken link or 
 ui: install  ## browse the runs at http://127.0.0.1:5000
 	-$(BIN)/python -m pipelines.runs
 	@# Without the four processes of 240 MB that wait for mlflow's own jobs, and with one that answers.
-	MLFLOW_SERVER_ENABLE_JOB_EXECUTION=false $(BIN)/mlflow ui --app-name lmd \
+	MLFLOW_SERVER_ENABLE_JOB_EXECUTION=false $(BIN)/mlflow ui \
 	  --backend-store-uri sqlite:///outputs/mlflow.db --host 127.0.0.1 --port 5000 --workers 1
 
 notebooks: install-all  ## run the notebooks and keep what they show

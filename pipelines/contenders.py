@@ -192,6 +192,8 @@ def contend(
     Raises:
         InputError: the comparison to resume cannot be read.
     """
+    from .operations.tracking import PARENT_TAG, RunStart
+
     directory = run_directory()
     kept = Kept({}, None) if cfg.resume is None else kept_of(cfg.resume, jobs, directory)
     earlier = None if kept.parent is None else Earlier(kept.parent, Path(cfg.resume))
@@ -209,6 +211,8 @@ def contend(
         for job in kept.runs:
             if tracker.run_id != kept.parent or job not in kept.logged:
                 logged(job)
+                tags = {**job.tags, PARENT_TAG: str(tracker.run_id)}
+                tracker.settle(RunStart(job.name, directory, tags=tags), "FINISHED")  # one may be recorded in part
         try:
             with closing(in_processes(_named, left, cfg.workers, lambda job: job.name)) as finished:
                 for name, done in finished:

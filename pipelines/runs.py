@@ -197,8 +197,8 @@ def runs(cfg: DictConfig) -> None:
     from lmd.core.checks import InputError, integer, printable
 
     from .operations.tracking import MlflowReader, MlflowTracker
-    from .operations.tracking.experiment import link
     from .operations.tracking.journal import end_those_gone
+    from .operations.tracking.views import link
 
     tracker, last = instantiate(cfg.tracking), integer("last", cfg.last, low=1)
     if not isinstance(tracker, MlflowTracker):

@@ -26,7 +26,7 @@ LIBRARIES = (
     *("scipy.ndimage", "scipy.optimize", "scipy.spatial", "scipy.stats", "zstandard"),
 )
 OWN = [found.name for own in (lmd, pipelines) for found in pkgutil.walk_packages(own.__path__, f"{own.__name__}.")]
-for name in (*LIBRARIES, *TRACKED, *(name for name in OWN if name != "pipelines.operations.tracking.ui")):
+for name in (*LIBRARIES, *TRACKED, *OWN):
     importlib.import_module(name)
 Image.preinit()
 

@@ -16,7 +16,8 @@ import pandas as pd
 from scipy import stats
 
 from lmd.core.checks import FloatArray
-from lmd.core.words import as_code
+from lmd.core.words import as_code, markdown_table
+from lmd.objectives.base import Headline
 from lmd.optimisers.ledger import Record
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
@@ -165,6 +166,35 @@ def attainable(least: Callable[[int], float], seeds: int) -> str:
     why = "there is no test" if math.isnan(lowest) else f"p is at least {lowest:.2g}"
     enough = next(number for number in count(seeds + 1) if least(number) < SIGNIFICANCE)
     return f"{runs} {why}, so no difference can reach p < {SIGNIFICANCE:g}; {enough} seeds can."
+
+
+def comparison_markdown(comparison: Comparison, headline: Headline) -> str:
+    """Table of a comparison in the unit of the objective's headline, followed by the name of the test; unknown figures
+    are blank.
+    """
+    key, table = headline.key, comparison.table
+    has_off_grid = "off_grid" in table
+    head = ["optimiser", "runs", f"{headline.label}: median (95% interval)", *["off the grid"] * has_off_grid, "rank"]
+    head += [f"evaluations to fitness {target:.2%}" for target in comparison.targets]
+    head += ["seconds", f"A12 against {as_code(comparison.reference)}", "p"]
+    rows: list[list[str]] = []
+    for row in table.to_dict("records"):
+        middle, low, high = (headline.text(row[name]) for name in (key, f"{key}_low", f"{key}_high"))
+        cells = [as_code(row["optimiser"]), f"{row['runs']}", f"**{middle}** ({low} to {high})"]
+        cells += [headline.text(row["off_grid"])] if has_off_grid else []
+        cells.append(_known(row["rank"], ".1f"))
+        running = [row[f"evaluations_to_{i}"] for i in range(1, len(comparison.targets) + 1)]
+        cells += ["–" if np.isinf(evaluations) else f"{evaluations:.0f}" for evaluations in running]
+        cells += [f"{row['seconds']:.0f}"]
+        is_reference = row["optimiser"] == comparison.reference
+        cells += ["", ""] if is_reference else [f"{row['a12']:.2f}", _known(row["p_value"], ".2g")]
+        rows.append(cells)
+    below = f"\n{comparison.test}\n" if comparison.test else ""
+    return f"{markdown_table(head, rows)}\n{below}"
+
+
+def _known(value: float, form: str) -> str:
+    return "" if np.isnan(value) else f"{value:{form}}"
 
 
 def expected_running_time(runs: Sequence[OptimiserRun], fitness: float) -> float:

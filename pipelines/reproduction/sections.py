@@ -1,4 +1,4 @@
-"""Sections of the reproduction report: results of the stored sweeps and of the paper."""
+"""Sections of the reproduction report in Markdown: results of the stored sweeps and of the paper."""
 
 import shlex
 from collections.abc import Mapping
@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from lmd.core.words import as_code, escaped
-from lmd.evaluation.comparison import OptimiserRun, compared
+from lmd.core.words import as_code, escaped, markdown_table
+from lmd.evaluation.comparison import compared, comparison_markdown
 from lmd.objectives.coverage import Coverage
 from lmd.plot.charts import save_comparison_figure, save_heat_map
 from lmd.plot.common import new_figure
@@ -16,18 +16,14 @@ from lmd.plot.orientations import save_cap_figure
 from lmd.plot.scenes import save_deployments_figure
 
 from ..app import command_of
-from .document import Picture, Section, Table, Text, comparison_table
 from .paper import TABLE_2, TABLE_3, Printed
 from .source import BUDGET, COUNT, GRID_FREE, INDICES, PAIR, PARENT, RATIO, Source
 
-# Sweeps of a report, and their commands.
+# Commands of the sweeps of a report, with what follows `experiment=` and the name.
 COMMANDS = {
-    "table2": f"{command_of('optimise')} experiment=table2",
-    "table2_baselines": f"{command_of('evaluate')} experiment=table2_baselines",
-    "table3": f"{command_of('evaluate')} experiment=table3 deployment.path=RUN/landmarks.csv",
-    "table3_reoptimised": f"{command_of('optimise')} experiment=table3_reoptimised",
-    "landmark_count": f"{command_of('optimise')} experiment=landmark_count",
-    "optimisers": f"{command_of('optimise')} experiment=optimisers",
+    **dict.fromkeys(("table2", "table3_reoptimised", "landmark_count", "optimisers"), ("optimise", "")),
+    "table2_baselines": ("evaluate", ""),
+    "table3": ("evaluate", " deployment.path=RUN/landmarks.csv"),
 }
 # Rows of Table II: sweep, tag and value of their runs.
 TABLE_2_RUNS = {
@@ -40,10 +36,8 @@ PANELS = ("initial", "EGA", "SGA", "uniform")  # the order of the paper's figure
 OVERRIDE = "tags.override."
 NO_VALUE = "–"  # cell without runs
 
-Blocks = list[Text | Table | Picture]
 
-
-def sections(source: Source) -> list[Section]:
+def sections(source: Source) -> str:
     """All sections in order; a section without runs names the command that makes the runs."""
     built = {
         "Convergence": ("table2", _convergence),
@@ -53,151 +47,117 @@ def sections(source: Source) -> list[Section]:
         "How many landmarks?": ("landmark_count", _landmark_count),
         "Optimisers": ("optimisers", _optimisers),
     }
-    found = [Section("Table II: four deployments", _table_2(source))]
+    blocks = ["## Table II: four deployments", *_table_2(source)]
     for title, (sweep, build) in built.items():
         jobs = source.jobs(sweep)
-        found.append(Section(title, [_missing(sweep)] if jobs.empty else build(source, jobs)))
-    return found
+        blocks += [f"## {title}", *(([] if jobs.empty else build(source, jobs)) or [_origin(source, sweep, jobs[:0])])]
+    return "\n\n".join(block.rstrip("\n") for block in blocks) + "\n"
 
 
-def _table_2(source: Source) -> Blocks:
-    found = {name: _of_row(source.jobs(TABLE_2_RUNS[name][0]), name) for name in TABLE_2}
-    rows = [[name, *_beside(printed, found[name])] for name, printed in TABLE_2.items()]
-    table = Table(["deployment", *_beside_head()], rows)
-    blocks: Blocks = [*_origins(source, "table2", "table2_baselines"), table]
+def _table_2(source: Source) -> list[str]:
+    jobs = {sweep: source.jobs(sweep) for sweep in ("table2", "table2_baselines")}
+    found = {name: _of_row(jobs[TABLE_2_RUNS[name][0]], name) for name in TABLE_2}
+    blocks = [_origin(source, sweep, its) for sweep, its in jobs.items()]
     shown = {name: source.load(_typical(found[name])) for name in PANELS if len(found[name])}
     if not shown:
-        return blocks[:-1]
+        return blocks
+    rows = [[name, *_beside(printed, found[name])] for name, printed in TABLE_2.items()]
     title = "Of each row the run in the middle by qualified ratio, the lower one of two"
-    picture = source.picture("deployments", title, lambda path: save_deployments_figure(path, shown, title))
-    return [*blocks, picture]
+    picture = source.picture("deployments", title, save_deployments_figure, shown, title)
+    return [*blocks, markdown_table(["deployment", *_beside_head()], rows), picture]
 
 
-def _convergence(source: Source, jobs: pd.DataFrame) -> Blocks:
-    runs = source.optimiser_runs(jobs)
-    return [_curves(source, "convergence", runs, "EGA and SGA") if runs else _missing("table2")]
+def _convergence(source: Source, jobs: pd.DataFrame) -> list[str]:
+    return _curves(source, "convergence", jobs, "EGA and SGA")
 
 
-def _cap(source: Source, jobs: pd.DataFrame) -> Blocks:
+def _cap(source: Source, jobs: pd.DataFrame) -> list[str]:
     jobs = _of_row(jobs, "EGA")
     if jobs.empty:
-        return [_missing("table2")]
+        return []
     problem, deployment = source.load(_typical(jobs))
     room, n = problem.scene.room, problem.objective.n
     positions = problem.evaluator.positions
     middle = positions[np.argmin(np.linalg.norm(positions - np.mean(room.bounds(), axis=0), axis=1))]
     title = "The reachable unit sphere near the middle of the room, EGA's deployment"
-    return [
-        source.picture(
-            "cap",
-            f"Optical axes by the number of landmarks they cover, the {n}-ple cap outlined",
-            lambda path: save_cap_figure(path, problem.scene, deployment, middle, n, title),
-        )
-    ]
+    caption = f"Optical axes by the number of landmarks they cover, the {n}-ple cap outlined"
+    return [source.picture("cap", caption, save_cap_figure, problem.scene, deployment, middle, n, title)]
 
 
-def _table_3(source: Source, jobs: pd.DataFrame) -> Blocks:
+def _table_3(source: Source, jobs: pd.DataFrame) -> list[str]:
     rows = [[f"{n}", f"{p:.2f}", *_beside(printed, _of_pair(jobs, n, p))] for (n, p), printed in TABLE_3.items()]
-    return [*_origins(source, "table3"), Table(["n", "thold_p", *_beside_head()], rows)]
+    return [_origin(source, "table3", jobs), markdown_table(["n", "thold_p", *_beside_head()], rows)]
 
 
-def _each_for_itself(source: Source, own: pd.DataFrame) -> Blocks:
-    rescored = source.jobs("table3")
-    columns = {
-        "printed": pd.Series({pair: row.qualified_ratio for pair, row in TABLE_3.items()}),
-        "one deployment, re-scored": _by_pair(rescored),
-        "each pair for itself": _by_pair(own),
-    }
-    rows = [
-        [
-            f"{n}",
-            f"{p:.2f}",
-            f"{row.qualified_ratio:.2%}",
-            *(_spread(_of_pair(jobs, n, p)[RATIO]) for jobs in (rescored, own)),
-        ]
-        for (n, p), row in TABLE_3.items()
-    ]
+def _each_for_itself(source: Source, own: pd.DataFrame) -> list[str]:
+    by_source = {"one deployment, re-scored": source.jobs("table3"), "each pair for itself": own}
+    columns = {"printed": pd.Series({pair: row.qualified_ratio for pair, row in TABLE_3.items()})}
+    for name, jobs in by_source.items():
+        columns[name] = pd.Series({pair: _of_pair(jobs, *pair)[RATIO].median() for pair in TABLE_3})
+    rows = []
+    for (n, p), row in TABLE_3.items():
+        found = [_spread(_of_pair(jobs, n, p)[RATIO]) for jobs in by_source.values()]
+        rows.append([f"{n}", f"{p:.2f}", f"{row.qualified_ratio:.2%}", *found])
     tables = {name: column.unstack().rename_axis(index="n", columns="thold_p") for name, column in columns.items()}
-    picture = source.picture(
-        "pairs",
-        "Qualified ratio over n and thold_p",
-        lambda path: save_heat_map(path, tables, "Qualified ratio", "qualified ratio"),
-    )
-    return [*_origins(source, "table3_reoptimised"), Table(["n", "thold_p", *columns], rows), picture]
+    table, labels = markdown_table(["n", "thold_p", *columns], rows), ("Qualified ratio", "qualified ratio")
+    picture = source.picture("pairs", "Qualified ratio over n and thold_p", save_heat_map, tables, *labels)
+    return [_origin(source, "table3_reoptimised", own), table, picture]
 
 
-def _landmark_count(source: Source, jobs: pd.DataFrame) -> Blocks:
+def _landmark_count(source: Source, jobs: pd.DataFrame) -> list[str]:
     ratios = pd.DataFrame({"count": jobs[COUNT].astype(float).astype(int), "qualified_ratio": jobs[RATIO]})
     groups = ratios.groupby("count")["qualified_ratio"]
     rows = [[f"{count}", f"{len(values)}", _spread(values)] for count, values in groups]
-    target = TABLE_2["EGA"].qualified_ratio
-    medians = groups.median()
+    target, medians = TABLE_2["EGA"].qualified_ratio, groups.median()
     enough = medians.index[medians >= target]
     answer = f"With {enough[0]} landmarks, the fewest" if len(enough) else "With no number of landmarks"
-    picture = source.picture(
-        "landmark_count",
-        "Qualified ratio against the number of landmarks",
-        lambda path: save_landmark_count_figure(
-            path,
-            ratios,
-            {f"paper, {name}": (90, TABLE_2[name].qualified_ratio) for name in ("EGA", "uniform")},
-            "Qualified ratio against the number of landmarks",
-        ),
-    )
-    return [
-        *_origins(source, "landmark_count"),
-        Table(["K", "runs", "qualified ratio"], rows),
-        Text(f"{answer} here, the median of the runs reaches {target:.2%}, which the paper's EGA reached with 90."),
-        picture,
-    ]
+    said = f"{answer} here, the median of the runs reaches {target:.2%}, which the paper's EGA reached with 90."
+    references = {f"paper, {name}": (90, TABLE_2[name].qualified_ratio) for name in ("EGA", "uniform")}
+    title = "Qualified ratio against the number of landmarks"
+    picture = source.picture("landmark_count", title, save_landmark_count_figure, ratios, references, title)
+    table = markdown_table(["K", "runs", "qualified ratio"], rows)
+    return [_origin(source, "landmark_count", jobs), table, said, picture]
 
 
-def _optimisers(source: Source, jobs: pd.DataFrame) -> Blocks:
-    runs = source.optimiser_runs(jobs)
-    if not runs:
-        return [_missing("optimisers")]
-    picture = _curves(source, "optimisers", runs, "Optimisers")
-    found = compared(runs, Coverage.headline.key)
-    return [*_origins(source, "optimisers"), comparison_table(found, Coverage.headline), Text(found.test), picture]
+def _optimisers(source: Source, jobs: pd.DataFrame) -> list[str]:
+    curves = _curves(source, "optimisers", jobs, "Optimisers")
+    if not curves:
+        return []
+    table = comparison_markdown(compared(source.optimiser_runs(jobs), Coverage.headline.key), Coverage.headline)
+    return [_origin(source, "optimisers", jobs), table, *curves]
 
 
-def _curves(source: Source, name: str, runs: list[OptimiserRun], title: str) -> Picture:
-    return source.picture(
-        name,
+def _curves(source: Source, name: str, jobs: pd.DataFrame, title: str) -> list[str]:
+    """Picture of the convergence of optimisers; none if no run has its files."""
+    if not (runs := source.optimiser_runs(jobs)):
+        return []
+    caption = (
         "Best fitness against evaluations, the median of the seeds with a band from the worst to the best, and the "
-        "share of seeds and targets that were reached",
-        lambda path: save_comparison_figure(path, runs, "evaluations", Coverage.headline, title),
+        "share of seeds and targets that were reached"
     )
+    return [source.picture(name, caption, save_comparison_figure, runs, "evaluations", Coverage.headline, title)]
 
 
-def _origins(source: Source, *sweeps: str) -> list[Text]:
-    """Origin of the runs of a section: one paragraph for each sweep."""
-    return [_origin(source, sweep) for sweep in sweeps]
-
-
-def _origin(source: Source, sweep: str) -> Text:
-    jobs = source.jobs(sweep)
+def _origin(source: Source, sweep: str, jobs: pd.DataFrame) -> str:
+    """Origin of the runs of a sweep; without runs the command that makes them."""
     if jobs.empty:
-        return _missing(sweep)
+        command, more = COMMANDS[sweep]
+        made_by = as_code(f"{command_of(command)} experiment={sweep}{more}")
+        return f"There are no finished runs of the sweep {as_code(sweep)}; {made_by} makes them."
     began = f"the last began on {jobs['started'].max():%Y-%m-%d at %H:%M} UTC"
     if (sweep_id := jobs[PARENT].iloc[-1]) not in source.runs.index:
         gone = f"whose own run, {as_code(sweep_id)}, is gone from the store"
-        return Text(f"{len(jobs)} runs of a sweep {as_code(sweep)}, {gone}; {began}.")
+        return f"{len(jobs)} runs of a sweep {as_code(sweep)}, {gone}; {began}."
     parent = source.runs.loc[sweep_id]
     given = {str(key).removeprefix(OVERRIDE): value for key, value in parent.filter(like=OVERRIDE).dropna().items()}
-    overrides = shlex.join(
-        f"{key}={value}" for key, value in sorted(given.items(), key=lambda item: item[0] != "experiment")
-    )
-    command = f"{command_of(str(parent.get('tags.pipeline', 'optimise')))} {overrides}"
+    overrides = sorted(given.items(), key=lambda item: item[0] != "experiment")
+    asked = shlex.join(f"{key}={value}" for key, value in overrides)
+    command = as_code(f"{command_of(str(parent.get('tags.pipeline', 'optimise')))} {asked}")
     planned = parent.get("metrics.jobs", np.nan)  # known after the end of the sweep
     share = f"{len(jobs)}" if pd.isna(planned) else f"{len(jobs)} of {planned:.0f}"
     spent = jobs[BUDGET].dropna().unique()
     budget = f" with a budget of {escaped(' or '.join(map(str, spent)))} evaluations" if len(spent) else ""
-    return Text(f"{share} runs of {as_code(command)}{budget}; {began}.")
-
-
-def _missing(sweep: str) -> Text:
-    return Text(f"There are no finished runs of the sweep {as_code(sweep)}; {as_code(COMMANDS[sweep])} makes them.")
+    return f"{share} runs of {command}{budget}; {began}."
 
 
 def _of_row(jobs: pd.DataFrame, name: str) -> pd.DataFrame:
@@ -209,11 +169,6 @@ def _of_row(jobs: pd.DataFrame, name: str) -> pd.DataFrame:
 def _of_pair(jobs: pd.DataFrame, n: int, thold_p: float) -> pd.DataFrame:
     """Runs for (n, thold_p)."""
     return jobs[(jobs[PAIR].astype(float) == [n, thold_p]).all(axis=1)]
-
-
-def _by_pair(jobs: pd.DataFrame) -> pd.Series:
-    """Median qualified ratio for each (n, thold_p) of Table III; NaN without a run."""
-    return pd.Series({pair: _of_pair(jobs, *pair)[RATIO].median() for pair in TABLE_3})
 
 
 def _typical(jobs: pd.DataFrame) -> str:

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -17,7 +18,6 @@ from lmd.scene.deployment import Deployment
 from ..nodes import note
 from ..operations.tracking import PARENT_TAG, MlflowReader
 from ..score import HISTORY_FILE, columns_of
-from .document import Picture
 
 INDICES = {
     "qualified_ratio": "qualified ratio",
@@ -41,11 +41,8 @@ COLUMNS = [
 
 # Parameters that a section reads as numbers, by sweep; in a store, parameters are texts of any origin.
 NUMBERS = {
-    "table2": [SEED],
-    "table3": PAIR,
-    "table3_reoptimised": PAIR,
-    "landmark_count": [COUNT],
-    "optimisers": [SEED],
+    **{"table2": [SEED], "optimisers": [SEED], "landmark_count": [COUNT]},
+    **{"table3": PAIR, "table3_reoptimised": PAIR},
 }
 # Function that returns the problem and the deployment of a run, by the id of the run.
 Load = Callable[[str], tuple[Problem, Deployment]]
@@ -98,9 +95,9 @@ class Source:
             found.append(OptimiserRun(str(job[OPTIMISER]), int(float(job[SEED])), metrics, history, deployment))
         return found
 
-    def picture(self, name: str, caption: str, draw: Callable[[Path], None]) -> Picture:
-        """Picture that `draw` writes into the folder."""
+    def picture(self, name: str, caption: str, draw: Callable[..., None], *arguments: Any) -> str:
+        """Picture, in Markdown, that `draw` writes into the folder when called with a path and `arguments`."""
         path = self.folder / f"{name}.png"
-        draw(path)
+        draw(path, *arguments)
         shrink(path)
-        return Picture(path, caption)
+        return f"![{caption}]({path.name})"

@@ -19,14 +19,10 @@ class Sweep:
     """Experiment of the sweep, or the varied keys."""
     varied: tuple[str, ...]
     """Config keys that differ between the jobs, keys of earlier commands first."""
-    run_id: str | None
+    run_id: str | None = None
     """Tracked run of the sweep, the parent of its jobs' runs; None if nothing is tracked."""
     round: int = 0
     """Number of commands that extended the sweep before the last command."""
-    asked: int | None = None
-    """Number of jobs that the last command asks for; None for a search, which proposes them one after the other."""
-    given: tuple[str, ...] = ()
-    """Overrides of the last command that do not vary, and change results."""
 
 
 @dataclass(frozen=True)
@@ -75,15 +71,11 @@ class JobFolder:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
+        self.name = self.path.name
         self.record = self.path / "job.json"
         self.output = self.path / "output.log"  # stdout and stderr of the job
         self.metrics = self.path / "metrics.json"
         self.checkpoint = self.path / "checkpoint.npz"  # as in lmd.optimisers.checkpoint, which is slow to import
-
-    @property
-    def name(self) -> str:
-        """Name of the folder below the sweep's folder."""
-        return self.path.name
 
     def load(self) -> Job | None:
         """Read the job; None if there is no record."""
@@ -120,22 +112,7 @@ class SweepFolder:
 
     def load(self) -> Sweep | None:
         """Read the sweep; None if there is no record."""
-
-        def made(values: dict[str, Any]) -> Sweep:
-            return Sweep(**values | {key: tuple(values[key]) for key in ("varied", "given")})
-
-        return read_document(self.record, made)
-
-    def like(self, sweep: Sweep) -> str:
-        """The sweep beside this one with equal varied keys that differs least in what was given, and how."""
-        others = [(path.parent.name, SweepFolder(path.parent).load()) for path in self.path.parent.glob("*/sweep.json")]
-        differences = {
-            name: sorted({*sweep.given} - {*other.given}) + sorted(f"no {o}" for o in {*other.given} - {*sweep.given})
-            for name, other in others
-            if other is not None and name != self.path.name and {*other.varied} == {*sweep.varied}
-        }
-        name = min(differences, key=lambda name: len(differences[name]), default="")
-        return f"like {name} but for {', '.join(differences[name])}" if differences.get(name) else ""
+        return read_document(self.record, lambda values: Sweep(**values | {"varied": tuple(values["varied"])}))
 
     def save(self, sweep: Sweep) -> None:
         """Write the sweep."""

@@ -90,22 +90,10 @@ def sweep_name(root: DictConfig) -> str:
 
 
 def sweep_title(root: DictConfig) -> str:
-    """Name of a sweep's run: its experiment if that has the sweep's values, or else the keys that it
-    varies, then what else is given: `n x thold_p x optimiser room=hall`.
-    """
-    experiment = root.hydra.runtime.choices.get("experiment")
-    keys = varied_keys(swept(root))
-    title = " x ".join(key.split(".")[-1] for key in keys if key != SEED) or SEED
-    if root.hydra.sweeper.get("params") and experiment is not None and "experiment" not in keys:
-        title = str(experiment)
-    return " ".join(filter(None, [title, in_name(fixed(root), *title.split())]))
-
-
-def fixed(root: DictConfig) -> tuple[str, ...]:
-    """Overrides of the command line of a sweep that do not vary, and change results."""
-    given, varied = list(root.hydra.overrides.task), varied_keys(swept(root))
-    keys = [key_and_value(override)[0] for override in given]
-    return tuple(o for o, key in zip(given, keys, strict=True) if key not in varied and changes_results(key))
+    """Name of a sweep's run: the keys that it varies, then what else is given: `n x thold_p x optimiser room=hall`."""
+    varied = varied_keys(swept(root))
+    given = [o for o in root.hydra.overrides.task if key_and_value(o)[0] not in varied]
+    return " ".join(filter(None, [" x ".join(key.split(".")[-1] for key in varied), in_name(given)]))
 
 
 def sweep_folder(*, _root_: DictConfig) -> str:

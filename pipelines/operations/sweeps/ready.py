@@ -12,8 +12,8 @@ from lmd.core.compiled import load_compiler
 from ...app import GARBAGE, PACKAGE
 from ..signals import SIGNALS
 
-# SLURM signals all processes of a job; only the process that started this server handles the signals.
-BEFORE = {number: signal.signal(number, signal.SIG_IGN) for number in (*SIGNALS, signal.SIGUSR2)}
+# A terminal signals all its processes; only the process that started this server handles the signals.
+BEFORE = {number: signal.signal(number, signal.SIG_IGN) for number in SIGNALS}
 
 gc.set_threshold(GARBAGE)
 for module in (

@@ -6,7 +6,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING, Any
@@ -24,7 +24,7 @@ from ...provenance import parameters
 from ..signals import CODES, stop
 from . import forks
 from .folder import Job, JobFolder, SweepFolder, current_job, reason_of
-from .names import override_tags, short_name
+from .names import short_name
 
 if TYPE_CHECKING:
     from ..tracking import Tracker
@@ -88,8 +88,7 @@ def _supervise(cfg: DictConfig) -> float | None:
         before = folder.load()
         continued = before is not None and before.status != "failed" and folder.checkpoint.exists()
         if before is not None:
-            end_runs(cfg.tracking, folder, lost(job))
-        is_again = folder.output.exists()
+            settle(cfg.tracking, folder, lost(job))
         spent = before.seconds if before is not None and continued else 0.0
         folder.save(replace(job, seconds=spent))
         began = time.monotonic()
@@ -99,15 +98,13 @@ def _supervise(cfg: DictConfig) -> float | None:
             job = lost(job, stopped=True)
         job = replace(job, seconds=spent + time.monotonic() - began)
         folder.save(job)
-        if is_again:
-            _keep_newest_run(cfg.tracking, folder, job)
         if job.status == "finished":
             print(f"finished in {job.seconds - spent:.0f} s: {job.label}{_figures_text(folder)}", flush=True)
-            _attach_output(cfg.tracking, folder, job)
+        else:
+            print(f"{job.status}: {job.label}: {job.reason} ({folder.output})", flush=True)
+        settle(cfg.tracking, folder, job, {} if job.status == "interrupted" else parameters(cfg, choices()))
+        if job.status == "finished":
             return job.value
-        print(f"{job.status}: {job.label}: {job.reason} ({folder.output})", flush=True)
-        end_runs(cfg.tracking, folder, job, None if job.status == "interrupted" else parameters(cfg, choices()))
-        _attach_output(cfg.tracking, folder, job)
         if interrupted:
             sys.exit(128 + signal.SIGINT)
         return float("nan")
@@ -170,32 +167,29 @@ def _execute(cfg: DictConfig, arguments: list[str], folder: JobFolder, lock: int
     The process has a session of its own, so Ctrl-C reaches the process only once, by the pipe. The process inherits the
     lock of its folder, so the folder stays locked if the sweep is killed.
     """
-    threads, uri = _threads(cfg), cfg.tracking.get("uri")
+    threads = _threads(cfg)
     if threads is not None:  # also for the server, whose packages read the variables at import
         os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(threads)))
-    with folder.output.open("ab") as output:
-        process = forks.Process(
-            f"{PACKAGE}.{HydraConfig.get().job.config_name}",
-            arguments,
-            os.environ | {"HYDRA_FULL_ERROR": "1", JOB_VARIABLE: str(folder.path)},
-            output.fileno(),
-            () if lock is None else (lock,),
-            store=None if uri is None else str(uri),
-        )
-        with closing(process):
+    environment = os.environ | {"HYDRA_FULL_ERROR": "1", JOB_VARIABLE: str(folder.path)}
+    module, (reads, writes) = f"{PACKAGE}.{HydraConfig.get().job.config_name}", os.pipe()
+    with folder.output.open("ab") as output, os.fdopen(reads), os.fdopen(writes, "wb") as its_stdin:
+        streams = {0: reads, 1: output.fileno(), 2: output.fileno()}
+        process = forks.process(module, arguments, environment, streams, [] if lock is None else [lock])
+        try:
+            with stop.raising():
+                with stop.postponed():  # otherwise an unknown process could remain
+                    process.start()
+                process.join()
+                return int(process.exitcode or 0), False
+        except KeyboardInterrupt:
+            its_stdin.close()
             try:
                 with stop.raising():
-                    with stop.postponed():  # otherwise an unknown process could remain
-                        process.start()
-                    return process.wait(), False
+                    process.join()
             except KeyboardInterrupt:
-                process.stdin.close()
-                try:
-                    with stop.raising():
-                        return process.wait(), True
-                except KeyboardInterrupt:
-                    process.kill()
-                    return process.wait(), True
+                process.kill()
+                process.join()
+            return int(process.exitcode or 0), True
 
 
 def _settled(job: Job, code: int) -> Job:
@@ -214,40 +208,19 @@ def lost(job: Job, stopped: bool = False) -> Job:
     return replace(job, status="interrupted" if stopped else "killed", reason=STOPPED if stopped else LOST)
 
 
-@contextmanager
-def _tracker_of(job: Job, tracking: DictConfig, lacking: str) -> "Iterator[Tracker]":
-    """Context with the tracker of a job; a store that cannot be used is reported, with what is `lacking` for it."""
+def settle(tracking: DictConfig, folder: JobFolder, job: Job, params: Mapping[str, Any] | None = None) -> None:
+    """Settle the tracked runs of a job whose process has ended; one that began none gets one with `params`, if any."""
     from lmd.core.checks import InputError
 
-    try:
-        yield instantiate(tracking)
-    except InputError as error:
-        print(f"{lacking} of {job.label}: {error}", file=sys.stderr)
-
-
-def _keep_newest_run(tracking: DictConfig, folder: JobFolder, job: Job) -> None:
-    """Delete the runs of earlier attempts at a job, so that a group of jobs has one run for each."""
-    if job.parent is not None:
-        with _tracker_of(job, tracking, "not deleted are the earlier runs") as tracker:
-            tracker.keep_newest(job.tags(folder.name))
-
-
-def _attach_output(tracking: DictConfig, folder: JobFolder, job: Job) -> None:
-    """Store a job's output with its run."""
-    if job.parent is not None:
-        with _tracker_of(job, tracking, f"no {folder.output.name} has the run") as tracker:
-            tracker.attach(job.tags(folder.name), folder.output)
-
-
-def end_runs(tracking: DictConfig, folder: JobFolder, job: Job, params: Mapping[str, Any] | None = None) -> None:
-    """End the runs that a job's process left running, as the job ended; if there are none, record one with `params`."""
     from ..tracking import RunStart
 
     if job.parent is None:
         return
-    status, tags = "KILLED" if job.status == "interrupted" else "FAILED", job.tags(folder.name)
-    with _tracker_of(job, tracking, f"not marked as {status} is the run") as tracker:
-        if not tracker.end_lost(tags, job.reason, status) and params is not None:
-            name = short_name(job.status, [f"{key}={value}" for key, value in job.varied.items()])
-            tracker.start(RunStart(name, folder.path, params, tags | override_tags(job.overrides)))
-            tracker.finish(status, job.reason)
+    status = {"finished": "FINISHED", "interrupted": "KILLED"}.get(job.status, "FAILED")
+    name = short_name(job.status, [f"{key}={value}" for key, value in job.varied.items()])
+    run = RunStart(name, folder.path, params or {}, job.tags(folder.name))
+    try:
+        tracker: Tracker = instantiate(tracking)
+        tracker.settle(run, status, job.reason, [folder.output])
+    except InputError as error:
+        print(f"not marked as {status} is the run of {job.label}: {error}", file=sys.stderr)

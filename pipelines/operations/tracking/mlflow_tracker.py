@@ -8,16 +8,16 @@ from typing import Any
 
 from lmd.core.checks import InputError
 
-from .experiment import link, run_link, show_figures, sweep_view
 from .journal import GONE, Journal, end_those_gone, hand_in, this_process
 from .store import PARAM_LENGTH, SQLITE, Store, first_line, is_of_store, now
-from .tracker import Entry, RunStart
+from .tracker import Entry, NoTracker, RunStart
+from .views import link, share, sweep_view, view_of
 
 ADDRESS = "http://127.0.0.1:5000"  # address of the server that `make ui` starts
 LABELS = {"TABLE": "table ", "CHART": "charts"}
 
 
-class MlflowTracker:
+class MlflowTracker(NoTracker):
     """Tracker that records runs in mlflow, by default in a sqlite file that needs no server.
 
     Every entry is written to a journal in the run's folder, then sent. If the store does not answer, one warning is
@@ -137,7 +137,7 @@ class MlflowTracker:
         try:
             self._send()
             figures = dict.fromkeys(name for entry in self._journal.entries for name in entry.get("metrics", ()))
-            show_figures(self.store.client, self.store.experiment_id, list(figures))
+            share(self.store.client, self.store.experiment_id, view_of(list(figures)))
             self._journal.remove()
         except Exception as error:
             self._warn_once(error)
@@ -146,28 +146,23 @@ class MlflowTracker:
             except OSError as full:
                 print(f"warning: what the run has recorded is lost: {full}", file=sys.stderr)
 
-    def end_lost(self, tags: Mapping[str, str], reason: str, status: str = "FAILED") -> bool:
-        """See `Tracker.end_lost`."""
-        with self.store.errors_reported():
-            runs = self.store.runs(_with_tags(tags))
-            for run in runs:
+    def settle(self, run: RunStart, status: str, reason: str = "", files: Sequence[Path] = ()) -> None:
+        """See `Tracker.settle`; mlflow lists deleted runs apart, and `mlflow gc` removes them."""
+        store, wanted = self.store, " and ".join(f"tags.`{key}` = '{value}'" for key, value in run.tags.items())
+        with store.errors_reported():
+            found = sorted(store.runs(wanted), key=lambda each: each.info.start_time)
+            for each in found:
                 # Another run that began meanwhile may have ended this run with the reason `GONE`.
-                if run.info.status == "RUNNING" or run.data.tags.get("reason") == GONE:
-                    self.store.send(run.info.run_id, {"end": status, "reason": reason, "at": now()})
-        return bool(runs)
-
-    def keep_newest(self, tags: Mapping[str, str]) -> None:
-        """See `Tracker.keep_newest`; mlflow lists deleted runs apart, and `mlflow gc` removes them."""
-        with self.store.errors_reported():
-            runs = sorted(self.store.runs(_with_tags(tags)), key=lambda run: run.info.start_time)
-            for run in runs[:-1]:
-                self.store.client.delete_run(run.info.run_id)
-
-    def attach(self, tags: Mapping[str, str], path: Path) -> None:
-        """See `Tracker.attach`."""
-        with self.store.errors_reported():
-            for run in self.store.runs(_with_tags(tags)):
-                self.store.send(run.info.run_id, {"files": [_absolute(path)]})
+                if each.info.status == "RUNNING" or each.data.tags.get("reason") == GONE:
+                    store.send(each.info.run_id, {"end": status, "reason": reason, "at": now()})
+            for each in found[:-1]:
+                store.client.delete_run(each.info.run_id)
+            if found:
+                store.send(found[-1].info.run_id, {"files": list(map(_absolute, files))})
+        if not found and status != "FINISHED":
+            self.start(run)
+            self.log_artifacts(files)
+            self.finish(status, reason)
 
     def discard(self) -> None:
         """See `Tracker.discard`."""
@@ -196,17 +191,11 @@ class MlflowTracker:
         address = ADDRESS if store.uri.startswith(SQLITE) else store.uri.rstrip("/")
         try:
             experiment = store.experiment_id
-            view = sweep_view(store.client, experiment, self._run_id, params)
+            share(store.client, experiment, sweep_view(self._run_id, params), self._run_id)
         except Exception as error:
             self._warn_once(error)
             return []
-        links = [f"{label} {link(address, experiment, view, mode)}" for mode, label in LABELS.items()]
-        return [*links, f"sweep  {run_link(address, experiment, self._run_id)}"]
-
-
-def _with_tags(tags: Mapping[str, str]) -> str:
-    """Filter of mlflow for the runs with these tags."""
-    return " and ".join(f"tags.`{key}` = '{value}'" for key, value in tags.items())
+        return [f"{label} {link(address, experiment, self._run_id, mode)}" for mode, label in LABELS.items()]
 
 
 def _written(params: Mapping[str, Any]) -> dict[str, str]:

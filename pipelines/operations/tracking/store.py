@@ -15,13 +15,13 @@ from lmd.core.checks import InputError
 from lmd.core.words import escaped
 
 from ..signals import stop
-from .experiment import id_of, prepare
 from .tracker import Entry
+from .views import share, view_of
 
 if TYPE_CHECKING:
     import pandas as pd
     from mlflow import MlflowClient
-    from mlflow.entities import Run
+    from mlflow.entities import Experiment, Run
 
 SQLITE = "sqlite:///"
 BATCH = 1000  # greatest number of metrics in one call of mlflow
@@ -59,7 +59,7 @@ class Store:
     @property
     def experiment_id(self) -> str:
         """Id of the experiment; a missing experiment is created."""
-        return prepare(self.client, self.experiment_name)
+        return _prepared(self.client, self.experiment_name)
 
     def _connect(self) -> "MlflowClient":
         from mlflow import MlflowClient
@@ -81,10 +81,10 @@ class Store:
             partial = database.with_name(f"{database.name}.partial")
             if not database.exists():  # the database is written whole or not at all
                 partial.unlink(missing_ok=True)
-                prepare(MlflowClient(tracking_uri=f"{SQLITE}{partial}"), self.experiment_name, artifacts, fresh=True)
+                _prepared(MlflowClient(tracking_uri=f"{SQLITE}{partial}"), self.experiment_name, artifacts)
                 os.replace(partial, database)
             client = MlflowClient(tracking_uri=f"{SQLITE}{database}")
-            prepare(client, self.experiment_name, artifacts)
+            _prepared(client, self.experiment_name, artifacts)
         return client
 
     @contextmanager
@@ -98,9 +98,9 @@ class Store:
             raise InputError(f"tracking.uri = {self.uri!r} cannot be used: {first_line(error)}") from error
 
     def undisturbed(self) -> AbstractContextManager[None]:
-        """Context in which signals wait if the store is a file, as an interrupted call would leave the file locked.
+        """Context in which signals wait while a file is written, which locks the database for other processes.
 
-        With a server, signals do not wait: no file is locked, and a call may take minutes to fail.
+        For a server it does nothing: no file is locked, and a call may take minutes to fail.
         """
         return stop.postponed() if self.uri.startswith(SQLITE) else nullcontext()
 
@@ -136,17 +136,16 @@ class Store:
             self._send(run_id, entry)
 
     def _send(self, run_id: str, entry: Entry) -> None:
-        from mlflow.entities import Metric, RunTag
+        from mlflow.entities import Metric
 
         client = self.client
         if "reopen" in entry:
             client.update_run(run_id, status="RUNNING")
-            tags = {key: value[:TAG_LENGTH] for key, value in entry["reopen"].items()}
             before = client.get_run(run_id).data.tags
             if "reason" in before:  # reason of an earlier end
                 client.delete_tag(run_id, "reason")
-                tags = {DESCRIPTION: _without_end(before.get(DESCRIPTION, ""))} | tags
-            client.log_batch(run_id, tags=[RunTag(key, value) for key, value in tags.items()])
+                self._tag(run_id, {DESCRIPTION: _without_end(before.get(DESCRIPTION, ""))})
+            self._tag(run_id, entry["reopen"])
         elif "curve" in entry:
             began, name = int(client.get_run(run_id).info.start_time), entry["metric"]
             curve = [Metric(name, value, began + int(1000 * at), step) for step, value, at in entry["curve"]]
@@ -164,8 +163,7 @@ class Store:
             if entry["reason"]:
                 about = _without_end(client.get_run(run_id).data.tags.get(DESCRIPTION, ""))
                 told = f"{ENDED[entry['end']]}: {escaped(entry['reason'])}\n\n{about}"
-                tags = {"reason": entry["reason"], DESCRIPTION: told}
-                client.log_batch(run_id, tags=[RunTag(key, value[:TAG_LENGTH]) for key, value in tags.items()])
+                self._tag(run_id, {"reason": entry["reason"], DESCRIPTION: told})
             client.set_terminated(run_id, entry["end"], entry["at"])
 
     def _send_dataset(self, run_id: str, name: str, digest: str, settings: Mapping[str, str]) -> None:
@@ -179,6 +177,48 @@ class Store:
             self.client.log_inputs(run_id, given)
         except MlflowException:
             self.client.log_inputs(run_id, given)
+
+    def _tag(self, run_id: str, tags: Mapping[str, str]) -> None:
+        from mlflow.entities import RunTag
+
+        self.client.log_batch(run_id, tags=[RunTag(key, value[:TAG_LENGTH]) for key, value in tags.items()])
+
+
+def _prepared(client: "MlflowClient", name: str, artifacts: str | None = None) -> str:
+    """Id of the experiment `name`; a missing experiment is created.
+
+    Args:
+        artifacts: address for the files of a new experiment; None for the default of the store.
+
+    Raises:
+        InputError: the experiment was deleted.
+    """
+    from mlflow.exceptions import MlflowException
+
+    experiment = client.get_experiment_by_name(name)
+    if experiment is None:
+        try:
+            made = str(client.create_experiment(name, artifact_location=artifacts))
+            share(client, made, view_of())
+            return made
+        except MlflowException as error:
+            experiment = client.get_experiment_by_name(name)
+            if experiment is None:  # no other process has made it meanwhile
+                raise error
+    return _id_of(experiment, client.tracking_uri)
+
+
+def _id_of(experiment: "Experiment", uri: str) -> str:
+    """Id of an experiment of the store `uri`.
+
+    Raises:
+        InputError: the experiment was deleted.
+    """
+    if experiment.lifecycle_stage != "active":
+        again = f"`MLFLOW_TRACKING_URI={uri} mlflow experiments restore -x {experiment.experiment_id}` restores it"
+        deleted = f"the experiment {experiment.name!r} was deleted in mlflow"
+        raise InputError(f"{deleted}: {again}, or name another one (tracking.experiment_name).")
+    return str(experiment.experiment_id)
 
 
 def _without_end(description: str) -> str:
@@ -229,7 +269,7 @@ class MlflowReader:
             experiment = self._client.get_experiment_by_name(experiment_name)
         if experiment is None:
             raise InputError(f"{uri} has no experiment called {experiment_name!r} (tracking.experiment_name).")
-        self._experiment_id = id_of(experiment, uri)
+        self._experiment_id = _id_of(experiment, uri)
 
     def runs(self) -> "pd.DataFrame":
         """All runs, the oldest first, indexed by their ids.

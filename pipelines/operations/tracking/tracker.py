@@ -1,11 +1,9 @@
-"""Interface of experiment tracking, and the tracker that records nothing."""
+"""Experiment tracking: its interface, which by itself records nothing."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
-
-from typing_extensions import override
+from typing import Any
 
 PARENT_TAG = "mlflow.parentRunId"  # tag with the parent of a run
 
@@ -42,12 +40,13 @@ class RunStart:
     """Its problem, if it has one."""
 
 
-class Tracker(Protocol):
-    """Records a run."""
+class NoTracker:
+    """Records nothing (`tracking=none`)."""
 
     @property
     def run_id(self) -> str | None:
         """Id of the started run; None if nothing is recorded."""
+        return None
 
     def start(self, run: RunStart, run_id: str | None = None) -> None:
         """Begin a run, or continue the run `run_id`.
@@ -63,6 +62,7 @@ class Tracker(Protocol):
         Raises:
             InputError: the store cannot be used.
         """
+        return False
 
     def has(self, run_id: str) -> bool:
         """True if the run `run_id` can be continued: the experiment has it, and it was not deleted.
@@ -70,29 +70,15 @@ class Tracker(Protocol):
         Raises:
             InputError: the store cannot be used.
         """
+        return True
 
     def discard(self) -> None:
         """Delete the started run."""
 
-    def end_lost(self, tags: Mapping[str, str], reason: str, status: str = "FAILED") -> bool:
-        """End the runs with these tags that are RUNNING, or were ended because their process had ended.
-
-        Returns:
-            False if no run has these tags.
-
-        Raises:
-            InputError: the store cannot be used.
-        """
-
-    def keep_newest(self, tags: Mapping[str, str]) -> None:
-        """Delete all runs with these tags but the one that began last.
-
-        Raises:
-            InputError: the store cannot be used.
-        """
-
-    def attach(self, tags: Mapping[str, str], path: Path) -> None:
-        """Store a copy of a file with the runs that have these tags.
+    def settle(self, run: RunStart, status: str, reason: str = "", files: Sequence[Path] = ()) -> None:
+        """Settle the runs with the tags of `run`, whose processes have ended: end those that are RUNNING or ended for
+        lack of a process, keep the newest alone, and add files to it. If there is none, one is recorded unless it is
+        FINISHED.
 
         Raises:
             InputError: the store cannot be used.
@@ -112,35 +98,11 @@ class Tracker(Protocol):
 
     def describe(self) -> str:
         """Text about the place of the run, in one line."""
-
-    def views(self, params: Sequence[str]) -> list[str]:
-        """Links to the runs below this one, grouped by params, and to this one; none if the store does not answer."""
-
-
-class NoTracker(Tracker):
-    """Records nothing (`tracking=none`)."""
-
-    @property
-    @override
-    def run_id(self) -> None:
-        """See `Tracker.run_id`: None, as nothing is recorded."""
-
-    @override
-    def goes_on(self, run_id: str, folder: Path, params: Mapping[str, Any]) -> bool:
-        return False
-
-    @override
-    def has(self, run_id: str) -> bool:
-        return True
-
-    @override
-    def end_lost(self, tags: Mapping[str, str], reason: str, status: str = "FAILED") -> bool:
-        return True
-
-    @override
-    def describe(self) -> str:
         return "not tracked (tracking=none)"
 
-    @override
     def views(self, params: Sequence[str]) -> list[str]:
+        """Links to the runs below this one, grouped by params; none if the store does not answer."""
         return []
+
+
+Tracker = NoTracker

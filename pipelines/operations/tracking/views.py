@@ -1,0 +1,86 @@
+"""Pages of mlflow that show the figures of runs when opened: views of an experiment and of a sweep.
+
+`views.json` has the state of mlflow's page of runs in the form of its links.
+"""
+
+import base64
+import json
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .tracker import PARENT_TAG
+
+if TYPE_CHECKING:
+    from mlflow import MlflowClient
+
+SHARED = "mlflow.sharedViewState."  # prefix of the tag of a shared view
+VIEW = "lmd"  # name of the shared view in links
+NAME = "attributes.`Run Name`"
+# Widths of columns, pixels.
+WIDTHS = {NAME: 280, "metrics.`off_grid`": 85} | {
+    f"params.`{name}`": 90 for name in ("optimiser", "room", "camera", "objective")
+}
+NARROW = 58  # width of the column of any other setting, pixels
+MOST_FIGURES = 12  # columns of figures in the view of an experiment
+# Columns of runs in their order: what often varies, the figure off the grid, further figures, then costs.
+VARIED = (
+    *("optimiser", "room", "camera", "objective", "objective.n", "objective.thold_p", "deployment.count"),
+    *("budget.evaluations", "budget.seconds", "seed"),
+)
+FIGURES = ("off_grid", "qualified_ratio", "localised_share", "evaluations", "wall_time")
+OF_SWEEPS = ("best/off_grid", "median/off_grid")
+
+
+def view_of(figures: Sequence[str] = ()) -> str:
+    """View of an experiment, whose runs have these figures; by default figures of deployments and of sweeps."""
+    if not figures or {*figures} & {*FIGURES}:
+        figures = (FIGURES[0], *OF_SWEEPS, *FIGURES[1:])
+    return _state(VARIED, figures[:MOST_FIGURES], "page")
+
+
+def sweep_view(run_id: str, params: Sequence[str]) -> str:
+    """View of the jobs of the sweep with the run `run_id`, with charts that have a band for each group.
+
+    Args:
+        run_id: run of the sweep, which is hidden: its charts would be first.
+        params: parameters that group jobs.
+    """
+    keys = [{"mode": "param", "groupByData": param} for param in params]
+    own = {
+        "searchFilter": f"tags.`{PARENT_TAG}` = '{run_id}'",
+        "groupBy": {"aggregateFunction": "average", "groupByKeys": keys} if keys else None,
+        "runsVisibilityMap": {run_id: False},
+    }
+    return _state(list(dict.fromkeys([*params, "seed"])), FIGURES, "page", "sweep", **own)
+
+
+def share(client: "MlflowClient", experiment_id: str, view: str, name: str = VIEW) -> None:
+    """Give an experiment a view, which links call `name`."""
+    client.set_experiment_tag(experiment_id, f"{SHARED}{name}", view)
+
+
+def link(address: str, experiment_id: str, view: str = VIEW, mode: str = "TABLE") -> str:
+    """Address of the page of an experiment with a shared view; mlflow shows runs of training where the address says so.
+
+    Args:
+        address: address of the server.
+        experiment_id: id of the experiment.
+        view: name of the shared view.
+        mode: `TABLE` or `CHART`.
+    """
+    query = f"workflowType=machine_learning&compareRunsMode={mode}&viewStateShareKey={view}"
+    return f"{address}/#/experiments/{experiment_id}/runs?{query}"
+
+
+def _state(params: Sequence[str], figures: Sequence[str], *parts: str, **changes: Any) -> str:
+    """State of mlflow's page of runs, with columns of parameters and of figures behind them, as links have it."""
+    states = json.loads(Path(__file__).with_suffix(".json").read_text())
+    settings = [f"params.`{param}`" for param in params]
+    columns = [*settings, *(f"metrics.`{figure}`" for figure in figures)]
+    state: dict[str, Any] = {"selectedColumns": columns, "columnOrder": [NAME, *columns]}
+    state |= {"columnWidths": dict.fromkeys(settings, NARROW) | WIDTHS}
+    for part in parts:
+        state |= states[part]
+    return f"deflate;{base64.b64encode(zlib.compress(json.dumps(state | changes).encode())).decode()}"
