@@ -60,17 +60,14 @@ def compare(cfg: DictConfig) -> Study:
         for kind in ("md", "png") if save_as is not None else ():
             Path(f"{save_as}.{kind}").write_bytes((directory / f"comparison.{kind}").read_bytes())
 
-    is_oriented = not problem.scene.tag.is_point
-    return contend(cfg, jobs, lambda _: is_oriented, report, saved, log, problem=problem)
+    return contend(cfg, jobs, report, saved, log, problem=problem)
 
 
 def _compared(runs: "Sequence[OptimiserRun]", reference: str | None, axis: str, title: str) -> Report:
     """Tables and picture of the comparison of runs."""
-    from lmd.evaluation.comparison import compared
+    from lmd.evaluation.comparison import compared, comparison_markdown
     from lmd.objectives.base import figure_of
     from lmd.plot.charts import save_comparison_figure
-
-    from .reproduction.document import comparison_markdown
 
     fitness = figure_of("fitness")  # the quantity that is maximised, as in the picture
     comparison = compared(runs, fitness.key, reference)

@@ -1,10 +1,10 @@
-"""Contenders of a comparison: an optimiser, a seed and a problem, whose result is kept in a folder of its own."""
+"""Contenders of a comparison: an optimiser, a seed and a problem, whose result has a folder of its own."""
 
-import shutil
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+import io
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from functools import cached_property
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,12 +13,12 @@ from omegaconf import DictConfig
 from .app import flat_settings, run_directory
 from .building import budget_of, build_optimiser, build_problem
 from .composing import RIG
+from .kept import kept
 from .operations.sweeps.names import DIGEST_LENGTH
 from .optimise import SAME_WHEN_RESUMED
-from .outputs import read_document, write_document
-from .provenance import digest, resuming
+from .provenance import digest
 from .score import columns_of
-from .study import Earlier, Report, Study
+from .study import Report, Study
 from .workers import in_processes
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from .operations.tracking import Tracker
 
-LANDMARKS, HISTORY, RECORD = FILES = "landmarks.csv", "history.csv", "run.json"  # of each run, in a folder of its own
+LANDMARKS, HISTORY = "landmarks.csv", "history.csv"  # files of each run, in a folder of its own
 LONGEST = 120  # characters of the name of a folder, with a digest behind them if the name of the run is longer
 
 
@@ -57,15 +57,15 @@ class Contender:
         """Tags of its tracked run."""
         return {"job": digest(self.name)[:DIGEST_LENGTH], "choice.optimiser": self.optimiser.split()[0]}
 
-    @cached_property
-    def digest(self) -> str:
-        """A digest that is equal for runs with equal results."""
+    @property
+    def parts(self) -> tuple[Any, ...]:
+        """Settings that decide the result."""
         if not self.problem:
-            return digest(flat_settings(self.cfg, *SAME_WHEN_RESUMED, "budget", "validate"), self.seed)
+            return flat_settings(self.cfg, *SAME_WHEN_RESUMED, "budget", "validate"), self.seed
         from lmd.suite import document
 
         settings = flat_settings(self.cfg, "optimiser", "encoding", "validate")
-        return digest(settings, self.seed, document(self.problem).hash, self.evaluations)
+        return settings, self.seed, document(self.problem).hash, self.evaluations
 
     def folder(self, comparison: Path) -> Path:
         """The folder of the run below the folder of its comparison; a long name ends in a digest."""
@@ -74,173 +74,72 @@ class Contender:
             name = f"{name[:LONGEST]} {digest(self.name)[:DIGEST_LENGTH]}"
         return comparison / "runs" / self.problem / name
 
-    def save(self, comparison: Path, run: "OptimiserRun", parent: str | None, ups: bool) -> None:
-        """Write the result of the run.
-
-        Args:
-            comparison: folder of the comparison.
-            parent: tracked run of the comparison, if any.
-            ups: see `Deployment.to_csv`.
-        """
-        from lmd.core.tables import write_table
-        from lmd.formats.rigs import write_rig
-
-        folder = self.folder(comparison)
-        folder.mkdir(parents=True, exist_ok=True)  # there already where a sweep repeats a lost job
-        run.deployment.to_csv(folder / LANDMARKS, ups)
-        if run.rig is not None:
-            write_rig(folder / RIG, run.rig, dict.fromkeys(run.rig.cameras))
-        write_table(folder / HISTORY, columns_of(run.history))
-        of_run = {"name": self.name, "digest": self.digest, "metrics": dict(run.metrics)}
-        self.note(comparison, **of_run, parent=parent, logged=False)
-
-    def note(self, comparison: Path, **values: Any) -> None:
-        """Write values to the record of the run in the folder of a comparison."""
-        path = self.folder(comparison) / RECORD
-        write_document(path, (read_document(path, dict) or {}) | values)
-
-    def saved(self, comparison: Path) -> "tuple[OptimiserRun, Mapping[str, Any]] | None":
-        """The result and the record of the run in the folder of a comparison; None if they are not there.
-
-        Raises:
-            InputError: its tables are damaged, or one of its files is a link that leads out of the comparison.
-        """
-        from lmd.core.checks import InputError
-        from lmd.core.tables import read_numbers
-        from lmd.evaluation.comparison import OptimiserRun
-        from lmd.optimisers.ledger import Record
-        from lmd.scene.deployment import Deployment
-
-        folder = self.folder(comparison)
-        for name in FILES:
-            if not (folder / name).resolve().is_relative_to(comparison.resolve()):
-                raise InputError(f"resume: {str(folder / name)!r} is a link that leads out of the folder.", "resume")
-        record: dict[str, Any] = read_document(folder / RECORD, lambda values: {**values}) or {}
-        if record.get("digest") != self.digest:
-            return None
-        rows = read_numbers(folder / HISTORY, [*columns_of([])], name="resume").tolist()
-        history, landmarks = [Record(*row) for row in rows], Deployment.from_csv(folder / LANDMARKS)
-        run = OptimiserRun(self.optimiser, self.seed, record["metrics"], history, landmarks, None, self.problem)
-        return run, record
-
-
-@dataclass(frozen=True)
-class Kept:
-    """The results of an earlier comparison."""
-
-    runs: "Mapping[Contender, OptimiserRun]"
-    """Finished runs."""
-    parent: str | None
-    """Tracked run of that comparison, if any."""
-    logged: Collection[Contender] = ()
-    """Those of the runs that are recorded below the tracked run."""
-
-
-def kept_of(resume: Any, jobs: Iterable[Contender], directory: Path) -> Kept:
-    """Copy the finished runs in the folder of an earlier comparison to `directory`, and return them.
-
-    Raises:
-        InputError: there is no such folder, or its files are damaged.
-    """
-    from lmd.core.checks import InputError, file_path
-    from lmd.evaluation.comparison import OptimiserRun
-
-    earlier = file_path("resume", resume)
-    if not earlier.is_dir():
-        raise InputError(f"resume = {str(resume)!r} is no folder of a comparison.", "resume")
-    folders = [earlier, *(path.parent for path in sorted(earlier.glob("*/runs")))]  # or the folder of a sweep of them
-    runs, parent, logged = dict[Contender, OptimiserRun](), None, list[Contender]()
-    for job in jobs:
-        for folder in folders:
-            if (saved := job.saved(folder)) is None:
-                continue
-            runs[job], record = saved
-            parent = parent or record["parent"]
-            logged += [job] * record["logged"]
-            if folder.resolve() != directory.resolve():
-                _copy(job, folder, directory)
-            break
-    return Kept(runs, parent, logged)
-
-
-def _copy(job: Contender, earlier: Path, directory: Path) -> None:
-    """Copy the files of a run from the folder of a comparison to another one."""
-    folder = job.folder(directory)
-    folder.mkdir(parents=True, exist_ok=True)
-    for name in (*FILES, RIG):
-        if (job.folder(earlier) / name).is_file():
-            shutil.copyfile(job.folder(earlier) / name, folder / name)
-
 
 def contend(
-    cfg: DictConfig, jobs: Sequence[Contender], ups: Callable[[Contender], bool],
+    cfg: DictConfig, jobs: Sequence[Contender],
     report: "Callable[[Mapping[Contender, OptimiserRun]], Report]", saved: Callable[[], None],
     log: "Callable[[Contender, OptimiserRun, str | None], None] | None" = None, about: str = "",
     problem: "Problem | None" = None,
 ) -> Study:  # fmt: skip
-    """Study of the runs of a comparison, which does those that the resumed comparison has not done.
+    """Study of the runs of a comparison, which does those that no comparison with these settings has done.
 
     Args:
         cfg: configuration of `compare`.
         jobs: the runs.
-        ups: function that returns `ups` of `Contender.save`.
         report: function that reports on the finished runs.
         saved: function that is called when the report on all runs is written.
         log: function that records a finished run below the tracked run; None to record none.
         about, problem: description and problem of the tracked run.
-
-    Raises:
-        InputError: the comparison to resume cannot be read.
     """
-    from .operations.tracking import PARENT_TAG, RunStart
+    from lmd.core.checks import file_path
 
-    directory = run_directory()
-    kept = Kept({}, None) if cfg.resume is None else kept_of(cfg.resume, jobs, directory)
-    earlier = None if kept.parent is None else Earlier(kept.parent, Path(cfg.resume))
-    by_name, results = {job.name: job for job in jobs}, dict(kept.runs)
-    left = [job for job in jobs if job not in results]
+    file_path("kept", cfg.kept)
 
     def run(tracker: "Tracker") -> Iterator[Report]:
-        def logged(job: Contender) -> None:
-            if log is not None:
-                log(job, results[job], tracker.run_id)
-                job.note(directory, parent=tracker.run_id, logged=True)
-
-        if results:
-            yield Report(text=f"{len(results)}/{len(jobs)} done already in {cfg.resume}")
-        for job in kept.runs:
-            if tracker.run_id != kept.parent or job not in kept.logged:
-                logged(job)
-                tags = {**job.tags, PARENT_TAG: str(tracker.run_id)}
-                tracker.settle(RunStart(job.name, directory, tags=tags), "FINISHED")  # one may be recorded in part
+        results: dict[Contender, OptimiserRun] = {}
+        by_name = {job.name: job for job in jobs}
+        do = partial(_done, run_directory(), str(cfg.kept))
         try:
-            with closing(in_processes(_named, left, cfg.workers, lambda job: job.name)) as finished:
+            with closing(in_processes(do, jobs, cfg.workers, lambda job: job.name)) as finished:
                 for name, done in finished:
                     job = by_name[name]
                     results[job] = done
-                    job.save(directory, done, tracker.run_id, ups(job))
-                    logged(job)
+                    if log is not None:
+                        log(job, done, tracker.run_id)
                     yield Report(text=f"{len(results)}/{len(jobs)} {name}: fitness {done.metrics['fitness']:.2%}")
         except KeyboardInterrupt:  # an interrupted comparison, too, has the files about its finished runs
             if results:
                 yield report(results)
             raise
-        yield report(results)
+        yield report({job: results[job] for job in jobs})
         saved()
 
-    return Study("compare", run, about, problem, earlier, lambda: f"go on with: {resuming('compare', directory)}")
+    return Study("compare", run, about, problem, hint=lambda: f"the same command goes on with what is in {cfg.kept}")
 
 
-def _named(job: Contender) -> "tuple[str, OptimiserRun]":
-    """Name and result of a run."""
-    return job.name, run_contender(job)
-
-
-def run_contender(job: Contender) -> "OptimiserRun":
-    """Do one run, on one thread."""
+def _done(directory: Path, folder: str, job: Contender) -> "tuple[str, OptimiserRun]":
+    """Name and result of a run, which is done unless its result is kept, and whose files are written."""
+    from lmd.core.files import write_whole
+    from lmd.core.tables import read_numbers
     from lmd.evaluation.comparison import OptimiserRun
+    from lmd.optimisers.ledger import Record
+    from lmd.scene.deployment import Deployment
+
+    document, own = kept(folder, job.parts, partial(_searched, job), dict), job.folder(directory)
+    own.mkdir(parents=True, exist_ok=True)  # there already where a sweep repeats a lost job
+    for name, text in document["files"].items():
+        write_whole(own / name, text.encode())
+    history = [Record(*row) for row in read_numbers(own / HISTORY, [*columns_of([])], name="history").tolist()]
+    landmarks = Deployment.from_csv(own / LANDMARKS)
+    return job.name, OptimiserRun(job.optimiser, job.seed, document["metrics"], history, landmarks, None, job.problem)
+
+
+def _searched(job: Contender) -> dict[str, Any]:
+    """Figures of a run, done on one thread, and the texts of its files."""
+    from lmd.core.tables import write_table
     from lmd.evaluation.tradeoff import SAMPLE
     from lmd.evaluation.validation import Sample, headline_off_grid, validation_metrics
+    from lmd.formats.rigs import rig_text
     from lmd.optimisers.ledger import Budget
 
     if job.problem:  # of a suite there are thousands of runs
@@ -254,4 +153,10 @@ def run_contender(job: Contender) -> "OptimiserRun":
     metrics = dict(scored.metrics(result.deployment))
     if job.cfg.validate:
         metrics["off_grid"] = validation_metrics(scored, result.deployment, job.seed, sample)[headline_off_grid(scored)]
-    return OptimiserRun(job.optimiser, job.seed, metrics, result.history, result.deployment, result.rig, job.problem)
+    landmarks, history = io.StringIO(), io.StringIO()
+    result.deployment.to_csv(landmarks, ups=not problem.scene.tag.is_point)
+    write_table(history, columns_of(result.history))
+    files = {LANDMARKS: landmarks.getvalue(), HISTORY: history.getvalue()}
+    if result.rig is not None:
+        files[RIG] = rig_text(result.rig, dict.fromkeys(result.rig.cameras))
+    return {"name": job.name, "metrics": metrics, "files": files}

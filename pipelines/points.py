@@ -4,7 +4,6 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from omegaconf import DictConfig
@@ -12,10 +11,9 @@ from omegaconf import DictConfig
 from .app import flat_settings
 from .building import budget_of, build_optimiser, build_problem
 from .composing import editable
+from .kept import kept
 from .nodes import instantiate
 from .optimise import SAME_WHEN_RESUMED
-from .outputs import read_document, write_document
-from .provenance import digest
 from .workers import in_processes
 
 if TYPE_CHECKING:
@@ -82,7 +80,9 @@ class Ladder:
             return {"counts": build_problem(cfg).scene.tag.counts}
 
         any_seed = replace(self, seed=self.cfg.seed)
-        cfg.deployment.count = any_seed._kept(at, "mixture", None, mixture, lambda kept: list(map(int, kept["counts"])))
+        cfg.deployment.count = any_seed._kept(
+            at, "mixture", None, mixture, lambda known: list(map(int, known["counts"]))
+        )
         return build_problem(cfg)
 
     def anew(self, at: float) -> "Found":
@@ -119,9 +119,9 @@ class Ladder:
 
         start = problem.start.deployment if isinstance(problem.start, GivenDeployment) else None
 
-        def found(kept: dict[str, Any]) -> Found:
-            deployment = Deployment(*(kept[name] for name in ARRAYS))
-            return Found(problem.labelled(deployment), kept["fitness"], way)
+        def found(document: dict[str, Any]) -> Found:
+            deployment = Deployment(*(document[name] for name in ARRAYS))
+            return Found(problem.labelled(deployment), document["fitness"], way)
 
         return self._kept(at, way, start, climb, found)
 
@@ -129,29 +129,12 @@ class Ladder:
         self, at: float, what: str, given: "Deployment | None", compute: Callable[[], dict[str, Any]],
         content_of: Callable[[dict[str, Any]], Content],
     ) -> Content:  # fmt: skip
-        """Result from the disk, or computed now and stored.
-
-        Args:
-            at: place of the point along the curve.
-            what: kind of the result.
-            given: deployment on which the result depends.
-            compute: function that computes the result as a document.
-            content_of: function that converts a document, see `read_document`.
-        """
-        from lmd.core.sources import package_digest
-
+        """Result of a kind at a place along the curve that depends on a deployment, see `kept`."""
         settings = flat_settings(self.point(at), *SAME_WHEN_RESUMED, "budget")
         arrays = None if given is None else [getattr(given, name).tolist() for name in ARRAYS]
         if arrays and given and given.has_own_edges:
             arrays.append(given.edges.tolist())
-        path = Path(self.cfg.kept) / f"{digest(settings, what, arrays, package_digest())}.json"
-        found = read_document(path, content_of)
-        if found is not None:
-            return found
-        computed = compute()
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_document(path, computed)
-        return content_of(computed)
+        return kept(str(self.cfg.kept), (settings, what, arrays), compute, content_of)
 
 
 def figures_of(problem: "Problem", deployment: "Deployment", seed: int) -> dict[str, float]:

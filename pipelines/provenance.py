@@ -23,6 +23,7 @@ from .operations.sweeps.folder import current_job
 # Characters around a path in an override, such as `deployments=['mine: file deployment.path=a.csv',uniform]`; the first
 # pattern leaves a path with a space whole.
 SEPARATORS = (r"[,=\[\]{}'\"]+", r"[\s,=\[\]{}'\"]+")
+RECORD = ".hydra/config.yaml"  # settings of the run whose files are in a folder
 PACKAGES_FILE, PATCH_FILE = "packages.txt", "diff.patch"
 DIRTY = "uncommitted changes"  # tag of a run
 SHORT_COMMIT = 9  # characters of a commit in a description
@@ -152,7 +153,7 @@ def contents_of(settings: Any) -> dict[str, str]:
     texts = list(texts_in(settings))
     files = {Path(word) for text in texts for word in _words(text) if os.path.isfile(word)}
     folders = [Path(text) for text in texts if os.path.isdir(text) and os.access(text, os.R_OK)]
-    files |= {file for folder in folders for file in folder.iterdir() if os.path.isfile(file)}
+    files |= {file for folder in folders for file in (*folder.iterdir(), folder / RECORD) if os.path.isfile(file)}
     return {printable(f"contents of {file}"): _digest_of(file) for file in sorted(files) if os.access(file, os.R_OK)}
 
 

@@ -3,6 +3,7 @@
 import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.parse import quote
 
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -27,11 +28,10 @@ MARK = "<!-- What follows is written by python -m pipelines.report and overwritt
 
 
 def report(cfg: DictConfig) -> None:
-    """Write report.html, report.md and the pictures to the run directory."""
+    """Write report.md and its pictures to the run directory."""
     from lmd.core.checks import InputError
 
     from .operations.tracking import MlflowReader
-    from .reproduction.document import Section, to_html, to_markdown
     from .reproduction.sections import sections
     from .reproduction.source import Source
 
@@ -42,22 +42,21 @@ def report(cfg: DictConfig) -> None:
     reader = MlflowReader(cfg.tracking.uri, cfg.tracking.experiment_name)
     runs = _chosen(reader.runs(), cfg.sweeps)
     directory, trust = run_directory(), Trust.given()
-    found: list[Section] = []
 
     def write(partial: Path) -> None:
-        found.extend(sections(Source(reader, runs, lambda run_id: _load(reader, run_id, trust), partial)))
-        (partial / "report.html").write_text(to_html(TITLE, found), encoding="utf-8")
-        (partial / "report.md").write_text(f"# {TITLE}\n\n{to_markdown(found, '')}", encoding="utf-8")
+        text = sections(Source(reader, runs, lambda run_id: _load(reader, run_id, trust), partial))
+        (partial / "report.md").write_text(f"# {TITLE}\n\n{text}", encoding="utf-8")
 
     files = all_or_none(directory, write)
-    print(f"report  {directory / 'report.html'}\n        {directory / 'report.md'}")
+    print(f"report  {directory / 'report.md'}")
     if save_as is not None:
-        page = Path(f"{save_as}.md")
+        page, text = Path(f"{save_as}.md"), (directory / "report.md").read_text(encoding="utf-8").split("\n\n", 1)[1]
         folder = page.with_suffix("")
         folder.mkdir(parents=True, exist_ok=True)
         for picture in (file for file in files if file.suffix == ".png"):
             shutil.copy(picture, folder)
-        page.write_text(f"{kept}{MARK}\n\n{to_markdown(found, f'{folder.name}/')}", encoding="utf-8")
+            text = text.replace(f"]({picture.name})", f"]({quote(folder.name)}/{picture.name})")
+        page.write_text(f"{kept}{MARK}\n\n{text}", encoding="utf-8")
         print(f"        {page}")
 
 

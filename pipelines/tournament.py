@@ -43,10 +43,7 @@ def tournament_of(cfg: DictConfig) -> Study:
         for name in names:
             save_as.with_name(f"{save_as.name}_{name}").write_bytes((run_directory() / name).read_bytes())
 
-    return contend(
-        cfg, list(_jobs(cfg, boxes)), lambda job: not boxes[job.problem].problem.scene.tag.is_point, report, saved,
-        about=about,
-    )  # fmt: skip
+    return contend(cfg, list(_jobs(cfg, boxes)), report, saved, about=about)
 
 
 def problems_of(cfg: DictConfig) -> "Mapping[str, BlackBox]":

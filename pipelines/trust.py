@@ -69,12 +69,6 @@ class Trust:
                         folders.append(place.removeprefix("file://"))
         return cls(tuple(names), tuple(Path(folder).resolve() for folder in folders))
 
-    def has(self, place: str) -> bool:
-        """True if a place of configuration, `file://FOLDER` or `pkg://PACKAGE`, is trusted."""
-        if place.startswith(PACKAGED):
-            return self._trusts(place.removeprefix(PACKAGED))
-        return Path(place.removeprefix("file://")).resolve() in self.folders
-
     def parts(self, found: Mapping[Any, Any], source: str, groups: Sequence[str]) -> dict[str, dict[str, Any]]:
         """Nodes of the `groups` in a configuration of other origin.
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 
-from ...composing import key_and_value
 from ...nodes import instantiate
 from ...outputs import held
 from ...provenance import repeating, source_tags

@@ -93,7 +93,8 @@ def sweep_title(root: DictConfig) -> str:
     """Name of a sweep's run: the keys that it varies, then what else is given: `n x thold_p x optimiser room=hall`."""
     varied = varied_keys(swept(root))
     given = [o for o in root.hydra.overrides.task if key_and_value(o)[0] not in varied]
-    return " ".join(filter(None, [" x ".join(key.split(".")[-1] for key in varied), in_name(given)]))
+    keys = [key.split(".")[-1] for key in varied if key != SEED] or [SEED]
+    return " ".join([" x ".join(keys), in_name(given)]).rstrip()
 
 
 def sweep_folder(*, _root_: DictConfig) -> str:

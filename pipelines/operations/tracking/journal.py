@@ -38,12 +38,11 @@ class Journal:
         self.on_disk = len(entries)  # number of entries in the file
 
     @classmethod
-    def of(cls, folder: Path, elsewhere: bool = False) -> "Journal":
+    def of(cls, folder: Path) -> "Journal":
         """Read the journal in the folder of a run; empty if there is none. An incomplete last line is left out.
 
         Args:
             folder: folder of the run.
-            elsewhere: True to accept files outside the folder among the files to send.
 
         Raises:
             InputError: the file is no journal, or names a file outside the folder.
@@ -55,9 +54,8 @@ class Journal:
         if not all(map(_is_entry, entries)):
             raise InputError(f"the journal in {folder} is none that a run has written.")
         for file in (file for entry in entries for file in entry.get("files", ())):
-            if os.path.isfile(file) and not elsewhere and not Path(file).resolve().is_relative_to(folder.resolve()):
-                told = f"the journal in {folder} would send {file!r}, which is not in that folder"
-                raise InputError(f"{told}; `sync --yes` sends it all the same ({PAGE}).")
+            if os.path.isfile(file) and not Path(file).resolve().is_relative_to(folder.resolve()):
+                raise InputError(f"the journal in {folder} would send {file!r}, which is not in that folder ({PAGE}).")
         return cls(path, entries)
 
     @property

@@ -178,8 +178,8 @@ class MlflowTracker(NoTracker):
 
         uri = self.store.uri
         if self._journal is not None and self._journal.path.exists():
-            given = f"folder={self._journal.path.parent} uri={uri}"
-            return f"not in {uri} yet; when it answers again: {command_of('sync')} {given}"
+            given = f"sync={self._journal.path.parent} tracking.uri={uri}"
+            return f"not in {uri} yet; when it answers again: {command_of('runs')} {given}"
         shown_by = "make ui" if IN_CHECKOUT else f"mlflow ui --backend-store-uri {uri}"
         return f"run {self._run_id} in {uri}" + (f" ({shown_by})" if uri.startswith(SQLITE) else "")
 
