@@ -87,11 +87,13 @@ class Command:
 
 
 def _check_experiment(command: str) -> None:
-    """Raise `InputError` if the file of the experiment, which is part of the project, names only other commands."""
+    """Raise `InputError` if a stored sweep, which is part of the project, names only other commands."""
     from lmd.core.checks import InputError
 
     file = Path(CONF, "experiment", f"{choices().get('experiment')}.yaml")
     text = file.read_text(encoding="utf-8") if file.is_file() else ""
+    if "mode: MULTIRUN" not in text:
+        return
     known = dict.fromkeys(re.findall(rf"-m pipelines\.(\w+) .*experiment={re.escape(file.stem)}\b", text))
     if known and command not in known:
         right = " or ".join(f"{command_of(other)} experiment={file.stem}" for other in known)

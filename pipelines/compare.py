@@ -32,7 +32,7 @@ def compare(cfg: DictConfig) -> Study:
 
     from .operations.tracking import RunStart
     from .progress import curve
-    from .tracked_run import derived, log_child, problem_tags, title_of
+    from .tracked_run import dataset_of, derived, log_child, title_of
 
     problem, save_as = build_problem(cfg), save_path(cfg.save_as)
     budget, seeds = budget_of(cfg), seeds_of(cfg)
@@ -43,14 +43,14 @@ def compare(cfg: DictConfig) -> Study:
         raise InputError("optimisers must name at least one optimiser.")
     reference = None if cfg.reference is None else choice("reference", cfg.reference, list(configs))
     jobs = [Contender(name, configs[name], seed) for seed in seeds for name in configs]
-    directory, tags = run_directory(), problem_tags(cfg, problem)
+    directory, dataset = run_directory(), dataset_of(cfg, problem)
     axis, title = "evaluations" if budget.evaluations else "wall_time", title_of(problem, f"{len(seeds)} seeds,")
     # So that tables of runs have the same columns as those of optimise.
     shared = parameters(cfg, choices()) | derived(problem)
 
     def log(job: Contender, run: "OptimiserRun", parent: str | None) -> None:
         folder, params = job.folder(directory), {**shared, "optimiser": run.optimiser, "seed": run.seed}
-        started = RunStart(job.name, folder, params, job.tags | tags, ago=run.history[-1].wall_time)
+        started = RunStart(job.name, folder, params, job.tags, ago=run.history[-1].wall_time, dataset=dataset)
         log_child(cfg.tracking, started, parent, run.metrics, folder / LANDMARKS, curve(run.history, budget))
 
     def report(done: "Mapping[Contender, OptimiserRun]") -> Report:

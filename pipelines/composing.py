@@ -421,7 +421,7 @@ def ask_what_was_meant() -> None:
     """Suggest on stderr a known key for each unknown key of the command line, which Hydra has refused."""
     for argument in sys.argv[1:]:
         key = argument.partition("=")[0]
-        if key.replace(".", "_").isidentifier() and (question := meant(key)):
+        if key.replace(".", "_").isidentifier() and "." in key and (question := meant(key)):
             print(f"{key}: {question}", file=sys.stderr)
         if key.startswith("hydra/launcher"):
             print("other launchers are packages of their own: pip install 'lmd[sweeps]'", file=sys.stderr)

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig, OmegaConf
 
-from .nodes import instantiate, keyed, settings_of
+from .building import camera_of, visibility_of
+from .nodes import instantiate, keyed
 from .study import Report, Study
 
 if TYPE_CHECKING:
@@ -53,7 +54,13 @@ def size(cfg: DictConfig) -> Study:
 
     given = OmegaConf.to_container(cfg.size) if OmegaConf.is_config(cfg.size) else {}
     reading = made("size", Reading, given)
-    camera, tag, criteria = (instantiate(settings_of(cfg, group)) for group in ("camera", "tag", "visibility"))
+    (camera, *others), tag, (criteria, _) = (
+        camera_of(cfg.camera).cameras,
+        instantiate(cfg.tag),
+        visibility_of(cfg.visibility),
+    )
+    if others:
+        raise InputError("size is about one camera: leave camera.rig out.")
     if not isinstance(criteria, Fiducial):
         raise InputError("size is about what a detector reads: it needs visibility=fiducial.")
     tag.check_edge()

@@ -18,7 +18,7 @@ from .nodes import instantiate
 from .operations.signals import stop
 from .operations.sweeps.folder import current_job, reason_of
 from .operations.sweeps.names import override_tags, short_name
-from .operations.tracking import PARENT_TAG, RunStart
+from .operations.tracking import PARENT_TAG, Dataset, RunStart
 from .provenance import command_line, digest, parameters, repeating, source_tags, write_sources
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 # Settings of `deployment` that decide the problem, beside the number of landmarks.
 DECIDED = ("fixed", "measured")
-DIGEST_DIGITS = 16  # characters of the digest of a problem
+DATASET_DIGITS = 16  # characters of the digest of a problem; mlflow takes 36
 
 
 def title_of(problem: "Problem", subject: str) -> str:
@@ -37,8 +37,8 @@ def title_of(problem: "Problem", subject: str) -> str:
     return f"{subject} {problem.objective.name} K={problem.count}"
 
 
-def problem_tags(cfg: DictConfig, problem: "Problem") -> dict[str, str]:
-    """Name and digest of the problem of a configuration, as tags of a run.
+def dataset_of(cfg: DictConfig, problem: "Problem") -> Dataset:
+    """The problem of a configuration as mlflow's filter of datasets shows it.
 
     Equal problems have equal digests, whichever options they are composed of. A frozen problem of the suite has its own
     name and digest.
@@ -47,13 +47,14 @@ def problem_tags(cfg: DictConfig, problem: "Problem") -> dict[str, str]:
 
     suite = cfg.get("suite")
     if isinstance(suite, str) and (frozen := document(suite)).problem["deployment"].get("count") == problem.count:
-        return {"problem": suite, "problem.digest": frozen.hash}
-    groups = [group for group in (*GROUPS, "body") if group in cfg]
+        return Dataset(suite, frozen.hash, {"about": frozen.about})
+    chosen = {group: choices().get(group, "") for group in GROUPS if group in cfg}
     placed = {key: cfg.deployment[key] for key in DECIDED if cfg.deployment.get(key) is not None}
-    settings = flat_settings(cfg, *groups, *(["cameras", "deployment"] if "cameras" in cfg else []))
-    called = " ".join(dict.fromkeys([choices().get("room", ""), choices().get("camera", "")]))
+    settings = flat_settings(cfg, *chosen, *(["cameras", "body", "deployment"] if "cameras" in cfg else []))
+    words = {**chosen, "objective": problem.objective.name, "K": str(problem.count)}
+    called = " ".join(dict.fromkeys([chosen["room"], chosen["camera"]]))
     name = f"{called} {problem.objective.name} K={problem.count}"
-    return {"problem": name, "problem.digest": digest(settings, placed, problem.count)[:DIGEST_DIGITS]}
+    return Dataset(name, digest(settings, placed, problem.count)[:DATASET_DIGITS], words)
 
 
 def derived(problem: "Problem") -> dict[str, Any]:
@@ -81,7 +82,7 @@ def tracked(cfg: DictConfig, study: "Study") -> "Iterator[Tracker]":
         tags |= swept.tags(folder.name)
     pipeline = HydraConfig.get().job.name
     tags |= {"pipeline": pipeline} | override_tags(overrides) | source_tags(pipeline)
-    tags |= problem_tags(cfg, problem) if problem else {}
+    dataset = dataset_of(cfg, problem) if problem else None
     about = study.about or (title_of(problem, subject) if problem else subject)
     tags["mlflow.note.content"] = f"{escaped(about)}\n\n{repeating(tags)}\n\nfiles: {as_code(run_directory())}"
     params, run_id = parameters(cfg, choices()) | (derived(problem) if problem else {}), None
@@ -93,7 +94,8 @@ def tracked(cfg: DictConfig, study: "Study") -> "Iterator[Tracker]":
     try:
         with stop.raising():
             write_sources(run_directory() / ".hydra")
-            tracker.start(RunStart(short_name(subject, varied, given), run_directory(), params, tags), run_id)
+            started = RunStart(short_name(subject, varied, given), run_directory(), params, tags, dataset=dataset)
+            tracker.start(started, run_id)
             yield tracker
     except InputError as error:
         if run_id is None and job is None:

@@ -10,20 +10,24 @@ from hydra._internal import defaults_list
 from hydra._internal.hydra import Hydra
 from hydra._internal.sources_registry import SourcesRegistry
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.plugins import Plugins
 from omegaconf import _utils, base
 
-import pipelines.hyperparameters  # noqa: F401 # lets Hydra register its own loaders, and adds one
+import pipelines.composing
 from pipelines.app import CONF
 
 
 def composed(pipeline, *overrides, **more):
-    """The configuration of a pipeline; composing takes some 60 ms."""
+    """The configuration of a pipeline, with Hydra's part where `more` asks for it; composing takes some 60 ms."""
+    if not more:
+        return pipelines.composing.compose(pipeline, *overrides)
     with initialize_config_dir(CONF, version_base="1.3"):
         return compose(pipeline, list(overrides), **more)
 
 
 def _compose_sooner():
     """Spare what is read, parsed or asked for again, and copies of what nobody changes: a third of composing."""
+    Plugins.instance()  # registers Hydra's own loaders
     resources = SourcesRegistry.instance().types["pkg"]  # Hydra has executed its module anew, so it is no import
     load, parse_rule, choices = (
         resources.load_config,
@@ -63,7 +67,7 @@ def _compose_sooner():
 def _look_for_a_mode_only_where_one_may_be_set():
     """Hydra composes everything once more to see whether a configuration says that it is a sweep."""
     look = Hydra.get_mode
-    may_set = ("experiment=", "+experiment=", "hparams_search=", "hydra.mode", "hydra.searchpath", "+hydra", "hydra/")
+    may_set = ("experiment=", "hydra.mode", "hydra.searchpath", "+hydra", "hydra/")
 
     def get_mode(self, config_name, overrides):
         own = any(source.provider == "command-line" for source in self.config_loader.get_sources())

@@ -11,7 +11,6 @@ import tomllib
 from dataclasses import replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
-from shutil import copytree, ignore_patterns
 
 import composing
 import numpy as np
@@ -30,6 +29,7 @@ from small import problem
 
 from lmd.core.checks import InputError
 from lmd.evaluation.bounds import Search, average_upper_bound
+from lmd.evaluation.losses import losses
 from lmd.evaluation.validation import Sample, validation_metrics
 from lmd.export import exports
 from lmd.formats import registry
@@ -54,7 +54,6 @@ from lmd.space.floor_plan import FloorPlan
 from lmd.space.parts import Reachable
 from lmd.space.prism import Prism
 from pipelines.building import build_optimiser, build_problem
-from pipelines.evaluate import lose
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]  # what is made for classes from elsewhere is compiled anew each time
 
@@ -92,7 +91,7 @@ def of(name):
 def test_the_guides_have_an_example_of_each_part():
     assert {Path(name).stem for name in MODULES} == {
         "near", "near_sight", "seen", "rotunda", "climbing", "theirs", "reckoning", "frames",
-        "sizes"
+        "darkness"
     }  # fmt: skip
 
 
@@ -105,10 +104,8 @@ def test_the_examples_are_in_style(guides, line):
 @pytest.mark.thorough("CONTRIBUTING.md", "lmd", "pipelines", "pyproject.toml")
 def test_the_examples_have_types(guides):
     """10 s of processor time where mypy has not read `lmd` before."""
-    # A module of the package is one only beside the others.
-    alone = [name for name in MODULES if not name.startswith("pipelines/")]
     cache = ["--cache-dir", str(ROOT / ".mypy_cache"), "--config-file", str(ROOT / "pyproject.toml")]
-    check([sys.executable, "-m", "mypy", *cache, "--explicit-package-bases", *alone], guides)
+    check([sys.executable, "-m", "mypy", *cache, "--explicit-package-bases", *MODULES], guides)
 
 
 def check(line, folder):
@@ -230,12 +227,12 @@ def test_the_row_of_a_format_is_found_on_the_search_path(guides, monkeypatch):
     assert (found.focal_pixels, found.distortion[:4]) == ((600.0, 610.0), (-0.2, 0.05, 0.001, -0.002))
 
 
-def test_the_pipeline_runs_beside_the_others(guides):
-    for folder in ("pipelines", "conf"):
-        copytree(ROOT / folder, guides / folder, ignore=ignore_patterns("__pycache__"), dirs_exist_ok=True)
-    line = [sys.executable, "-m", "pipelines.sizes", "room.spacing=1.5", "tracking=none"]
-    assert check(line, guides).startswith("room of 7.5 x 5 x 6 m: 36 positions, 225.0 m2 of walls")
-    assert tomllib.loads(block("lmd-sizes")) == {"lmd-sizes": "lmd.pipelines.sizes:main"}
+def test_the_study_is_one_short_file(guides):
+    assert len(FILES["darkness.py"].splitlines()) <= 60
+    settings = ["room.spacing=1.5", "deployment=random", "tracking=none", "darkness.level=0.3", "hydra.run.dir=dark"]
+    told = check([sys.executable, "darkness.py", *settings], guides)
+    assert re.search(r"^dark +\d+\.\d% of the positions see less than 0\.3$", told, re.MULTILINE)
+    assert {path.name for path in (guides / "dark").iterdir()} == {".hydra", "darkness.csv", "darkness.json"}
 
 
 @pytest.mark.parametrize(
@@ -300,7 +297,7 @@ def test_annealing_does_without_stacks_and_selection_and_greedy_says_what_it_lac
     assert not greedy.ledger.history
 
 
-def test_a_black_box_climbs_what_has_values_only_and_the_rest_says_what_it_lacks(capsys):
+def test_a_black_box_climbs_what_has_values_only_and_the_rest_says_what_it_lacks():
     p = problem()
     p = Problem(p.scene, Bare(p.objective), p.start, threads=1)
     result = EGA().run(p, Budget(200))
@@ -309,8 +306,8 @@ def test_a_black_box_climbs_what_has_values_only_and_the_rest_says_what_it_lacks
         with pytest.raises(InputError, match=r"^Bare has no field"):
             method.run(p, Budget(50))
         assert not method.ledger.history
-    assert lose(p, result.deployment) is None
-    assert capsys.readouterr().out.startswith("no losses: Bare has no field")
+    with pytest.raises(InputError, match="Bare has no field"):
+        losses(p, result.deployment)
     with pytest.raises(InputError, match=r"no upper bound for the objective Bare"):
         average_upper_bound(p, 20, Search(1.0, 10, 0.1))
 

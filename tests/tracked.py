@@ -9,10 +9,11 @@ from composing import composed
 from omegaconf import OmegaConf
 
 import pipelines.report
+from lmd.core.tables import write_table
 from lmd.optimisers.ledger import Record
 from pipelines.building import build_problem
 from pipelines.operations.tracking import PARENT_TAG, MlflowTracker, RunStart
-from pipelines.outputs import write_history
+from pipelines.score import HISTORY_FILE, columns_of
 
 SMALL = ("room.spacing=1.5", "deployment.count=6", "objective.thold_p=0.5", "threads=1")
 AVERAGE, MAXIMUM = 0.6, 0.9  # of every run
@@ -56,7 +57,7 @@ def record_sweep(uri, folder, name, jobs, pipeline="optimise"):
                     "maximum_coverage_probability": MAXIMUM,
                 }
             )
-            write_history(folder, [Record(30, ratio / 2.0, 0.1), Record(60, ratio, 0.2)])
+            write_table(folder / HISTORY_FILE, columns_of([Record(30, ratio / 2.0, 0.1), Record(60, ratio, 0.2)]))
             tracker.log_artifacts([folder / name for name in ("landmarks.csv", "history.csv", "config.yaml")])
         tracker.finish(status)
     parent.log_metrics({"jobs": len(jobs)})

@@ -3,7 +3,6 @@
 import gc
 import importlib
 import pkgutil
-from pathlib import Path
 
 import stores
 from composing import composed
@@ -12,8 +11,6 @@ from PIL import Image
 
 import lmd
 import pipelines
-from pipelines.app import CONF
-from pipelines.hyperparameters import FileConfigSource
 from pipelines.operations.sweeps.forks import TRACKED
 
 # What is imported when it is needed. The page of runs is mlflow's server, which nobody else needs.
@@ -32,11 +29,8 @@ Image.preinit()
 
 
 def _compose():
-    """Let Hydra find its plugins, its parser learn the grammar, and its loader read what there is."""
+    """Let Hydra find its plugins, and its parser learn the grammar."""
     composed("optimise", "room.spacing=1.5", "deployment=uniform", return_hydra_config=True)
-    files = FileConfigSource("main", f"file://{CONF}")
-    for path in Path(CONF).rglob("*.yaml"):
-        files.load_config(str(path.relative_to(CONF)))
 
 
 def _load_kernels():

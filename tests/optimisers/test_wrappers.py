@@ -12,7 +12,6 @@ import pytest
 from composing import composed
 from contracts.optimiser import check_going_on
 from libraries import OneByOne, pymoo, run
-from omegaconf import OmegaConf
 from processes import environment
 from scipy.optimize import differential_evolution, direct, dual_annealing, minimize, shgo
 from small import problem
@@ -26,7 +25,6 @@ from lmd.optimisers.scipy import Scipy
 from lmd.optimisers.wrapped import AskAndTell, Wrapped
 from lmd.scene.deployment_sources import RandomDeployment
 from pipelines.building import budget_of, build_optimiser
-from pipelines.hyperparameters import completed
 from pipelines.nodes import instantiate
 
 
@@ -102,9 +100,8 @@ def test_populations_begin_with_the_start(make):
 
 def test_lists_of_a_configuration_are_tuples_where_a_function_has_them():
     """The defaults of `minimize` come back as `args: []`, which Nelder-Mead refuses."""
-    node = completed(OmegaConf.create({"_target_": "scipy.optimize.minimize", "_partial_": True}))
-    assert (node["args"], node["constraints"]) == ([], [])
-    optimiser = Scipy(partial(minimize, **(node | {"method": "Nelder-Mead", "tol": 1e-9})))
+    given = {"args": [], "constraints": [], "method": "Nelder-Mead", "tol": 1e-9}
+    optimiser = Scipy(partial(minimize, **given))
     run(optimiser, 60)
     assert optimiser.ledger.best_fitness > -3.6 + 1e-6
 

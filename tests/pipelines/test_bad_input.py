@@ -10,6 +10,11 @@ from processes import SMALL, refused
 from lmd.geometry.camera import Camera
 
 pytestmark = pytest.mark.slow
+# Studies of `evaluate`, and `optimise` with cameras.
+ALIASES = {
+    name: ("evaluate", f"studies=[{name}]") for name in ("bound", "accuracy", "uncertainty", "detect", "observe")
+}
+ALIASES["cameras"] = ("optimise", "varies=cameras")
 HEADER = "id,x,y,z,nx,ny,nz\n"
 FILES = {
     "two.csv": HEADER + "0,0,1,1,1,0,0\n1,0,2,1,1,0,0\n",
@@ -30,15 +35,20 @@ SEARCHES = "room.spacing=1.5 objective.n=1 objective.thold_p=0.3 budget.evaluati
 # Overrides of all cases of a command, in place of `SMALL`.
 SETTINGS = {
     "bound": "room.spacing=2.0 pdf.divisions=6 bound.spacing=1.0 bound.iterations=40",
-    "calibrate_detector": f"{FRAMES} poses=10",
-    "detect": f"{FRAMES} poses=24 pictures=1 deployments=[uniform]",
-    "observe": "room.spacing=3 seeds=2 trajectory.duration=4 trajectory.pace.frame_rate=10 deployments=[uniform]",
+    "calibrate_detector": f"{FRAMES} frames=10",
+    "detect": f"{FRAMES} frames=24 pictures=1",
+    "observe": "room.spacing=3 seeds=2 trajectory.duration=4 trajectory.pace.frame_rate=10",
+    "uncertainty": "experiment=lab",
+    "estimate_pdf": "seed=0",
+    "cameras": "room.spacing=1.5 deployment=uniform deployment.count=12 pdf=yaw pdf.divisions=3",
+    "view": "room.spacing=1.5 deployment.path=wide.csv tag.edge=0.15",
     "survey": "photographs=photos camera.path=camera.yaml tag.edge=0.25 workers=1",
     "localise": "map=map.csv detections=seen.csv camera.path=camera.yaml tag.edge=0.25",
     "tradeoff": SEARCHES,
 }
 FILE, MEASURED = "deployment=file deployment.path=", "deployment=file deployment.path=wide.csv tag.edge=0.2 "
 PDF, SIZES = "pdf=samples pdf.path=", "tag.edges=[0.1,0.2]"
+BOTH, LITTLE = "deployments=[uniform,random]", '"body.boxes=[{low: [-0.1, -0.1, 0], high: [0.1, 0.1, 0.1]}]"'
 TAGS, MANY = "deployment.path=wide.csv tag.edge=0.15", "would take"
 CASES = [
     ("evaluate", f"{FILE}outside.csv", "outside.csv: landmark 1 at (0, 9, 1) lies outside the room"),
@@ -46,6 +56,27 @@ CASES = [
     ("evaluate", f"{FILE}null", "deployment.path is missing"),
     ("evaluate", f"{FILE}two.csv deployment.count=3", "deployment.count = 3, but two.csv has 2 landmarks"),
     ("evaluate", f"{FILE}5", "deployment.path must be the path of a file or a folder, got 5"),
+    ("evaluate", "objective.thold_p=1.2", "objective.thold_p must be in [0, 1], got 1.2."),
+    ("evaluate", "room.size=[1,2]", "room.size must be a list of 3 numbers, got [1, 2]."),
+    ("evaluate", "room.spacing=1e-3", "room.spacing = 0.001 makes 9.45e+10 positions, which would take"),
+    ("evaluate", "camera.image_width=1640.5", "camera.image_width must be a whole number, got 1640.5."),
+    ("evaluate", "validate=foo", "validate must be true or false, got 'foo'."),
+    ("evaluate", "tag.edge=100", "tag.edge is too large: surface x_min is 5 m wide"),
+    ("evaluate", "room.relevance.path=none.csv", "room.relevance.path: there is no file 'none.csv'."),
+    ("evaluate", "room.relevance.background=0", "room.relevance.background gives every position the weight 0."),
+    ("evaluate", "pdf=recorded", "pdf=recorded needs poses=recorded."),
+    ("evaluate", "encoding.kind=tree", "encoding.kind must be one of wall, paper, got 'tree'."),
+    ("evaluate", "threads=0", "threads must be in [1, 1024], got 0."),
+    ("evaluate", "visibility.crowd=-1", "visibility.crowd.number"),
+    ("evaluate", "\"visibility.crowd={number: 3, weight: 80}\"", "visibility.crowd.weight is no setting that is known"),
+    ("evaluate", "visibility=fiducial", "tag must have an edge"),
+    ("evaluate", "tag.edge=1.5", "deployment.count = 90 tags do not fit: "),
+    ("evaluate", "pdf.roll=[[0,0.5]]", "pdf.roll: the probabilities must sum to 1"),
+    ("evaluate", "\"camera.rig=[{yaw: 0, jaw: 1}]\"", "camera.rig[0] has no key 'jaw'"),
+    ("evaluate", "camera.rig=2", "camera.rig must be a list of cameras, got 2"),
+    ("evaluate", "tag=printed tag.edges=[0.06,0.2] deployment.count=[4]", "deployment.count = [4] says how many tags"),
+    ("evaluate", "tag=printed tag.edges=[0.06,0.2] tag.paper=0.001", "tag.paper = 0.001 square metres is too little"),
+    ("evaluate", "deployment.count=+5", "deployment.count = +5 adds to the landmarks of fixed, which is not given"),
     ("evaluate", "seed=-1", "seed must be in [0, 3.40282e+38], got -1"),
     ("evaluate", f"{PDF}half.csv", "half.csv: the weights must sum to 1, they sum to 0.5"),
     ("evaluate", f"{PDF}negative.csv", "negative.csv has a negative weight, -1"),
@@ -56,8 +87,14 @@ CASES = [
     ("evaluate", f"{MEASURED} deployment.measured=none.csv", "deployment.measured: there is no file 'none.csv'."),
     ("evaluate", f"{MEASURED} deployment.measured=less.csv", "deployment.measured: less.csv lacks the landmark 2 that"),
     ("evaluate", f"{MEASURED} deployment.measured=7", "deployment.measured must be the path of a file or a folder"),
-    ("evaluate", "experiment=table2", "experiment=table2 is for another command: python -m pipelines.optimise experim"),
-    ("optimise", "experiment=table3", "experiment=table3 is for another command: python -m pipelines.evaluate experim"),
+    ("evaluate", "studies=[]", "studies must name at least one option of conf/studies"),
+    ("evaluate", f"studies=[uncertainty] {BOTH}", "studies=[uncertainty] describes one deployment"),
+    ("evaluate", "suite=tiny_mean room=lab", "suite=tiny_mean has a frozen problem: leave room out"),
+    ("evaluate", "suite=nowhere", "nowhere"),
+    ("evaluate", "room.keepout=[]", "room.keepout is no setting that is known"),
+    ("optimise", "optimiser.populaton=3 optimiser=ega", "optimiser.populaton is no setting that is known; did you"),
+    ("optimise", "varies=rooms", "varies must be one of tags, cameras, got 'rooms'"),
+    ("optimise", "experiment=frc_2025 deployment=random", "deployment.path is no setting that is known; experiment="),
     ("optimise", "deployment.count=1000000000000", f"deployment.count = 1000000000000 landmarks {MANY}"),
     ("optimise", "resume=5", "resume must be the path of a file or a folder, got 5"),
     ("optimise", "encoding.flush=foo optimiser=ega", "encoding.flush must be true or false, got 'foo'"),
@@ -74,13 +111,12 @@ CASES = [
     ("observe", "seeds=1e12", f"seeds = 1000000000000 runs {MANY}"),
     ("observe", "workers=-1", "workers must be at least 1, got -1"),
     ("observe", "all_visible=2", "all_visible must be true or false, got 2"),
-    ("observe", "deployment=nowhere", "deployments: 'nowhere' is refused: "),
+    ("observe", "deployments=[nowhere]", "deployments: 'nowhere' is refused: "),
     ("observe", "deployments=[]", "deployments must list at least one option of conf/deployment"),
-    ("observe", "deployments=null", "deployments must list at least one option of conf/deployment"),
-    ("observe", "deployment=uniform,uniform", "deployments has 'uniform' twice: give them names"),
+    ("observe", "deployments=[uniform,uniform]", "deployments has 'uniform' twice: give them names"),
     ("observe", "\"deployments=['a/b: uniform']\"", "deployments: the name 'a/b' must be of letters"),
     ("observe", "\"deployments=['22 tags: file']\"", "deployments: '22 tags: file' is refused: "),
-    ("observe", "deployment=uniform deployment.path=a.csv", "deployment.path=a.csv is for none of the deployments"),
+    ("observe", "deployments=[uniform] deployment.path=a.csv", "deployment.path=a.csv is for none of the deployments"),
     ("observe", "deployment=file", "deployment.path is missing"),
     ("observe", "seeds=0", "seeds must be at least 1, got 0"),
     ("observe", "estimator=[]", "estimator must name at least one estimator"),
@@ -89,7 +125,7 @@ CASES = [
     ("observe", "sensor=rendered tag.family=16h5", "tag.family 16h5 has 30 different tags, too few for 90."),
     ("observe", "sensor=noisy tag.edge=0.1 sensor.reader=eyes", "sensor.reader must be one of aruco"),
     ("observe", "all_visible=true", "all_visible must be false where measurements are not exact"),
-    ("detect", "poses=1e12", f"poses = 1000000000000 frames of 90 landmarks {MANY}"),
+    ("detect", "frames=1e12", f"frames = 1000000000000 frames of 90 landmarks {MANY}"),
     ("detect", "tag.edge=null", "tag.edge must be given, in metres: a detector cannot read a point; it is that of the"),
     ("detect", "tag.family=16h5", "tag.family 16h5 has 30 different tags, too few for 90."),
     ("detect", "tag.family=36h12", "tag.family must be one of 36h11"),
@@ -102,7 +138,7 @@ CASES = [
     ("detect", "+imaging.noise=-1", "imaging.noise must be at least 0, got -1."),
     ("detect", "camera.distortion=[-3,0,0,0]", "camera.distortion must show what is farther"),
     ("detect", "nudge=[0.002]", "nudge must be a list of 2 numbers, got [0.002]."),
-    ("detect", "poses=0", "poses must be at least 1, got 0."),
+    ("detect", "frames=0", "frames must be at least 1, got 0."),
     ("detect", "workers=0", "workers must be at least 1, got 0."),
     ("calibrate_detector", "views.count=1", "views.count must be at least 2, got 1."),
     ("calibrate_detector", "+views.sampling.pitch=[3,2]", "views.sampling.pitch must be a range [low, high]"),
@@ -110,6 +146,23 @@ CASES = [
     ("calibrate_detector", "detectors=[]", "detectors must name at least one detector."),
     ("calibrate_detector", "board.tags=tags.csv", "board.folder is missing: a folder of images is needed."),
     ("calibrate_detector", "board.folder=none", "board.folder: there is no folder 'none'."),
+    ("uncertainty", "deployment=uniform uncertainty.corners=mine", "uncertainty.corners must be one of auto, objec"),
+    ("uncertainty", "deployment=uniform uncertainty.shift=-1", "uncertainty.shift must be at least 0, got -1."),
+    ("uncertainty", "deployment=uniform uncertainty.views=10", "uncertainty.views: only "),
+    ("uncertainty", "deployment=uniform visibility=paper tag.edge=null", "tag.edge must be given, in metres"),
+    ("uncertainty", "deployment=uniform visibility.crowd=2", "uncertainty does not work with visibility.crowd"),
+    ("view", "visibility.crowd=2", "view does not work with visibility.crowd"),
+    ("cameras", f"visibility.crowd=2 {LITTLE}", "optimise varies=cameras does not work with visibility.crowd"),
+    ("cameras", "cameras.count=0", "cameras.count must be"),
+    ("cameras", "cameras.pitch=[1]", "cameras.pitch must be a list of 2 numbers"),
+    ("cameras", "cameras.lenses=[none.yaml]", "cameras.lenses[0].path: there is no file 'none.yaml'"),
+    ("cameras", "body.margin=-1", "body.margin must be at least 0"),
+    ("cameras", "\"body.boxes=[{low: [0, 0, 0], high: [9, 1, 1]}]\"", "body.boxes leave the room: "),
+    ("cameras", "\"camera.rig=[{translation: [0.42, 0, 0.3]}]\"", "cameras.count = 2, but 1 cameras are given"),
+    ("cameras", f"optimiser=greedy {LITTLE}", "Greedy places landmarks, not cameras"),
+    ("tradeoff", "size=true", "size is about what a detector reads: it needs visibility=fiducial"),
+    ("tradeoff", "\"size={distance: [0]}\" visibility=fiducial tag=printed", "size.distance[0] must be greater than 0"),
+    ("estimate_pdf", "seed=0", "recording.path is missing"),
     ("tradeoff", "counts=20", "counts must be a list of numbers, got 20."),
     ("tradeoff", "counts=[0]", "counts must be at least 1, got 0."),
     ("tradeoff", "edges=[a]", "edges must be a number, got 'a'."),
@@ -176,5 +229,6 @@ def test_bad_input_gets_one_sentence_and_leaves_nothing(command, overrides, mess
         (tmp_path / "cut.mp4").write_bytes(b"\0\0\0\x18ftypisom\0\0\0\0isom")
         photographs.calibration(tmp_path / "camera.yaml", Camera(2.2, 0.0075, 0.0075, (320.0, 240.0), 640, 480, 0.0))
     settings = shlex.split(SETTINGS[command]) if command in SETTINGS else SMALL
-    given = (*shlex.split(overrides), "tracking=none", "hydra.run.dir=run")
-    refused(command, *given, message=message, cwd=tmp_path, settings=settings)
+    name, *more = ALIASES.get(command, (command,))
+    given = (*more, *shlex.split(overrides), "tracking=none", "hydra.run.dir=run")
+    refused(name, *given, message=message, cwd=tmp_path, settings=settings)

@@ -10,7 +10,6 @@ from processes import inside, refused
 
 from lmd.core.checks import InputError
 from pipelines.building import build_problem
-from pipelines.overrides import as_hydra_reads
 
 TAGS = "id,x,y,z,nx,ny,nz,note\n7,0,2,3,1,0,0,door\n3,0.02,3,3,1,0,0,\n"
 QUICK = ("tracking=none", "localisation=false")
@@ -24,7 +23,7 @@ def work(tmp_path, monkeypatch):
 
 
 def built(*overrides):
-    cfg = composed("optimise", "room.spacing=1.5", "deployment.fixed=tags.csv", *map(as_hydra_reads, overrides))
+    cfg = composed("optimise", "room.spacing=1.5", "deployment.fixed=tags.csv", *overrides)
     return build_problem(cfg)
 
 
@@ -35,20 +34,6 @@ def test_a_count_is_that_of_all_and_one_with_a_plus_that_of_the_new(source, coun
     problem = built(f"deployment={source}", f"deployment.count={count}")
     assert (problem.fixed_count, problem.free_count, problem.count) == (2, free, 2 + free)
     assert problem.draw(np.random.default_rng(0)).ids.tolist() == [7, 3, *[0, 1, 2, 4, 5, 6][:free]]
-
-
-@pytest.mark.parametrize(
-    ("override", "read"),
-    [
-        ("deployment.count=+5", "deployment.count='+5'"),
-        ("deployment.count=+1,+20", "deployment.count='+1','+20'"),
-        ("deployment.count='+5'", "deployment.count='+5'"),
-        ("deployment.count=5", "deployment.count=5"),
-        ("objective.n=+2", "objective.n=+2"),
-    ],
-)
-def test_hydra_reads_a_plus_as_text(override, read):
-    assert as_hydra_reads(override) == read
 
 
 @pytest.mark.parametrize(
@@ -95,9 +80,6 @@ def test_tags_are_added_to_what_hangs_already(work):
     assert f"fitness lost without each: {losses.id[0]} ({100.0 * losses.fitness_loss[0]:.2f})" in again.stdout
     assert scored["fitness"] == found["fitness"]
     assert scored["settings"]["fixed_landmarks"] == 2
-    alone = ("deployment=file", "deployment.path=run/landmarks.csv", "hydra.run.dir=alone", *seen)
-    assert inside("evaluate", *alone, *QUICK, cwd=work).returncode == 0
-    assert json.loads((work / "alone" / "metrics.json").read_text())["fitness"] == found["fitness"]
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ import lmd
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
-INSTALLED = pytest.mark.thorough("pyproject.toml", "pipelines/app.py", "pipelines/hyperparameters.py")
+INSTALLED = pytest.mark.thorough("pyproject.toml", "pipelines/app.py", "pipelines/composing.py")
 SMALL = ["room.spacing=1.5", "objective.thold_p=0.5", "validate=false", "budget.evaluations=60"]
 
 

@@ -5,7 +5,6 @@ import json
 import composing
 import numpy as np
 import pytest
-from omegaconf import open_dict
 from paper import PAPER_CAMERA
 from processes import inside
 
@@ -27,10 +26,6 @@ def composed(*overrides, pipeline="optimise"):
 
 def test_without_a_rig_there_is_one_camera():
     assert camera_of(composed().camera) == Camera(**PAPER_CAMERA)
-    old = composed().camera
-    with open_dict(old):
-        del old["rig"]
-    assert camera_of(old) == Camera(**PAPER_CAMERA)
 
 
 def test_a_rig_takes_the_camera_of_the_group():
@@ -51,21 +46,6 @@ def test_cameras_of_their_own_need_none_of_the_group(tmp_path):
         camera_of(composed("camera=calibration", unchained).camera)
     with pytest.raises(InputError, match=r"^camera.path is missing"):
         camera_of(composed("camera=calibration", f"camera.rig=[{own[0]},{{yaw: 1.0}}]").camera)
-
-
-@pytest.mark.parametrize(
-    ("override", "message"),
-    [
-        ("camera.rig=[]", r"^camera.rig must have at least one camera"),
-        ("camera.rig=2", r"^camera.rig must be a list of cameras, got 2"),
-        ("camera.rig=[{yaw: 0, jaw: 1}]", r"^camera.rig\[0\] has no key 'jaw'"),
-        ("camera.rig=[{camera: none.yaml}]", r"^camera.rig\[0\].camera.path: there is no file 'none.yaml'"),
-        ("camera.rig=[{translation: [9, 0, 0]}]", r"^camera.rig has a camera at .* outside the room"),
-    ],
-)
-def test_a_bad_rig_is_named_by_its_key(override, message):
-    with pytest.raises(InputError, match=message):
-        build_problem(composed(override, "pdf=yaw"))
 
 
 def test_a_rig_of_one_camera_is_a_rig():

@@ -17,7 +17,7 @@ from pipelines.operations.tracking import MlflowTracker, RunStart
 
 @pytest.mark.parametrize(
     ("command", "experiment"),
-    [("optimise", "lmd"), ("evaluate", "lmd"), ("place_cameras", "lmd"), ("runs", "lmd"), ("report", "lmd"),
+    [("optimise", "lmd"), ("evaluate", "lmd"), ("runs", "lmd"), ("report", "lmd"),
      ("survey", "lmd survey"), ("localise", "lmd localise"), ("export", "lmd export"), ("compare", "lmd compare")],
 )  # fmt: skip
 def test_each_command_records_where_the_docs_say(command, experiment):

@@ -11,6 +11,7 @@ from processes import inside
 from lmd.core.checks import InputError
 from lmd.optimisers.ledger import Budget
 from pipelines.building import build_optimiser, build_problem
+from pipelines.tracked_run import derived
 
 SIZES = ("tag=printed", "tag.edges=[0.06,0.20]")
 TAGS = "id,x,y,z,nx,ny,nz\n7,0,2,3,1,0,0\n3,0.02,3,3,1,0,0\n"
@@ -29,9 +30,9 @@ def built(*overrides):
 
 @pytest.mark.parametrize("source", ["random", "uniform", "greedy"])
 def test_counts_by_size_are_those_of_the_landmarks_placed(source):
-    problem, cfg = built(*SIZES, f"deployment={source}", "deployment.count=[4,2]")
+    problem, _ = built(*SIZES, f"deployment={source}", "deployment.count=[4,2]")
     assert sorted(problem.edges) == [0.06] * 4 + [0.20] * 2
-    assert (cfg.deployment.count, cfg.tag.counts) == (6, [4, 2])  # what is recorded makes the same again
+    assert derived(problem) == {"deployment.count": 6, "tag.counts": [4, 2]}  # as recorded
 
 
 def test_fixed_landmarks_come_on_top():
@@ -41,16 +42,15 @@ def test_fixed_landmarks_come_on_top():
 
 
 def test_paper_says_how_many_there_are(capsys):
-    problem, cfg = built(*SIZES, "tag.paper=0.1")
-    assert sum(cfg.tag.counts) == problem.count == cfg.deployment.count
+    problem, _ = built(*SIZES, "tag.paper=0.1")
+    assert sum(problem.scene.tag.counts) == problem.count
     assert 0.1 - 0.075**2 < (problem.scene.footprints.papers(problem.draw(np.random.default_rng(0))) ** 2).sum() <= 0.1
     assert "tag.paper = 0.1 square metres make" in capsys.readouterr().err
 
 
 def test_costs_say_how_many_there_are(capsys):
-    problem, cfg = built(*SIZES, "tag.costs=[1,4]", "tag.budget=12")
-    assert sum(cfg.tag.counts) == problem.count
-    assert 11 < np.array(cfg.tag.counts) @ (1, 4) <= 12
+    problem, _ = built(*SIZES, "tag.costs=[1,4]", "tag.budget=12")
+    assert 11 < np.array(problem.scene.tag.counts) @ (1, 4) <= 12
     assert "tag.budget = 12 make" in capsys.readouterr().err
 
 
@@ -59,7 +59,8 @@ def test_black_boxes_place_what_the_paper_suffices_for(name):
     problem, cfg = built(*SIZES, "tag.paper=0.1", f"optimiser={name}", "objective.thold_p=0.1")
     result = build_optimiser(cfg, 0).run(problem, Budget(40))
     assert result.fitness == problem.fitness_of(result.deployment)
-    assert [int((result.deployment.edges == edge).sum()) for edge in cfg.tag.edges] == list(cfg.tag.counts)
+    tag = problem.scene.tag
+    assert [int((result.deployment.edges == edge).sum()) for edge in tag.sizes] == list(tag.counts)
     problem.scene.footprints.check(result.deployment)
 
 

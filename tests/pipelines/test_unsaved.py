@@ -7,13 +7,12 @@ import signal
 from pathlib import Path
 
 import pytest
-from hydra import compose, initialize_config_dir
 from planned import LANDMARKS, SETTINGS, UNSAVED
 
 from lmd.planner.plan import Plan
 from lmd.planner.server import Planner
 from lmd.scene.deployment import Deployment
-from pipelines.app import CONF
+from pipelines.composing import compose
 from pipelines.operations.signals import Stopped
 from pipelines.outputs import all_or_none
 from pipelines.view import _keep_unsaved, view
@@ -36,8 +35,7 @@ def test_what_is_unsaved_is_kept_before_anything_is_waited_for(tmp_path, monkeyp
     monkeypatch.setattr("lmd.planner.server.Planner", Ended)
     monkeypatch.setattr("pipelines.view.run_directory", lambda: tmp_path)
     mine = write_lines(tmp_path / "mine.csv", LANDMARKS.splitlines())
-    with initialize_config_dir(CONF, version_base="1.3"):
-        cfg = compose("view", [*SETTINGS, f"deployment.path={mine}"])
+    cfg = compose("view", *SETTINGS, f"deployment.path={mine}")
     with pytest.raises(Stopped):
         view(cfg)
     assert kept == [[7, 9, 4]]
