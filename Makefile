@@ -87,7 +87,7 @@ paper-experiment: install  ## the paper's experiment, simulated: PDF from a reco
 	$(BIN)/python -m pipelines.estimate_pdf simulate={pitch_std: 0.0} hydra.run.dir=$(EXPERIMENT)/pdf
 	rm -rf $(EXPERIMENT)/optimised
 	$(BIN)/python -m pipelines.optimise $(WITH_PDF) budget.evaluations=$(EVALUATIONS) hydra.run.dir=$(EXPERIMENT)/optimised
-	$(BIN)/python -m pipelines.observe $(WITH_PDF) deployment=file,uniform,random \
+	$(BIN)/python -m pipelines.evaluate "studies=[observe]" $(WITH_PDF) "deployments=[file,uniform,random]" \
 	  deployment.path=$(EXPERIMENT)/optimised/landmarks.csv hydra.run.dir=$(EXPERIMENT)/observed
 
 clean:  ## remove the environment and caches, keep outputs

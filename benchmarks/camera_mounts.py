@@ -2,7 +2,7 @@
 
 Each folder is one that this left, with 1, 2, 3 or 4 cameras:
 
-    python -m pipelines.place_cameras experiment=frc_2025_cameras cameras.count=2 budget.evaluations=600 validate=false
+    python -m pipelines.optimise varies=cameras experiment=frc_2025_cameras cameras.count=2 budget.evaluations=600 validate=false
 
 For each number of cameras a Markdown table compares the mounts that were found with the usual ones (at 0.5 m in the
 middle of the front, the back, the left and the right face, level or raised by 15 degrees) and with the best of 500
@@ -32,7 +32,7 @@ from lmd.geometry.se3 import axis_and_right, pose_of
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.random_search import RandomSearch
 from lmd.pipelines.app import CONF
-from lmd.pipelines.place_cameras import build_camera_problem
+from lmd.pipelines.optimise import build_camera_problem
 from lmd.render.renderer import Renderer
 from lmd.scene.rig import Mount, Rig
 from lmd.sight.views import visible

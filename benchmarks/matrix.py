@@ -72,17 +72,17 @@ COMMANDS: dict[str, tuple[str, ...]] = {
         *PLAN, "validate=false", "picture=false", "localisation=false", "losses=false",
         "deployment.mounting_error.position=0.01", "deployment.mounting_error.draws=2",
     ),
-    "observe": (
-        *LISTED, "seeds=1", "trajectory.duration=1", "trajectory.pace.frame_rate=20",
+    "evaluate: observe": (
+        "studies=[observe]", *LISTED, "seeds=1", "trajectory.duration=1", "trajectory.pace.frame_rate=20",
         "estimator=[observer,iekf,smoother,pnp,bound]",
     ),
-    "detect": (*LISTED, "frames=2", "pictures=1", "workers=1"),
-    "accuracy": LISTED,
-    "bound": ("deployment.count=8", "bound.spacing=1", "bound.iterations=10"),
+    "evaluate: detect": ("studies=[detect]", *LISTED, "frames=2", "pictures=1", "workers=1"),
+    "evaluate: accuracy": ("studies=[accuracy]", *LISTED),
+    "evaluate: bound": ("studies=[bound]", "deployment.count=8", "bound.spacing=1", "bound.iterations=10"),
     "tradeoff": ("counts=[6,8]", "seeds=1", "budget.evaluations=10", "workers=1", "kept=kept"),
     "compare": ("deployment.count=8", "optimisers=[random_search,sga]", "seeds=2", "budget.evaluations=4", "workers=1"),
-    "place_cameras": (
-        *PLAN, "validate=false", "picture=false", "budget.evaluations=4",
+    "optimise: cameras": (
+        "varies=cameras", *PLAN, "validate=false", "picture=false", "budget.evaluations=4",
         "body.boxes=[{low: [-0.1,-0.1,0], high: [0.1,0.1,0.2]}]",
     ),
     "export": PLAN,
@@ -101,7 +101,7 @@ def overrides(cell: Cell, command: str) -> list[str]:
     """The command line of a command in a cell; later words win, of a room that has no such key none is given."""
     parts = [word for part, option in zip(PARTS, cell, strict=True) for word in PARTS[part][option]]
     words = [*COMMON, *parts, *COMMANDS[command]]
-    if command == "place_cameras":  # which has its own number of cameras
+    if command == "optimise: cameras":  # which has its own number of cameras
         words = [word for word in words if word != RIG]
     return words
 

@@ -2,6 +2,7 @@
 
 import atexit
 import gc
+import os
 import re
 import signal
 import sys
@@ -19,7 +20,7 @@ from omegaconf import DictConfig
 from .app import CONF, GARBAGE, PACKAGE, choices, command_of, ends_reported, readers_outlived
 from .composing import ask_what_was_meant, settled
 from .operations.signals import Stopped, stop
-from .operations.sweeps.supervisor import run
+from .operations.sweeps.supervisor import SWEEP_VARIABLE, run
 from .outputs import locks
 from .study import Study, conduct
 
@@ -81,7 +82,7 @@ class Command:
         except Stopped as told:
             sys.exit(told.code)
         except SystemExit as ended:
-            if ended.code == 1 and not is_composed:  # Hydra has refused the command line
+            if ended.code == 1 and not is_composed and SWEEP_VARIABLE not in os.environ:  # Hydra has refused it
                 ask_what_was_meant()
             raise
 
