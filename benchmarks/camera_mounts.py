@@ -2,7 +2,7 @@
 
 Each folder is one that this left, with 1, 2, 3 or 4 cameras:
 
-    python -m pipelines.optimise varies=cameras experiment=frc_2025_cameras cameras.count=2 budget.evaluations=600 validate=false
+    python -m pipelines.optimise varies=cameras experiment=frc_2025_cameras budget.evaluations=600 validate=false
 
 For each number of cameras a Markdown table compares the mounts that were found with the usual ones (at 0.5 m in the
 middle of the front, the back, the left and the right face, level or raised by 15 degrees) and with the best of 500

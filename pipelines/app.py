@@ -1,10 +1,8 @@
 """Running application: package, configuration and folder, and one sentence for bad input."""
 
 import errno
-import io
 import os
 import shutil
-import signal
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -142,34 +140,12 @@ def ends_reported() -> Iterator[None]:
         sys.exit(1)
 
 
-class _Unread(io.FileIO):
-    """Output whose reader, such as `head`, may end: what is written from then on is dropped, and the run goes on."""
-
-    def write(self, text: Any, /) -> int:
-        """Write bytes; see `io.RawIOBase.write`."""
-        try:
-            return super().write(text)
-        except BrokenPipeError:
-            os.dup2(os.open(os.devnull, os.O_WRONLY), self.fileno())
-            unread.add(self.fileno())
-            return len(text)
-
-
-unread: set[int] = set()  # descriptors whose reader has ended
-
-
-@contextmanager
-def readers_outlived() -> Iterator[None]:
-    """Context in which the readers of stdout and stderr may end; exits at its end as a process that SIGPIPE ended."""
-    for name in ("stdout", "stderr"):
-        stream = getattr(sys, name)
-        if isinstance(stream, io.TextIOWrapper) and stream is getattr(sys, f"__{name}__") and not stream.isatty():
-            raw = io.BufferedWriter(_Unread(stream.fileno(), "w", closefd=False))
-            setattr(sys, name, io.TextIOWrapper(raw, stream.encoding, stream.errors, line_buffering=True))
-    yield
-    sys.stdout.flush()
-    if unread:
-        sys.exit(128 + signal.SIGPIPE)
+def say(text: str) -> None:
+    """Print text; where the reader of stdout, such as `head`, has ended, the command goes on in silence."""
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def discard_empty(directory: Path) -> None:

@@ -32,7 +32,6 @@ GROUPS = ("room", "camera", "tag", "visibility", "objective", "encoding", "deplo
 SWITCHES = ("validate", "picture", "localisation", "losses", "sensitivity", "all_visible")  # true or false
 RUN_BYTES = 1000  # least memory of one of several runs, bytes
 SAME_EDGE = 1e-6  # greatest difference of equal edges, metres
-MENTIONED = 8  # greatest number of tags that a note lists
 
 
 class Parts(NamedTuple):
@@ -121,8 +120,6 @@ def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
         with keyed("tag"):
             scene.tag.check_ids(drawn.ids)
         _note_edges(scene.tag, drawn)
-    if cfg.deployment.get("free"):
-        _note_outside(scene.room, scene.tag, drawn)
     return parts
 
 
@@ -270,18 +267,6 @@ def _note_edges(tag: "Tag", deployment: "Deployment") -> None:
         sizes = ", ".join(f"{edge:g} m ({count})" for edge, count in sorted(other.items()))
         holds = f"{len(own) - other.total()} of {len(own)} tags"
         note(f"tag.edge = {tag.size:g} m ({tag.square}) holds for {holds}; the others have their own: {sizes}")
-
-
-def _note_outside(room: "Space", tag: "Tag", deployment: "Deployment") -> None:
-    """Print the landmarks with a corner behind a face of the room, which no camera sees."""
-    from lmd.core.words import few
-    from lmd.geometry.squares import corners
-
-    points = corners(deployment.positions, deployment.normals, deployment.ups, deployment.edges_of(tag))
-    behind = deployment.ids[~room.contains(points).all(axis=1)]
-    if len(behind):
-        said = few(behind, MENTIONED)
-        note(f"behind a face of the {room.describe()}, where no camera sees them: {said}")
 
 
 def build_optimiser(cfg: DictConfig, seed: int) -> "Optimiser":

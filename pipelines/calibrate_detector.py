@@ -1,7 +1,6 @@
 """Fit the limits within which a detector finds a tag: `python -m pipelines.calibrate_detector detectors=[aruco]`."""
 
 import sys
-from collections.abc import Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -40,7 +39,14 @@ def calibrate(cfg: DictConfig) -> Study:
         import numpy as np
 
         from lmd.detection.board import BoardImages
-        from lmd.detection.calibration import DetectorCalibration, fit, frame_scores, intervals, predicted_in_frames
+        from lmd.detection.calibration import (
+            DetectorCalibration,
+            fit,
+            frame_scores,
+            intervals,
+            limits_markdown,
+            predicted_in_frames,
+        )
         from lmd.evaluation.detected import sightings
         from lmd.plot.detection_figures import save_limits_figure
 
@@ -77,7 +83,9 @@ def calibrate(cfg: DictConfig) -> Study:
         }
         named = {f"{key}/{name}": value for name, row in figures.items() for key, value in row.items()}
         finite = {key: value for key, value in named.items() if np.isfinite(value)}
-        return Report(files, finite, text=f"{_circles(fitted)}{markdown}")
+        return Report(
+            files, finite, text="".join(limits.circles_text(name) for name, (_, limits) in fitted.items()) + markdown
+        )
 
     return Study(f"calibrate_detector {family}", run)
 
@@ -88,37 +96,6 @@ def _source_key(cfg: DictConfig) -> str:
         return "survey"
     board = settings_of(cfg, "board")
     return "views" if board.get("folder") is None and board.get("tags") is None else "board"
-
-
-def _circles(fitted: "Mapping[str, tuple[TagViews, Fit]]") -> str:
-    """Lines about cameras whose image is a circle, beyond which a detector finds nothing."""
-    return "".join(
-        f"{name} finds nothing beyond camera.image_circle={diameter:.0f}, pixels, of camera {number}\n"
-        for name, (_, limits) in fitted.items()
-        for number, diameter in limits.known_circles.items()
-    )
-
-
-def limits_markdown(figures: dict[str, dict[str, float]]) -> str:
-    """Table of the limits of each detector, with the accuracy of the limits on held-out views."""
-    from lmd.core.words import escaped, markdown_table
-
-    head = ["detector", "views", "a", "k", "m [px]", "b [degrees]", "margin [px]"]
-    head += ["held-out accuracy / precision / recall"]
-    head += [f"rooms: P(>= {n}) predicted / detected" for n in range(1, 5)]
-    head += ["rooms: precision / recall", "rooms: frames agree on >= 2"]
-    rows = []
-    for name, row in figures.items():
-        cells = [escaped(name), f"{row['views']:.0f}", *(f"{row[key]:.2g}" for key in ("pitch", "blur"))]
-        cells += [f"{row['edge']:.3g}", f"{row['incidence']:.0f}", f"{row['margin']:.3g}"]
-        cells += [f"{row['accuracy']:.3f} / {row['precision']:.3f} / {row['recall']:.3f}"]
-        if "room_frames" in row:
-            cells += [f"{row[f'room_predicted_{n}']:.3f} / {row[f'room_detected_{n}']:.3f}" for n in range(1, 5)]
-            cells += [f"{row['room_precision']:.3f} / {row['room_recall']:.3f}", f"{row['room_agreement_2']:.1%}"]
-        else:
-            cells += ["–"] * 6
-        rows.append(cells)
-    return markdown_table(head, rows) + "\n"
 
 
 main = Command("calibrate_detector", calibrate)

@@ -17,7 +17,7 @@ import hydra
 from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig
 
-from .app import CONF, GARBAGE, PACKAGE, choices, command_of, ends_reported, readers_outlived
+from .app import CONF, GARBAGE, PACKAGE, choices, command_of, ends_reported
 from .composing import ask_what_was_meant, settled
 from .operations.signals import Stopped, stop
 from .operations.sweeps.supervisor import SWEEP_VARIABLE, run
@@ -77,7 +77,7 @@ class Command:
         compose = hydra.main(version_base="1.3", config_path=CONF, config_name=self.name)
         atexit.register(gc.freeze)  # otherwise the last garbage collection takes a second with mlflow
         try:
-            with stop.raising(), readers_outlived(), closing(locks):
+            with stop.raising(), closing(locks):
                 compose(run_composed)()
         except Stopped as told:
             sys.exit(told.code)

@@ -30,8 +30,9 @@ def compare(cfg: DictConfig) -> Study:
     if cfg.suite is not None:
         return tournament_of(cfg)
 
+    from lmd.optimisers.ledger import curve
+
     from .operations.tracking import RunStart
-    from .progress import curve
     from .tracked_run import dataset_of, derived, log_child, title_of
 
     problem, save_as = build_problem(cfg), save_path(cfg.save_as)

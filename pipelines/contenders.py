@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
 
+from lmd.core.workers import in_processes
+from lmd.optimisers.ledger import columns_of
+
 from .app import flat_settings, run_directory
 from .building import budget_of, build_optimiser, build_problem
 from .composing import RIG
@@ -17,9 +20,7 @@ from .kept import kept
 from .operations.sweeps.names import DIGEST_LENGTH
 from .optimise import SAME_WHEN_RESUMED
 from .provenance import digest
-from .score import columns_of
 from .study import Report, Study
-from .workers import in_processes
 
 if TYPE_CHECKING:
     from lmd.evaluation.comparison import OptimiserRun

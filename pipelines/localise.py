@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
 
-from .app import run_directory
 from .building import camera_of
 from .command import Command
 from .composing import FILES as RUN_FILES
@@ -18,7 +17,6 @@ if TYPE_CHECKING:
     from lmd.localise.fixed_map import FixedMap
     from lmd.scene.tag import Tag
 
-FILES = ("poses.csv", "poses.tum", "smoothed.csv", "smoothed.tum", "changes.csv", "localise.json")
 DETECTED, BAG, PICTURE = "detections.csv", "poses.mcap", "localise.png"
 SURVEYED = "map.csv"  # map in the folder of a survey
 
@@ -48,9 +46,6 @@ def localise(cfg: DictConfig) -> Study:
         calibrate, bag = boolean("calibrate", settings.calibrate), boolean("bag", settings.bag)
     if steady and odometry is not None:
         raise InputError("localise.motion is for drives without odometry: leave one of the two out.")
-    for file in (*FILES, DETECTED, BAG, PICTURE):
-        if (run_directory() / file).is_dir():
-            raise InputError(f"hydra.run.dir: {str(run_directory() / file)!r} is a folder, not a file to write.")
     seen = detected(cfg, given.cameras, detector, tag)
     with keyed(
         "localise",

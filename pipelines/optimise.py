@@ -126,7 +126,7 @@ def _run(
     """
     from lmd.core.compiled import is_compiling
 
-    from .progress import Progress, Watch
+    from .progress import Progress
 
     directory, optimiser = run_directory(), checkpoint.optimiser
     goes_on, before = tracker.run_id == checkpoint.run_id, optimiser.ledger.evaluations
@@ -134,12 +134,11 @@ def _run(
     progress = Progress(budget, tracker, checkpoint, directory, every, logged=goes_on)
     with space_reserved(directory), closing(progress):
         try:
-            watch = Watch(optimiser, budget)
 
             def worth_waiting() -> bool:
-                return optimiser.ledger.evaluations > before and not is_compiling() and not watch.is_overdue
+                return optimiser.ledger.evaluations > before and not is_compiling()
 
-            with stop.deferred(worth_waiting), watch:
+            with stop.deferred(worth_waiting):
                 result = optimiser.run(problem, budget, progress)
                 progress.flush(optimiser, ended=result.stopped != "interrupted")
             return result, False

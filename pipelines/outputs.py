@@ -24,6 +24,7 @@ RESULTS = {
     **dict.fromkeys(("optimise", "evaluate"), "metrics.json"),
     "compare": "comparison.csv",
     "tradeoff": "tradeoff.json",
+    "survey": "survey.json",
 }
 PARTIAL = ".partial_"  # prefix of folders whose files are moved once all files are written
 RESERVED_BYTES = 1 << 16  # reserved disk space, bytes: more than landmarks and figures of a thousand tags

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from omegaconf import DictConfig
 
+from lmd.core.workers import in_processes
+
 from .app import flat_settings
 from .building import budget_of, build_optimiser, build_problem
 from .composing import editable
 from .kept import kept
 from .nodes import instantiate
 from .optimise import SAME_WHEN_RESUMED
-from .workers import in_processes
 
 if TYPE_CHECKING:
     import pandas as pd

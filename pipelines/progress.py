@@ -1,12 +1,10 @@
 """Progress of a run: bar, curve, checkpoints."""
 
 import itertools
-import math
 import sys
 import threading
 import time
-from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
@@ -16,46 +14,21 @@ from typing import TYPE_CHECKING, Any, Self
 from tqdm import tqdm
 
 from lmd.core.checks import InputError
-from lmd.core.compiled import clock, is_compiling
 from lmd.optimisers.base import Optimiser
 from lmd.optimisers.checkpoint import Checkpoint
-from lmd.optimisers.ledger import Budget, Ledger, Record
+from lmd.optimisers.ledger import ROUNDING, Budget, Ledger, curve
 
-from .operations.signals import stop, tell
+from .operations.signals import stop
 from .operations.tracking import Tracker
 
 if TYPE_CHECKING:
     from lmd.survey.survey import SurveyStage
 
-ROUNDING = 1e-6  # evaluations are sums of parts 1/K
-PATIENCE = 5.0  # time that an optimiser may take to end before a message, seconds
 LOOK_SECONDS = 0.2  # time between two looks at the optimiser, seconds
 LOG_SECONDS = 15.0  # time between two lines of progress in a file, seconds
 SHOWN_AFTER = 2.0  # time after which a step is shown, seconds
 
 tqdm.set_lock(threading.RLock())  # tqdm's own lock has a semaphore, which a process that is killed would leave behind
-
-
-def curve(history: Sequence[Record], budget: Budget, until: float = math.inf) -> list[tuple[int, float, float]]:
-    """Points (step, best fitness, seconds) of a run up to `until`, at steps that all runs of a budget share.
-
-    mlflow draws a group as the mean of the runs that have a value at a step. With shared steps that mean never falls.
-    Steps are 1, 2, 5, 10, 20, ... and each hundredth of the budget, in evaluations, or in whole seconds if only seconds
-    are limited. The best fitness is carried forward to the next record and to the end; steps before the first record
-    have its value.
-    """
-    in_seconds = budget.evaluations is None
-    most = math.ceil(budget.evaluations or budget.seconds or 0)
-    steps = {digit * 10**power for power in range(len(str(most))) for digit in (1, 2, 5)}
-    steps |= {-(-most * share // 100) for share in range(1, 101)}
-    known = [record for record in history if math.isfinite(record.best_fitness)]
-    spent = [record.wall_time if in_seconds else record.evaluations for record in known]
-    points = []
-    for step in sorted(step for step in steps if known and step <= min(most, until)):
-        last = known[max(bisect_right(spent, step + ROUNDING) - 1, 0)]
-        reached = known[min(bisect_left(spent, step - ROUNDING), len(known) - 1)]
-        points.append((step, last.best_fitness, reached.wall_time))
-    return points
 
 
 def bar(total: int | None, unit: str, initial: int = 0) -> "tqdm[Any]":
@@ -127,47 +100,6 @@ class Progress:
         """Remove the bar."""
         with suppress(OSError):
             self.bar.close()
-
-
-class Watch:
-    """Prints that a run which is to end waits for its optimiser; from then on a signal ends it at once.
-
-    An optimiser checks the budget between batches, and one of another library may take any time to propose a batch.
-
-    Args:
-        optimiser: optimiser of the run.
-        budget: budget of the run.
-    """
-
-    def __init__(self, optimiser: Optimiser, budget: Budget) -> None:
-        self.optimiser, self.budget = optimiser, budget
-        self.is_overdue = False
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._look, daemon=True)
-
-    def __enter__(self) -> "Watch":
-        self._thread.start()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self._ended.set()
-
-    def _look(self) -> None:
-        ledger = self.optimiser.ledger
-        began, done, due = clock() - ledger.seconds, ledger.evaluations, None
-        while not self._ended.wait(LOOK_SECONDS):
-            if ledger.evaluations != done or is_compiling():
-                done, due, self.is_overdue = ledger.evaluations, None, False
-            is_late = self.budget.seconds is not None and clock() - began > self.budget.seconds
-            if not (is_late or stop.requested) or self.is_overdue:
-                continue
-            due = due or time.monotonic() + PATIENCE
-            if time.monotonic() > due:
-                self.is_overdue = True
-                why = "told to stop" if stop.requested else f"budget.seconds = {self.budget.seconds:g} is over"
-                again = "once more" if stop.requested else "Ctrl-C"
-                waited = f"{self.optimiser.called} has been waited for {PATIENCE:g} s"
-                tell(f"{why}, {waited}; {again} to stop at once with the best so far")
 
 
 class Steps:

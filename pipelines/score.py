@@ -1,8 +1,7 @@
 """The score of a deployment: landmarks and figures first, then everything that can be computed again."""
 
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -60,14 +59,6 @@ def room_report(cfg: DictConfig, problem: "Problem") -> Report:
     return Report({"room.png": draw}, text=f"room     {run_directory() / 'room.png'}", is_extra=True)
 
 
-def columns_of(history: "Sequence[Record]") -> dict[str, list[float]]:
-    """History of a run as columns of a table, from the first successful evaluation on."""
-    from lmd.optimisers.ledger import Record
-
-    known = [record for record in history if math.isfinite(record.best_fitness)]
-    return {key.name: [getattr(record, key.name) for record in known] for key in fields(Record)}
-
-
 def scored(
     extras: Extras, problem: "Problem", deployment: "Deployment", history: "Sequence[Record]", *,
     subject: str, summary: Mapping[str, Any], further: Callable[[], Mapping[str, float]] = dict,
@@ -94,6 +85,7 @@ def scored(
     from lmd.evaluation.validation import Sample, describe_validation, headline_off_grid, validation_metrics
     from lmd.evaluation.verdicts import causes
     from lmd.objectives.base import labelled_figures
+    from lmd.optimisers.ledger import columns_of
     from lmd.plot.charts import save_convergence_figure
     from lmd.plot.scenes import save_scene_figure
 

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,8 +14,6 @@ from .nodes import detector_of, instantiate, keyed, note, settings_of
 from .study import Report, Study
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from lmd.evaluation.detected import DetectionStudy, Rendered
 
 Own = Mapping[str, DictConfig]
@@ -55,7 +52,7 @@ def observe(cfg: DictConfig, own: Own) -> Study:
         if len(paired):
             markdown += f"\n{pairs.to_markdown(paired)}"
             files["paired.csv"] = paired
-        medians = _medians(figures)
+        medians = study.medians(figures)
         counts = {name: outcome.counts[0] for name, outcome in study.outcomes.items()}
         title = title_of(problem, f"{len(seeds)} flights: median, band from 10 to 90 %;")
         more = {
@@ -64,7 +61,7 @@ def observe(cfg: DictConfig, own: Own) -> Study:
             "errors.png": lambda path: save_error_figure(path, curves, study.time, counts, n, title),
         }
         made = " ".join(f"{group}={choices()[group]}" for group in ("trajectory", "sensor"))
-        return Report(files | more, medians, _over_time(curves), f"{markdown}\nflown with {made}")
+        return Report(files | more, medians, study.over_time(curves), f"{markdown}\nflown with {made}")
 
     return Study("observe", run, problem=problem)
 
@@ -79,8 +76,9 @@ def _any_tag(cfg: DictConfig) -> DictConfig:
 
 def in_batches(workers: int | None, function: Callable[[Any], Any], jobs: Sequence[Any]) -> Iterator[Any]:
     """Results of a function for each job, in processes of their own; see `lmd.estimation.recording.Each`."""
+    from lmd.core.workers import in_processes
+
     from .progress import bar
-    from .workers import in_processes
 
     results = in_processes(
         partial(_on_one_thread, function), jobs, workers, lambda _: "a batch of frames", ordered=True
@@ -97,27 +95,6 @@ def _on_one_thread(function: Callable[[Any], Any], job: Any) -> Any:
 
     optional("cv2", "detection").setNumThreads(1)
     return function(job)
-
-
-def _medians(figures: "pd.DataFrame") -> dict[str, float]:
-    """Finite medians over the seeds by `<figure>/<deployment>/<estimator>`."""
-    medians = {}
-    for (name, estimator), runs in figures.groupby(["deployment", "estimator"], sort=False):
-        for key, value in runs.drop(columns="seed").median(numeric_only=True).items():
-            if isfinite(value):
-                medians[f"{key}/{name}/{estimator}"] = float(value)
-    return medians
-
-
-def _over_time(curves: "pd.DataFrame") -> dict[str, list[tuple[int, float, float]]]:
-    """Median errors over time as curves; their steps are milliseconds."""
-    found = {}
-    for (name, estimator), curve in curves.groupby(["deployment", "estimator"], sort=False):
-        for quantity in ("error", "position", "attitude"):
-            values = curve[["time", f"{quantity}_median"]].dropna().to_numpy()
-            points = [(round(1000 * time), float(value), float(time)) for time, value in values]
-            found[f"{quantity}_over_time/{name}/{estimator}"] = points
-    return found
 
 
 def detect(cfg: DictConfig, own: Own) -> Study:

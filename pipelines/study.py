@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from omegaconf import DictConfig
 
-from .app import run_directory
+from .app import run_directory, say
 from .operations.signals import Stopped, stop
 from .outputs import write_all, write_document
 
@@ -108,7 +108,7 @@ def conduct(cfg: DictConfig, study: Study) -> float | None:
                         is_whole, is_cut = is_whole or report.is_whole, is_cut or report.is_cut
                         _log(tracker, report)
                         if report.text:
-                            print(report.text, flush=True)
+                            say(report.text)
             except Stopped:
                 if not is_whole:
                     raise
@@ -120,7 +120,7 @@ def conduct(cfg: DictConfig, study: Study) -> float | None:
         _print_hint(study)
         raise
     names = ", ".join(str(path.relative_to(directory)) for path in files)
-    print(labelled({**lines, "files": f"{directory}: {names}", "mlflow": tracker.describe()}), flush=True)
+    say(labelled({**lines, "files": f"{directory}: {names}", "mlflow": tracker.describe()}))
     if lacking:
         print(f"warning: {'; '.join(lacking)}{again(directory)}", file=sys.stderr)
     if is_cut:

@@ -17,7 +17,7 @@ from .nodes import instantiate, keyed, note, settings_of
 from .operations.signals import Stopped, stop
 from .photographs import detected, odometry_of, reader_of, with_camera_of_bag
 from .study import Report, Study
-from .survey_files import audit_writers, check_folder, writers_of
+from .survey_files import audit_writers, writers_of
 
 if TYPE_CHECKING:
     from lmd.geometry.camera import Camera
@@ -58,7 +58,6 @@ def survey(cfg: DictConfig) -> Study:
     exports = build_export(cfg, "export", tag)
     if exports.formats and room is None:
         raise InputError("export needs the room that the tags hang in: run=DIR, or room=... with its keys.")
-    check_folder(run_directory(), cfg, len(cameras), exports, has_plan=known.plan is not None)
     errors = CORNER_ERRORS[name.removesuffix("_fine")]
     with keyed("survey"):
         calibrate = None if cfg.survey.calibrate == "auto" else boolean("calibrate", cfg.survey.calibrate)

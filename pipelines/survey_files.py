@@ -1,66 +1,19 @@
 """Files that a survey writes."""
 
-import os
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from omegaconf import DictConfig, OmegaConf
-
 from .outputs import write_document
-from .provenance import texts_in
 
 if TYPE_CHECKING:
-    from lmd.export.exports import Export
     from lmd.formats.detections import DetectedTags
     from lmd.space.space import Space
     from lmd.survey.audit import Audit
     from lmd.survey.survey import Survey
 
 DOCUMENT, MEASURED, DETECTED = "survey.json", "measured.csv", "detections.csv"
-ALWAYS = ("map.csv", "map.npz", "frames.csv", DOCUMENT, "survey.png", "in_view.csv")
-AUDIT = (
-    *(f"audit_{name}.csv" for name in ("pitches", "incidences", "places", "tags")),
-    *("audit.png", "audit_places.png"),
-)
-
-
-def check_folder(directory: Path, cfg: DictConfig, cameras: int, exports: "Export", *, has_plan: bool) -> None:
-    """Raise `InputError` if files of an earlier survey would remain in a folder, or a folder has the name of a file.
-
-    Args:
-        directory: folder of the files.
-        cfg: configuration of the survey.
-        cameras: number of cameras.
-        exports: exported formats.
-        has_plan: True if there is a plan.
-
-    Raises:
-        InputError: the folder is refused.
-    """
-    from lmd.core.checks import InputError
-    from lmd.export.exports import all_formats
-
-    own = set(ALWAYS) | {all_formats()[name].file for name in exports.formats}
-    own |= {MEASURED} if has_plan else set()
-    own |= {DETECTED} if cfg.detections is None else set()
-    own |= set(camera_files(cameras))
-    own |= set(AUDIT) if cfg.audit else set()
-    for name in sorted(own):
-        if (directory / name).is_dir():
-            raise InputError(f"hydra.run.dir: {str(directory / name)!r} is a folder, where a file is to be written.")
-    if not (directory / DOCUMENT).is_file():
-        return
-    known = {MEASURED, DETECTED, *AUDIT, *(form.file for form in all_formats().values())}
-    known |= {path.name for path in directory.glob("camera*.yaml")}
-    read = {os.path.realpath(text) for text in texts_in(OmegaConf.to_container(cfg, resolve=True))}
-    left = [name for name in sorted(known - own) if (directory / name).is_file()]
-    if stale := [name for name in left if os.path.realpath(directory / name) not in read]:
-        text = f"hydra.run.dir: {str(directory)!r} holds {', '.join(stale)} of an earlier survey, which this one does"
-        raise InputError(
-            f"{text} not write anew: remove {'it' if len(stale) == 1 else 'them'}, or name another folder."
-        )
 
 
 def camera_files(count: int) -> list[str]:

@@ -10,7 +10,6 @@ from .app import run_directory, save_path
 from .building import GROUPS, build_optimiser, seeds_of
 from .composing import recompose, task_overrides
 from .contenders import Contender, contend
-from .leaderboard import leaderboard
 from .nodes import note
 from .study import Report, Study
 
@@ -33,9 +32,18 @@ def tournament_of(cfg: DictConfig) -> Study:
     names: list[str] = []
 
     def report(done: "Mapping[Contender, OptimiserRun]") -> Report:
-        found = leaderboard(run_directory(), done, boxes)
-        names[:] = found.files
-        return found
+        from lmd.plot.leaderboard import leaderboard, write_runs
+        from lmd.suite import document
+
+        budgets = {name: document(name).budgets for name in boxes}
+        by_place: dict[int, list[OptimiserRun]] = {0: [], 1: [], 2: []}
+        for job, run in done.items():
+            by_place[list(budgets[job.problem]).index(job.evaluations)].append(run)
+        write_runs(run_directory() / "iohprofiler", by_place, boxes)
+        found = leaderboard(by_place, boxes)
+        files = {**found.pictures, "leaderboard.md": found.text, "leaderboard.csv": found.table}
+        names[:] = files
+        return Report(files, found.figures, text=f"\n{found.text}")
 
     def saved() -> None:
         if save_as is None:

@@ -17,7 +17,7 @@ from .composing import RIG
 from .export import build_export
 from .nodes import keyed
 from .operations.signals import CODES, stop
-from .outputs import all_or_none
+from .outputs import write_all
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -106,45 +106,31 @@ def _save(
     from lmd.formats.rigs import write_rig
 
     scene = problem.scene
-    writers = export.writers(scene.room, scene.tag, plan.deployment) if export else {}
-
-    def write(folder: Path) -> None:
-        plan.deployment.to_csv(folder / "landmarks.csv", ups=not scene.tag.is_point)
-        if plan.rig is not None:
-            write_rig(folder / RIG, plan.rig, sources)
-        for name, write_one in writers.items():
-            write_one(folder / name)
-
+    files: dict[str, Any] = {"landmarks.csv": partial(plan.deployment.to_csv, ups=not scene.tag.is_point)}
+    if plan.rig is not None:
+        files[RIG] = partial(write_rig, rig=plan.rig, sources=sources)
+    files |= export.writers(scene.room, scene.tag, plan.deployment) if export else {}
     with stop.postponed():
-        files = all_or_none(directory, write)
-    return f"{directory}: {', '.join(file.name for file in files)}"
+        written = write_all(directory, files)
+    return f"{directory}: {', '.join(file.name for file in written)}"
 
 
 def _keep_unsaved(directory: Path, plan: "Plan", sources: "Mapping[Camera, Any]", ups: bool) -> None:
-    """Write unsaved tags and cameras to the directory, else to the working or temporary directory, else to stdout."""
-    from lmd.formats.rigs import rig_text
+    """Write unsaved tags and cameras to the directory, else to the working or the temporary directory."""
+    from lmd.formats.rigs import write_rig
 
-    elsewhere, rig = f"unsaved_{secrets.token_hex(4)}", None if plan.rig is None else rig_text(plan.rig, sources)
-
-    def write(name: str, folder: Path) -> None:
-        plan.deployment.to_csv(folder / f"{name}.csv", ups)
-        if rig is not None:
-            (folder / f"{name}_{RIG}").write_text(rig, encoding="utf-8")
-
-    for place, name in ((str(directory), UNSAVED), (os.curdir, elsewhere), ("", elsewhere)):
+    elsewhere = f"unsaved_{secrets.token_hex(4)}"
+    for place, name in ((directory, UNSAVED), (Path.cwd(), elsewhere), (Path(tempfile.gettempdir()), elsewhere)):
+        files = {f"{name}.csv": partial(plan.deployment.to_csv, ups=ups)}
+        if plan.rig is not None:
+            files[f"{name}_{RIG}"] = partial(write_rig, rig=plan.rig, sources=sources)
         try:
-            folder = Path(place or tempfile.gettempdir())  # raises an error if there is none
-            files = all_or_none(folder.resolve(), partial(write, name))
+            written = write_all(place, files)
         except OSError as error:
             print(f"changes that were not saved cannot be written ({error})", file=sys.stderr)
         else:
-            print(f"changes that were not saved are in {' and '.join(map(str, files))}", file=sys.stderr)
+            print(f"changes that were not saved are in {' and '.join(map(str, written))}", file=sys.stderr)
             return
-    print("the tags as they are now:", flush=True)
-    plan.deployment.to_csv(sys.stdout, ups)
-    if rig is not None:
-        print(f"the cameras as they are now:\n{rig}")
-    sys.stdout.flush()
 
 
 command = Command("view", view)

@@ -10,10 +10,10 @@ from omegaconf import OmegaConf
 
 import pipelines.report
 from lmd.core.tables import write_table
-from lmd.optimisers.ledger import Record
+from lmd.optimisers.ledger import Record, columns_of
 from pipelines.building import build_problem
 from pipelines.operations.tracking import PARENT_TAG, MlflowTracker, RunStart
-from pipelines.score import HISTORY_FILE, columns_of
+from pipelines.score import HISTORY_FILE
 
 SMALL = ("room.spacing=1.5", "deployment.count=6", "objective.thold_p=0.5", "threads=1")
 AVERAGE, MAXIMUM = 0.6, 0.9  # of every run

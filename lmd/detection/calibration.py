@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lmd.core.checks import BoolArray, FloatArray, InputError
+from lmd.core.words import escaped, markdown_table
 from lmd.detection.evaluation import TAG_NUMBERS, Matches, agreement, precision_recall, shares_of_frames
 from lmd.detection.frames import overlapping, qualities
 from lmd.detection.tag_views import Placed, TagViews
@@ -49,6 +50,13 @@ class Fit:
     def known_circles(self) -> dict[int, float]:
         """Finite `circles` by camera number, which counts from 1."""
         return {number: diameter for number, diameter in enumerate(self.circles, 1) if math.isfinite(diameter)}
+
+    def circles_text(self, detector: str) -> str:
+        """Lines about cameras whose image is a circle, beyond which a detector finds nothing."""
+        return "".join(
+            f"{detector} finds nothing beyond camera.image_circle={diameter:.0f}, pixels, of camera {number}\n"
+            for number, diameter in self.known_circles.items()
+        )
 
 
 @dataclass(frozen=True)
@@ -279,3 +287,23 @@ def _all_errors(predicted: BoolArray, seen: BoolArray) -> NDArray[np.intp]:
 def _larger_errors(predicted: BoolArray, seen: BoolArray) -> NDArray[np.intp]:
     """max(false positives, false negatives) along the last axis."""
     return np.asarray(np.maximum((predicted & ~seen).sum(axis=-1), (~predicted & seen).sum(axis=-1)))
+
+
+def limits_markdown(figures: dict[str, dict[str, float]]) -> str:
+    """Table of the limits of each detector, with the accuracy of the limits on held-out views."""
+    head = ["detector", "views", "a", "k", "m [px]", "b [degrees]", "margin [px]"]
+    head += ["held-out accuracy / precision / recall"]
+    head += [f"rooms: P(>= {n}) predicted / detected" for n in range(1, 5)]
+    head += ["rooms: precision / recall", "rooms: frames agree on >= 2"]
+    rows = []
+    for name, row in figures.items():
+        cells = [escaped(name), f"{row['views']:.0f}", *(f"{row[key]:.2g}" for key in ("pitch", "blur"))]
+        cells += [f"{row['edge']:.3g}", f"{row['incidence']:.0f}", f"{row['margin']:.3g}"]
+        cells += [f"{row['accuracy']:.3f} / {row['precision']:.3f} / {row['recall']:.3f}"]
+        if "room_frames" in row:
+            cells += [f"{row[f'room_predicted_{n}']:.3f} / {row[f'room_detected_{n}']:.3f}" for n in range(1, 5)]
+            cells += [f"{row['room_precision']:.3f} / {row['room_recall']:.3f}", f"{row['room_agreement_2']:.1%}"]
+        else:
+            cells += ["–"] * 6
+        rows.append(cells)
+    return markdown_table(head, rows) + "\n"

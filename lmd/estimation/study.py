@@ -192,6 +192,27 @@ class FlightStudy:
                 parts.append(pd.DataFrame({"deployment": name, "estimator": estimator, "time": time, **columns}))
         return pd.concat(parts, ignore_index=True)
 
+    @staticmethod
+    def medians(figures: pd.DataFrame) -> dict[str, float]:
+        """Finite medians of `figures` over the seeds by `<figure>/<deployment>/<estimator>`."""
+        medians = {}
+        for (name, estimator), runs in figures.groupby(["deployment", "estimator"], sort=False):
+            for key, value in runs.drop(columns="seed").median(numeric_only=True).items():
+                if np.isfinite(value):
+                    medians[f"{key}/{name}/{estimator}"] = float(value)
+        return medians
+
+    @staticmethod
+    def over_time(curves: pd.DataFrame) -> dict[str, list[tuple[int, float, float]]]:
+        """Median errors of `curves` as points (time in ms, error, time in s) by `<error>/<deployment>/<estimator>`."""
+        found = {}
+        for (name, estimator), curve in curves.groupby(["deployment", "estimator"], sort=False):
+            for quantity in ("error", "position", "attitude"):
+                values = curve[["time", f"{quantity}_median"]].dropna().to_numpy()
+                points = [(round(1000 * time), float(value), float(time)) for time, value in values]
+                found[f"{quantity}_over_time/{name}/{estimator}"] = points
+        return found
+
 
 def conduct(
     problems: Mapping[str, Problem],

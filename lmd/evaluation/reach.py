@@ -5,22 +5,24 @@ The tag hangs upright in the middle of the view and is turned about the vertical
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lmd.core.checks import FloatArray
+from lmd.core.checks import FloatArray, real, vector
 from lmd.estimation.cramer_rao import cramer_rao_bound, pose_information
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import camera_pose
 from lmd.geometry.squares import corners, upright
 from lmd.scene.criteria import Criteria
 from lmd.scene.tag import Tag
+from lmd.sight.models.fiducial import Fiducial
 
 NEAREST, FARTHEST = 0.01, 1000.0  # least and greatest distance that is tried, metres
 DISTANCE_STEPS = 400  # number of distances tried, by equal factors of 1.03
 COARSE_STEPS = 8  # steps between the sizes that are tried first
 RELATIVE_TOLERANCE = 1e-4
+MOST_ATTITUDE_RAD = 0.35  # greatest attitude error, rad (20 degrees), for which the linear prediction is valid
 
 
 @dataclass(frozen=True)
@@ -115,3 +117,83 @@ def pose_bounds(
         errors.append(cramer_rao_bound(pose_information(pose, points, np.ones((1, 4), dtype=bool), camera)))
     position, attitude = pixel_noise * np.array(errors)[:, :, 0].T
     return position, attitude
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Where a tag is looked at.
+
+    Raises:
+        InputError: a value is out of range.
+    """
+
+    incidence: Sequence[float] = (0.0, 30.0, 45.0, 60.0)
+    """Angles between the tag's normal and the line of sight, degrees."""
+    distance: Sequence[float] = (0.5, 1.0, 2.0, 4.0, 8.0)
+    """Distances from the camera, metres."""
+    pixel_noise: float = 0.5
+    """Standard deviation of a corner, pixels."""
+
+    def __post_init__(self) -> None:
+        vector("incidence", self.incidence, len(self.incidence), low=0.0, high=90.0)
+        vector("distance", self.distance, len(self.distance), above=0.0)
+        real("pixel_noise", self.pixel_noise, above=0.0)
+
+
+def reach_text(camera: Camera, tag: Tag, criteria: Fiducial, reading: Reading) -> str:
+    """Tables of the range of each size of a tag, of its pose errors, and of the smallest tag that is read."""
+    tags = [tag.of_size(edge) for edge in tag.sizes]
+    lines = [
+        *(f"tag      {t.family}, {t.square} {t.size:g} m, with its quiet zone {t.paper_edge:.4g} m" for t in tags),
+        f"camera   {camera.image_width:g} x {camera.image_height:g} pixels",
+        f"detector {criteria.detector}\n",
+    ]
+    for one in tags:
+        lines += [f"{one.square} of {one.size:g} m"] * (len(tags) > 1)
+        lines += [*_columns(_reads(camera, one, replace(criteria, tag=one), reading)), ""]
+    lines += [f"smallest {tag.square} that is read, metres", *_columns(_edges(camera, tags[0], criteria, reading))]
+    return "\n".join(lines)
+
+
+def _reads(
+    camera: Camera,
+    tag: Tag,
+    criteria: Fiducial,
+    reading: Reading,
+) -> list[list[str]]:
+    """Table of the range of a tag at each angle, and of the pose error at each distance within the range."""
+    rows = [["incidence", "read from", "to", *(f"alone at {distance:g} m" for distance in reading.distance)]]
+    for angle in reading.incidence:
+        found = reach(criteria, camera, math.radians(angle))
+        bounds = ["never", ""] if math.isnan(found.farthest) else [f"{found.nearest:.3g} m", f"{found.farthest:.3g} m"]
+        errors = zip(*pose_bounds(camera, tag, reading.distance, math.radians(angle), reading.pixel_noise), strict=True)
+        fixed = [
+            _error(*error) if found.nearest <= distance <= found.farthest else "-"
+            for distance, error in zip(reading.distance, errors, strict=True)
+        ]
+        rows.append([f"{angle:g} deg", *bounds, *fixed])
+    return rows
+
+
+def _error(position: float, attitude: float) -> str:
+    """Text of two standard deviations; "not fixed" beyond `MOST_ATTITUDE_RAD`."""
+    return f"{1e3 * position:.3g} mm, {math.degrees(attitude):.2g} deg" if attitude < MOST_ATTITUDE_RAD else "not fixed"
+
+
+def _edges(camera: Camera, tag: Tag, criteria: Fiducial, reading: Reading) -> list[list[str]]:
+    """Table of the smallest tag that is read at each angle and distance."""
+
+    def of(edge: float) -> Fiducial:
+        return replace(criteria, tag=replace(tag, edge=edge))
+
+    rows = [["incidence", *(f"at {distance:g} m" for distance in reading.distance)]]
+    for angle in reading.incidence:
+        edges = [smallest_edge(of, camera, distance, math.radians(angle)) for distance in reading.distance]
+        rows.append([f"{angle:g} deg", *("none" if math.isnan(edge) else f"{edge:.3g}" for edge in edges)])
+    return rows
+
+
+def _columns(rows: list[list[str]]) -> list[str]:
+    """Lines of a table in columns."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return ["   ".join(f"{text:<{width}}" for text, width in zip(row, widths, strict=True)).rstrip() for row in rows]

@@ -1,7 +1,8 @@
 """Budget of a run, and its ledger: spent evaluations and time, and best fitness."""
 
 import math
-from collections.abc import Mapping
+from bisect import bisect_left, bisect_right
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -9,6 +10,8 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, check_fields, integer, real
 from lmd.optimisers.stored import array
+
+ROUNDING = 1e-6  # evaluations are sums of parts 1/K
 
 
 @dataclass(frozen=True)
@@ -110,3 +113,31 @@ class Ledger:
             ledger.seconds = by_then
             ledger.note(spent, fitness)
         return ledger
+
+
+def columns_of(history: Sequence[Record]) -> dict[str, list[float]]:
+    """History of a run as columns of a table, from the first successful evaluation on."""
+    known = [record for record in history if math.isfinite(record.best_fitness)]
+    return {key.name: [getattr(record, key.name) for record in known] for key in fields(Record)}
+
+
+def curve(history: Sequence[Record], budget: Budget, until: float = math.inf) -> list[tuple[int, float, float]]:
+    """Points (step, best fitness, seconds) of a run up to `until`, at steps that all runs of a budget share.
+
+    mlflow draws a group as the mean of the runs that have a value at a step. With shared steps that mean never falls.
+    Steps are 1, 2, 5, 10, 20, ... and each hundredth of the budget, in evaluations, or in whole seconds if only seconds
+    are limited. The best fitness is carried forward to the next record and to the end; steps before the first record
+    have its value.
+    """
+    in_seconds = budget.evaluations is None
+    most = math.ceil(budget.evaluations or budget.seconds or 0)
+    steps = {digit * 10**power for power in range(len(str(most))) for digit in (1, 2, 5)}
+    steps |= {-(-most * share // 100) for share in range(1, 101)}
+    known = [record for record in history if math.isfinite(record.best_fitness)]
+    spent = [record.wall_time if in_seconds else record.evaluations for record in known]
+    points = []
+    for step in sorted(step for step in steps if known and step <= min(most, until)):
+        last = known[max(bisect_right(spent, step + ROUNDING) - 1, 0)]
+        reached = known[min(bisect_left(spent, step - ROUNDING), len(known) - 1)]
+        points.append((step, last.best_fitness, reached.wall_time))
+    return points

@@ -103,6 +103,15 @@ class Marginal:
             "histogram": {"edges": edges.tolist(), "density": heights.tolist()},
         }
 
+    def described(self) -> str:
+        """Text of the chosen density, and of the log-likelihood differences of the other densities from the best."""
+        parameters = ", ".join(f"{key.replace('_', ' ')} {value:.3g}" for key, value in self.density.parameters.items())
+        name = self.density.family.replace("_", " ") + (f" ({parameters})" if parameters else "")
+        behind = ", ".join(
+            f"{c.density.family.replace('_', ' ')} {c.behind:.4f} +- {c.standard_error:.4f}" for c in self.candidates
+        )
+        return f"{name}; behind the best: {behind}" if behind else name
+
 
 @dataclass(frozen=True)
 class PdfEstimate:
@@ -152,6 +161,41 @@ class PdfEstimate:
             "yaw": self.yaw.summary(),
             "pitch": self.pitch.summary(),
         }
+
+    def metrics(self) -> dict[str, float]:
+        """Figures by name."""
+        figures: dict[str, float] = {
+            "samples": len(self.samples),
+            "correlation_time": self.samples.correlation_time,
+            "mean_interval": self.samples.mean_interval,
+            "orientations": len(self.pdf.weight),
+        }
+        if self.independence is not None:
+            figures["independence/statistic"] = self.independence.statistic
+            figures["independence/p_value"] = self.independence.p_value
+        for angle, marginal in (("yaw", self.yaw), ("pitch", self.pitch)):
+            figures |= {f"{angle}/{key}": value for key, value in marginal.density.parameters.items()}
+            for candidate in marginal.candidates:
+                figures[f"{angle}/log_likelihood/{candidate.density.family}"] = candidate.log_likelihood
+        return figures
+
+    def lines(self) -> dict[str, str]:
+        """Labelled lines for a terminal."""
+        samples = self.samples
+        return {
+            "samples": f"{len(samples)}, {samples.mean_interval:.3g} s apart on average (the motion stays correlated "
+            f"for {samples.correlation_time:.3g} s)",
+            "yaw": self.yaw.described(),
+            "pitch": self.pitch.described(),
+            "independence": _verdict(self.independence),
+        }
+
+
+def _verdict(test: Independence | None) -> str:
+    if test is None:
+        return "nothing to test, an angle is fixed"
+    outcome = "rejected: the joint density is used" if test.rejected else "not rejected: the product is used"
+    return f"{outcome} (chi-squared {test.statistic:.1f}, p = {test.p_value:.4f})"
 
 
 def estimate_pdf(

@@ -10,14 +10,14 @@ import pandas as pd
 from lmd.core.checks import LARGEST, InputError, printable
 from lmd.core.tables import read_numbers
 from lmd.evaluation.comparison import OptimiserRun
-from lmd.optimisers.ledger import Record
+from lmd.optimisers.ledger import Record, columns_of
 from lmd.plot.common import shrink
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 
 from ..nodes import note
 from ..operations.tracking import PARENT_TAG, MlflowReader
-from ..score import HISTORY_FILE, columns_of
+from ..score import HISTORY_FILE
 
 INDICES = {
     "qualified_ratio": "qualified ratio",

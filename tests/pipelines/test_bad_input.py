@@ -160,7 +160,7 @@ CASES = [
     ("cameras", "\"body.boxes=[{low: [0, 0, 0], high: [9, 1, 1]}]\"", "body.boxes leave the room: "),
     ("cameras", "\"camera.rig=[{translation: [0.42, 0, 0.3]}]\"", "cameras.count = 2, but 1 cameras are given"),
     ("cameras", f"optimiser=greedy {LITTLE}", "Greedy places landmarks, not cameras"),
-    ("tradeoff", "size=true", "size is about what a detector reads: it needs visibility=fiducial"),
+    ("tradeoff", "size=true", "size is about what is read by a detector: it needs visibility=fiducial"),
     ("tradeoff", "\"size={distance: [0]}\" visibility=fiducial tag=printed", "size.distance[0] must be greater than 0"),
     ("estimate_pdf", "seed=0", "recording.path is missing"),
     ("tradeoff", "counts=20", "counts must be a list of numbers, got 20."),

@@ -184,9 +184,7 @@ def wrong(pipeline, pickled, key, value):
 
 def all_wrong(pipeline, cfg, keys):
     pickled = pickle.dumps(cfg)
-    found = [
-        wrong(pipeline, pickled, key, value) for key, known in keys.items() for value in tried(key, known)
-    ]
+    found = [wrong(pipeline, pickled, key, value) for key, known in keys.items() for value in tried(key, known)]
     return [sentence for sentence in found if sentence]
 
 

@@ -56,10 +56,10 @@ def write_jobs(path: Path, sweep: Sweep, found: list[Outcome]) -> None:
 def draw_groups(path: Path, sweep: Sweep, found: list[Outcome]) -> list[Path]:
     """Draw the groups of finished searches; returns the pictures, of which there is none without a search."""
     from lmd.core.tables import read_numbers
-    from lmd.optimisers.ledger import Record
+    from lmd.optimisers.ledger import Record, columns_of
     from lmd.plot.charts import Searched, save_groups_figure
 
-    from ...score import HISTORY_FILE, columns_of
+    from ...score import HISTORY_FILE
 
     groups: dict[tuple[str, ...], list[Searched]] = {}
     for folder, job, figures in found:

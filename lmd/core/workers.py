@@ -12,11 +12,12 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from typing import TypeVar
 
-from .app import PACKAGE
+from lmd.core.checks import InputError, integer
+from lmd.core.threads import available_threads
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
-OWN_PACKAGES = ("lmd.", f"{PACKAGE}.")
+OWN_PACKAGES = ("lmd.", "pipelines.")
 
 
 def in_processes(
@@ -53,9 +54,6 @@ def processes(workers: int | None) -> int:
     Raises:
         InputError: `workers` is not positive.
     """
-    from lmd.core.checks import integer
-    from lmd.core.threads import available_threads
-
     return available_threads() if workers is None else integer("workers", workers, low=1)
 
 
@@ -79,8 +77,6 @@ def _results(
 
 
 def _alone(function: Callable[[Job], Result], job: Job, name: Callable[[Job], str]) -> Result:
-    from lmd.core.checks import InputError
-
     with _pool(1) as pool:
         try:
             return pool.submit(function, job).result()
@@ -105,8 +101,6 @@ def _in_order(results: Iterable[tuple[int, Result]]) -> Generator[Result, None, 
 @contextmanager
 def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     """Context with worker processes, which end with the context."""
-    from lmd.core.checks import InputError
-
     ready_server()
     others = multiprocessing.active_children()
     try:

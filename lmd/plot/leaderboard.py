@@ -1,39 +1,58 @@
 """The leaderboard of a tournament: tables, pictures, and the runs in IOHprofiler's format."""
 
 import shutil
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from .contenders import Contender
-from .study import Report
+import numpy as np
+import pandas as pd
+
+from lmd.core.words import as_code, markdown_table
+from lmd.evaluation.comparison import SIGNIFICANCE, OptimiserRun
+from lmd.evaluation.iohprofiler import write_iohprofiler
+from lmd.evaluation.tournament import (
+    TARGET_SHARE,
+    Tournament,
+    attained_curve,
+    profile,
+    running_time_ratios,
+    tournament,
+)
+from lmd.plot.ranks import save_critical_difference_diagram, save_profile_figure
+from lmd.suite import document, names
 
 if TYPE_CHECKING:
-    from lmd.evaluation.comparison import OptimiserRun
-    from lmd.evaluation.tournament import Tournament
     from lmd.suite import BlackBox, Document
 
 RATIOS, LEAST_SHARE, POINTS = 1000.0, 1e-3, 400  # ends and points of the logarithmic axes of the profiles
 FIGURES = {"fitness": "fitness", "off_grid": "off the grid"}  # figures of a run that are ranked
-Results = Mapping[Contender, "OptimiserRun"]
+Runs = Mapping[int, Sequence[OptimiserRun]]  # by the place of the budget among the three of a problem, from 0
 
 
-def leaderboard(directory: Path, results: Results, boxes: "Mapping[str, BlackBox]") -> Report:
-    """Leaderboard of finished runs, with the mean ranks as figures; the runs are written to `directory/iohprofiler`."""
-    import pandas as pd
+class Leaderboard(NamedTuple):
+    """Leaderboard of a tournament."""
 
-    from lmd.evaluation.tournament import tournament
-    from lmd.plot.ranks import save_critical_difference_diagram
-    from lmd.suite import document
+    text: str
+    """Tables and tests in Markdown."""
+    table: pd.DataFrame
+    """Medians of each problem, figure and budget, a column for each optimiser."""
+    pictures: Mapping[str, Callable[[Path], None]]
+    """Functions that draw the pictures, by the names of the files."""
+    figures: Mapping[str, float]
+    """Mean ranks, such as `rank_3/fitness/annealing`."""
 
-    frozen = {name: document(name) for name in boxes}
-    blocks, files, figures, every = list[str](), dict[str, Any](), dict[str, float](), []
-    for place in (2, 1, 0):  # the largest budget first
-        runs = [run for job, run in results.items() if job.evaluations == frozen[job.problem].budgets[place]]
+
+def leaderboard(results: Runs, problems: Iterable[str]) -> Leaderboard:
+    """Leaderboard of the runs of some problems of the suite."""
+    frozen = {name: document(name) for name in problems}
+    blocks, pictures, figures, every = list[str](), dict[str, Any](), dict[str, float](), []
+    for place in sorted(results, reverse=True):  # the largest budget first
+        runs, budget = results[place], f"budget {place + 1} of 3"
         if not runs:
             continue
-        blocks.append(f"## Budget {place + 1} of 3")
+        blocks.append(f"## {budget.capitalize()}")
         for key, label in FIGURES.items():
             if not all(key in run.metrics for run in runs):
                 continue
@@ -41,24 +60,15 @@ def leaderboard(directory: Path, results: Results, boxes: "Mapping[str, BlackBox
             blocks += _section(held, label, frozen)
             figures |= {f"rank_{place + 1}/{key}/{name}": rank for name, rank in held.ranks.items() if rank == rank}
             every.append(held.values.assign(figure=key, budget=place + 1).reset_index())
-            title = f"mean ranks over {held.complete} problems: {label}, budget {place + 1} of 3"
+            title = f"mean ranks over {held.complete} problems: {label}, {budget}"
             draw = partial(save_critical_difference_diagram, ranks=held.ranks, critical=held.critical, title=title)
-            files[f"ranks_{place + 1}_{key}.png"] = draw
-        title = f"budget {place + 1} of 3"
-        files[f"profiles_{place + 1}.png"] = partial(_profiles, runs=runs, frozen=frozen, title=title)
-    text = "\n\n".join(blocks) + "\n"
-    files |= {"leaderboard.md": text, "leaderboard.csv": pd.concat(every)}
-    _write_iohprofiler(directory / "iohprofiler", results, boxes)
-    return Report(files, figures, text=f"\n{text}")
+            pictures[f"ranks_{place + 1}_{key}.png"] = draw
+        pictures[f"profiles_{place + 1}.png"] = partial(_profiles, runs=runs, frozen=frozen, title=budget)
+    return Leaderboard("\n\n".join(blocks) + "\n", pd.concat(every), pictures, figures)
 
 
-def _section(held: "Tournament", label: str, frozen: "Mapping[str, Document]") -> list[str]:
+def _section(held: Tournament, label: str, frozen: "Mapping[str, Document]") -> list[str]:
     """Table of a figure, and the tests below it. Only the fitness has a proven bound."""
-    import numpy as np
-
-    from lmd.core.words import as_code, markdown_table
-    from lmd.evaluation.comparison import SIGNIFICANCE
-
     names, is_fitness = list(held.values), label == FIGURES["fitness"]
     columns = ["best known", "bound"] if is_fitness else ["best known"]
     ranks = [f"**{rank:.2f}**" if rank == rank else "" for rank in held.ranks]
@@ -97,13 +107,8 @@ def _cell(value: float, greatest: float) -> str:
     return f"**{value:.2%}**" if value == greatest else f"{value:.2%}"
 
 
-def _profiles(path: Path, runs: "Sequence[OptimiserRun]", frozen: "Mapping[str, Document]", title: str) -> None:
+def _profiles(path: Path, runs: Sequence[OptimiserRun], frozen: "Mapping[str, Document]", title: str) -> None:
     """Draw performance profiles and ECDFs of the runs with one budget."""
-    import numpy as np
-
-    from lmd.evaluation.tournament import TARGET_SHARE, attained_curve, profile, running_time_ratios, tournament
-    from lmd.plot.ranks import save_profile_figure
-
     known = {name: _best_known(name, runs, document) for name, document in frozen.items()}
     ratios = running_time_ratios(runs, known)
     at, shares = np.geomspace(1.0, RATIOS, POINTS), np.geomspace(LEAST_SHARE, 1.0, POINTS)
@@ -114,23 +119,20 @@ def _profiles(path: Path, runs: "Sequence[OptimiserRun]", frozen: "Mapping[str, 
     save_profile_figure(path, (at, profiles), (shares, curves), target, title)
 
 
-def _best_known(name: str, runs: "Iterable[OptimiserRun]", document: "Document") -> float:
+def _best_known(name: str, runs: Iterable[OptimiserRun], document: "Document") -> float:
     """Best value of a problem, of its document and of the runs."""
     recorded = 0.0 if document.best is None else document.best.value
     return max([recorded, *(run.metrics["fitness"] for run in runs if run.problem == name)])
 
 
-def _write_iohprofiler(folder: Path, results: Results, boxes: "Mapping[str, BlackBox]") -> None:
+def write_runs(folder: Path, results: Runs, boxes: "Mapping[str, BlackBox]") -> None:
     """Write all runs in IOHprofiler's format: a folder for each budget, in it one for each optimiser."""
-    from lmd.evaluation.iohprofiler import write_iohprofiler
-    from lmd.suite import document, names
-
     numbers = {name: number for number, name in enumerate(names(), 1)}
-    groups: dict[tuple[str, str, int], list[OptimiserRun]] = {}
-    for job, run in results.items():
-        groups.setdefault((job.optimiser, job.problem, job.evaluations), []).append(run)
     shutil.rmtree(folder, ignore_errors=True)
-    for (optimiser, name, evaluations), runs in groups.items():
-        place = document(name).budgets.index(evaluations) + 1
-        own = folder / f"budget_{place}" / optimiser.replace("/", "_")
-        write_iohprofiler(own, runs, name, numbers[name], boxes[name].dim)
+    for place, every in results.items():
+        groups: dict[tuple[str, str], list[OptimiserRun]] = {}
+        for run in every:
+            groups.setdefault((run.optimiser, run.problem), []).append(run)
+        for (optimiser, name), runs in groups.items():
+            own = folder / f"budget_{place + 1}" / optimiser.replace("/", "_")
+            write_iohprofiler(own, runs, name, numbers[name], boxes[name].dim)

@@ -7,13 +7,13 @@ import pytest
 from processes import ROOT, environment
 
 from lmd.core.checks import InputError
-from pipelines.workers import in_processes
+from lmd.core.workers import in_processes
 
 OUTLIVING = """
 import os, sys
 sys.path.append({folder!r})
 from test_workers import wait_for_ever
-from pipelines.workers import in_processes
+from lmd.core.workers import in_processes
 print(list(in_processes(wait_for_ever, ["worker"] * 2, workers=2, name=str)))
 """
 
@@ -71,7 +71,7 @@ def test_without_semaphores_a_sentence_says_how_to_go_on(monkeypatch):
     def refuse(*_args):
         raise FileNotFoundError(2, "No such file or directory")
 
-    monkeypatch.setattr("pipelines.workers.ProcessPoolExecutor", refuse)
+    monkeypatch.setattr("lmd.core.workers.ProcessPoolExecutor", refuse)
     with pytest.raises(InputError, match=r"^workers need semaphores of the system \(.*No such file.*\); workers=1"):
         list(in_processes(ignores_interrupts, range(2), workers=2, name=str))
 
@@ -79,7 +79,7 @@ def test_without_semaphores_a_sentence_says_how_to_go_on(monkeypatch):
 def test_workers_end_with_the_process_that_began_them_however_that_ends(tmp_path):
     pipe = tmp_path / "worker"
     os.mkfifo(pipe)
-    code = OUTLIVING.format(folder=str(ROOT / "tests" / "pipelines"))
+    code = OUTLIVING.format(folder=str(ROOT / "tests" / "core"))
     line, quiet = [sys.executable, "-c", code], subprocess.DEVNULL
     parent = subprocess.Popen(line, cwd=tmp_path, env=environment(ROOT / "tests"), stderr=quiet)
     with pipe.open() as workers:
