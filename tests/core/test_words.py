@@ -13,8 +13,7 @@ from lmd.plot.charts import save_heat_map
 from lmd.plot.common import literal, new_figure
 from pipelines.calibrate_detector import limits_markdown
 from pipelines.operations.sweeps.folder import Job, JobFolder, Sweep
-from pipelines.operations.sweeps.summary import description
-from pipelines.reproduction.document import Section, Table, Text, to_html, to_markdown
+from pipelines.operations.sweeps.summary import Outcome, by_group
 
 PAYLOADS = (
     "<script>alert(1)</script>",
@@ -80,16 +79,6 @@ def test_a_cell_shows_what_a_text_holds(shield, payload):
     assert [cell.strip() for cell in page.cells] == [shown(payload), "b", shown(payload), "1", "2", shown(payload)]
 
 
-@pytest.mark.parametrize("payload", PAYLOADS)
-@pytest.mark.parametrize("shield", [escaped, as_code])
-def test_a_page_shows_what_a_text_holds(shield, payload):
-    section = Section("Title", [Text(f"See {shield(payload)} here."), Table(["a"], [[shield(payload)]])])
-    for page in (rendered(to_markdown([section], "")), Page(to_html(payload, [section]))):
-        assert page.tags <= HARMLESS
-        assert " ".join(f"See {shown(payload)} here.".split()) in " ".join(page.text.split())
-        assert page.cells[1].strip() == shown(payload)
-
-
 def test_usual_names_are_left_as_they_are():
     for name in ("annealing", "pymoo_ga optimiser.population=20", "Lei's 3.5 (b), x/y: 50%", "objective.n"):
         assert escaped(name) == name
@@ -111,7 +100,7 @@ def test_names_in_tables_of_results(payload):
 @pytest.mark.parametrize("payload", PAYLOADS)
 def test_what_a_sweep_varies(payload):
     job = Job("sweep", None, 0, (), {payload: payload}, status="finished")
-    text = description(Sweep("sweep", (payload,), None), [(JobFolder(Path("x")), job, {"fitness": 0.5})], 1)
+    text = by_group(Sweep("sweep", (payload,)), [Outcome(JobFolder(Path("x")), job, {"fitness": 0.5})])
     assert rendered(text).cells[-4].strip() == shown(payload)
 
 

@@ -9,12 +9,11 @@ import pytest
 from mlflow import MlflowClient
 from processes import call, command, start
 
-from lmd.evaluation.comparison import OptimiserRun, attained, best_at, compared, curve_targets
+from lmd.evaluation.comparison import OptimiserRun, attained, best_at, compared, comparison_markdown, curve_targets
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.ledger import Record
 from lmd.plot.charts import save_comparison_figure
 from lmd.scene.deployment import Deployment
-from pipelines.reproduction.document import comparison_markdown
 
 
 def run_of(name, seed, *fitness):
@@ -187,22 +186,22 @@ def test_an_interrupted_comparison_keeps_a_table_of_what_is_finished_and_goes_on
     process.send_signal(signal.SIGINT)
     _, err = process.communicate()
     assert process.returncode != 0
-    assert "interrupted; go on with: python -m pipelines.compare" in err
+    assert "interrupted; the same command goes on with what is in outputs/compare/kept" in err
     (row,) = pd.read_csv(tmp_path / "run" / "comparison.csv").itertuples()
     assert 1 <= row.runs < 500
     assert sorted({run.info.status for run in recorded(tmp_path)}) == ["FINISHED", "KILLED"]
 
-    written = (tmp_path / "run/runs/ega seed=0/history.csv").stat().st_mtime_ns
-    again = call("compare", *shared, f"seeds={row.runs + 1}", "resume=run", cwd=tmp_path)
-    assert f"{row.runs}/{row.runs + 1} done already in run" in again.stdout
-    (grown,) = pd.read_csv(tmp_path / "run" / "comparison.csv").itertuples()
+    kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "outputs/compare/kept").glob("*.json")}
+    again = call("compare", *shared, f"seeds={row.runs + 1}", "hydra.run.dir=again", cwd=tmp_path)
+    assert again.returncode == 0, again.stderr
+    (grown,) = pd.read_csv(tmp_path / "again" / "comparison.csv").itertuples()
     assert grown.runs == row.runs + 1
-    assert (tmp_path / "run/runs/ega seed=0/history.csv").stat().st_mtime_ns == written
+    assert {path: path.stat().st_mtime_ns for path in kept} == kept
     newest = max(
         (run for run in recorded(tmp_path) if PARENT not in run.data.tags), key=lambda run: run.info.start_time
     )
     children = [run for run in recorded(tmp_path) if run.data.tags.get(PARENT) == newest.info.run_id]
-    assert len(children) == grown.runs  # seeds is a parameter, so it is another run, which has all of them
+    assert len(children) == grown.runs
 
 
 PARENT = "mlflow.parentRunId"

@@ -61,7 +61,7 @@ def test_a_disk_that_is_full_from_the_start_is_one_sentence(tmp_path):
         assert not list(disk.iterdir())
 
 
-@pytest.mark.thorough("pipelines/operations/tracking", "pipelines/sync.py")
+@pytest.mark.thorough("pipelines/operations/tracking", "pipelines/runs.py")
 def test_a_server_that_dies_costs_a_warning_and_gets_everything_later(endless, tmp_path):
     (tmp_path / "server").mkdir()
     database = f"sqlite:///{tmp_path}/server.db"
@@ -73,12 +73,12 @@ def test_a_server_that_dies_costs_a_warning_and_gets_everything_later(endless, t
     assert code == 130
     assert err.count("cannot be used") == 1
     assert len(pd.read_csv(tmp_path / "run" / "landmarks.csv")) == 40
-    (sync,) = re.findall(r"python -m pipelines\.(sync folder=\S+ uri=\S+)", out)
+    (sync,) = re.findall(r"python -m pipelines\.(runs sync=\S+ tracking\.uri=\S+)", out)
     refused = call(*sync.split(), settings=(), cwd=tmp_path)
     assert refused.returncode == 1
     assert "cannot be used" in refused.stderr
     with mlflow_server(database, tmp_path / "server") as again:
-        done = call(*sync.split(), f"uri={again}", settings=(), cwd=tmp_path)
+        done = call(*sync.split(), f"tracking.uri={again}", settings=(), cwd=tmp_path)
         assert done.returncode == 0, done.stderr
         client = MlflowClient(tracking_uri=again)
         (kept,) = client.search_runs([client.get_experiment_by_name("lmd").experiment_id])
@@ -86,4 +86,4 @@ def test_a_server_that_dies_costs_a_warning_and_gets_everything_later(endless, t
         assert kept.data.metrics["fitness"] == metrics_in(tmp_path / "run")["fitness"]
         files = {file.path for file in client.list_artifacts(kept.info.run_id)}
         assert {"landmarks.csv", "metrics.json", "scene.png"} <= files
-    assert "nothing to hand in" in call("sync", "folder=.", settings=(), cwd=tmp_path).stdout
+    assert "nothing to hand in" in call("runs", "sync=.", settings=(), cwd=tmp_path).stdout

@@ -4,7 +4,6 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from omegaconf import OmegaConf
@@ -12,13 +11,11 @@ from omegaconf import OmegaConf
 import pipelines.app
 from lmd.core.checks import InputError
 from lmd.optimisers.checkpoint import CHECKPOINT_FILE
-from pipelines import compose
 from pipelines.app import _Unread
+from pipelines.composing import key_and_value, quoted
 from pipelines.operations.sweeps.folder import Job, JobFolder, Sweep, SweepFolder, reason_of
 from pipelines.operations.sweeps.names import job_folder, slug, varied_keys
 from pipelines.outputs import RunDirectory, held
-from pipelines.overrides import key_and_value, quoted
-from pipelines.tracked_run import dataset_of
 
 
 def test_names():
@@ -43,26 +40,6 @@ def test_names():
 )
 def test_a_reason_is_one_line(error, reason):
     assert reason_of(error) == reason
-
-
-def test_a_job_is_read_back_as_it_was_written(tmp_path):
-    job = Job("table2", "abc", 3, ("optimiser=ega",), {"optimiser": "ega"}, "finished", 0.5, "", 2.0)
-    folder = JobFolder(tmp_path)
-    assert folder.load() is None
-    folder.save(job)
-    assert folder.load() == job
-    assert [path.name for path in tmp_path.iterdir()] == ["job.json"]
-
-
-def test_a_sweep_lists_its_jobs_in_their_order(tmp_path):
-    folder, sweep = SweepFolder(tmp_path / "seed"), Sweep("seed", ("seed",), None)
-    folder.save(sweep)
-    for number, name in ((1, "a"), (0, "b")):
-        (folder.path / name).mkdir()
-        JobFolder(folder.path / name).save(Job("seed", None, number, (), {}))
-    (folder.path / "notes").mkdir()
-    assert folder.load() == sweep
-    assert [(found.name, job.number) for found, job in folder.jobs()] == [("b", 0), ("a", 1)]
 
 
 def test_a_sweep_lists_what_was_asked_last_and_what_had_finished_before(tmp_path):
@@ -124,10 +101,3 @@ def test_a_folder_is_held_by_one_process_and_the_child_that_inherits_it(tmp_path
     child.communicate(b"\n")
     with held(tmp_path, wait=False) as second:
         assert second is not None
-
-
-def test_commands_with_the_same_problem_have_one_digest(monkeypatch):
-    monkeypatch.setattr("pipelines.tracked_run.choices", dict)
-    problem = SimpleNamespace(count=40, objective=SimpleNamespace(name="n=2"))
-    every = {dataset_of(compose(command, "tracking=none"), problem).digest for command in ("optimise", "evaluate")}
-    assert len(every) == 1

@@ -1,4 +1,4 @@
-"""Results that a run keeps however it is stopped; tested in process."""
+"""Results that a run keeps however it is stopped; commands run in this process."""
 
 import csv
 import errno
@@ -6,86 +6,80 @@ import json
 import signal
 import time
 
-import numpy as np
 import pytest
-from omegaconf import OmegaConf
-from small import problem
+from processes import inside
 
 from lmd.optimisers.base import Optimiser
 from lmd.optimisers.checkpoint import CHECKPOINT_FILE, Checkpoint
-from lmd.optimisers.ega import EGA
 from lmd.optimisers.ledger import Budget
-from pipelines import outputs, progress, tracked_run
+from pipelines import outputs, progress
 from pipelines.operations.signals import Stopped
-from pipelines.operations.tracking.tracker import NoTracker
+from pipelines.operations.tracking import NoTracker
 
-CFG = OmegaConf.create({"seed": 0, "validate": True, "picture": True, "page": False})
-
-
-@pytest.fixture(name="found")
-def _found(tmp_path, monkeypatch):
-    """A run that has spent its budget: its problem, result and keyword arguments of `record`."""
-    monkeypatch.setattr(tracked_run, "run_directory", lambda: tmp_path)
-    monkeypatch.setattr(tracked_run, "choices", dict)
-    p, optimiser = problem(), EGA()
-    result = optimiser.run(p, Budget(60))
-    Checkpoint(optimiser, {}).save(tmp_path)
-    return p, result, {"subject": "ega", "summary": {"evaluations": result.evaluations}}
+SMALL = ("room.spacing=2", "objective.thold_p=0.1", "objective.n=1", "deployment.count=6", "optimiser=ega",
+         "budget.evaluations=60", "tracking=none", "hydra.run.dir=run")  # fmt: skip
+KEPT = {"landmarks.csv", "metrics.json", "history.csv", CHECKPOINT_FILE}
+DRAWN = {"room.png", ".hydra"}
+pytestmark = pytest.mark.slow
 
 
-def record(found, **others):
-    p, result, arguments = found
-    return tracked_run.record(CFG, p, NoTracker(), result.deployment, result.history, **(arguments | others))
+@pytest.fixture(name="ended")
+def _ended(monkeypatch):
+    """How the tracked run ends."""
+    statuses = []
+    monkeypatch.setattr(NoTracker, "finish", lambda _, status, *__: statuses.append(status))
+    return statuses
+
+
+def run(cwd, *overrides):
+    return inside("optimise", *SMALL, *overrides, cwd=cwd, settings=())
+
+
+def left(cwd):
+    return {path.name for path in (cwd / "run").iterdir()} - DRAWN
 
 
 def told_to_stop(*_, **__):
     raise Stopped(signal.SIGTERM)
 
 
-@pytest.mark.parametrize("where", ["further", "causes", "validation_metrics", "write_pictures"])
-def test_a_run_that_is_stopped_while_it_writes_keeps_all_that_cannot_be_had_again(found, where, tmp_path, monkeypatch):
-    monkeypatch.setattr(tracked_run, where, told_to_stop, raising=False)
-    with pytest.raises(Stopped):
-        record(found, **({"further": told_to_stop} if where == "further" else {}), summary={"stopped": "interrupted"})
-    assert {"landmarks.csv", "metrics.json", "history.csv", CHECKPOINT_FILE} == {
-        path.name for path in tmp_path.iterdir()
-    }
-    with (tmp_path / "history.csv").open() as file:
+@pytest.mark.parametrize(
+    "where", ["lmd.evaluation.verdicts.causes", "lmd.evaluation.validation.validation_metrics"],
+)  # fmt: skip
+def test_a_run_that_is_stopped_while_it_scores_keeps_all_that_cannot_be_had_again(where, ended, tmp_path, monkeypatch):
+    monkeypatch.setattr(where, told_to_stop)
+    done = run(tmp_path)
+    assert left(tmp_path) == KEPT
+    with (tmp_path / "run" / "history.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert float(rows[-1]["best_fitness"]) == found[1].fitness
-    assert int(rows[-1]["evaluations"]) == 60
+    figures = json.loads((tmp_path / "run" / "metrics.json").read_text())
+    assert (float(rows[-1]["best_fitness"]), rows[-1]["evaluations"]) == (figures["fitness"], "60")
+    assert ended == ["FINISHED"]  # it has spent its budget
+    again = "told to stop, it has left out the rest; to draw and write again: python -m pipelines.evaluate run="
+    assert again in done.stderr
 
 
-def test_a_run_that_spent_its_budget_is_finished_though_it_is_stopped_while_it_draws(
-    found, tmp_path, monkeypatch, capsys
-):
-    monkeypatch.setattr(tracked_run, "write_pictures", told_to_stop)
-    monkeypatch.setattr(tracked_run, "command_line", lambda *_: "again")
-    ended = []
-    monkeypatch.setattr(NoTracker, "finish", lambda _, status, *__: ended.append(status))
-    assert record(found)["fitness"] == found[1].fitness
-    assert ended == ["FINISHED"]
-    assert "warning: told to stop, it has left out pictures; to draw and write again: again" in capsys.readouterr().err
-    assert "validation" in json.loads((tmp_path / "metrics.json").read_text())
+def test_a_run_that_is_stopped_while_it_draws_has_its_figures(ended, tmp_path, monkeypatch):
+    monkeypatch.setattr("lmd.plot.scenes.save_scene_figure", told_to_stop)
+    done = run(tmp_path)
+    assert (ended, left(tmp_path)) == (["FINISHED"], KEPT)
+    assert "validation" in json.loads((tmp_path / "run" / "metrics.json").read_text())
+    assert "it has left out the rest" in done.stderr
 
 
-def test_a_disk_that_is_full_by_then_takes_nothing_back(found, tmp_path, monkeypatch, capsys):
+def test_a_disk_that_is_full_by_then_takes_nothing_back(ended, tmp_path, monkeypatch):
     write = outputs.all_or_none
 
     def full(directory, fill):
-        if (tmp_path / "history.csv").exists():
+        if (tmp_path / "run" / "history.csv").exists():
             raise OSError(errno.ENOSPC, "No space left on device")
         return write(directory, fill)
 
     monkeypatch.setattr(outputs, "all_or_none", full)
-    monkeypatch.setattr(tracked_run, "command_line", lambda *_: "again")
-    record(found)
-    assert {"landmarks.csv", "metrics.json", "history.csv", CHECKPOINT_FILE} == {
-        path.name for path in tmp_path.iterdir()
-    }
-    assert capsys.readouterr().err.startswith(
-        "warning: metrics.json has no validation (No space left on device); scene.png could not be written (No space"
-    )
+    done = run(tmp_path)
+    assert (ended, left(tmp_path)) == (["FINISHED"], KEPT)
+    for name in ("metrics.json", "scene.png", "convergence.png"):
+        assert f"{name} could not be written (No space left on device)" in done.stderr
 
 
 def test_a_method_that_cannot_be_checkpointed_is_named_when_the_run_starts(tmp_path, capsys):
@@ -105,19 +99,6 @@ def test_a_method_that_cannot_be_checkpointed_is_named_when_the_run_starts(tmp_p
     shown.close()
     assert "warning" not in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("weight", [1.0, 3.0])
-def test_the_fitness_is_printed_where_positions_differ_in_their_relevance(weight, found, monkeypatch, capsys):
-    monkeypatch.setattr(tracked_run, "validation_metrics", lambda *_, **__: {})
-    p, result, arguments = found
-    p.relevance = np.where(np.arange(len(p.relevance)) == 0, weight, p.relevance)
-    p.fitness_relevance = p.relevance
-    record((p, result, arguments))
-    fitness = p.fitness_of(result.deployment)
-    weighted = ", in which positions count by their relevance" if weight != 1.0 else ""
-    first = capsys.readouterr().out.splitlines()[0].split(maxsplit=1)
-    assert first == ["fitness", f"{fitness:.2%}, the qualified ratio{weighted}"]
 
 
 def test_a_step_is_shown_with_its_parts_once_it_takes_long(monkeypatch, capsys):

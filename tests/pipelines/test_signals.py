@@ -117,11 +117,11 @@ def test_a_database_is_never_left_locked(stop, tmp_path, monkeypatch):
     assert run.info.status == "KILLED"
 
 
-@pytest.mark.parametrize("asked", [("folder=.",), ("--help",), ("--cfg", "job")])
+@pytest.mark.parametrize("asked", [("sync=.",), ("--help",), ("--cfg", "job")])
 def test_who_reads_no_further_costs_no_traceback(asked, tmp_path):
     reading, writing = os.pipe()
     os.close(reading)
-    line = command("sync", *asked, settings=())
+    line = command("runs", *asked, settings=())
     process = start(line, cwd=tmp_path, stdout=writing, stderr=subprocess.PIPE, fresh=True)
     os.close(writing)
     _, told = process.communicate(timeout=LIMIT)

@@ -2,21 +2,14 @@
 
 from pipelines.operations.sweeps.folder import Job, JobFolder, Sweep
 from pipelines.operations.sweeps.names import short_name
-from pipelines.operations.sweeps.summary import (
-    best_and_median,
-    by_group,
-    description,
-    draw_groups,
-    pivot,
-    why_nothing,
-)
+from pipelines.operations.sweeps.summary import Outcome, best_group, by_group, draw_groups, why_nothing
 
 
 def job(fitness=None, off_grid=None, **varied):
     varied = {key.replace("__", "."): value for key, value in varied.items()}
     status = "failed" if fitness is None else "finished"
     figures = {key: value for key, value in {"fitness": fitness, "off_grid": off_grid}.items() if value is not None}
-    return JobFolder("job"), Job("s", None, 0, (), varied, status), figures
+    return Outcome(JobFolder("job"), Job("s", None, 0, (), varied, status), figures)
 
 
 SEEDS = [job(0.5, optimiser="ega", seed="0"), job(0.7, optimiser="ega", seed="1"), job(0.6, optimiser="sga", seed="0"),
@@ -35,24 +28,20 @@ def test_jobs_that_differ_in_their_seed_are_one_group():
         "| sga | 1 of 2 | 60.00% | 60.00% |",
     ]
     assert by_group(OVER_SEEDS, SEEDS).splitlines() == table
-    told = description(OVER_SEEDS, SEEDS, 6).splitlines()
-    best = "best: `optimiser=ega`: 60.00%, the median of 2 jobs"
-    assert told[0] == f"3 of 6 jobs finished; {best}; by group: artifact `by_group.md`"
-    assert told[2:] == ["varies: `optimiser` (2 values), `seed` (2 values)", "", *table]
 
 
 def test_figures_are_over_seeds_alone():
-    assert best_and_median(Sweep("s", ("seed",), None), [job(0.5, seed="0"), job(0.7, seed="1")]) == {
+    assert best_group(Sweep("s", ("seed",), None), [job(0.5, seed="0"), job(0.7, seed="1")]) == {
         "best/fitness": 0.7,
         "median/fitness": 0.6,
     }
-    assert best_and_median(OVER_SEEDS, SEEDS) == {"best/fitness": 0.7, "median/fitness": 0.6}  # of ega, the best
-    assert best_and_median(OVER_PAIRS, PAIRS) == {}
+    assert best_group(OVER_SEEDS, SEEDS) == {"best/fitness": 0.7, "median/fitness": 0.6}  # of ega, the best
+    assert best_group(OVER_PAIRS, PAIRS) == {}
 
 
 def test_a_sweep_without_coverage_names_the_criterion_that_excludes_most():
     criteria = {"covered": 0.001, "focus_met": 0.1, "covered_without_focus": 0.2, "covered_without_field_of_view": 0.3}
-    nothing = [(folder, done, {**figures, "criteria": criteria}) for folder, done, figures in [job(0.0, seed="0")]]
+    nothing = [each._replace(figures={**each.figures, "criteria": criteria}) for each in [job(0.0, seed="0")]]
     excluded = "field of view excludes most: without it 30.00% of single landmarks would be covered, with it 0.10%"
     assert why_nothing(nothing) == f"no job qualifies any position; {excluded}"
     assert why_nothing([job(0.0, seed="0")]) == "no job qualifies any position"  # a model without verdicts
@@ -61,7 +50,7 @@ def test_a_sweep_without_coverage_names_the_criterion_that_excludes_most():
 
 
 def test_the_picture_of_groups_is_of_finished_searches(tmp_path):
-    found = [(JobFolder(tmp_path / str(i)), done, figures) for i, (_, done, figures) in enumerate(SEEDS)]
+    found = [each._replace(folder=JobFolder(tmp_path / str(i))) for i, each in enumerate(SEEDS)]
     assert draw_groups(tmp_path / "groups.png", OVER_SEEDS, found) == []
     for folder, _, figures in found[:3]:
         folder.path.mkdir()
@@ -75,19 +64,20 @@ def test_the_picture_of_groups_is_of_finished_searches(tmp_path):
 def test_no_group_is_the_best_of_several_problems():
     for key in ("experiment", "room", "run", "objective.thold_p", "deployment.count", "deployment.fixed"):
         of_both = [job(0.5, **{key.replace(".", "__"): value}) for value in ("debug", "hall")]
-        assert description(Sweep("s", (key,), None), of_both, 2).startswith("2 of 2 jobs finished; by group")
-    (start,) = description(Sweep("s", ("deployment",), None), [job(0.5, deployment="uniform")], 1).splitlines()[:1]
-    assert "best: `deployment=uniform`: 50.00%, one job" in start
+        assert best_group(Sweep("s", (key,), None), of_both) == {}
+    alone = [job(0.5, deployment="uniform")]
+    assert best_group(Sweep("s", ("deployment",), None), alone) == {"best/fitness": 0.5, "median/fitness": 0.5}
 
 
 def test_a_pivot_has_the_method_across_and_the_problem_down():
-    assert pivot(OVER_PAIRS, PAIRS).splitlines() == [
+    assert by_group(OVER_PAIRS, PAIRS).splitlines()[:6] == [
+        "Medians over seeds, on the grid and off it:",
+        "",
         "| objective.n | optimiser=ega | optimiser=sga |",
         "| --- | --- | --- |",
         "| 2 | 0.00% (0.00% off the grid) | 20.00% (0.00% off the grid) |",
         "| 3 | 10.00% (10.00% off the grid) | 30.00% (10.00% off the grid) |",
     ]
-    assert pivot(OVER_SEEDS, SEEDS) == ""
 
 
 def test_the_name_of_a_run_begins_with_what_varies():

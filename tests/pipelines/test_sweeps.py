@@ -1,164 +1,216 @@
 """Sweeps as a user meets them: what they leave, what a failing job does to the others, and doing what is missing."""
 
-import base64
 import json
+import os
 import re
-import zlib
+import signal
+import subprocess
+import time
 
 import pandas as pd
 import pytest
-from faulty_sweeps import prepared, runs, statuses, sweep, table, told_by
+from faulty_sweeps import PARENT, found_in, prepared, runs, start_sweep, statuses, sweep, table, told_by
 from mlflow import MlflowClient
 from processes import call
 
 pytestmark = pytest.mark.slow
+QUICK = ("localisation=false", "losses=false")
+THOROUGH = pytest.mark.thorough("pipelines/operations")
+REASONS = {
+    "none": None,
+    "raise": "ValueError: no such luck",
+    "exit": "exited with code 3 before it had finished",
+    "kill": "killed by SIGKILL",
+}
 
 
 @pytest.fixture(scope="module")
 def faulty(tmp_path_factory):
     """A sweep of four jobs under joblib, three of which fail."""
     cwd = prepared(tmp_path_factory.mktemp("faulty"))
-    return cwd, sweep(cwd, "none,raise,exit,kill", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
-
-
-def test_failing_jobs_do_not_lose_the_others_and_the_sweep_names_them(faulty):
-    cwd, done = faulty
-    assert done.returncode == 1
-    assert "1 of 4 jobs finished" in done.stdout
-    assert "failed: optimiser.fault=raise: ValueError: no such luck" in done.stderr
-    assert "failed: optimiser.fault=exit: exited with code 3 before it had finished" in done.stderr
-    assert "killed: optimiser.fault=kill: killed by SIGKILL" in done.stderr
-    rows = table(cwd)
-    assert rows.status.to_dict() == {"none": "finished", "raise": "failed", "exit": "failed", "kill": "killed"}
-    assert rows.qualified_ratio.notna().to_dict() == {"none": True, "raise": False, "exit": False, "kill": False}
-    left = json.loads((cwd / "outputs/optimise_sweep" / folder(cwd) / rows.folder["none"] / "metrics.json").read_text())
-    assert left["qualified_ratio"] == rows.qualified_ratio["none"]
+    return cwd, sweep(cwd, ",".join(REASONS), "hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
 
 
 def artifacts(client, run):
     return [file.path for file in client.list_artifacts(run.info.run_id)]
 
 
-def folder(cwd):
-    (path,) = (cwd / "outputs" / "optimise_sweep").iterdir()
-    return path.name
-
-
-def test_a_pipeline_without_threads_is_swept_under_joblib_too(tmp_path):
-    overrides = ("hydra.mode=MULTIRUN", "simulate={}", "seed=1", "tracking=none", "hydra/launcher=joblib")
-    done = call("estimate_pdf", *overrides, cwd=tmp_path, settings=())
-    assert done.returncode == 0, done.stderr
-    (table,) = tmp_path.glob("outputs/estimate_pdf_sweep/*/jobs.csv")
-    assert pd.read_csv(table).status.tolist() == ["finished"]
+def test_failing_jobs_do_not_lose_the_others_and_the_sweep_names_them(faulty):
+    cwd, done = faulty
+    assert done.returncode == 1
+    assert "1 of 4 jobs finished" in done.stdout
+    for fault, reason in REASONS.items():
+        said = f"{'killed' if fault == 'kill' else 'failed'}: optimiser.fault={fault}: {reason}"
+        assert (said in done.stderr) == (fault != "none")
+    rows = table(cwd)
+    assert rows.status.to_dict() == {"none": "finished", "raise": "failed", "exit": "failed", "kill": "killed"}
+    assert rows.qualified_ratio.notna().to_dict() == {fault: fault == "none" for fault in REASONS}
+    (output,) = cwd.glob("outputs/optimise_sweep/*/fault-none_*/output.log")
+    assert "threads 1 1 1\n" in output.read_text()  # jobs share the machine
 
 
 def test_a_sweep_is_one_parent_run_with_a_child_for_each_job(faulty):
     cwd, done = faulty
-    out = done.stdout
     parent, children = runs(cwd)
-    assert parent.info.run_name.startswith("fault ")
+    assert parent.info.run_name.startswith("fault spacing=1.5 ")
     assert parent.info.run_name.endswith(f" count=20 evaluations=400 optimiser=faulty #{parent.info.run_id[:4]}")
-    assert (parent.data.params["optimiser"], parent.data.params["objective.n"]) == ("faulty", "2")
-    assert "optimiser.fault" not in parent.data.params
     told = told_by(parent)
-    figure = f"{table(cwd).qualified_ratio['none']:.2%}"
-    best = f"1 of 4 jobs finished; best: `fault=none`: {figure}, one job; by group: artifact `by_group.md`"
-    assert told.startswith(f"**FAILED**: 3 of 4 jobs failed\n\n{best}\n\nvaries: `optimiser.fault` (4 values)\n")
+    assert told.startswith("**FAILED**: 3 of 4 jobs failed\n\n1 of 4 jobs finished\n\n| optimiser.fault |")
     assert re.search(r"\n\| none \| 1 of 1 \| [\d.]+% \| [\d.]+% \|\n\| raise \| 0 of 1 \|  \|  \|\n", told)
-    assert parent.info.status == "FAILED"
-    assert parent.data.tags["reason"] == "3 of 4 jobs failed"
-    assert parent.data.tags["override.optimiser.fault"] == "none,raise,exit,kill"
+    assert (parent.info.status, parent.data.tags["reason"]) == ("FAILED", "3 of 4 jobs failed")
     assert (parent.data.metrics["jobs"], parent.data.metrics["failed"]) == (4.0, 3.0)
     assert parent.data.metrics["median/qualified_ratio"] == table(cwd).qualified_ratio["none"]  # of the best group
     client = MlflowClient(tracking_uri=f"sqlite:///{cwd}/store.db")
     assert artifacts(client, parent) == ["by_group.md", "groups.png", "jobs.csv"]
-    assert f"/runs/{parent.info.run_id}?workflowType=machine_learning" in out
     for mode in ("TABLE", "CHART"):  # views of the jobs, grouped by what varies
-        assert (
-            f"/runs?workflowType=machine_learning&compareRunsMode={mode}&viewStateShareKey={parent.info.run_id}" in out
-        )
-    shared = client.get_experiment("1").tags[f"mlflow.sharedViewState.{parent.info.run_id}"]
-    view = json.loads(zlib.decompress(base64.b64decode(shared.removeprefix("deflate;"))))
-    assert view["groupBy"]["groupByKeys"] == [{"mode": "param", "groupByData": "optimiser.fault"}]
-    assert view["columnOrder"][1:4] == ["params.`optimiser.fault`", "params.`seed`", "metrics.`off_grid`"]
-    assert view["selectedColumns"] == view["columnOrder"][1:]
+        assert f"&compareRunsMode={mode}&viewStateShareKey={parent.info.run_id}" in done.stdout
+    assert f"mlflow.sharedViewState.{parent.info.run_id}" in client.get_experiment("1").tags
     assert statuses(children) == {"none": ["FINISHED"], "raise": ["FAILED"], "exit": ["FAILED"], "kill": ["FAILED"]}
-    reasons = {fault: found[0].data.tags.get("reason") for fault, found in children.items()}
-    assert reasons == {
-        "none": None,
-        "raise": "ValueError: no such luck",
-        "exit": "exited with code 3 before it had finished",
-        "kill": "killed by SIGKILL",
-    }
-
-
-def test_a_child_says_what_it_is(faulty):
-    cwd, _ = faulty
-    _, children = runs(cwd)
-    (child,) = children["none"]
-    assert child.info.run_name.startswith("fault=none faulty ")
-    assert child.info.run_name.endswith(f" count=20 evaluations=400 #{child.info.run_id[:4]}")
-    assert children["kill"][0].info.run_name.startswith(("fault=kill faulty", "fault=kill killed"))
-    assert {found[0].data.params["deployment.count"] for found in children.values()} == {"20"}  # of failed jobs, too
-    tags, params = child.data.tags, child.data.params
-    assert (tags["sweep"], tags["pipeline"], tags["choice.optimiser"]) == ("optimiser.fault", "optimise", "faulty")
-    assert tags["job"] == table(cwd).folder["none"]
-    assert tags["override.deployment.count"] == params["deployment.count"] == "20"
-    assert (params["optimiser"], params["optimiser.fault"]) == ("faulty", "none")
-    client = MlflowClient(tracking_uri=f"sqlite:///{cwd}/store.db")
+    assert {fault: found[0].data.tags.get("reason") for fault, found in children.items()} == REASONS
     assert all("output.log" in artifacts(client, found[0]) for found in children.values())
-    curve = client.get_metric_history(child.info.run_id, "best_fitness")
-    assert [point.step for point in curve][:6] == [1, 2, 4, 5, 8, 10]
-    assert {point.value for point in curve} == {curve[0].value}  # nothing is better than the first evaluation
-
-
-def test_jobs_that_share_a_machine_have_one_thread_each(faulty):
-    cwd, _ = faulty
-    (output,) = cwd.glob("outputs/optimise_sweep/*/fault-none_*/output.log")
-    assert "threads 1 1 1\n" in output.read_text()
+    assert {found[0].data.params["deployment.count"] for found in children.values()} == {"20"}  # of failed jobs, too
+    (child,) = children["none"]
+    assert child.info.run_name.startswith("fault=none faulty spacing=1.5 ")
+    tags = child.data.tags
+    assert (tags["sweep"], tags["pipeline"], tags["job"]) == ("optimiser.fault", "optimise", table(cwd).folder["none"])
+    assert not re.search("run.dir|resume", tags["command"])  # repeated by hand it writes to no folder of the sweep
 
 
 def test_the_same_sweep_again_does_only_what_is_missing(faulty):
     cwd, _ = faulty
-    untouched = table(cwd).folder["none"]
-    before = (cwd / "outputs/optimise_sweep" / folder(cwd) / untouched / "metrics.json").stat().st_mtime_ns
+    (folder,) = (cwd / "outputs" / "optimise_sweep").iterdir()
+    untouched = folder / table(cwd).folder["none"] / "metrics.json"
+    before = untouched.stat().st_mtime_ns
     (cwd / "repaired").touch()
-    damaged = cwd / "outputs/optimise_sweep" / folder(cwd) / table(cwd).folder["raise"] / "job.json"
+    damaged = folder / table(cwd).folder["raise"] / "job.json"
     damaged.write_text(damaged.read_text()[:100])
-    again = sweep(cwd, "none,raise,exit,kill")
+    again = sweep(cwd, ",".join(REASONS))
     assert again.returncode == 0, again.stderr
     assert f"warning: {damaged.relative_to(cwd)} is damaged (JSONDecodeError" in again.stderr
     assert "going on after 1 finished jobs" in again.stdout
     assert "done already: optimiser.fault=none" in again.stdout
     assert again.stdout.count("finished in") == 3
     assert (table(cwd).status == "finished").all()
-    assert (cwd / "outputs/optimise_sweep" / folder(cwd) / untouched / "metrics.json").stat().st_mtime_ns == before
+    assert untouched.stat().st_mtime_ns == before
     parent, children = runs(cwd)
-    assert parent.info.status == "FINISHED"
-    assert "reason" not in parent.data.tags
-    assert statuses(children)["none"] == ["FINISHED"]
-    assert statuses(children) == {key: ["FINISHED"] for key in ("none", "raise", "exit", "kill")}  # none of before
+    assert (parent.info.status, "reason" in parent.data.tags) == ("FINISHED", False)
+    assert statuses(children) == {fault: ["FINISHED"] for fault in REASONS}  # none of the attempts before
 
 
-def test_glob_finds_what_the_command_line_adds_and_the_command_of_a_job_names_no_folder_of_the_sweep(tmp_path):
-    (tmp_path / "mine" / "optimiser").mkdir(parents=True)
-    for name, target in {"x_one": "random_search.RandomSearch", "x_two": "sga.SGA"}.items():
-        (tmp_path / "mine" / "optimiser" / f"{name}.yaml").write_text(f"_target_: lmd.optimisers.{target}\n")
-    store = f"tracking.uri=sqlite:///{tmp_path}/store.db"
-    added = ("hydra.mode=MULTIRUN", f"hydra.searchpath=[file://{tmp_path}/mine]", "budget.evaluations=40", store)
-    done = call("optimise", *added, "optimiser=glob(x_*)", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "2 of 2 jobs finished" in done.stdout
-    found = MlflowClient(tracking_uri=f"sqlite:///{tmp_path}/store.db").search_runs(["1"], "tags.job != ''")
-    commands = [run.data.tags["command"] for run in found]
-    assert sorted(re.search(r"optimiser=(\S+)", command)[1] for command in commands) == ["x_one", "x_two"]
-    assert not any("run.dir" in command or "resume" in command for command in commands)
-    assert all("hydra.mode=RUN" in command for command in commands)
+def sweep_n(cwd, values):
+    overrides = ("hydra.mode=MULTIRUN", f"objective.n={values}", "validate=true", "tracking.uri=sqlite:///store.db")
+    return call("evaluate", *overrides, *QUICK, cwd=cwd)
 
 
-@pytest.mark.parametrize("nothing", ["optimiser=glob(zz_*)", "seed=range(3,3)"])
-def test_a_sweep_without_jobs_is_refused(nothing, tmp_path):
-    done = call("optimise", "hydra.mode=MULTIRUN", nothing, "tracking=none", cwd=tmp_path)
+def test_a_sweep_grows_by_values_without_the_one_that_is_refused(tmp_path):
+    done = sweep_n(tmp_path, "2,500")
     assert done.returncode == 1
-    assert f"error: {nothing} has no values, so that there is nothing to run." in done.stderr
-    assert not list(tmp_path.glob("outputs/*/*"))
+    assert "objective.n = 500 exceeds the number of landmarks, 90" in done.stderr
+    grown = sweep_n(tmp_path, "3,2")
+    assert grown.returncode == 0, grown.stderr
+    assert "going on after 1 finished jobs" in grown.stdout
+    assert re.search(r"^finished in \d+ s: objective.n=3: [\d.]+% on the grid, [\d.]+% off it$", grown.stdout, re.M)
+    assert grown.stdout.count("done already: objective.n=2") == 1
+    (table,) = tmp_path.glob("outputs/evaluate_sweep/*/jobs.csv")
+    rows = pd.read_csv(table)
+    assert rows["objective.n"].tolist() == [3, 2]  # those of the last command in its order; 500 is asked no more
+    figures = [json.loads((table.parent / name / "metrics.json").read_text()) for name in rows.folder]
+    assert rows.off_grid.tolist() == [metrics["off_grid"] for metrics in figures]
+    (parent,) = [run for run in found_in(tmp_path) if PARENT not in run.data.tags]
+    assert (parent.info.status, parent.data.metrics["jobs"]) == ("FINISHED", 2.0)
+    assert "best/off_grid" not in parent.data.metrics  # each was of another problem
+
+
+def test_a_sweep_that_cannot_be_composed_leaves_nothing(tmp_path):
+    done = call("optimise", "hydra.mode=MULTIRUN", "optimiser=ega,egg", "tracking.uri=sqlite:///store.db", cwd=tmp_path)
+    assert done.returncode == 1
+    assert "Could not find 'optimiser/egg'" in done.stderr
+    assert not list((tmp_path / "outputs" / "optimise_sweep").iterdir())
+    assert not MlflowClient(tracking_uri=f"sqlite:///{tmp_path}/store.db").search_runs(["1"])
+
+
+def test_a_stored_sweep_can_be_narrowed_and_a_changed_file_makes_another_sweep(tmp_path):
+    quick = ("tracking=none", *QUICK)
+    done = call("evaluate", "experiment=table2_baselines", "seed=0", "deployment=uniform", *quick, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    (landmarks,) = tmp_path.glob("outputs/evaluate_sweep/table2_baselines-*/*/landmarks.csv")
+    (tmp_path / "mine.csv").write_bytes(landmarks.read_bytes())
+    for count in (1, 2):
+        done = call("evaluate", "experiment=table3", "deployment.path=mine.csv", *quick, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert len(list(tmp_path.glob("outputs/evaluate_sweep/table3-*"))) == count
+        (tmp_path / "mine.csv").write_text("\n".join((tmp_path / "mine.csv").read_text().splitlines()[:-1]) + "\n")
+    for jobs in tmp_path.glob("outputs/evaluate_sweep/table3-*/jobs.csv"):
+        rows = pd.read_csv(jobs)
+        assert rows["objective.n"].tolist() == [2, 3, 4]  # thold_p is given on the command line
+        assert rows.average_coverage_probability.is_monotonic_decreasing
+
+
+@pytest.fixture
+def work(tmp_path):
+    return prepared(tmp_path)
+
+
+def test_a_sweep_killed_with_its_job_goes_on_with_what_is_missing(work):
+    process = start_sweep(work, "none,slow")
+    process.kill()
+    os.kill(int((work / "pid").read_text()), signal.SIGKILL)
+    process.communicate(timeout=60)
+    parent, children = runs(work)
+    assert parent.info.status == "RUNNING"
+    assert statuses(children) == {"none": ["FINISHED"], "slow": ["RUNNING"]}
+
+    (work / "repaired").touch()
+    again = sweep(work, "none,slow")
+    assert again.returncode == 0, again.stderr
+    assert "done already: optimiser.fault=none" in again.stdout
+    parent, children = runs(work)
+    assert parent.info.status == "FINISHED"
+    assert statuses(children) == {"none": ["FINISHED"], "slow": ["FINISHED"]}
+
+
+@THOROUGH
+def test_the_jobs_of_a_sweep_that_is_killed_under_joblib_stop(work):
+    process = start_sweep(work, "slow", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2", tracking="tracking=none")
+    process.kill()
+    process.wait(timeout=60)
+    (record,) = work.glob("outputs/optimise_sweep/*/*/job.json")
+    deadline = time.monotonic() + 60
+    while (status := json.loads(record.read_text())["status"]) == "running" and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert status == "interrupted"
+
+
+def test_an_interrupted_job_goes_on_from_its_checkpoint(work):
+    process = start_sweep(work, "slow,raise", "seed=0,1", stdout=subprocess.PIPE)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "0 of 1 jobs finished: " in out
+    sittings = [table(work).seconds["slow"]]
+    assert "the same command again does what is missing" in err
+    parent, children = runs(work)
+    assert (parent.info.status, parent.data.tags["reason"]) == ("KILLED", "the sweep was stopped")
+    (child,) = children["slow"]
+    assert child.info.status == "KILLED"
+    assert table(work).reason["slow"] == "the sweep was stopped"
+    assert 0 < child.data.metrics["evaluations"] < 400
+
+    (work / "repaired").touch()
+    again = sweep(work, "slow,raise", "seed=0,1")
+    assert again.returncode == 0, again.stderr
+    assert "4 of 4 jobs finished: " in again.stdout
+    _, children = runs(work)
+    assert statuses(children) == {"slow": ["FINISHED"] * 2, "raise": ["FINISHED"] * 2}
+    (whole,) = [run for run in children["slow"] if run.info.run_id == child.info.run_id]
+    assert whole.data.metrics["evaluations"] == 400
+    sittings += map(float, re.findall(r"finished in (\d+) s: optimiser.fault=slow seed=0", again.stdout))
+    assert table(work).query("seed == 0").seconds["slow"] == pytest.approx(sum(sittings), abs=0.6)
+
+
+@THOROUGH
+def test_a_job_killed_under_submitit_does_not_lose_the_others(work):
+    done = sweep(work, "none,kill", "hydra/launcher=submitit_local", tracking="tracking=none")
+    assert done.returncode == 1
+    assert "killed: optimiser.fault=kill: killed by SIGKILL" in done.stderr
+    assert table(work).status.to_dict() == {"none": "finished", "kill": "killed"}

@@ -1,4 +1,7 @@
+import base64
+import json
 import sqlite3
+import zlib
 from pathlib import Path
 
 import psutil
@@ -11,7 +14,7 @@ from recorded_runs import ANOTHER, started, stored
 
 from lmd.core.checks import InputError
 from pipelines.operations.sweeps.forks import context
-from pipelines.operations.tracking import MlflowReader, MlflowTracker, NoTracker, RunStart
+from pipelines.operations.tracking import Dataset, MlflowReader, MlflowTracker, NoTracker, RunStart
 from pipelines.operations.tracking.journal import GONE, is_gone, this_process
 from pipelines.operations.tracking.store import DESCRIPTION
 
@@ -112,29 +115,25 @@ def test_a_store_that_cannot_be_written_is_one_sentence(tmp_path, capfd):
     assert capfd.readouterr() == ("", "")
 
 
-def test_what_a_dead_process_left_running_is_ended(uri):
+def settled(uri, job, *arguments):
+    MlflowTracker(uri, "tests").settle(RunStart("b", Path("b"), {"seed": 3}, {"job": job}), *arguments)
+    client = MlflowClient(tracking_uri=uri)
+    return client.search_runs([client.get_experiment_by_name("tests").experiment_id], f"tags.job = '{job}'")
+
+
+def test_of_what_a_dead_process_left_the_newest_run_stays_and_is_ended(uri, folder):
     lost, other = started(uri, tags={"job": "a"}), started(uri, tags={"job": "b"})
-    over = started(uri, tags={"job": "a"})
-    over.finish("FINISHED")
     seen = started(uri, tags={"job": "a"})
     seen.finish("FAILED", GONE)  # as another run says of it
-    assert MlflowTracker(uri, "tests").end_lost({"job": "a"}, "killed by SIGKILL")
-    assert stored(lost).info.status == "FAILED"
-    assert stored(lost).data.tags["reason"] == stored(seen).data.tags["reason"] == "killed by SIGKILL"
+    (folder / "output.log").write_text("said")
+    (run,) = settled(uri, "a", "FAILED", "killed by SIGKILL", [folder / "output.log"])
+    assert (run.info.run_id, run.data.tags["reason"]) == (seen.run_id, "killed by SIGKILL")
+    assert [file.path for file in MlflowClient(tracking_uri=uri).list_artifacts(seen.run_id)] == ["output.log"]
+    assert (stored(lost).info.status, stored(lost).info.lifecycle_stage) == ("FAILED", "deleted")
     assert stored(other).info.status == "RUNNING"
-    assert stored(over).info.status == "FINISHED"
-    assert not MlflowTracker(uri, "tests").end_lost({"job": "c"}, "killed by SIGKILL")
-
-
-def test_a_continued_run_forgets_why_it_had_ended(uri):
-    first = started(uri, params={"seed": 0})
-    first.finish("FAILED", "killed by SIGKILL")
-    second = started(uri, run_id=first.run_id, params={"seed": 0})
-    second.log_metrics({"fitness": 1.0})
-    second.finish("FINISHED")
-    assert second.run_id == first.run_id
-    assert stored(second).info.status == "FINISHED"
-    assert "reason" not in stored(second).data.tags
+    (made,) = settled(uri, "c", "FAILED", "killed by SIGKILL")  # it began none
+    assert (made.info.status, made.data.params) == ("FAILED", {"seed": "3"})
+    assert settled(uri, "d", "FINISHED") == []
 
 
 @pytest.mark.parametrize("path", ["/proc/none/mlflow.db", "/proc/mlflow.db"])
@@ -181,12 +180,33 @@ def test_a_run_goes_on_only_where_it_stays_one_history(uri, folder):
     assert not tracker.goes_on(tracker.run_id, folder / "second", {"seed": 0})
 
 
-def test_an_experiment_opens_on_its_runs_and_there_is_no_empty_one(folder):
+def state_of(client, name="lmd"):
+    """The state of mlflow's page that a shared view has."""
+    shared = client.get_experiment_by_name("tests").tags[f"mlflow.sharedViewState.{name}"]
+    return json.loads(zlib.decompress(base64.b64decode(shared.removeprefix("deflate;"))))
+
+
+def test_the_pages_of_an_experiment_and_of_a_sweep_show_its_figures(folder):
     uri = f"sqlite:///{folder}/mlflow.db"
-    started(uri).finish("FINISHED")
-    (experiment,) = MlflowClient(tracking_uri=uri).search_experiments()
-    assert experiment.name == "tests"
-    assert experiment.tags["mlflow.experimentKind"] == "custom_model_development"
+    client, tracker = MlflowClient(tracking_uri=uri), started(uri)
+    assert {"metrics.`off_grid`", "metrics.`best/off_grid`", "params.`room`"} <= {*state_of(client)["selectedColumns"]}
+    table, charts = tracker.views(["optimiser"])
+    assert f"viewStateShareKey={tracker.run_id}" in table
+    assert "compareRunsMode=CHART" in charts
+    view = state_of(client, tracker.run_id)
+    assert view["groupBy"]["groupByKeys"] == [{"mode": "param", "groupByData": "optimiser"}]
+    assert view["columnOrder"][1:4] == ["params.`optimiser`", "params.`seed`", "metrics.`off_grid`"]
+    assert [chart["metricKey"] for chart in view["compareRunCharts"]] == ["best_fitness", "fitness", "off_grid"]
+    tracker.log_metrics({"tags": 3.0})
+    tracker.finish("FINISHED")
+    assert "metrics.`tags`" in state_of(client)["selectedColumns"]  # no figure of deployments
+
+
+def test_the_problem_of_a_run_is_a_dataset(uri):
+    tracker = started(uri, dataset=Dataset("hall n=2 K=40", "3f2a", {"room": "hall"}))
+    (given,) = stored(tracker).inputs.dataset_inputs
+    assert (given.dataset.name, given.dataset.digest) == ("hall n=2 K=40", "3f2a")
+    assert json.loads(given.dataset.profile) == {"room": "hall"}
 
 
 @pytest.mark.parametrize("uri", [None, 5, "", "sqlite:///"])
@@ -227,13 +247,6 @@ def test_what_was_recorded_can_be_read(recorded):
     assert runs.loc[ids[0], "metrics.qualified_ratio"] == 0.5
     assert runs["metrics.qualified_ratio"].isna()[ids[1]]
     assert reader.artifact(ids[0], "landmarks.csv").read_text() == "id\n"
-
-
-def test_more_runs_than_fit_a_page_are_read(recorded, monkeypatch):
-    uri, ids = recorded
-    search = MlflowClient.search_runs
-    monkeypatch.setattr(MlflowClient, "search_runs", lambda *args, **kwargs: search(*args, **kwargs, max_results=1))
-    assert list(MlflowReader(uri, "tests").runs().index) == ids
 
 
 def test_reading_makes_no_store_and_names_what_is_missing(recorded, tmp_path):

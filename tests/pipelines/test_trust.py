@@ -1,7 +1,6 @@
 """Commands run no code from untrusted folders or tracking stores, and checking these imports nothing."""
 
 import sys
-from contextlib import suppress
 from pathlib import Path
 
 import composing
@@ -10,7 +9,7 @@ from omegaconf import OmegaConf
 
 import pipelines.report
 from lmd.core.checks import InputError, printable
-from pipelines.earlier_run import read_earlier_run
+from pipelines.composing import FILES, GROUPS, _parts_of
 from pipelines.trust import Trust
 
 EVIL = """
@@ -55,12 +54,14 @@ def strangers(tmp_path, monkeypatch, composed):
     sys.modules.pop("evil", None)
 
 
-def told(capsys, monkeypatch, *arguments):
-    """What `run=DIR` says before Hydra begins; empty where it takes the run."""
+def told(monkeypatch, *arguments):
+    """What `run=DIR` says of a run; empty where it takes the run."""
     monkeypatch.setattr(sys, "argv", ["evaluate", "run=run", *arguments])
-    with suppress(SystemExit):
-        read_earlier_run()
-    return capsys.readouterr().err
+    try:
+        _parts_of(Path("run"), "run", GROUPS, FILES)
+    except InputError as error:
+        return f"error: {error}\n"
+    return ""
 
 
 TARGETS = {
@@ -88,10 +89,10 @@ TEXTS = {
 
 
 @pytest.mark.parametrize("changes", TARGETS | TEXTS)
-def test_a_run_of_a_stranger_runs_no_code(strangers, monkeypatch, capsys, changes):
+def test_a_run_of_a_stranger_runs_no_code(strangers, monkeypatch, changes):
     monkeypatch.setenv("SECRET", "sesame")
     strangers(changes)
-    error = told(capsys, monkeypatch)
+    error = told(monkeypatch)
     assert (TARGETS | TEXTS)[changes] in error
     assert error.startswith("error: run: 'run/.hydra/config.yaml': ")
     assert error.count("\n") == 1
@@ -133,79 +134,79 @@ def test_a_run_of_a_stranger_runs_no_code(strangers, monkeypatch, capsys, change
         ("- 1", "is no configuration"),
     ],
 )
-def test_what_hydra_has_not_written_is_refused(strangers, monkeypatch, capsys, text, message):
+def test_what_hydra_has_not_written_is_refused(strangers, monkeypatch, text, message):
     strangers(text=text)
-    error = told(capsys, monkeypatch)
+    error = told(monkeypatch)
     assert message in error
     assert error.count("\n") == 1
     assert not Path("imported").exists()
 
 
-def test_aliases_do_not_grow(strangers, monkeypatch, capsys):
+def test_aliases_do_not_grow(strangers, monkeypatch):
     """The deepest list has ten to the power of thirty entries."""
     levels = [f"- &l{i} [{', '.join([f'*l{i - 1}'] * 10) if i else 0}]" for i in range(30)]
     strangers(text="other:\n" + "\n".join(levels) + "\nroom: {size: *l29}")
-    assert "alias" in told(capsys, monkeypatch)
+    assert "alias" in told(monkeypatch)
 
 
-def test_a_run_without_code_of_others_is_taken(strangers, monkeypatch, capsys):
+def test_a_run_without_code_of_others_is_taken(strangers, monkeypatch):
     strangers("visibility: {_target_: lmd.sight.models.fiducial.Fiducial, tag: '${tag}', detector: '${.tag}'}")
-    assert told(capsys, monkeypatch) == ""
+    assert told(monkeypatch) == ""
 
 
-def test_a_group_may_name_what_its_nested_groups_name(strangers, monkeypatch, capsys):
+def test_a_group_may_name_what_its_nested_groups_name(strangers, monkeypatch):
     moving = "{_target_: lmd.estimation.flights.RandomMotion, duration: 1.0}"
     strangers(f"objective: {{trajectory: {moving}}}")
-    assert told(capsys, monkeypatch) == ""
+    assert told(monkeypatch) == ""
     strangers(f"visibility: {{trajectory: {moving}}}")
-    assert "would run code" in told(capsys, monkeypatch)
+    assert "would run code" in told(monkeypatch)
 
 
-def test_an_optimiser_of_ones_own_is_no_part_of_what_a_run_was_about(strangers, monkeypatch, capsys):
+def test_an_optimiser_of_ones_own_is_no_part_of_what_a_run_was_about(strangers, monkeypatch):
     strangers("{optimiser: {_target_: evil.Room}, tracking: {_target_: evil.Room}}")
-    assert told(capsys, monkeypatch) == ""
+    assert told(monkeypatch) == ""
     assert "evil" not in sys.modules
 
 
 @pytest.mark.parametrize("trust", ["trust=[evil]", "+trust=evil", "trust=[evil.Room,os]"])
-def test_a_package_that_is_trusted_may_be_named_but_not_walked_through(strangers, monkeypatch, capsys, trust):
+def test_a_package_that_is_trusted_may_be_named_but_not_walked_through(strangers, monkeypatch, trust):
     strangers("room: {_target_: evil.Room}")
-    assert told(capsys, monkeypatch, trust) == ""
+    assert told(monkeypatch, trust) == ""
     assert "evil" in sys.modules
     strangers("room: {_target_: evil.os.getcwd}")
-    error = told(capsys, monkeypatch, "trust=[evil]")
+    error = told(monkeypatch, "trust=[evil]")
     assert "room._target_ = 'evil.os.getcwd' is not defined in what you trust" in error
 
 
-def test_a_resolver_that_is_trusted_may_be_called(strangers, monkeypatch, capsys):
+def test_a_resolver_that_is_trusted_may_be_called(strangers, monkeypatch):
     strangers("visibility: {thold: '${oc.env:THOLD}', nu: '${oc.decode:1}'}")
-    assert "add trust=[oc.decode]" in told(capsys, monkeypatch, "trust=[oc.env]")
-    assert told(capsys, monkeypatch, "trust=[oc.env,oc.decode]") == ""
+    assert "add trust=[oc.decode]" in told(monkeypatch, "trust=[oc.env]")
+    assert told(monkeypatch, "trust=[oc.env,oc.decode]") == ""
 
 
 @pytest.mark.parametrize(
     "search", ["hydra.searchpath=[file://{}]", "hydra.searchpath=[{}]", "--config-dir={}", "-cd {}"]
 )
-def test_what_files_of_ones_own_search_path_name_is_trusted(strangers, monkeypatch, capsys, search):
+def test_what_files_of_ones_own_search_path_name_is_trusted(strangers, monkeypatch, search):
     folder = strangers("room: {_target_: evil.Room}")
     own = folder.parent / "mine"
     (own / "room").mkdir(parents=True)
     (own / "room" / "hall.yaml").write_text("_target_: evil.Room  # mine\n")
-    assert told(capsys, monkeypatch, *search.format(own).split()) == ""
+    assert told(monkeypatch, *search.format(own).split()) == ""
     assert "evil" not in sys.modules  # it needs no look: the name is that of the file
     strangers("objective: {_target_: evil.Room}")
-    assert "add trust=[evil]" in told(capsys, monkeypatch, *search.format(own).split())
+    assert "add trust=[evil]" in told(monkeypatch, *search.format(own).split())
 
 
-def test_a_search_path_in_a_package_trusts_the_package(strangers, monkeypatch, capsys):
+def test_a_search_path_in_a_package_trusts_the_package(strangers, monkeypatch):
     strangers("room: {_target_: evil.Room}")
-    assert told(capsys, monkeypatch, "hydra.searchpath=[pkg://evil.conf]") == ""
+    assert told(monkeypatch, "hydra.searchpath=[pkg://evil.conf]") == ""
 
 
 @pytest.mark.parametrize("value", ["[1]", "a,b", "{a: b}"])
-def test_trust_is_a_list_of_names(strangers, monkeypatch, capsys, value):
+def test_trust_is_a_list_of_names(strangers, monkeypatch, value):
     strangers()
-    assert told(capsys, monkeypatch, f"trust={value}") == f"error: trust must be a list of names, got {value}.\n"
+    assert told(monkeypatch, f"trust={value}") == f"error: trust must be a list of names, got {value}.\n"
 
 
 class Reader:

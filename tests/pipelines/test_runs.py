@@ -1,20 +1,51 @@
-"""Entries that a store missed are handed in later; journals of unknown origin are refused."""
+"""`pipelines.runs`: the list, the command that goes on, and handing in what runs could not record."""
 
 import json
-import sys
 
+import pandas as pd
 import pytest
-from composing import composed
 from mlflow import MlflowClient
+from processes import inside
 from recorded_runs import ANOTHER, started, stored
 
-import pipelines.sync
 from lmd.core.checks import InputError
+from lmd.optimisers.checkpoint import CHECKPOINT_FILE
 from pipelines.operations.tracking.journal import FILE, GONE, Journal, hand_in, this_process
 from pipelines.operations.tracking.store import Store
-from pipelines.sync import sync
+from pipelines.runs import going_on
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("folder")]
+COMMAND = "python -m pipelines.optimise seed=3"
+
+
+def told(folder, status="KILLED", **tags):
+    known = {"command": COMMAND, "folder": str(folder), "host": this_process()["host"]} | tags
+    return going_on(pd.Series({"status": status} | {f"tags.{key}": value for key, value in known.items()}))
+
+
+def test_what_can_go_on_is_shown_with_its_command(tmp_path):
+    assert told(tmp_path) == ""  # it has left no checkpoint
+    assert told(tmp_path, sweep="seed") == COMMAND
+    assert told(tmp_path, sweep="seed", **{"mlflow.parentRunId": "3f"}) == ""  # a job goes on with its sweep
+    assert told(tmp_path / "none", sweep="seed") == ""
+    (tmp_path / CHECKPOINT_FILE).touch()
+    assert told(tmp_path) == f"{COMMAND} resume={tmp_path}"
+    assert told(tmp_path, "FINISHED") == ""
+    assert told("/no/such/folder", host="elsewhere") == f"{COMMAND} resume=/no/such/folder"
+
+
+def test_the_newest_runs_are_listed_and_a_stranger_writes_no_escapes(uri, tmp_path):
+    (tmp_path / CHECKPOINT_FILE).touch()
+    for command in ("python -m pipelines.optimise", "evil\x1b[2J"):
+        tags = {"command": command, "folder": str(tmp_path), "pipeline": "optimise"}
+        started(uri, folder=tmp_path, tags=tags).finish("KILLED")
+    done = inside("runs", f"tracking.uri={uri}", "tracking.experiment_name=tests", "last=2", cwd=tmp_path, settings=())
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count(f"resume={tmp_path}") == 2
+    assert "evil\\x1b[2J" in done.stdout
+    assert "\x1b" not in done.stdout
+    refused = inside("runs", "tracking=none", cwd=tmp_path, settings=())
+    assert refused.stderr == "error: runs are read where they were tracked: it needs tracking=mlflow.\n"
 
 
 @pytest.fixture(name="reachable")
@@ -42,7 +73,7 @@ def test_a_store_that_is_lost_is_said_once_and_gets_everything_later(uri, folder
     tracker.finish("FINISHED")
     assert capsys.readouterr().err == f"warning: {uri} cannot be used (no route to the store); the run goes on\n"
     assert stored(tracker).info.status == "RUNNING"
-    assert f"folder={folder}" in tracker.describe()
+    assert tracker.describe().endswith(f"python -m pipelines.runs sync={folder} tracking.uri={uri}")
     with pytest.raises(InputError, match=r"cannot be used: no route to the store"):
         hand_in(Journal.of(folder), uri)
     reachable["reachable"] = True
@@ -94,26 +125,19 @@ def test_what_cannot_be_written_stays_in_the_journal_for_the_next_time(folder):
     assert Journal.of(folder / "none").entries == [{"metrics": {}}, {"end": "FINISHED"}]
 
 
-def journal_of_a_stranger(folder, uri, run_id, *files, host="elsewhere", **begin):
+def journal_of_a_stranger(folder, uri, run_id, *files):
     """A journal as an attacker writes it, of a run that has ended."""
-    first = {
-        "uri": uri,
-        "experiment": "tests",
-        "run_id": run_id,
-        "folder": str(folder),
-        "host": host,
-        "process": "1 0.0",
-    }
-    entries = [first | begin, {"files": [str(file) for file in files]}, {"end": "FINISHED", "reason": "", "at": 0}]
+    first = {"uri": uri, "experiment": "tests", "run_id": run_id, "folder": str(folder), "host": "elsewhere"}
+    entries = [first, {"files": [str(file) for file in files]}, {"end": "FINISHED", "reason": "", "at": 0}]
     (folder / FILE).write_text("".join(f"{json.dumps(entry)}\n" for entry in entries))
 
 
-def synced(*overrides):
-    return sync(composed("sync", "folder=.", *overrides))
+def synced(folder, *overrides):
+    return inside("runs", "sync=.", *overrides, cwd=folder, settings=())
 
 
 @pytest.mark.parametrize("link", [False, True])
-def test_only_files_of_a_runs_own_folder_are_handed_in(uri, folder, tmp_path_factory, capsys, link):
+def test_only_files_of_a_runs_own_folder_are_handed_in(uri, folder, tmp_path_factory, link):
     secret = tmp_path_factory.mktemp("home") / "id_rsa"
     secret.write_text("secret")
     named = folder / "landmarks.csv" if link else folder / ".." / secret.parent.name / secret.name
@@ -121,54 +145,42 @@ def test_only_files_of_a_runs_own_folder_are_handed_in(uri, folder, tmp_path_fac
         named.symlink_to(secret)
     tracker = started(uri)
     journal_of_a_stranger(folder, uri, tracker.run_id, named)
-    assert not synced(f"tracking.uri={uri}")
-    assert f"would send '{named}', which is not in that folder; `sync --yes` sends it all" in capsys.readouterr().err
+    done = synced(folder, f"tracking.uri={uri}")
+    assert done.returncode == 1
+    assert f"would send '{named}', which is not in that folder" in done.stderr
     for begin in ({}, {"run_id": tracker.run_id}):  # nor does a run that begins or goes on there send it
         with pytest.raises(InputError, match=r"which is not in that folder"):
             started(uri, folder=folder, **begin)
-    client = MlflowClient(tracking_uri=uri)
-    assert not client.list_artifacts(tracker.run_id)
-    assert synced(f"tracking.uri={uri}", "yes=true")
-    assert [file.path for file in client.list_artifacts(tracker.run_id)] == [named.name]
+    assert not MlflowClient(tracking_uri=uri).list_artifacts(tracker.run_id)
 
 
-def test_a_journal_goes_to_the_configured_store_or_asks(uri, folder, capsys, monkeypatch):
+def test_a_journal_goes_to_the_store_that_the_command_line_names(uri, folder, monkeypatch):
     asked = []
     monkeypatch.setattr("pipelines.operations.tracking.journal.hand_in", lambda _, to: asked.append(to) or "done")
     journal_of_a_stranger(folder, "http://127.0.0.1:9/\x1b[2J", "3f")
-    assert not synced(f"tracking.uri={uri}")
-    error = capsys.readouterr().err
-    assert "it is for 'http://127.0.0.1:9/\\x1b[2J', and not for" in error
-    assert "or --yes (docs/trust.md)" in error
-    assert not synced("tracking=none")
+    done = synced(folder)
+    assert done.returncode == 1
+    assert "it is for 'http://127.0.0.1:9/\\x1b[2J': name tracking.uri" in done.stderr
     assert not asked
-    assert synced("uri=http://127.0.0.1:1", f"tracking.uri={uri}")
-    assert synced("yes=true", f"tracking.uri={uri}")
-    journal_of_a_stranger(folder, uri, "3f")
-    assert synced(f"tracking.uri={uri}")
-    assert asked == ["http://127.0.0.1:1", "http://127.0.0.1:9/\x1b[2J", uri]
-
-
-def test_yes_is_an_option(monkeypatch):
-    monkeypatch.setattr(sys, "argv", ["sync", "--yes", "folder=x"])
-    pipelines.sync.read_yes()
-    assert sys.argv == ["sync", "yes=true", "folder=x"]
+    assert synced(folder, f"tracking.uri={uri}").returncode == 0
+    assert asked == [uri]
+    (folder / FILE).unlink()
+    assert "nothing to hand in below ." in synced(folder).stdout
+    assert "sync = 'none' is no folder" in inside("runs", "sync=none", cwd=folder, settings=()).stderr
 
 
 @pytest.mark.parametrize(
     "lines",
     [
         ["[1]"],
-        ["5"],
-        ['{"files": [3]}'],
         ['{"files": "abc"}'],
         ['{"run_id": 5, "host": [], "process": 1}', '{"end": "FINISHED"}'],
         ['{"run_id": "3f", "uri": "sqlite:///x.db"}', '{"end": 1}'],
     ],
 )
-def test_a_journal_that_no_run_has_written_is_refused(uri, folder, capsys, lines):
+def test_a_journal_that_no_run_has_written_is_refused(uri, folder, lines):
     (folder / FILE).write_text("\n".join(lines))
-    assert not synced(f"uri={uri}")
-    error = capsys.readouterr().err
-    assert error.startswith(f"error: {FILE}: the journal in . is none that a run has written")
-    assert error.count("\n") == 1
+    done = synced(folder, f"tracking.uri={uri}")
+    assert done.returncode == 1
+    assert done.stderr.startswith(f"error: {FILE}: the journal in . is none that a run has written")
+    assert done.stderr.count("\n") == 1
