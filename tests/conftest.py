@@ -11,8 +11,8 @@ import thorough
 from examples import DEFAULT, examples
 from hypothesis import settings
 
+from lmd.core import workers
 from lmd.core.threads import available_threads
-from pipelines import workers
 
 gc.disable()  # see pytest_runtest_logfinish
 

@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from paper import paper_camera, paper_scene
 
 from lmd.core.checks import InputError
+from lmd.core.workers import in_processes
 from lmd.detection.corner_errors import CORNER_ERRORS, PITCH_MIDDLES, CornerErrors, inward, shortest_side
 from lmd.detection.detectors import ArucoDetector, Detections
 from lmd.detection.evaluation import corner_error
@@ -29,7 +30,6 @@ from lmd.render.imaging import Imaging
 from lmd.scene.deployment_sources import UniformDeployment
 from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
-from pipelines.workers import in_processes
 
 SCENE = paper_scene()
 EVALUATOR = Evaluator(SCENE, threads=1)

@@ -41,19 +41,6 @@ def test_a_file_becomes_every_format(work):
     assert again.returncode == 0, again.stderr
 
 
-def test_maps_do_not_wait_for_paper(work):
-    overrides = ("deployment.path=mine.csv", "deployment.free=true", "tracking=none")
-    done = inside("export", *overrides, "tag.edge=0.3", "hydra.run.dir=pieces", cwd=work, settings=TAGS)
-    assert done.returncode == 0, done.stderr
-    assert {path.name for path in (work / "pieces").iterdir()} == {*EVERY, ".hydra"}
-    assert "sheets 18 of a4: a tag is larger than a sheet and comes in 6 pieces" in done.stdout
-    assert "paper_size=a4|a3|letter" in done.stdout
-    done = inside("export", *overrides, "tag.edge=2", "hydra.run.dir=huge", cwd=work, settings=TAGS)
-    assert done.returncode == 0, done.stderr
-    assert {path.name for path in (work / "huge").iterdir()} == {*EVERY, ".hydra"} - {"sheets.pdf"}
-    assert "note: sheets.pdf is not written: tag.edge = 2 m (black square) takes 150 sheets" in done.stderr
-
-
 def test_the_planner_starts_whatever_the_paper(capsys):
     for edge, missing in ((0.1651, set()), (2.0, {"sheets"})):
         asked = build_export(
@@ -77,7 +64,7 @@ def test_a_run_writes_its_own_maps_and_can_be_exported_later(work):
 
 def test_a_map_of_one_stack_becomes_that_of_another(work):
     (work / "map.txt").write_text("# Clover\n3 0.15 0 2 3 1.5707963267948966 0 1.5707963267948966\n9 0.05 1 2 0\n")
-    found = "deployment.path=map.txt", "deployment.columns=clover", "tag.family=4x4_50"
+    found = "deployment.path=map.txt", "tag.family=4x4_50"
     done = inside(
         "export", *found, "formats=[aruco,json]", "tracking=none", "hydra.run.dir=out", cwd=work, settings=TAGS
     )
@@ -89,19 +76,3 @@ def test_a_map_of_one_stack_becomes_that_of_another(work):
     done = inside("export", *found, "formats=[rtabmap]", cwd=work, settings=TAGS)
     assert done.returncode == 1
     assert "formats has rtabmap: it has one edge for all tags, and these have 0.05, 0.15 m" in done.stderr
-
-
-def test_a_map_that_says_the_sizes_of_its_tags_needs_no_edge_and_one_tag_no_objective(work):
-    (work / "map.txt").write_text("# Clover\n3 0.15 0 2 3 1.5707963267948966 0 1.5707963267948966\n")
-    given = "deployment.path=map.txt", "deployment.columns=clover", "tag.family=4x4_50"
-    written = "tracking=none", "formats=[json,rtabmap]", "hydra.run.dir=out"
-    done = inside("export", *given, *written, cwd=work, settings=())
-    assert done.returncode == 0, done.stderr
-    assert json.loads((work / "out" / "tags.json").read_text())["edge"] == 0.15
-    again = "deployment.path=out/tags.json", "tracking=none", "formats=[json]"
-    done = inside("export", *again, "hydra.run.dir=again", cwd=work, settings=())
-    assert done.returncode == 1
-    assert "tag.family=4x4_50 is needed: the tags of out/tags.json are of that family, and not of 36h11" in done.stderr
-    done = inside("export", *again, "tag.family=4x4_50", "hydra.run.dir=again", cwd=work, settings=())
-    assert done.returncode == 0, done.stderr
-    assert (work / "again" / "tags.json").read_bytes() == (work / "out" / "tags.json").read_bytes()

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from composing import composed
-from processes import inside, refused
+from processes import inside
 
 from lmd.core.checks import InputError
 from pipelines.building import build_problem
@@ -80,14 +80,3 @@ def test_tags_are_added_to_what_hangs_already(work):
     assert f"fitness lost without each: {losses.id[0]} ({100.0 * losses.fitness_loss[0]:.2f})" in again.stdout
     assert scored["fitness"] == found["fitness"]
     assert scored["settings"]["fixed_landmarks"] == 2
-
-
-@pytest.mark.slow
-def test_a_run_does_not_go_on_beside_other_tags(work):
-    settings = ("room.spacing=1.5", "deployment.fixed=tags.csv", "deployment.count=6", "optimiser=ega", "tracking=none")
-    done = inside("optimise", "budget.evaluations=30", "hydra.run.dir=run", cwd=work, settings=settings)
-    assert done.returncode == 0, done.stderr
-    (work / "tags.csv").write_text(TAGS.replace("0,2,3", "0,1,3"))
-    message = "checkpoint.npz was made with contents of tags.csv = "
-    refused("optimise", "budget.evaluations=60", "resume=run", "hydra.run.dir=next", message=message, cwd=work,
-            settings=settings)  # fmt: skip

@@ -1,7 +1,6 @@
 """The contents of input files are part of what a sweep, a job and a checkpoint go by."""
 
 import os
-from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -26,23 +25,6 @@ def test_files_are_found_wherever_they_are_named(work):
     assert list(contents_of(named)) == expected
     assert list(contents_of(["pdf.path=a.csv,'b c.csv'", "recording.path=d.csv"])) == expected
     assert contents_of({"seed": 0, "path": None, "name": "e.csv"}) == {}
-
-
-def test_a_folder_counts_by_the_files_in_it(work):
-    (work / "photos").mkdir()
-    (work / "photos" / "1.png").write_bytes(b"1")
-    before = contents_of({"folder": "photos"})
-    assert list(before) == ["contents of photos/1.png"]
-    (work / "photos" / "2.png").write_bytes(b"2")
-    assert contents_of({"folder": "photos"}).items() > before.items()
-
-
-def test_the_same_name_with_other_contents_is_another_input(work):
-    found = []
-    for text in ("one", "two", "one"):
-        (work / "a.csv").write_text(text)
-        found.append(contents_of(["a.csv"]))
-    assert found[0] == found[2] != found[1]
 
 
 def test_a_file_that_no_memory_holds_is_not_read_for_it(work):
@@ -104,13 +86,6 @@ def test_a_run_does_not_go_on_with_another_pdf(tmp_path):
     message = "checkpoint.npz was made with contents of in.csv = "
     refused("optimise", "budget.evaluations=90", "resume=run", "hydra.run.dir=third", message=message, cwd=tmp_path,
             settings=settings)  # fmt: skip
-
-
-def test_names_of_files_that_are_no_utf_8_can_be_written(tmp_path):
-    name = os.fsdecode(os.fsencode(tmp_path) + b"/caf\xe9.png")
-    Path(name).write_text("pixels")
-    (named,) = contents_of({"photographs": str(tmp_path)})
-    assert named.encode() == f"contents of {tmp_path}/caf\\udce9.png".encode()
 
 
 def test_folders_that_cannot_be_read_are_left_to_who_reads_them(tmp_path, monkeypatch):

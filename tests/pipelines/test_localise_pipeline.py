@@ -3,7 +3,6 @@
 import json
 
 import bag_files
-import cv2
 import localise_drives as ld
 import numpy as np
 import pandas as pd
@@ -107,26 +106,6 @@ def away(table, frames):
     """Distance of the localised images of a table from the true positions, metres."""
     known = table.state == State.LOCALISED.value
     return np.linalg.norm(table.loc[known, ["x", "y", "z"]].to_numpy() - frames[known, :3, 3], axis=1)
-
-
-def test_a_video_is_localised(room):
-    cwd, walk = room
-    frames = walk.frames[:16]
-    photographs.photograph(cwd / "frames", walk.true, walk.known.ids, frames)
-    pictures = [cv2.imread(str(path)) for path in sorted((cwd / "frames").iterdir())]
-    size = pictures[0].shape[1::-1]
-    video = cv2.VideoWriter(str(cwd / "drive.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), 5.0, size)
-    for picture in pictures:
-        video.write(picture)
-    video.release()
-    given = ["photographs=drive.mp4", "camera.path=camera.yaml", "tracking=none"]
-    result = processes.inside("localise", "map=survey", "hydra.run.dir=film", cwd=cwd, settings=given)
-    assert result.returncode == 0, result.stderr
-    table = pd.read_csv(cwd / "film" / "poses.csv")
-    np.testing.assert_allclose(table.time, 0.2 * np.arange(16), atol=1e-6)
-    off = away(table, frames)
-    assert len(off) > 12
-    assert np.median(off) < 0.01
 
 
 def test_a_rig_is_localised_by_a_bag_of_its_detections(room):

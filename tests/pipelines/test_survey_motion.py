@@ -1,7 +1,6 @@
 """`pipelines.survey` of a drive, with odometry: a process, its messages and the files it leaves."""
 
 import json
-import re
 from dataclasses import replace
 
 import drives
@@ -65,18 +64,6 @@ def test_odometry_maps_a_drive_whose_images_show_one_tag_each(cwd):
     assert done.returncode == 0, done.stderr
     _, there = places(cwd / "by_body")
     np.testing.assert_allclose(there, here, atol=0.02)
-
-
-@pytest.mark.parametrize("every", ["auto", "3", "1"])
-def test_frames_that_are_left_out_are_counted(cwd, every):
-    done = call("survey.odometry=odometry.csv", f"survey.every={every}", f"hydra.run.dir=every_{every}", cwd=cwd)
-    assert done.returncode == 0, done.stderr
-    document = json.loads((cwd / f"every_{every}" / "survey.json").read_text())
-    out = document["left_out"]
-    said = re.search(r"frames .* sightings; (\d+) were left out \(survey.every\)", done.stdout)
-    assert (int(said[1]) if said else 0) == len(out)
-    assert (len(out) > 0) == (every != "1")
-    assert not set(out) & set(document["used_frames"])
 
 
 @pytest.mark.parametrize(

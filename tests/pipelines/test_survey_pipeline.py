@@ -17,11 +17,11 @@ import walks
 from lmd.core.checks import InputError
 from lmd.detection.detectors import Detections
 from lmd.detection.images import Photographs
+from lmd.detection.photographed import detected_in
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import exp
 from lmd.scene.deployment import Deployment
 from lmd.scene.labels import Labels
-from pipelines.photographs import detected_in
 
 CAMERA = Camera(2.2, 0.0075, 0.0075, (320.0, 240.0), 640, 480, 0.0)
 EDGE, COUNT, FRAMES = 0.25, 16, 20
@@ -265,7 +265,7 @@ class Blind:
 def test_photographs_without_a_tag_say_so(tmp_path):
     cv2.imwrite(str(tmp_path / "1.png"), np.zeros((480, 640), dtype=np.uint8))
     with pytest.raises(InputError, match=r"^photographs: no tag is found in any of 1 images; tag\.family says"):
-        detected_in(Photographs(tmp_path), CAMERA, Blind(), 8, workers=1)
+        detected_in(Photographs(tmp_path), CAMERA, Blind(), 8, map, workers=1)
 
 
 @pytest.mark.usefixtures("surveyed")
@@ -286,22 +286,3 @@ def test_copies_of_photographs_count_once(room):
     np.testing.assert_allclose(again.drop(columns="id"), first.drop(columns="id"), rtol=1e-6, atol=1e-9)
     copies = json.loads((cwd / "once" / "survey.json").read_text())["copies"]
     assert copies["0000\\udce9.png"] == "0000.png"
-
-
-@pytest.mark.usefixtures("surveyed")
-def test_a_folder_keeps_no_file_of_an_earlier_survey(room):
-    cwd = room[0]
-    shutil.copytree(cwd / "out", cwd / "used")
-    settings = [*SETTINGS[:-1], "hydra.run.dir=used"]
-    message = "used' holds measured.csv, tags.apriltag_ros.yaml, tags.wpilib.json of an earlier survey"
-    processes.refused("survey", message=message, cwd=cwd, settings=settings)
-    for name in ("measured.csv", "tags.apriltag_ros.yaml", "tags.wpilib.json"):
-        (cwd / "used" / name).unlink()
-    read = ["detections=used/detections.csv", *READ, "hydra.run.dir=used"]
-    done = call(cwd=cwd, settings=read)
-    assert done.returncode == 0, done.stderr
-    assert (cwd / "used" / "detections.csv").read_text() == (cwd / "out" / "detections.csv").read_text()
-    (cwd / "used" / "survey.png").unlink()
-    (cwd / "used" / "survey.png").mkdir()
-    message = "hydra.run.dir: '" + str(cwd / "used" / "survey.png") + "' is a folder, where a file is to be written"
-    processes.refused("survey", message=message, cwd=cwd, settings=read)

@@ -92,19 +92,6 @@ def test_changes_are_kept_elsewhere_when_the_disk_is_full_or_gone(tmp_path, monk
     assert len([*temporary.iterdir()]) == 1
 
 
-def test_changes_that_can_be_written_nowhere_are_printed(tmp_path, monkeypatch, capsys):
-    tags = Deployment([[0.0, 2.0, 3.0]], [[1.0, 0.0, 0.0]])
-    run, *_ = folders(tmp_path, monkeypatch)
-    on_full_disks(monkeypatch, tmp_path)
-    _keep_unsaved(run, Plan(tags), {}, ups=True)
-    said = capsys.readouterr()
-    assert said.err.count("No space left on device") == 3
-    head, *table = said.out.splitlines()
-    assert head == "the tags as they are now:"
-    assert (Deployment.from_csv(write_lines(tmp_path / "printed.csv", table)).positions == tags.positions).all()
-    assert list(tmp_path.rglob("*.csv")) == [tmp_path / "printed.csv"]
-
-
 def write_lines(path, lines):
     path.write_text("\n".join(lines) + "\n")
     return path

@@ -13,7 +13,7 @@ import chromium
 import numpy as np
 import pytest
 from paper import paper_room
-from planned import LANDMARKS, SETTINGS, UNSAVED
+from planned import LANDMARKS, SETTINGS
 from planner_page import LIMIT, Page
 from processes import SMALL, call, command, refused, start
 
@@ -105,65 +105,6 @@ def test_a_tag_is_dragged_and_saved_and_the_figures_are_those_of_evaluate(planne
     _, err = process.communicate(timeout=LIMIT)
     assert process.returncode == 128 + signal.SIGINT
     assert "not saved" not in err
-
-
-@THOROUGH
-@chromium.needs_chromium
-def test_tags_are_added_pinned_optimised_and_looked_at(planner, browser, work):
-    process, address = planner
-    page = Page(browser, address)
-    browser.set_window_size(1280, 800)
-    before = page.rows("figures")
-    assert "of 4 landmarks" in before["qualified ratio"]
-    assert "rgb(" in page.script("document.getElementById('legend').innerHTML")
-
-    page.tick(BALLS)  # nothing is in the mouse's way
-    page.tick(ADDS)
-    page.mouse((5.0, 5.0, 4.0))
-    page.until(lambda: page.text("tag").startswith("tag 0: y_max"))
-    assert "of 5 landmarks" in page.rows("figures")["qualified ratio"]
-    page.press("Undo")
-    page.until(lambda: page.rows("figures") == before)
-    page.tick(ADDS)
-
-    page.mouse((5.0, 5.0, 1.0))
-    page.until(lambda: page.text("tag").startswith("tag 3: "))
-    page.type("from left, m", "4.25")
-    page.type("from floor, m", "2")
-    page.press("Hang it there")
-    page.until(lambda: page.text("tag") == "tag 3: y_max, (4.250, 5.000, 2.000) m")
-    page.press("Undo")
-    page.until(lambda: page.rows("figures") == before)
-
-    page.press("Pin or unpin")
-    page.until(lambda: page.text("tag").endswith("pinned"))
-    page.until(page.is_settled)
-    page.mouse((5.0, 5.0, 1.0), (5.0, 5.0, 2.0), (5.0, 5.0, 2.5))
-    page.until(lambda: page.text("message") == "tag 3 is pinned.")
-    assert page.rows("figures") == before
-
-    page.press("Optimise the free tags")
-    page.until(lambda: "% of 1e+08 evaluations; best fitness" in page.text("progress"))
-    assert page.script("document.querySelectorAll('[role=progressbar]').length") == 1
-    page.press("Stop, keep the best")
-    page.until(lambda: not page.text("progress"))
-
-    page.tick(BALLS)
-    position = paper_room(spacing=1.5).grid()[-1]
-    page.mouse(position)
-    page.until(lambda: "in view: " in page.text("seen"))
-    assert page.complaints() == []
-
-    page.press("Delete")  # of a tag that is pinned
-    page.until(lambda: page.text("message") == "tag 3 is pinned.")
-    page.press("Pin or unpin")
-    page.press("Delete")
-    page.until(lambda: "of 3 landmarks" in page.rows("figures")["qualified ratio"])
-    process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=LIMIT)
-    assert process.returncode == 128 + signal.SIGINT
-    assert Deployment.from_csv(work / "out" / UNSAVED).ids.tolist() == [7, 9, 4]
-    assert f"changes that were not saved are in {work / 'out' / UNSAVED}\n" in err
 
 
 @THOROUGH

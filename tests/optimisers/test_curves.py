@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from mlflow import MlflowClient
 
-from lmd.optimisers.ledger import Budget, Record
+from lmd.optimisers.ledger import Budget, Record, curve
 from pipelines.operations.tracking import PARENT_TAG, MlflowTracker, RunStart
-from pipelines.progress import curve
 
 # Histories with 400 evaluations: of single moves, of batches of 30, and of a method that fails at first and ends early.
 HISTORIES = (
