@@ -8,7 +8,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 GROUPS = sorted({*(path.parent.name for path in (ROOT / "conf").glob("*/*.yaml")), "budget", "start", "bound"})
-KEY = re.compile(rf"(?<![\w.])({'|'.join(GROUPS)})(\.[a-z]|=\w)")
+KEY = re.compile(rf"(?<![\w.])({'|'.join(GROUPS)})(\.(?!yaml)[a-z]|=\w)")
 
 
 def modules():

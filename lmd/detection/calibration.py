@@ -52,9 +52,9 @@ class Fit:
         return {number: diameter for number, diameter in enumerate(self.circles, 1) if math.isfinite(diameter)}
 
     def circles_text(self, detector: str) -> str:
-        """Lines about cameras whose image is a circle, beyond which a detector finds nothing."""
+        """Lines about cameras with a round image, beyond which a detector finds nothing."""
         return "".join(
-            f"{detector} finds nothing beyond camera.image_circle={diameter:.0f}, pixels, of camera {number}\n"
+            f"{detector} finds nothing beyond an image circle of {diameter:.0f} pixels, of camera {number}\n"
             for number, diameter in self.known_circles.items()
         )
 

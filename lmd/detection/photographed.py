@@ -95,7 +95,7 @@ def detected_in(
     ]
     found = [one for part in each(read, jobs) for one in part]
     if not any(len(detections) for detections, _ in found):
-        raise InputError(f"photographs: no tag is found in any of {count} images; tag.family says which to look for.")
+        raise InputError(f"photographs: no tag of this family is found in any of {count} images.")
     blurs = np.array([blur for _, blur in found])
     detections = [one for one, _ in found]
     tags = DetectedTags.in_frames(images.names, [one.ids for one in detections], [one.corners for one in detections])

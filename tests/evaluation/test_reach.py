@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from paper import paper_camera
-from processes import call, refused
 
-from lmd.evaluation.reach import is_read, pose_bounds, reach, smallest_edge
+from lmd.core.checks import InputError
+from lmd.evaluation.reach import Reading, is_read, pose_bounds, reach, reach_text, smallest_edge
 from lmd.geometry.squares import corners, upright
 from lmd.scene.tag import Tag
 from lmd.sight.models.fiducial import Fiducial
@@ -70,15 +70,9 @@ def test_errors_are_those_of_opencv_on_noisy_corners(distance, incidence):
     assert_allclose(np.linalg.norm(spread[3:]), attitude[0], rtol=0.12)
 
 
-def test_the_command_prints_it_and_leaves_nothing(tmp_path):
-    done = call("size", "tag.edge=0.2", "incidence=[0,40]", "distance=[1,3]", cwd=tmp_path, settings=())
-    assert done.returncode == 0
-    lines = done.stdout.splitlines()
-    assert lines[0] == "tag      36h11, black square 0.2 m, with its quiet zone 0.25 m"
-    rows = [line.split("   ") for line in lines if line.startswith(("0 deg", "40 deg"))]
+def test_the_tables_have_a_row_for_each_angle():
+    text = reach_text(SHARP, TAG, Fiducial(TAG), Reading((0.0, 40.0), (1.0, 3.0)))
+    rows = [line.split("   ") for line in text.splitlines() if line.startswith(("0 deg", "40 deg"))]
     assert len(rows) == 4
-    assert "mm" in lines[6]
-    assert lines[-1] == "largest black square on one sheet: 0.167 m (a4), 0.237 m (a3), 0.172 m (letter)"
-    assert list(tmp_path.iterdir()) == []
-    refused("size", "incidence=[120]", message="incidence[0] must be in [0, 90], got 120", cwd=tmp_path, settings=())
-    refused("size", "visibility=paper", message="it needs visibility=fiducial", cwd=tmp_path, settings=())
+    with pytest.raises(InputError, match=r"^incidence\[0\] must be in \[0, 90\], got 120"):
+        Reading((120.0,))
