@@ -17,7 +17,7 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parents[1]
 COMMON = ("validate=false", "threads=2")
-TAGS = ("visibility=fiducial", "tag=printed", "tag.edge=0.16", "objective.thold_p=0.3", "room.spacing=1.0")
+TAGS = ("visibility=fiducial", "tag.edge=0.16", "objective.thold_p=0.3", "room.spacing=1.0")
 SIZES = ("tag.edges=[0.16,0.3]", "deployment.count=[20,10]")
 RIG = "camera.rig=[{translation: [0, 0.1, 0], yaw: 0.0}, {translation: [0, -0.1, 0], yaw: 3.1}]"
 CONFIGURATIONS = {
@@ -43,7 +43,7 @@ CONFIGURATIONS = {
     "CMA-ES": ("budget.evaluations=300", "optimiser=cma_es"),
 }
 SMALL = ("room.spacing=2.0", "deployment.count=20", "picture=false")
-PRINTED = ("tag=printed", "tag.edge=0.2", "visibility=fiducial")
+PRINTED = ("tag.edge=0.2", "visibility=fiducial")
 BOTH = "deployments=[uniform,random]"
 # One run of each command and study.
 STUDIES = {

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 GROUPS = ("room", "camera", "pdf", "poses", "tag", "visibility", "objective")  # groups of the problem of a run
 FROZEN = ("room", "camera", "pdf", "tag", "visibility", "objective")  # groups of a problem of the suite
 PROBLEM_ONLY = ("compare", "tradeoff")  # commands that take no landmarks from an earlier run
+NODES = ("body", "tag")  # nodes of these commands that are no groups of options
 OPTION = "run"  # option of `GROUPS` and of deployment
 COUNTED = ("random", "uniform", "greedy")  # options of deployment that need a number of landmarks
 RIG = "rig.yaml"  # file of a run that placed cameras
@@ -245,7 +246,7 @@ def _stored(parts: Mapping[str, Any], option: str) -> dict[str, str]:
     """Put nodes of groups into Hydra's config store, and return the overrides that choose them."""
     for group, part in parts.items():
         ConfigStore.instance().store(option, part, group)
-    return dict.fromkeys(parts, option)
+    return {f"+{group}" if group in NODES else group: option for group in parts}
 
 
 def _of_suite(cfg: DictConfig, named: Iterable[str]) -> dict[str, str]:
@@ -304,7 +305,7 @@ def _of_run(
     hung = hung if isinstance(hung, dict) else {}
     path, free = directory / FILES[1], bool(hung.get("free")) or hung.get("measured") is not None
     _stored({"deployment": {"defaults": ["file", "_self_"], "path": str(path), "free": free}}, OPTION)
-    found = {f"+{key}" if key == "body" else key: option for key, option in _stored(parts, OPTION).items()}
+    found = _stored(parts, OPTION)
     start = ("file" if PATH in named else "random") if command in PROBLEM_ONLY else OPTION
     found["deployment"] = start
     if (options.get("deployment") if "deployment" in named else start) in COUNTED:

@@ -137,8 +137,10 @@ class Trust:
         return {name for text in texts for name in NAMED.findall(text)}
 
     def _texts_of(self, group: str) -> list[str]:
-        """Contents of the files of a group."""
-        files = [file for folder in self.folders for file in (folder / group).rglob("*.yaml")]
+        """Contents of the files of a group, and of commands, whose files have nodes that are no groups."""
+        files = [
+            file for folder in self.folders for file in (*(folder / group).rglob("*.yaml"), *folder.glob("*.yaml"))
+        ]
         return [file.read_text(encoding="utf-8", errors="replace") for file in files]
 
     def _resolver_in(self, text: str) -> str | None:

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.slow
 LANDMARKS = "id,x,y,z,nx,ny,nz,note\n7,0,2,3,1,0,0,by the door\n3,0,3,3,1,0,0,\n9,7.5,2,3,-1,0,0,\n"
 COARSE = "room.spacing=3 deployment.count=20 picture=false"
 CAMERA = "camera.pixel_width=0.0116 camera.pixel_height=0.0116 camera.principal_point=[400,300] camera.image_width=800"
-FRAMES = f"room.spacing=3 {CAMERA} camera.image_height=600 tag=printed tag.edge=0.3 validate=false"
+FRAMES = f"room.spacing=3 {CAMERA} camera.image_height=600 tag.edge=0.3 validate=false"
 MINE = "'mine: file deployment.path=mine.csv'"
 FIRST = "landmarks.csv metrics.json history.csv"
 FLIGHT = "trajectory.duration=2 seeds=2"
@@ -89,7 +89,7 @@ COMMANDS = {
         r"medians over 1 seeds",
     ),
     "tradeoff size": (
-        "size=true camera=lab tag=printed visibility=fiducial",
+        "size=true camera=lab tag.edge=0.1 visibility=fiducial",
         "size.txt",
         r"0 deg +0\.\d+ m +\d\.\d+ m(.|\n)*largest black square on one sheet: 0\.167 m \(a4\)",
     ),

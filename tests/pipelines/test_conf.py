@@ -33,7 +33,6 @@ SWEEPS = {  # the pipeline of each stored sweep, and its number of jobs
     "table3_reoptimised": ("optimise", 27),
     "landmark_count": ("optimise", 11),
     "optimisers": ("optimise", 100),
-    "localisation_front": ("optimise", 6),
 }
 STUDIES = {  # the command and the study of groups that are no part of every problem
     **dict.fromkeys(("trajectory", "sensor", "estimator"), ("evaluate", "studies=[observe]")),
@@ -46,7 +45,7 @@ NEEDS_MORE = {
     ("sensor", "rendered"),
 }
 # Defaults that a file states, as other values refer to them or as a run is known by them.
-STATED = {("tag", "edge"), ("tag", "family"), ("visibility", "detector")}
+STATED = {("conf", "edge"), ("conf", "family"), ("visibility", "detector")}
 SETTINGS = Path(CONF).parent / "docs" / "settings.md"
 
 
@@ -202,7 +201,7 @@ def test_tags_and_what_a_detector_sees_are_a_choice():
     assert problem.scene.tag == problem.scene.visibility.tag
     assert problem.scene.footprints.edge == pytest.approx(0.3)
     assert problem.settings()["detector"] == "aruco"
-    assert build_problem(composed("optimise", "tag=printed")).scene.footprints.edge == pytest.approx(0.125)
+    assert build_problem(composed("optimise", "tag.edge=0.1")).scene.footprints.edge == pytest.approx(0.125)
     assert build_problem(composed("optimise")).scene.footprints.edge == 0.0
 
 

@@ -38,7 +38,7 @@ def test_a_file_that_no_memory_holds_is_not_read_for_it(work):
     "override",
     [
         "room.relevance.path=in.csv",
-        "visibility=fiducial tag=printed visibility.detector=in.csv",
+        "visibility=fiducial tag.edge=0.1 visibility.detector=in.csv",
         "pdf=samples pdf.path=in.csv",
         "deployment=file deployment.path=in.csv",
         "camera=calibration camera.path=in.csv",

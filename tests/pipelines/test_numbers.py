@@ -59,18 +59,16 @@ OPTIONS = [
     ),
     ("optimise", "room", ["room=floor_plan", "room.spacing=1"]),
     *(("optimise", "pdf", [f"pdf={name}"]) for name in ("grid_288", "sphere", "yaw")),
-    ("optimise", "visibility", ["visibility=fiducial", "tag=printed", "deployment.count=20"]),
-    ("optimise", "tag", ["visibility=fiducial", "tag=printed", "deployment.count=20"]),
+    ("optimise", "visibility", ["visibility=fiducial", "tag.edge=0.1", "deployment.count=20"]),
     *(("optimise", "objective", [f"objective={name}"]) for name in ("localisation", "mean", "robust")),
     ("optimise", "objective", ["objective=filtered", "objective.drives=2", "objective.fresh=1"]),
     ("optimise", "deployment", ["deployment=greedy", "deployment.count=2"]),
     *(
         ("observe", "estimator", [f"estimator=[{name}]"])
-        for name in ("left_observer", "bound", "pnp", "iekf", "iekf_bias", "eqf", "smoother")
+        for name in ("bound", "pnp", "iekf", "iekf_bias", "eqf", "smoother")
     ),
-    ("observe", "trajectory", ["trajectory=waypoints"]),
     ("observe", "sensor", ["sensor=rendered", "tag.edge=0.1"]),
-    ("detect", "detectors", ["detectors=[aruco_fine,apriltag_decimate2]"]),
+    ("detect", "detectors", ["detectors=[apriltag_decimate2]"]),
 ]
 # The whole key is not in the sentence, but what it is called there.
 CALLED = {

@@ -26,7 +26,7 @@ def conduct(study, *overrides, cwd, settings=SMALL):
 
 
 def test_flights_compare_deployments_with_tags_of_their_own(tmp_path):
-    words = ("sensor=noisy", "estimator=[pnp,smoother]", "tag=printed", "seeds=2", "trajectory.duration=2")
+    words = ("sensor=noisy", "estimator=[pnp,smoother]", "tag.edge=0.1", "seeds=2", "trajectory.duration=2")
     conduct("observe", SIZES, *words, cwd=tmp_path)
     figures = pd.read_csv(tmp_path / "run" / "figures.csv").groupby(["deployment", "estimator"]).mean()
     assert figures.within_50mm["large", "pnp"] > figures.within_50mm["small", "pnp"]

@@ -2,7 +2,6 @@
 
 import base64
 import json
-import logging
 import zlib
 
 import pytest
@@ -10,8 +9,6 @@ from mlflow import MlflowClient
 from omegaconf import OmegaConf
 
 import pipelines.app  # noqa: F401 # registers resolvers
-from pipelines.operations.sweeps.callback import Shortened
-from pipelines.operations.sweeps.folder import Sweep, SweepFolder
 from pipelines.operations.tracking import MlflowTracker, RunStart
 
 
@@ -38,28 +35,3 @@ def test_an_experiment_shows_the_figures_of_its_own_runs(tmp_path):
     assert "metrics.`x`" not in shown["lmd compare"]  # the view of deployments stays
     for column in ("room", "camera", "objective", "budget.evaluations"):
         assert f"params.`{column}`" in shown["lmd compare"]
-
-
-def test_a_sweep_says_which_one_it_is_like(tmp_path):
-    given = {"lab": ("room=lab", "budget.evaluations=60"), "hall": ("room=hall",), "other": ()}
-    for name, overrides in given.items():
-        varied = ("optimiser",) if name == "other" else ("optimiser", "seed")
-        SweepFolder(tmp_path / name).save(Sweep("s", varied, None, given=overrides))
-    new = SweepFolder(tmp_path / "new")
-    assert new.like(Sweep("s", ("seed", "optimiser"), None, given=("room=hall", "tag=printed"))) == (
-        "like hall but for tag=printed"
-    )
-    assert (
-        new.like(Sweep("s", ("optimiser", "seed"), None, given=("room=lab",)))
-        == "like lab but for no budget.evaluations=60"
-    )
-    assert new.like(Sweep("s", ("deployment.count",), None)) == ""
-
-
-def test_the_line_of_a_job_shows_what_varies():
-    record = logging.LogRecord("launcher", logging.INFO, "", 0, "\t#3 : optimiser=ega +seed=1 room=hall", (), None)
-    assert Shortened(("optimiser", "seed")).filter(record)
-    assert record.getMessage() == "\t#3: optimiser=ega +seed=1"
-    started = logging.LogRecord("launcher", logging.INFO, "", 0, "Launching 8 jobs locally", (), None)
-    assert Shortened(("optimiser",)).filter(started)
-    assert started.getMessage() == "Launching 8 jobs locally"

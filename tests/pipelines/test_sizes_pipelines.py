@@ -12,7 +12,7 @@ from lmd.optimisers.ledger import Budget
 from pipelines.building import build_optimiser, build_problem
 from pipelines.tracked_run import derived
 
-SIZES = ("tag=printed", "tag.edges=[0.06,0.20]")
+SIZES = ("tag.edge=0.1", "tag.edges=[0.06,0.20]")
 TAGS = "id,x,y,z,nx,ny,nz\n7,0,2,3,1,0,0\n3,0.02,3,3,1,0,0\n"
 
 
@@ -75,7 +75,7 @@ def test_a_run_with_sizes_is_evaluated_as_it_was_found(tmp_path):
     assert again["fitness"] == found["fitness"] > 0.0
 
 
-FRC = ("room=frc_2025", "camera=ov9281", "pdf=yaw", "tag=printed", "visibility=fiducial", "objective=localisation")
+FRC = ("room=frc_2025", "camera=ov9281", "pdf=yaw", "tag.edge=0.1", "visibility=fiducial", "objective=localisation")
 
 
 @pytest.mark.slow  # two scenes with obstacles or many positions: some 15 s each

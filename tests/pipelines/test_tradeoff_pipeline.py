@@ -158,7 +158,7 @@ def test_a_rig_on_recorded_poses_beside_the_fixed_tags_of_a_run(tmp_path):
 
 
 def test_along_paper_the_best_mixture_is_no_worse_than_each_size_alone(tmp_path):
-    sizes = ("tag=printed", "tag.edges=[0.1,0.3]", "papers=[0.3,0.5]", "objective.thold_p=0.1", "wanted=0.001")
+    sizes = ("tag.edge=0.1", "tag.edges=[0.1,0.3]", "papers=[0.3,0.5]", "objective.thold_p=0.1", "wanted=0.001")
     run = tradeoff(tmp_path, *sizes, "seeds=1", "workers=1", "optimiser=random_search")
     assert run.returncode == 0, run.stderr
     points = pd.read_csv(tmp_path / "run" / "points.csv").set_index(["edges", "paper"])
