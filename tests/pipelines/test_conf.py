@@ -99,6 +99,13 @@ def test_the_page_of_settings_has_every_group_with_its_options_and_the_keys_with
     assert {key: str(flat[key]).lower().replace("none", "–") for key in stated} == stated
 
 
+def test_every_promise_of_operations_names_a_test():
+    named = re.findall(r"`(test_\w+\.py)::(\w+)`", SETTINGS.with_name("operations.md").read_text())
+    assert len(named) > 15
+    for file, name in named:
+        assert f"def {name}(" in Path(__file__).with_name(file).read_text()
+
+
 @pytest.mark.parametrize("experiment", sorted({*EXPERIMENTS} - {*SWEEPS}))
 def test_every_experiment_composes_and_builds(experiment):
     for app in ("optimise", "evaluate"):

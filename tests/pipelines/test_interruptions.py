@@ -3,7 +3,6 @@
 import os
 import re
 import signal
-import sys
 import time
 
 import pandas as pd
@@ -13,7 +12,6 @@ from processes import ROOT, WHOLE, command
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]
 
-UNTRACKED = (*SETTINGS[:2], "tracking=none")  # a process that has imported nothing takes seconds for mlflow
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 THOROUGH = pytest.mark.thorough("pipelines/__init__.py", "pipelines/operations/signals.py", "pipelines/optimise.py")
 
@@ -69,33 +67,6 @@ def test_told_to_stop_before_there_is_anything_it_leaves_nothing(begin, number, 
         assert not [run for run in runs(tmp_path) if run.info.status == "RUNNING"]
 
 
-@pytest.mark.parametrize(
-    ("library", "function"),
-    [
-        ("hydra._internal.config_loader_impl.ConfigLoaderImpl", "load_configuration"),
-        pytest.param("pipelines.building", "deepcopy", marks=THOROUGH),
-    ],
-)
-def test_told_to_stop_within_a_library_that_fails_of_it_it_says_so_and_no_more(library, function, begin, tmp_path):
-    """Hydra while it composes, and OmegaConf while objects are made, are left with a configuration half done."""
-    (tmp_path / "halved.py").write_text(
-        f"""
-import signal, hydra.core.utils, hydra._internal.config_loader_impl, pipelines.building
-from pipelines.optimise import main
-def halved(*args, **kwargs):
-    try:
-        signal.raise_signal(signal.SIGTERM)
-    finally:
-        raise AttributeError("half done")
-{library}.{function} = halved
-"""
-    )
-    code, _, err = ended(begin([sys.executable, "-m", "halved", *SETTINGS, "hydra.run.dir=run"], tmp_path))
-    assert code == 128 + signal.SIGTERM, err
-    assert err.split("\n\n") == ["\nstopping", "while stopping: AttributeError: half done\n"]
-    assert not (tmp_path / "run").exists()
-
-
 @THOROUGH
 def test_a_closed_terminal_is_no_reason_to_lose_the_result(begin, tmp_path):
     ours, theirs = os.openpty()
@@ -110,19 +81,3 @@ def test_a_closed_terminal_is_no_reason_to_lose_the_result(begin, tmp_path):
     assert (tmp_path / "run" / "scene.png").exists()
     (run,) = runs(tmp_path)
     assert run.info.status == "KILLED"
-
-
-@THOROUGH
-def test_under_nohup_a_closed_terminal_is_ignored(endless):
-    process = endless(line=["nohup"], settings=UNTRACKED)
-    process.send_signal(signal.SIGHUP)
-    time.sleep(0.3)
-    assert process.poll() is None
-    process.send_signal(signal.SIGTERM)
-    assert ended(process)[0] == 128 + signal.SIGTERM
-
-
-def test_ctrl_c_reaches_a_run_whose_shell_ignores_it(endless):
-    process = endless(ignoring=[signal.SIGINT], fresh=True, settings=UNTRACKED)
-    process.send_signal(signal.SIGINT)
-    assert ended(process)[0] == 128 + signal.SIGINT

@@ -7,7 +7,6 @@ import pytest
 from markdown import markdown as markdown_to_html
 from matplotlib.image import imread
 from mlflow import MlflowClient
-from processes import call
 from tracked import record_all, record_sweep, write_report
 
 from lmd.core.checks import InputError
@@ -143,14 +142,6 @@ def test_a_run_with_a_value_that_is_no_number_is_left_out_and_named(tmp_path, ca
     assert "There are no finished runs of the sweep `optimisers`" in text
 
 
-def test_a_sweep_whose_own_run_is_gone_is_named(tmp_path):
-    uri = f"sqlite:///{tmp_path}/mlflow.db"
-    sweep = record_sweep(uri, tmp_path, "landmark_count", [({"deployment.count": 60}, 0.6, "FINISHED")])
-    MlflowClient(tracking_uri=uri).delete_run(sweep)
-    text = write_report(tmp_path / "report", f"tracking.uri={uri}")
-    assert f"1 runs of a sweep `landmark_count`, whose own run, `{sweep}`, is gone from the store; the last" in text
-
-
 def test_a_saved_page_keeps_what_stands_above_its_generated_part(reported, tmp_path):
     _, store, ids = reported
     page = tmp_path / "docs" / "reproduction.md"
@@ -184,19 +175,3 @@ def test_bad_input_gets_one_sentence_and_leaves_nothing(reported, tmp_path, monk
         write_report(tmp_path / "bad", *store, *overrides)
     assert not list((tmp_path / "bad").iterdir())
     assert (tmp_path / "mine.md").read_text() == "# My page\n"
-
-
-@pytest.mark.slow
-def test_a_sweep_as_it_really_runs_is_reported(tmp_path):
-    small = ("room.spacing=2", "deployment.count=6", "objective.thold_p=0.3", "validate=false")
-    swept = call(
-        "evaluate", "experiment=table2_baselines", "deployment=uniform", "seed=0", *small, cwd=tmp_path, settings=()
-    )
-    assert swept.returncode == 0, swept.stderr
-    done = call("report", "hydra.run.dir=report", cwd=tmp_path, settings=())
-    assert done.returncode == 0, done.stderr
-    assert str(tmp_path / "report" / "report.md") in done.stdout
-    markdown = (tmp_path / "report" / "report.md").read_text()
-    assert rows(markdown, ["uniform"])[0][0] == "1"
-    assert "1 of 1 runs of `python -m pipelines.evaluate experiment=table2_baselines" in markdown
-    assert "](deployments.png)" in markdown

@@ -14,7 +14,7 @@ from recorded_runs import ANOTHER, started, stored
 
 from lmd.core.checks import InputError
 from pipelines.operations.sweeps.forks import context
-from pipelines.operations.tracking import Dataset, MlflowReader, MlflowTracker, NoTracker, RunStart
+from pipelines.operations.tracking import Dataset, MlflowReader, MlflowTracker, RunStart
 from pipelines.operations.tracking.journal import GONE, is_gone, this_process
 from pipelines.operations.tracking.store import DESCRIPTION
 
@@ -39,21 +39,6 @@ def test_a_run_has_the_tags_of_its_user(uri, folder):
     assert {"study": "first", "batch": "3", "pipeline": "optimise"}.items() <= stored(tracker).data.tags.items()
     with pytest.raises(InputError, match=r"tags must be texts or numbers by their names, got \{'study': \[1\]\}"):
         MlflowTracker(uri, "tests", {"study": [1]})
-
-
-def test_a_long_curve_is_logged_whole(uri):
-    tracker = started(uri)
-    tracker.log_curve("best_fitness", [(i, i / 2500, i * 0.001) for i in range(2500)])
-    history = MlflowClient(tracking_uri=uri).get_metric_history(tracker.run_id, "best_fitness")
-    assert sorted(m.step for m in history) == list(range(2500))
-
-
-def test_artifacts_are_kept_beside_the_database(uri, tmp_path):
-    (tmp_path / "landmarks.csv").write_text("id\n")
-    tracker = started(uri)
-    tracker.log_artifacts([tmp_path / "landmarks.csv"])
-    assert [f.path for f in MlflowClient(tracking_uri=uri).list_artifacts(tracker.run_id)] == ["landmarks.csv"]
-    assert str(stored(tracker).info.artifact_uri).startswith("file://")
 
 
 def test_a_failed_run_says_why(uri):
@@ -136,13 +121,6 @@ def test_of_what_a_dead_process_left_the_newest_run_stays_and_is_ended(uri, fold
     assert settled(uri, "d", "FINISHED") == []
 
 
-@pytest.mark.parametrize("path", ["/proc/none/mlflow.db", "/proc/mlflow.db"])
-def test_a_store_that_cannot_be_made_is_named(path):
-    MlflowTracker(f"sqlite:///{path}", "tests").finish("FAILED")  # was never started
-    with pytest.raises(InputError, match=rf"tracking\.uri = 'sqlite:///{path}' cannot be used"):
-        started(f"sqlite:///{path}")
-
-
 def test_a_clock_that_is_set_ends_no_living_run(monkeypatch):
     tags = this_process()
     monkeypatch.setattr(psutil.Process, "create_time", lambda _: 0.0)
@@ -213,14 +191,6 @@ def test_the_problem_of_a_run_is_a_dataset(uri):
 def test_an_address_that_is_none_is_refused(uri):
     with pytest.raises(InputError, match=r"uri must be sqlite:///PATH or the address of a server, got "):
         MlflowTracker(uri, "tests")
-
-
-def test_no_tracker_records_nothing():
-    tracker = NoTracker()
-    tracker.start(RunStart("a run", Path()))
-    tracker.log_metrics({"fitness": 1.0})
-    assert tracker.run_id is None
-    assert "tracking=none" in tracker.describe()
 
 
 @pytest.fixture(name="recorded")

@@ -68,13 +68,11 @@ TARGETS = {
     "room: {_target_: evil.Room}": "room._target_ = 'evil.Room' would run code",
     "room: {_target_: os.system}": "room._target_ = 'os.system'",
     "room: {relevance: {_target_: evil.Room}}": "room.relevance._target_ = 'evil.Room'",
-    "room: {relevance: {regions: [{low: {_target_: evil.Room}}]}}": "room.relevance.regions.0.low._target_",
     "camera: {rig: [{camera: {_target_: evil.Room, _partial_: true}}]}": "camera.rig.0.camera._target_",
     "objective: {_target_: lmd.formats.calibrations.yaml.load}": "lmd.formats.calibrations.yaml.load",  # a walk
     "objective: {_target_: lmd.core.tables.write_table}": "objective._target_ = 'lmd.core.tables.write_table'",
     "pdf: {_target_: lmd.geometry.camera.Camera}": "pdf._target_ = 'lmd.geometry.camera.Camera'",  # of another group
     "pdf: {_target_: '${optimiser._target_}'}": "pdf._target_ is no name of a class or a function",
-    "pdf: {_target_: [evil.Room]}": "pdf._target_ is no name",
     "pdf: {_target_: evil}": "pdf._target_ is no name",
     "'room': {'a\\e[2J': {_target_: os.system}}": "error: run: ",
 }
@@ -83,7 +81,6 @@ TEXTS = {
     "room: {size: ['${now:%Y}']}": "room.size.0 = '${now:%Y}'",
     "tag: {family: '${oc.select:${oc.env:SECRET}}'}": "tag.family",
     "tag: {family: '${tag.edge}${oc.env:SECRET}'}": "add trust=[oc.env]",
-    "tag: {family: '${oc.decode:\"${oc.env:SECRET}\"}'}": "add trust=[oc.decode]",
     "tag: {family: '${ hydra : searchpath }'}": "add trust=[hydra]",
 }
 
@@ -113,13 +110,9 @@ def test_a_run_of_a_stranger_runs_no_code(strangers, monkeypatch, changes):
         ("room: [1]", "room is not written as Hydra writes it"),
         ("room: &a [*a]", "its aliases stand for inf values"),
         ("room: {size: &a [1], walls: *a}", "room.walls is an alias"),
-        ("room: {low: &a [1, 2, 3], size: *a}", "room.size is an alias"),
         ("room: {_target_: [[lmd]]}", "room._target_ is no name"),
         ("room: {? [1, 2] : 3}", "cannot be read"),
         ("room: {? !!binary aGk= : 3}", "room has a key that is no text"),
-        ("room: !!bool foo", "cannot be read"),
-        ("room: !!int ''", "cannot be read"),
-        ("room: {null: 3}", "room has a key that is no text"),
         ("tag: {family: '${oc.${tag.edge}env:SECRET}'}", "add trust=[oc.env]"),
         ("tag: {family: '${tag[edge}'}", "tag.family = '${tag[edge}' would run code"),
         ("room: {size: !!timestamp 2020-01-01}", "room.size is no plain value"),
@@ -130,7 +123,6 @@ def test_a_run_of_a_stranger_runs_no_code(strangers, monkeypatch, changes):
         ("room: {low: [{_args_: [1]}]}", "room.low.0._args_.0 has _args_, which no option of room has"),
         ("room: !!python/object/apply:os.system [touch imported]", "cannot be read"),
         ("room: {size: " + "[" * 2_000, "cannot be read"),
-        ("room: " + "9" * 5_000, "cannot be read"),
         ("- 1", "is no configuration"),
     ],
 )
@@ -162,12 +154,6 @@ def test_a_group_may_name_what_its_nested_groups_name(strangers, monkeypatch):
     assert "would run code" in told(monkeypatch)
 
 
-def test_an_optimiser_of_ones_own_is_no_part_of_what_a_run_was_about(strangers, monkeypatch):
-    strangers("{optimiser: {_target_: evil.Room}, tracking: {_target_: evil.Room}}")
-    assert told(monkeypatch) == ""
-    assert "evil" not in sys.modules
-
-
 @pytest.mark.parametrize("trust", ["trust=[evil]", "+trust=evil", "trust=[evil.Room,os]"])
 def test_a_package_that_is_trusted_may_be_named_but_not_walked_through(strangers, monkeypatch, trust):
     strangers("room: {_target_: evil.Room}")
@@ -196,11 +182,6 @@ def test_what_files_of_ones_own_search_path_name_is_trusted(strangers, monkeypat
     assert "evil" not in sys.modules  # it needs no look: the name is that of the file
     strangers("objective: {_target_: evil.Room}")
     assert "add trust=[evil]" in told(monkeypatch, *search.format(own).split())
-
-
-def test_a_search_path_in_a_package_trusts_the_package(strangers, monkeypatch):
-    strangers("room: {_target_: evil.Room}")
-    assert told(monkeypatch, "hydra.searchpath=[pkg://evil.conf]") == ""
 
 
 @pytest.mark.parametrize("value", ["[1]", "a,b", "{a: b}"])
