@@ -24,20 +24,6 @@ SHARING = ("optimise", "evaluate", "report", "runs")
 CONF = str(Path(__file__).resolve().parents[1] / "conf")  # beside this package in a checkout and if installed
 
 
-def lmd_help(*, _root_: DictConfig) -> str:
-    """Text of `--help`: a line for each group that this command composes, with its options."""
-    from hydra.core.global_hydra import GlobalHydra
-
-    loader, hydra = GlobalHydra.instance().config_loader(), _root_.hydra
-    picked = {str(group).partition("@")[0] for group in hydra.runtime.choices}
-    # If several options of a group are picked, the choices lack the group, but the configuration has its key.
-    groups = [group for group in sorted(loader.list_groups("")) if group in picked or group in _root_]
-    groups.remove("hydra")
-    lines = [f"{group}: {', '.join(loader.get_group_options(group))}" for group in groups]
-    usage = f"{command_of(hydra.job.name)} [group=option] [key=value]"
-    return "\n".join([usage, "", *lines, "", "--cfg job shows every key with its value, -m makes a sweep."])
-
-
 def lmd_experiment(*, _root_: DictConfig) -> str:
     """mlflow experiment of the command that is composed: `EXPERIMENT`, or one of its own such as `lmd compare`."""
     studies = list(_root_.get("studies") or {})
@@ -51,7 +37,6 @@ def lmd_experiment(*, _root_: DictConfig) -> str:
 
 
 OmegaConf.register_new_resolver("lmd.experiment", lmd_experiment, replace=True)
-OmegaConf.register_new_resolver("lmd.help", lmd_help, replace=True)
 OmegaConf.register_new_resolver("lmd.env", lambda name, default: os.environ.get(name) or default, replace=True)
 OmegaConf.register_new_resolver("lmd.package", lambda: PACKAGE, replace=True)
 OmegaConf.register_new_resolver("lmd.conf", lambda name: str(Path(CONF, name)), replace=True)

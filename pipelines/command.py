@@ -18,13 +18,14 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig
 
 from .app import CONF, GARBAGE, PACKAGE, choices, command_of, ends_reported
-from .composing import ask_what_was_meant, settled
+from .composing import ask_what_was_meant, help_of, settled
 from .operations.signals import Stopped, stop
 from .operations.sweeps.supervisor import SWEEP_VARIABLE, run
 from .outputs import locks
 from .study import Study, conduct
 
-PRINTED = {"--help", "-h", "--hydra-help", "--cfg", "-c", "--info", "-i"}  # options with which a command only prints
+HELP = ("--help", "-h")
+PRINTED = {*HELP, "--hydra-help", "--cfg", "-c", "--info", "-i"}  # options with which a command only prints
 Outcome = Study | float | None
 Task = Callable[[DictConfig], Outcome]
 
@@ -59,6 +60,9 @@ class Command:
         gc.set_threshold(GARBAGE)
         if PRINTED.intersection(argument.partition("=")[0] for argument in sys.argv):
             signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # ends quietly if the reader, such as `head`, has ended
+        if len(options := [word for word in sys.argv[1:] if word.startswith("-")]) == 1 and options[0] in HELP:
+            print(help_of(self.name, [word for word in sys.argv[1:] if word not in HELP]))
+            return
         is_composed = False
 
         def settle_and_do(cfg: DictConfig) -> float | None:

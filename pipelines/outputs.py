@@ -75,7 +75,8 @@ class RunDirectory(HydraCallback):
         if result is None or not (directory / result).is_file() or is_resumed or JOB_VARIABLE in os.environ:
             return
         text = f"hydra.run.dir: {str(directory)!r} holds {result} of an earlier run"
-        print(f"error: {text}: name another folder, delete this one, or go on with resume=DIR.", file=sys.stderr)
+        go_on = ", or go on with resume=DIR" if "resume" in config else ""
+        print(f"error: {text}: name another folder, or delete this one{go_on}.", file=sys.stderr)
         sys.exit(1)
 
     @staticmethod

@@ -41,7 +41,7 @@ def test_a_run_does_not_overwrite_an_earlier_one(tmp_path, monkeypatch, capsys, 
         begin(tmp_path / "old", command, resume=None)
     assert ended.value.code == 1
     message = f"error: hydra.run.dir: '{tmp_path}/old' holds {result} of an earlier run: name another folder, "
-    assert capsys.readouterr().err == f"{message}delete this one, or go on with resume=DIR.\n"
+    assert capsys.readouterr().err == f"{message}or delete this one, or go on with resume=DIR.\n"
     with pytest.raises(SystemExit):
         begin(tmp_path / "old", command, resume=str(tmp_path / "new"))
     begin(tmp_path / "old", command, resume=str(tmp_path / "old"))
