@@ -1,4 +1,4 @@
-"""What a deployment is worth: `python -m pipelines.evaluate deployment=uniform|random|greedy|file [overrides]`.
+"""Study deployments: `python -m pipelines.evaluate deployment=uniform|random|greedy|file [overrides]`.
 
 `studies=[score,bound,...]` chooses the studies, and `deployments=[a,b]` compares several deployments.
 """

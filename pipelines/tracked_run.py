@@ -131,6 +131,6 @@ def log_child(
 
 
 def again(directory: Path) -> str:
-    """How to compute the files again that a run has left out; empty without landmarks."""
+    """Hint on computing the files again that a run has left out; empty without landmarks."""
     has_landmarks = (directory / "landmarks.csv").is_file()
     return f"; to draw and write again: {command_line('evaluate', [f'run={directory}'])}" if has_landmarks else ""

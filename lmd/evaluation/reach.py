@@ -121,7 +121,7 @@ def pose_bounds(
 
 @dataclass(frozen=True)
 class Reading:
-    """Where a tag is looked at.
+    """Angles and distances at which a tag is looked at.
 
     Raises:
         InputError: a value is out of range.
