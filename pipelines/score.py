@@ -10,7 +10,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from .app import choices, run_directory
 from .building import build_problem
-from .landmarks import axes_in
+from .landmarks import table_in
 from .nodes import keyed, note
 from .operations.signals import stop
 from .study import Report, Study
@@ -207,7 +207,7 @@ class _Subject(NamedTuple):
             if cfg.deployment.measured is not None:
                 from lmd.evaluation.measured import read_measured  # slow to load
 
-                deployment = read_measured(cfg.deployment.measured, problem, plan, axes_in(cfg.deployment))
+                deployment = read_measured(cfg.deployment.measured, problem, plan, **table_in(cfg.deployment))
                 note(deployment.note)
         history = [Record(1, problem.metrics(deployment)["fitness"], clock() - began)]
         return cls(problem, plan, deployment, mounting_of(cfg), history)

@@ -264,7 +264,10 @@ def test_the_parts_are_choices_on_the_command_line(guides, visibility, kind):
     ]  # fmt: skip
     text = yaml.safe_load(FILES["mine/estimator/reckoning.yaml"])
     assert text["reckoning"]["_target_"] == "reckoning.DeadReckoning"
-    assert list(composed(guides, "studies=[observe]", "estimator=[reckoning,iekf]", app="evaluate").estimator) == ["reckoning", "iekf"]
+    assert list(composed(guides, "studies=[observe]", "estimator=[reckoning,iekf]", app="evaluate").estimator) == [
+        "reckoning",
+        "iekf",
+    ]
 
 
 class Unselected(Localisation):

@@ -64,7 +64,7 @@ def test_a_run_writes_its_own_maps_and_can_be_exported_later(work):
 
 def test_a_map_of_one_stack_becomes_that_of_another(work):
     (work / "map.txt").write_text("# Clover\n3 0.15 0 2 3 1.5707963267948966 0 1.5707963267948966\n9 0.05 1 2 0\n")
-    found = "deployment.path=map.txt", "tag.family=4x4_50"
+    found = "deployment.path=map.txt", "deployment.columns=clover", "tag.family=4x4_50"
     done = inside(
         "export", *found, "formats=[aruco,json]", "tracking=none", "hydra.run.dir=out", cwd=work, settings=TAGS
     )
