@@ -196,14 +196,14 @@ def camera_of(node: DictConfig) -> "Camera | Rig":
     Raises:
         InputError: a camera or the rig is refused.
     """
-    from lmd.formats.rigs import brings_cameras, rig_of
-
     alone = editable(node)
     alone.pop("rig", None)
     mounts = mounts_of(node)
     if mounts is None:
         made = instantiate(alone)
     else:
+        from lmd.formats.rigs import brings_cameras, rig_of
+
         with keyed("camera"):
             made = rig_of(mounts, None if brings_cameras(mounts) else instantiate(alone))
     for camera in made.cameras:
@@ -217,12 +217,14 @@ def mounts_of(node: DictConfig) -> Any:
     Raises:
         InputError: the file of the rig cannot be read.
     """
-    from lmd.formats.rigs import read_mounts
-
     mounts = node.get("rig")
     plain = OmegaConf.to_container(mounts, resolve=True) if OmegaConf.is_config(mounts) else mounts
+    if not isinstance(plain, str):
+        return plain
+    from lmd.formats.rigs import read_mounts
+
     with keyed("camera"):
-        return read_mounts(plain) if isinstance(plain, str) else plain
+        return read_mounts(plain)
 
 
 def visibility_of(node: DictConfig) -> "tuple[Criteria, Crowd | None]":

@@ -31,14 +31,14 @@ def fixed_of(node: DictConfig, family: str | None) -> "Deployment | None":
     Raises:
         InputError: the file cannot be read, or holds no deployment of that family.
     """
+    path = node.get("fixed")
+    if path is None:
+        return None
     import numpy as np
 
     from lmd.formats.tag_maps import read_deployment
     from lmd.scene.fixed import COLUMN
 
-    path = node.get("fixed")
-    if path is None:
-        return None
     found = read_deployment(path, "fixed", family, **table_in(node))
     note(found.note)
     marks = found.labels.columns.get(COLUMN) if found.labels and node.get("marked") else None

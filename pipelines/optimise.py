@@ -54,7 +54,7 @@ def optimise(cfg: DictConfig) -> Study:
     cameras = build_camera_problem(cfg) if is_rig else None
     problem = build_problem(cfg) if cameras is None else cameras[0]
     optimiser = build_optimiser_of(cfg) if is_rig else build_optimiser(cfg, cfg.seed)
-    export = build_export(cfg, "export", problem.scene.tag)
+    export = build_export(cfg, "export", problem.scene.tag) if cfg.export != [] else None
     budget = budget_of(cfg)
     optimiser.check(problem)
     further = () if not is_rig else ("body", "cameras", *(() if cfg.rounds is None else IN_TURN))

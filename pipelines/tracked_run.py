@@ -43,11 +43,11 @@ def dataset_of(cfg: DictConfig, problem: "Problem") -> Dataset:
     Equal problems have equal digests, whichever options they are composed of. A frozen problem of the suite has its own
     name and digest.
     """
-    from lmd.suite import document
+    if isinstance(suite := cfg.get("suite"), str):
+        from lmd.suite import document
 
-    suite = cfg.get("suite")
-    if isinstance(suite, str) and (frozen := document(suite)).problem["deployment"].get("count") == problem.count:
-        return Dataset(suite, frozen.hash, {"about": frozen.about})
+        if (frozen := document(suite)).problem["deployment"].get("count") == problem.count:
+            return Dataset(suite, frozen.hash, {"about": frozen.about})
     chosen = {group: choices().get(group, "") for group in GROUPS if group in cfg}
     placed = {key: cfg.deployment[key] for key in DECIDED if cfg.deployment.get(key) is not None}
     settings = flat_settings(cfg, *chosen, *(["cameras", "body", "deployment"] if "cameras" in cfg else []))

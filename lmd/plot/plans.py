@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,8 +14,9 @@ from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.space.crowd import RADIUS, X, Y
 from lmd.space.space import Space, outwards
-from lmd.survey.results import far_from_plan, tag_columns
-from lmd.survey.survey import Survey
+
+if TYPE_CHECKING:
+    from lmd.survey.survey import Survey
 
 NO_MEDIAN_COLOUR = "#c8c8c8"  # colour of places without a finite median
 PLANNED, UNSEEN = "#9e9e9e", "#ff7f0e"
@@ -115,7 +116,7 @@ def save_accuracy_figure(path: str | Path, deployments: Mapping[str, tuple[Probl
     figure.savefig(path)
 
 
-def save_survey_figure(path: str | Path, survey: Survey, room: Space | None, title: str) -> None:
+def save_survey_figure(path: str | Path, survey: "Survey", room: Space | None, title: str) -> None:
     """Write a PNG of 1500 x 700 pixels: measured and planned tags from above, and the offset of each tag from its plan.
 
     Args:
@@ -136,8 +137,10 @@ def save_survey_figure(path: str | Path, survey: Survey, room: Space | None, tit
     shrink(path)
 
 
-def _draw_above(axes: Any, survey: Survey, room: Space | None) -> None:
+def _draw_above(axes: Any, survey: "Survey", room: Space | None) -> None:
     """Draw tags from above, arrows from their planned places, ellipses, and ids of unseen tags."""
+    from lmd.survey.results import far_from_plan
+
     if room is not None:
         draw_plan(axes, room, lw=0.8, zorder=1)
     placed, planned = survey.placed, survey.planned
@@ -194,8 +197,10 @@ def ellipse(covariance: FloatArray) -> FloatArray:
     return np.asarray(ELLIPSE_SIGMAS * axes @ (np.sqrt(np.maximum(values, 0.0))[:, None] * circle))
 
 
-def _draw_offsets(axes: Any, survey: Survey) -> None:
+def _draw_offsets(axes: Any, survey: "Survey") -> None:
     """Draw the offsets of tags in their planes with ellipses, and the ids of the tags farthest off."""
+    from lmd.survey.results import far_from_plan, tag_columns
+
     columns = tag_columns(survey)
     offset = 1e3 * np.stack([np.asarray(columns[name], dtype=np.float64) for name in ("right", "up", "out")], axis=1)
     there, far, length = (
@@ -225,8 +230,10 @@ def _draw_offsets(axes: Any, survey: Survey) -> None:
     )
 
 
-def _draw_sigmas(axes: Any, survey: Survey) -> None:
+def _draw_sigmas(axes: Any, survey: "Survey") -> None:
     """Draw the standard deviation of each tag against the number of sightings that place it."""
+    from lmd.survey.results import tag_columns
+
     columns = tag_columns(survey)
     sigma, seen = 1e3 * np.asarray(columns["sigma"]), survey.used
     axes.loglog(seen[survey.placed], sigma[survey.placed], "o", color=LANDMARK, markersize=5)
