@@ -10,7 +10,7 @@ from omegaconf import DictConfig
 
 from lmd.core.workers import in_processes
 
-from .app import flat_settings
+from .app import flat_settings, say
 from .building import budget_of, build_optimiser, build_problem
 from .composing import editable
 from .kept import kept
@@ -202,7 +202,7 @@ class Points:
         """Keys of jobs with their results, in the order in which the jobs finish."""
         results = in_processes(_do, list(jobs.items()), self._workers, lambda job: self.name(*job[0]))
         for i, (key, result) in enumerate(results, 1):
-            print(f"{i}/{len(jobs)} {what}: {self.name(*key)}", flush=True)
+            say(f"{i}/{len(jobs)} {what}: {self.name(*key)}")
             yield key, result
 
     def name(self, number: int, *places: float) -> str:

@@ -8,7 +8,7 @@ from urllib.parse import quote
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from .app import run_directory, save_path
+from .app import run_directory, save_path, say
 from .building import build_problem
 from .command import Command, alone
 from .composing import GROUPS
@@ -48,7 +48,7 @@ def report(cfg: DictConfig) -> None:
         (partial / "report.md").write_text(f"# {TITLE}\n\n{text}", encoding="utf-8")
 
     files = all_or_none(directory, write)
-    print(f"report  {directory / 'report.md'}")
+    say(f"report  {directory / 'report.md'}")
     if save_as is not None:
         page, text = Path(f"{save_as}.md"), (directory / "report.md").read_text(encoding="utf-8").split("\n\n", 1)[1]
         folder = page.with_suffix("")
@@ -57,7 +57,7 @@ def report(cfg: DictConfig) -> None:
             shutil.copy(picture, folder)
             text = text.replace(f"]({picture.name})", f"]({quote(folder.name)}/{picture.name})")
         page.write_text(f"{kept}{MARK}\n\n{text}", encoding="utf-8")
-        print(f"        {page}")
+        say(f"        {page}")
 
 
 def _kept_text(save_as: Path | None) -> str:

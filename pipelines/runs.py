@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig
 
+from .app import say
 from .command import Command, alone
 from .composing import at, task_overrides
 from .nodes import instantiate
@@ -53,11 +54,12 @@ def runs(cfg: DictConfig) -> None:
     with tracker.store.errors_reported():
         end_those_gone(tracker.store)
     table = reader.runs().iloc[-last:]
-    print(_listed(table))
+    say(_listed(table))
     for run_id, run in table.iterrows():
         if command := going_on(run):
-            print(printable(f"\n{run['name']} ({run_id}) goes on with, by its record:"), f"\n{printable(command)}")
-    print(f"\nin the browser, while `make ui` runs: {link(cfg.address, tracker.store.experiment_id)}")
+            name = printable(f"{run['name']} ({run_id})")
+            say(f"\n{name} goes on with, by its record:\n{printable(command)}")
+    say(f"\nin the browser, while `make ui` runs: {link(cfg.address, tracker.store.experiment_id)}")
 
 
 def going_on(run: "pd.Series") -> str:
@@ -112,12 +114,12 @@ def hand_in_below(folder: Path, uri: str) -> bool:
             journal = Journal.of(path.parent)
             if journal.store not in (None, uri) and not is_named:
                 raise InputError(f"it is for {journal.store!r}: name tracking.uri, where it shall go.")
-            print(printable(hand_in(journal, uri)), flush=True)
+            say(printable(hand_in(journal, uri)))
         except InputError as error:
             print(printable(f"error: {path}: {error}"), file=sys.stderr)
             failed = True
     if not paths:
-        print(f"nothing to hand in below {folder}")
+        say(f"nothing to hand in below {folder}")
     return not failed
 
 

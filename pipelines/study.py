@@ -99,16 +99,21 @@ def conduct(cfg: DictConfig, study: Study) -> float | None:
             is_whole = False
             try:
                 with stop.raising(), closing(_reports(study, tracker)) as reports:
-                    for report in reports:
-                        written, failed = _written(directory, report)
-                        files |= dict.fromkeys(written)
-                        lacking += failed
-                        figures |= report.figures
-                        lines |= report.lines
-                        is_whole, is_cut = is_whole or report.is_whole, is_cut or report.is_cut
-                        _log(tracker, report)
-                        if report.text:
-                            say(report.text)
+                    report = next(reports, None)
+                    while report is not None:
+                        try:
+                            written, failed = _written(directory, report)
+                            files |= dict.fromkeys(written)
+                            lacking += failed
+                            figures |= report.figures
+                            lines |= report.lines
+                            is_whole, is_cut = is_whole or report.is_whole, is_cut or report.is_cut
+                            _log(tracker, report)
+                            if report.text:
+                                say(report.text)
+                            report = next(reports, None)
+                        except Stopped as told:  # the study may have a last report
+                            report = reports.throw(told)
             except Stopped:
                 if not is_whole:
                     raise

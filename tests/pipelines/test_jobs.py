@@ -1,6 +1,5 @@
 """The jobs of a sweep: their names, their records on disk, the locks on their folders."""
 
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -8,10 +7,8 @@ from pathlib import Path
 import pytest
 from omegaconf import OmegaConf
 
-import pipelines.app
 from lmd.core.checks import InputError
 from lmd.optimisers.checkpoint import CHECKPOINT_FILE
-from pipelines.app import _Unread
 from pipelines.composing import key_and_value, quoted
 from pipelines.operations.sweeps.folder import Job, JobFolder, Sweep, SweepFolder, reason_of
 from pipelines.operations.sweeps.names import job_folder, slug, varied_keys
@@ -76,17 +73,6 @@ def test_a_run_is_refused_in_a_folder_where_another_one_works(tmp_path, capsys):
     told = f"error: resume: another process is at work in '{tmp_path}'.\n"
     assert (refused.value.code, capsys.readouterr().err) == (1, told)
     RunDirectory()._lock("resume", tmp_path)  # the lock is free again
-
-
-def test_what_is_written_to_a_reader_that_has_ended_is_dropped(monkeypatch):
-    monkeypatch.setattr("pipelines.app.unread", set())
-    reading, writing = os.pipe()
-    os.close(reading)
-    with os.fdopen(os.dup(writing), "wb", buffering=0) as plain, pytest.raises(BrokenPipeError):
-        plain.write(b"a")
-    with _Unread(writing, "w") as output:
-        assert [output.write(b"ab"), output.write(b"c")] == [2, 1]
-    assert pipelines.app.unread == {writing}
 
 
 @pytest.mark.slow

@@ -117,16 +117,26 @@ def test_a_database_is_never_left_locked(stop, tmp_path, monkeypatch):
     assert run.info.status == "KILLED"
 
 
-@pytest.mark.parametrize("asked", [("sync=.",), ("--help",), ("--cfg", "job")])
-def test_who_reads_no_further_costs_no_traceback(asked, tmp_path):
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        ("runs --help", signal.SIGPIPE),
+        ("runs --cfg job", signal.SIGPIPE),
+        ("runs sync=.", 0),
+        ("evaluate deployment=uniform room.spacing=2 validate=false picture=false tracking=none hydra.run.dir=run", 0),
+    ],
+)
+def test_a_command_outlives_its_reader_and_what_is_only_printed_ends_quietly(words, code, tmp_path):
     reading, writing = os.pipe()
     os.close(reading)
-    line = command("runs", *asked, settings=())
+    name, *given = words.split()
+    line = command(name, *given, settings=())
     process = start(line, cwd=tmp_path, stdout=writing, stderr=subprocess.PIPE, fresh=True)
     os.close(writing)
     _, told = process.communicate(timeout=LIMIT)
-    code = abs(process.returncode) % 128  # 128 more, or negative, for a process that the signal has ended
-    assert (code, "Traceback" in told, "error" in told) == (signal.SIGPIPE, False, False), told
+    # 128 more, or negative, for a process that the signal has ended
+    assert (abs(process.returncode) % 128, "Traceback" in told, "error" in told) == (code, False, False), told
+    assert (tmp_path / "run" / "metrics.json").is_file() == (name == "evaluate")
 
 
 def test_closed_streams_and_an_unknown_backend_of_matplotlib_cost_no_result(tmp_path):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 
+from ...app import say
 from ...nodes import instantiate
 from ...outputs import held
 from ...provenance import repeating, source_tags
@@ -35,7 +36,7 @@ class SweepRecord(Callback):
         atexit.register(_cut_short, config)
         done = len(folder.jobs())
         going_on = f", going on after {done} finished jobs (delete the folder to start afresh)" if before else ""
-        print(f"sweep {sweep_name(config)} in {folder.path}{going_on}", flush=True)
+        say(f"sweep {sweep_name(config)} in {folder.path}{going_on}")
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Write the table, end the parent run, and exit with 1 if a job has failed."""
@@ -116,11 +117,11 @@ def _close(config: DictConfig, reason: str = "") -> bool:
     write_jobs(folder.table, sweep, found)
     groups = by_group(sweep, found)
     folder.groups.write_text(f"{groups}\n")
-    print(f"{finished} of {len(found)} jobs finished: {folder.table}", flush=True)
+    say(f"{finished} of {len(found)} jobs finished: {folder.table}")
     for each in failed:
         print(f"{each.job.status}: {each.job.label}: {each.job.reason} ({each.folder.output})", file=sys.stderr)
     if told := why_nothing(found):
-        print(told, flush=True)
+        say(told)
     if failed or not found:
         reason = reason or (f"{len(failed)} of {len(found)} jobs failed" if found else "the sweep had no jobs")
     tracker: Tracker = instantiate(config.tracking)
@@ -131,5 +132,5 @@ def _close(config: DictConfig, reason: str = "") -> bool:
     tracker.log_artifacts([folder.groups, folder.table, *draw_groups(folder.picture, sweep, found)])
     tracker.finish("KILLED" if reason == STOPPED else "FAILED" if reason else "FINISHED", reason)
     for line in tracker.views(grouping_keys(sweep)):
-        print(line, flush=True)
+        say(line)
     return bool(reason)

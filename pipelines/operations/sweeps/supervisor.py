@@ -16,7 +16,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from ...app import PACKAGE, choices, ends_reported, run_directory
+from ...app import PACKAGE, choices, ends_reported, run_directory, say
 from ...composing import config_dir, key_and_value, quoted, search_path
 from ...nodes import instantiate
 from ...outputs import JOB_VARIABLE, held
@@ -83,7 +83,7 @@ def _supervise(cfg: DictConfig) -> float | None:
     with held(folder.path) as lock:
         if (done := folder.finished()) is not None:
             folder.save(replace(done, number=job.number, varied=job.varied, round=job.round))
-            print(f"done already: {job.label}{_figures_text(folder)}", flush=True)
+            say(f"done already: {job.label}{_figures_text(folder)}")
             return done.value
         before = folder.load()
         continued = before is not None and before.status != "failed" and folder.checkpoint.exists()
@@ -99,9 +99,9 @@ def _supervise(cfg: DictConfig) -> float | None:
         job = replace(job, seconds=spent + time.monotonic() - began)
         folder.save(job)
         if job.status == "finished":
-            print(f"finished in {job.seconds - spent:.0f} s: {job.label}{_figures_text(folder)}", flush=True)
+            say(f"finished in {job.seconds - spent:.0f} s: {job.label}{_figures_text(folder)}")
         else:
-            print(f"{job.status}: {job.label}: {job.reason} ({folder.output})", flush=True)
+            say(f"{job.status}: {job.label}: {job.reason} ({folder.output})")
         settle(cfg.tracking, folder, job, {} if job.status == "interrupted" else parameters(cfg, choices()))
         if job.status == "finished":
             return job.value
