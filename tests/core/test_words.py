@@ -8,10 +8,10 @@ import pandas as pd
 import pytest
 
 from lmd.core.words import as_code, escaped, markdown_table
+from lmd.detection.calibration import limits_markdown
 from lmd.estimation import pairs
 from lmd.plot.charts import save_heat_map
 from lmd.plot.common import literal, new_figure
-from pipelines.calibrate_detector import limits_markdown
 from pipelines.operations.sweeps.folder import Job, JobFolder, Sweep
 from pipelines.operations.sweeps.summary import Outcome, by_group
 

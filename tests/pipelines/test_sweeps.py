@@ -109,7 +109,7 @@ def test_a_sweep_grows_by_values_without_the_one_that_is_refused(tmp_path):
     grown = sweep_n(tmp_path, "3,2")
     assert grown.returncode == 0, grown.stderr
     assert "going on after 1 finished jobs" in grown.stdout
-    assert re.search(r"^finished in \d+ s: objective.n=3: [\d.]+% on the grid, [\d.]+% off it$", grown.stdout, re.M)
+    assert re.search(r"^finished in \d+ s: objective.n=3$", grown.stdout, re.M)
     assert grown.stdout.count("done already: objective.n=2") == 1
     (table,) = tmp_path.glob("outputs/evaluate_sweep/*/jobs.csv")
     rows = pd.read_csv(table)

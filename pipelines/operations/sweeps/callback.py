@@ -61,8 +61,7 @@ def _begin(config: DictConfig, folder: SweepFolder) -> Sweep | None:
         tracker: Tracker = instantiate(config.tracking)
         if before:
             varied = tuple(dict.fromkeys([*before.varied, *sweep.varied]))
-            known = before.run_id if before.run_id is not None and tracker.has(before.run_id) else None
-            sweep = replace(sweep, varied=varied, run_id=known, round=before.round + 1)
+            sweep = replace(sweep, varied=varied, run_id=before.run_id, round=before.round + 1)
         tags = {"sweep": sweep.name, "pipeline": config.hydra.job.name}
         tags |= override_tags(overrides) | source_tags(config.hydra.job.name)
         tracker.start(RunStart(sweep_title(config), folder.path, tags=tags), sweep.run_id)

@@ -83,7 +83,7 @@ def _supervise(cfg: DictConfig) -> float | None:
     with held(folder.path) as lock:
         if (done := folder.finished()) is not None:
             folder.save(replace(done, number=job.number, varied=job.varied, round=job.round))
-            say(f"done already: {job.label}{_figures_text(folder)}")
+            say(f"done already: {job.label}")
             return done.value
         before = folder.load()
         continued = before is not None and before.status != "failed" and folder.checkpoint.exists()
@@ -99,7 +99,7 @@ def _supervise(cfg: DictConfig) -> float | None:
         job = replace(job, seconds=spent + time.monotonic() - began)
         folder.save(job)
         if job.status == "finished":
-            say(f"finished in {job.seconds - spent:.0f} s: {job.label}{_figures_text(folder)}")
+            say(f"finished in {job.seconds - spent:.0f} s: {job.label}")
         else:
             say(f"{job.status}: {job.label}: {job.reason} ({folder.output})")
         settle(cfg.tracking, folder, job, {} if job.status == "interrupted" else parameters(cfg, choices()))
@@ -108,14 +108,6 @@ def _supervise(cfg: DictConfig) -> float | None:
         if interrupted:
             sys.exit(128 + signal.SIGINT)
         return float("nan")
-
-
-def _figures_text(folder: JobFolder) -> str:
-    """Text of a job's figures; empty if the job found no deployment."""
-    figures = folder.figures()
-    named = {"fitness": "on the grid", "off_grid": "off it"}
-    texts = [f"{figures[key]:.2%} {label}" for key, label in named.items() if key in figures]
-    return f": {', '.join(texts)}" if texts else ""
 
 
 @cache

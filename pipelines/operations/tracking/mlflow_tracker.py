@@ -32,15 +32,12 @@ class MlflowTracker(NoTracker):
         InputError: the address or the tags are refused.
     """
 
-    def __init__(
-        self, uri: str, experiment_name: str, tags: Mapping[str, str | float] | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, uri: str, experiment_name: str, tags: Mapping[str, str | float] | None = None) -> None:
         self.store = Store(uri, experiment_name)
-        if not isinstance(tags, Mapping | None) or not all(
-            isinstance(tag, str | float | int) for tag in (tags or {}).values()
-        ):
+        given = {} if tags is None else tags
+        if not isinstance(given, Mapping) or not all(isinstance(tag, str | float | int) for tag in given.values()):
             raise InputError(f"tags must be texts or numbers by their names, got {tags!r}.", "tags")
-        self._tags = {key: str(value) for key, value in (tags or {}).items()}
+        self._tags = {key: str(value) for key, value in given.items()}
         self._run_id: str | None = None
         self._journal: Journal | None = None
         self._sent = 0  # number of entries of the journal that were sent
@@ -54,6 +51,7 @@ class MlflowTracker(NoTracker):
     def start(self, run: RunStart, run_id: str | None = None) -> None:
         """See `Tracker.start`."""
         first: Entry = {}
+        run_id = None if run_id is None or self.store.find(run_id) is None else run_id
         tags = {**self._tags, **run.tags, "folder": _absolute(run.folder), **this_process()}
         if run_id is None:
             with self.store.errors_reported():
@@ -79,10 +77,6 @@ class MlflowTracker(NoTracker):
         if run is None or run.data.tags.get("folder") != _absolute(folder):
             return False
         return run.info.status != "FINISHED" and run.data.params == _written(params)
-
-    def has(self, run_id: str) -> bool:
-        """See `Tracker.has`."""
-        return self.store.find(run_id) is not None
 
     def _hand_in_left(self, folder: Path) -> None:
         """Send the journal that a killed run has left in a folder."""

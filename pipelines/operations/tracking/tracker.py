@@ -49,7 +49,7 @@ class NoTracker:
         return None
 
     def start(self, run: RunStart, run_id: str | None = None) -> None:
-        """Begin a run, or continue the run `run_id`.
+        """Begin a run, or continue the run `run_id` if it was not deleted.
 
         Raises:
             InputError: the store cannot be used for a new run.
@@ -63,14 +63,6 @@ class NoTracker:
             InputError: the store cannot be used.
         """
         return False
-
-    def has(self, run_id: str) -> bool:
-        """True if the run `run_id` can be continued: the experiment has it, and it was not deleted.
-
-        Raises:
-            InputError: the store cannot be used.
-        """
-        return True
 
     def discard(self) -> None:
         """Delete the started run."""
