@@ -203,15 +203,6 @@ def test_mlflows_own_variables_name_the_store_and_the_experiment(monkeypatch):
     assert (given.uri, given.tags.study) == ("sqlite:///s.db", "abc")
 
 
-def test_tags_and_what_a_detector_sees_are_a_choice():
-    problem = build_problem(composed("optimise", "tag.edge=0.2", "tag.quiet_zone=2", "visibility=fiducial"))
-    assert problem.scene.tag == problem.scene.visibility.tag
-    assert problem.scene.footprints.edge == pytest.approx(0.3)
-    assert problem.settings()["detector"] == "aruco"
-    assert build_problem(composed("optimise", "tag.edge=0.1")).scene.footprints.edge == pytest.approx(0.125)
-    assert build_problem(composed("optimise")).scene.footprints.edge == 0.0
-
-
 def test_the_problem_of_debug_tells_whether_an_optimiser_works():
     """Random search finds something but far from all, and a method that works finds more."""
     found = {}

@@ -42,15 +42,6 @@ def test_a_single_camera_has_figures_of_single_images():
     assert {"covered_share", "localised_share_20mm", headline_off_grid(problem)} <= set(figures)
 
 
-@pytest.mark.usefixtures("quick")
-def test_a_rig_has_the_figures_of_its_objective_and_of_single_moments():
-    problem = ladder_of(*YAW, "camera.rig=[{},{yaw: 3}]").problem(6)
-    figures = figures_of(problem)
-    assert headline_off_grid(problem) == "grid_free_qualified_ratio"
-    assert 0.0 <= figures["grid_free_qualified_ratio"] <= 1.0
-    assert 0.0 < figures["localised_share_20mm"] <= figures["covered_share"]
-
-
 @pytest.mark.parametrize(("held_out", "headline"), [(5, "held_out_share"), ("null", "recorded_share")])
 def test_recorded_poses_are_judged_by_what_was_held_out(drive, held_out, headline):
     problem = ladder_of(*drive, f"poses.held_out={held_out}").problem(6)

@@ -6,14 +6,10 @@ from pathlib import Path
 
 import psutil
 import pytest
-import stores
 from mlflow import MlflowClient
-from mlflow.store.db import utils
-from processes import ensure_warm
 from recorded_runs import ANOTHER, started, stored
 
 from lmd.core.checks import InputError
-from pipelines.operations.sweeps.forks import context
 from pipelines.operations.tracking import Dataset, MlflowReader, MlflowTracker, RunStart
 from pipelines.operations.tracking.journal import GONE, is_gone, this_process
 from pipelines.operations.tracking.store import DESCRIPTION
@@ -49,27 +45,6 @@ def test_a_failed_run_says_why(uri):
     assert stored(tracker).data.tags[DESCRIPTION] == "**FAILED**: ValueError: no\n\nabout\n\nthis"
     again = started(uri, run_id=tracker.run_id)
     assert stored(again).data.tags[DESCRIPTION] == "about\n\nthis"
-
-
-def start_together(uri, barrier, ids):
-    utils._initialize_tables = stores.make_tables  # mlflow's own way
-    barrier.wait()
-    ids.put(started(uri).run_id)
-
-
-@pytest.mark.slow
-@pytest.mark.thorough("pipelines/operations/tracking/store.py")
-def test_eight_processes_that_start_at_once_on_no_database_all_get_a_run(tmp_path):
-    ensure_warm()
-    barrier, ids = context.Barrier(8), context.Queue()
-    arguments = (f"sqlite:///{tmp_path}/fresh.db", barrier, ids)
-    processes = [context.Process(target=start_together, args=arguments) for _ in range(8)]
-    for process in processes:
-        process.start()
-    for process in processes:
-        process.join()
-    assert [process.exitcode for process in processes] == [0] * 8
-    assert len({ids.get(timeout=10) for _ in processes}) == 8
 
 
 def test_an_experiment_that_was_deleted_says_how_to_restore_it(uri):

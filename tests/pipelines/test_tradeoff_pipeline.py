@@ -11,9 +11,7 @@ import numpy as np
 import pandas as pd
 import processes
 import pytest
-from composing import composed
 from mlflow import MlflowClient
-from omegaconf import OmegaConf
 
 from lmd.scene.deployment import Deployment
 
@@ -106,12 +104,6 @@ def test_the_same_again_searches_nothing_and_other_settings_search_anew(done, ro
     assert len({path.name for path in kept.iterdir()} - files) == 2  # a search and its figures
 
 
-def test_the_number_of_workers_does_not_matter(rows, tmp_path):
-    by_two = tradeoff(tmp_path, *SOME, "workers=2")
-    assert by_two.returncode == 0, by_two.stderr
-    assert (tmp_path / "run" / "points.csv").read_text().splitlines() == rows
-
-
 def test_what_was_finished_when_it_was_interrupted_is_kept(tmp_path):
     points = ("counts=[6,8,10]", "seeds=1")
     line = processes.command("tradeoff", *points, "workers=2", "hydra.run.dir=run", settings=SMALL)
@@ -135,26 +127,6 @@ def test_what_was_finished_when_it_was_interrupted_is_kept(tmp_path):
     again = tradeoff(tmp_path, *points, "workers=1", "tracking=none", directory="again")
     assert again.returncode == 0, again.stderr
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
-
-
-def test_a_rig_on_recorded_poses_beside_the_fixed_tags_of_a_run(tmp_path):
-    (tmp_path / "lab" / ".hydra").mkdir(parents=True)
-    earlier = composed("optimise", "deployment.fixed=tags.csv", "deployment.count=2")
-    OmegaConf.save(earlier, tmp_path / "lab" / ".hydra" / "config.yaml")
-    (tmp_path / "lab" / "landmarks.csv").write_text("id,x,y,z,nx,ny,nz,fixed\n5,0,2,3,1,0,0,1\n7,0,3,3,1,0,0,0\n")
-    (tmp_path / "drive.csv").write_text(
-        "time,x,y,z,yaw,pitch\n" + "".join(f"{t},2,2,2,{0.1 * t},0\n" for t in range(60))
-    )
-    recorded = ("run=lab", "poses=recorded", "poses.path=drive.csv", "camera.rig=[{},{yaw: 3}]")
-    quick = ("optimiser=random_search", "counts=[6]", "seeds=1", "workers=1", "tracking=none")
-    run = tradeoff(tmp_path, *recorded, *quick, "wanted=0.1")
-    assert run.returncode == 0, run.stderr
-    assert json.loads((tmp_path / "run" / "tradeoff.json").read_text())["figure"] == "held_out_share"
-    landmarks = pd.read_csv(tmp_path / "run" / "points" / "K-6-seed-0" / "landmarks.csv")
-    assert landmarks.id.tolist() == [5, 0, 1, 2, 3, 4]
-    assert pd.read_csv(tmp_path / "run" / "points.csv").held_out_share.between(0.0, 1.0).all()
-    assert "fewest landmarks to reach 10% (share of the held-out time)" in run.stdout
-    assert (tmp_path / "run" / "tradeoff.png").is_file()
 
 
 def test_along_paper_the_best_mixture_is_no_worse_than_each_size_alone(tmp_path):
