@@ -232,7 +232,7 @@ def _overrides(cfg: DictConfig, command: str, given: Sequence[str], options: Map
         given: overrides of the command line.
         options: option of each group.
     """
-    named = {key for key, _ in _keyed(given)}
+    named = dict.fromkeys(key for key, _ in _keyed(given))  # in their order
     found: dict[str, str] = {}
     if isinstance(cfg.get("suite"), str) and command != "compare":
         found |= _of_suite(cfg, named)
@@ -252,7 +252,7 @@ def _overrides(cfg: DictConfig, command: str, given: Sequence[str], options: Map
         found = {group: ours[group][1] for group in ours if options[group] == ours[group][0]} | found
         found.setdefault("budget.evaluations", str(CAMERA_EVALUATIONS))
     if "poses" in named:
-        named.add("pdf")  # an option of the group poses sets its own pdf
+        named["pdf"] = None  # an option of the group poses sets its own pdf
     front = [f"{key}={value}" for key, value in found.items() if key not in named]
     every = [*front, *map(spelled, given)]
     return None if every == list(given) else every
