@@ -5,8 +5,11 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
+GARBAGE = 100_000  # allocations between two garbage collections; with Python's 700 they take a quarter of all imports
+
 try:
     import _signal  # type: ignore[import-not-found]  # built in; an interrupt during `import signal` prints a traceback
+    import gc
     import os
     import sys
 
@@ -18,6 +21,7 @@ try:
                 os.dup2(os.open(os.devnull, os.O_RDWR), number)
                 os.set_inheritable(number, True)
                 setattr(sys, name, os.fdopen(number, "w" if number else "r"))
+        gc.set_threshold(GARBAGE)
         os.environ["MPLBACKEND"] = "agg"  # pictures are files, and IPython's backend may not be installed here
 
         from .operations.signals import stop

@@ -18,7 +18,6 @@ from .operations.signals import stop
 PACKAGE = str(__package__)  # `pipelines` in a checkout, `lmd.pipelines` where lmd is installed
 IN_CHECKOUT = PACKAGE == "pipelines"
 LOCK = ".lock"  # file in a folder, locked by the process that works there
-GARBAGE = 100_000  # allocations between two garbage collections; with Python's 700 they take a quarter of all imports
 EXPERIMENT = "lmd"  # mlflow experiment of the commands in `SHARING`: they find or score a deployment, or read its runs
 SHARING = ("optimise", "evaluate", "report", "runs")
 CONF = str(Path(__file__).resolve().parents[1] / "conf")  # beside this package in a checkout and if installed

@@ -17,7 +17,7 @@ import hydra
 from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig
 
-from .app import CONF, GARBAGE, PACKAGE, choices, command_of, ends_reported
+from .app import CONF, PACKAGE, choices, command_of, ends_reported
 from .composing import ask_what_was_meant, help_of, settled
 from .operations.signals import Stopped, stop
 from .operations.sweeps.supervisor import SWEEP_VARIABLE, run
@@ -57,7 +57,6 @@ class Command:
             stop.listen()
             node = {"defaults": [self.like, "_self_"], **self.settings, "hydra": {"job": {"name": self.name}}}
             ConfigStore.instance().store(self.name, node)
-        gc.set_threshold(GARBAGE)
         if PRINTED.intersection(argument.partition("=")[0] for argument in sys.argv):
             signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # ends quietly if the reader, such as `head`, has ended
         if len(options := [word for word in sys.argv[1:] if word.startswith("-")]) == 1 and options[0] in HELP:

