@@ -18,7 +18,7 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig
 
 from .app import CONF, PACKAGE, choices, command_of, ends_reported
-from .composing import ask_what_was_meant, help_of, settled
+from .composing import ask_what_was_meant, help_of, offer_file_formats, settled
 from .operations.signals import Stopped, stop
 from .operations.sweeps.supervisor import SWEEP_VARIABLE, run
 from .outputs import locks
@@ -74,6 +74,7 @@ class Command:
         def run_composed(cfg: DictConfig) -> float | None:
             nonlocal is_composed
             is_composed = True
+            offer_file_formats()
             return self.runner(cfg, settle_and_do)
 
         run_composed.__module__ = f"{PACKAGE}.{self.name}"  # Hydra names the job after this module

@@ -8,6 +8,7 @@ Groups whose nodes describe objects are open: a key that no file has is passed o
 refuses it if it does not know it.
 """
 
+import os
 import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -99,6 +100,14 @@ def config_dir() -> list[str]:
     """Option `--config-dir` of this application, for another process; empty without such an option."""
     sources = HydraConfig.get().runtime.config_sources
     return [word for source in sources if source.provider == "command-line" for word in ("--config-dir", source.path)]
+
+
+def offer_file_formats() -> None:
+    """Name the folders `file_formats` on the search path to `lmd.formats.registry`, here and in processes to come."""
+    sources = HydraConfig.get().runtime.config_sources
+    folders = [os.path.join(source.path, "file_formats") for source in sources if source.schema == "file"]
+    known = filter(None, os.environ.get("LMD_FORMATS", "").split(os.pathsep))
+    os.environ["LMD_FORMATS"] = os.pathsep.join(dict.fromkeys([*known, *filter(os.path.isdir, folders)]))
 
 
 def task_overrides() -> list[tuple[str, str]]:
