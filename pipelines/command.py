@@ -6,7 +6,7 @@ import os
 import re
 import signal
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import wraps
@@ -15,14 +15,16 @@ from typing import Any
 
 import hydra
 from hydra.core.config_store import ConfigStore
+from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from .app import CONF, PACKAGE, choices, command_of, ends_reported
-from .composing import ask_what_was_meant, help_of, offer_file_formats, settled
+from .composing import ask_what_was_meant, settled, spelled
 from .operations.signals import Stopped, stop
 from .operations.sweeps.supervisor import SWEEP_VARIABLE, run
 from .outputs import locks
 from .study import Study, conduct
+from .trust import Trust
 
 HELP = ("--help", "-h")
 PRINTED = {*HELP, "--hydra-help", "--cfg", "-c", "--info", "-i"}  # options with which a command only prints
@@ -89,6 +91,30 @@ class Command:
             if ended.code == 1 and not is_composed and SWEEP_VARIABLE not in os.environ:  # Hydra has refused it
                 ask_what_was_meant()
             raise
+
+
+def help_of(command: str, overrides: Iterable[str]) -> str:
+    """Text of `--help`: a line for each group that a command composes, with its options."""
+    from hydra import compose as by_hydra
+    from hydra import initialize_config_dir
+
+    with initialize_config_dir(CONF, version_base="1.3"):
+        composed = by_hydra(command, list(map(spelled, overrides)), return_hydra_config=True)
+    picked = {str(group).partition("@")[0] for group in composed.hydra.runtime.choices} | {*map(str, composed)}
+    options: dict[str, set[str]] = {}
+    for file in (file for folder in Trust.given().folders for file in folder.glob("*/*.yaml")):
+        options.setdefault(file.parent.name, set()).add(file.stem)
+    groups = [f"{group}: {', '.join(sorted(options[group]))}" for group in sorted(options) if group in picked]
+    usage = f"{command_of(command)} [group=option] [key=value]"
+    return "\n".join([usage, "", *groups, "", "--cfg job shows the keys that are set, -m makes a sweep."])
+
+
+def offer_file_formats() -> None:
+    """Name the folders `file_formats` on the search path to `lmd.formats.registry`, here and in processes to come."""
+    sources = HydraConfig.get().runtime.config_sources
+    folders = [os.path.join(source.path, "file_formats") for source in sources if source.schema == "file"]
+    known = filter(None, os.environ.get("LMD_FORMATS", "").split(os.pathsep))
+    os.environ["LMD_FORMATS"] = os.pathsep.join(dict.fromkeys([*known, *filter(os.path.isdir, folders)]))
 
 
 def _check_experiment(command: str) -> None:

@@ -8,7 +8,6 @@ Groups whose nodes describe objects are open: a key that no file has is passed o
 refuses it if it does not know it.
 """
 
-import os
 import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -24,7 +23,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
-from .app import CONF, choices, chosen, command_of
+from .app import CONF, choices, chosen
 from .trust import Trust, read_yaml
 
 if TYPE_CHECKING:
@@ -102,14 +101,6 @@ def config_dir() -> list[str]:
     return [word for source in sources if source.provider == "command-line" for word in ("--config-dir", source.path)]
 
 
-def offer_file_formats() -> None:
-    """Name the folders `file_formats` on the search path to `lmd.formats.registry`, here and in processes to come."""
-    sources = HydraConfig.get().runtime.config_sources
-    folders = [os.path.join(source.path, "file_formats") for source in sources if source.schema == "file"]
-    known = filter(None, os.environ.get("LMD_FORMATS", "").split(os.pathsep))
-    os.environ["LMD_FORMATS"] = os.pathsep.join(dict.fromkeys([*known, *filter(os.path.isdir, folders)]))
-
-
 def task_overrides() -> list[tuple[str, str]]:
     """Overrides of this job, as pairs of key (or group) and override."""
     return _keyed(HydraConfig.get().overrides.task)
@@ -143,22 +134,6 @@ def compose(command: str, *overrides: str) -> DictConfig:
             composed.pop("hydra")
         again = _overrides(composed, command, overrides, options)
         return _final(composed if again is None else by_hydra(command, again))
-
-
-def help_of(command: str, overrides: Iterable[str]) -> str:
-    """Text of `--help`: a line for each group that a command composes, with its options."""
-    from hydra import compose as by_hydra
-    from hydra import initialize_config_dir
-
-    with initialize_config_dir(CONF, version_base="1.3"):
-        composed = by_hydra(command, list(map(spelled, overrides)), return_hydra_config=True)
-    picked = {str(group).partition("@")[0] for group in composed.hydra.runtime.choices} | {*map(str, composed)}
-    options: dict[str, set[str]] = {}
-    for file in (file for folder in Trust.given().folders for file in folder.glob("*/*.yaml")):
-        options.setdefault(file.parent.name, set()).add(file.stem)
-    groups = [f"{group}: {', '.join(sorted(options[group]))}" for group in sorted(options) if group in picked]
-    usage = f"{command_of(command)} [group=option] [key=value]"
-    return "\n".join([usage, "", *groups, "", "--cfg job shows the keys that are set, -m makes a sweep."])
 
 
 def settled(cfg: DictConfig) -> DictConfig:
