@@ -19,10 +19,11 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from .app import CONF, PACKAGE, choices, command_of, ends_reported
-from .composing import ask_what_was_meant, settled, spelled
+from .composing import settled
 from .operations.signals import Stopped, stop
 from .operations.sweeps.supervisor import SWEEP_VARIABLE, run
 from .outputs import locks
+from .overrides import ask_what_was_meant, spelled
 from .study import Study, conduct
 from .trust import Trust
 

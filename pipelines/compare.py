@@ -9,8 +9,9 @@ from omegaconf import DictConfig, ListConfig
 from .app import choices, run_directory, save_path
 from .building import budget_of, build_optimiser, build_problem, seeds_of
 from .command import Command
-from .composing import changes_results, editable, recompose, task_overrides
+from .composing import editable, recompose
 from .contenders import LANDMARKS, Contender, contend
+from .overrides import changes_results, task_overrides
 from .provenance import parameters
 from .study import Report, Study
 from .tournament import tournament_of

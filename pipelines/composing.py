@@ -9,21 +9,19 @@ refuses it if it does not know it.
 """
 
 import re
-import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from copy import deepcopy
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
-from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
 from .app import CONF, choices, chosen
+from .overrides import COUNT, keyed_overrides, quoted, search_path, spelled, task_overrides
 from .trust import Trust, read_yaml
 
 if TYPE_CHECKING:
@@ -37,7 +35,7 @@ OPTION = "run"  # option of `GROUPS` and of deployment
 COUNTED = ("random", "uniform", "greedy")  # options of deployment that need a number of landmarks
 RIG = "rig.yaml"  # file of a run that placed cameras
 FILES = (".hydra/config.yaml", "landmarks.csv")  # files that an earlier run must have
-COUNT, PATH = "deployment.count=", "deployment.path"
+PATH = "deployment.path"
 CAMERA_KEYS = ("cameras", "body", "rounds", "tag_evaluations")  # keys of `optimise` with varies=cameras
 CAMERA_EVALUATIONS = 2000  # budget of these
 OPEN = {
@@ -47,12 +45,6 @@ OPEN = {
     "views": ("views", "board"),
     **{name: (name,) for name in ("optimiser", "recording", "uncertainty")},
 }
-# Keys that change no result of a run: its place, its speed, its record and its further outputs.
-WITHOUT_EFFECT = (
-    "tracking", "trust", "resume", "threads", "workers", "checkpoint_seconds", "picture", "pictures",
-    "export", "paper_size", "north", "save_as", "kept",
-)  # fmt: skip
-LIKENESS = 0.8  # least similarity, by `difflib`, of a suggested key, such as a missing letter in a word
 NAME = re.compile(r"[\w.-]+")  # characters that mlflow accepts in the name of a metric
 
 for _name, _groups in OPEN.items():
@@ -60,55 +52,6 @@ for _name, _groups in OPEN.items():
     for _group in _groups:
         OmegaConf.set_struct(_node[_group], False)
     ConfigStore.instance().store(f"open_{_name}", _node)
-
-
-def spelled(override: str) -> str:
-    """Override with `deployment.count=+5` in quotes, as Hydra reads `+5` as the number 5."""
-    return re.sub(r"(?<=[=,])\+(\d+)(?=,|$)", r"'+\1'", override) if override.startswith(COUNT) else override
-
-
-def at(key: str, path: Path) -> str:
-    """Override with a path as its value, in quotes if Hydra needs them."""
-    return f"{key}={path}" if re.fullmatch(r"[\w./-]+", str(path)) else f"{key}={quoted(path)}"
-
-
-def quoted(path: str | Path) -> str:
-    """Path as the value of an override, in quotes."""
-    escaped = str(path).replace("\\", "\\\\").replace("'", "\\'")
-    return f"'{escaped}'"
-
-
-def key_and_value(override: str) -> tuple[str, str]:
-    """Split an override, such as `+objective.n=2`, into key and value (`objective.n`, `2`)."""
-    key, _, value = override.partition("=")
-    return key.lstrip("+~"), value
-
-
-def changes_results(key: str) -> bool:
-    """False for a key, or group, that changes no result of a run."""
-    return re.split("[./@]", key)[0] not in WITHOUT_EFFECT
-
-
-def search_path() -> list[str]:
-    """Overrides that add folders of configuration, on which other overrides depend."""
-    own = HydraConfig.get().overrides.hydra if HydraConfig.initialized() else []
-    return [override for override in own if override.startswith("hydra.searchpath=")]
-
-
-def config_dir() -> list[str]:
-    """Option `--config-dir` of this application, for another process; empty without such an option."""
-    sources = HydraConfig.get().runtime.config_sources
-    return [word for source in sources if source.provider == "command-line" for word in ("--config-dir", source.path)]
-
-
-def task_overrides() -> list[tuple[str, str]]:
-    """Overrides of this job, as pairs of key (or group) and override."""
-    return _keyed(HydraConfig.get().overrides.task)
-
-
-def _keyed(overrides: Iterable[str]) -> list[tuple[str, str]]:
-    parsed = OverridesParser.create().parse_overrides(list(overrides))
-    return [(str(override.key_or_group), str(override.input_line)) for override in parsed]
 
 
 def compose(command: str, *overrides: str) -> DictConfig:
@@ -216,7 +159,7 @@ def _overrides(cfg: DictConfig, command: str, given: Sequence[str], options: Map
         given: overrides of the command line.
         options: option of each group.
     """
-    named = dict.fromkeys(key for key, _ in _keyed(given))  # in their order
+    named = dict.fromkeys(key for key, _ in keyed_overrides(given))  # in their order
     found: dict[str, str] = {}
     if isinstance(cfg.get("suite"), str) and command != "compare":
         found |= _of_suite(cfg, named)
@@ -402,49 +345,3 @@ def compared(cfg: DictConfig) -> dict[str, DictConfig]:
     if kinds == {PATH} and (unused := [text for key, text in given if key == PATH]):
         raise InputError(f"{unused[0]} is for none of the deployments {', '.join(composed)}.")
     return composed
-
-
-def meant(key: str) -> str:
-    """Question that suggests the known key most similar to an unknown key; empty for a known key, or if no known key is
-    similar.
-
-    Args:
-        key: key with its groups, such as `room.keepout`.
-    """
-    import difflib
-
-    known = known_keys(CONF)
-    close = [] if key in known else difflib.get_close_matches(key, sorted(known), 1, LIKENESS)
-    return f"did you mean {close[0]}?" if close else ""
-
-
-def ask_what_was_meant() -> None:
-    """Suggest on stderr a known key for each unknown key of the command line, which Hydra has refused."""
-    for argument in sys.argv[1:]:
-        key = argument.partition("=")[0]
-        if key.replace(".", "_").isidentifier() and "." in key and (question := meant(key)):
-            print(f"{key}: {question}", file=sys.stderr)
-        if key.startswith("hydra/launcher"):
-            print("other launchers are packages of their own: pip install 'lmd[sweeps]'", file=sys.stderr)
-
-
-@cache
-def known_keys(folder: str) -> frozenset[str]:
-    """Keys of the configuration in a folder, with their groups."""
-    import yaml
-
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times as fast, if PyYAML was built with it
-    files = list(Path(folder).rglob("*.yaml"))
-    nodes = [
-        (list(f.parent.relative_to(folder).parts), yaml.load(f.read_text(encoding="utf-8"), loader)) for f in files
-    ]
-    return frozenset(name for groups, node in nodes for name in _keys_within(node, groups))
-
-
-def _keys_within(node: Any, above: list[str]) -> Iterator[str]:
-    if isinstance(node, Mapping):
-        for key, inner in node.items():
-            if key == "defaults":  # Hydra's own key
-                continue
-            yield ".".join([*above, str(key)])
-            yield from _keys_within(inner, [*above, str(key)])

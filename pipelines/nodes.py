@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import hydra
 from omegaconf import DictConfig, OmegaConf
 
-from .composing import LIKENESS, known_keys
+from .overrides import LIKENESS, known_keys
 from .trust import Trust
 
 if TYPE_CHECKING:

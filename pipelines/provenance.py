@@ -17,8 +17,8 @@ from typing import Any
 from omegaconf import DictConfig
 
 from .app import CONF, IN_CHECKOUT, command_of, flat_settings
-from .composing import at, changes_results
 from .operations.sweeps.folder import current_job
+from .overrides import at, changes_results
 
 # Characters around a path in an override, such as `deployments=['mine: file deployment.path=a.csv',uniform]`; the first
 # pattern leaves a path with a space whole.

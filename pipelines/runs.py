@@ -13,8 +13,8 @@ from omegaconf import DictConfig
 
 from .app import say
 from .command import Command, alone
-from .composing import at, task_overrides
 from .nodes import instantiate
+from .overrides import at, task_overrides
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -8,9 +8,10 @@ from omegaconf import DictConfig, OmegaConf
 
 from .app import run_directory, save_path
 from .building import GROUPS, build_optimiser, seeds_of
-from .composing import recompose, task_overrides
+from .composing import recompose
 from .contenders import Contender, contend
 from .nodes import note
+from .overrides import task_overrides
 from .study import Report, Study
 
 if TYPE_CHECKING:

@@ -13,12 +13,13 @@ from lmd.core.checks import InputError
 from lmd.core.words import as_code, escaped
 
 from .app import choices, flat_settings, run_directory
-from .composing import GROUPS, key_and_value
+from .composing import GROUPS
 from .nodes import instantiate
 from .operations.signals import stop
 from .operations.sweeps.folder import current_job, reason_of
 from .operations.sweeps.names import override_tags, short_name
 from .operations.tracking import PARENT_TAG, Dataset, RunStart
+from .overrides import key_and_value
 from .provenance import command_line, digest, parameters, repeating, source_tags, write_sources
 
 if TYPE_CHECKING:

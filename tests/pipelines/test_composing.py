@@ -19,8 +19,9 @@ import pipelines
 from lmd.core.checks import InputError
 from pipelines.app import CONF
 from pipelines.building import build_optimiser, build_problem
-from pipelines.composing import GROUPS, ask_what_was_meant, meant, spelled
+from pipelines.composing import GROUPS
 from pipelines.nodes import instantiate, keyed
+from pipelines.overrides import ask_what_was_meant, meant, spelled
 from pipelines.points import Ladder
 
 LAB = ("room=lab", "room.spacing=1", "camera=lab", "pdf=yaw", "pdf.pitch=0.1", "objective.n=1", "objective.thold_p=0.4")

@@ -9,10 +9,10 @@ from omegaconf import OmegaConf
 
 from lmd.core.checks import InputError
 from lmd.optimisers.checkpoint import CHECKPOINT_FILE
-from pipelines.composing import key_and_value, quoted
 from pipelines.operations.sweeps.folder import Job, JobFolder, Sweep, SweepFolder, reason_of
 from pipelines.operations.sweeps.names import job_folder, slug, varied_keys
 from pipelines.outputs import RunDirectory, held
+from pipelines.overrides import key_and_value, quoted
 
 
 def test_names():

@@ -7,7 +7,7 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf, read_write
 
-from ...composing import changes_results, key_and_value, quoted, spelled
+from ...overrides import changes_results, key_and_value, quoted, spelled
 from ...provenance import digest
 from .folder import SweepFolder
 

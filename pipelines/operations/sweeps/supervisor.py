@@ -17,9 +17,9 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from ...app import PACKAGE, choices, ends_reported, run_directory, say
-from ...composing import config_dir, key_and_value, quoted, search_path
 from ...nodes import instantiate
 from ...outputs import JOB_VARIABLE, held
+from ...overrides import config_dir, key_and_value, quoted, search_path
 from ...provenance import parameters
 from ..signals import CODES, stop
 from . import forks
