@@ -13,8 +13,8 @@ import weight
 BUDGET = {
     "files of lmd": 359,
     "code lines of lmd": 31428,
-    "files of pipelines": 56,
-    "code lines of pipelines": 4232,
+    "files of pipelines": 57,
+    "code lines of pipelines": 4233,
     "code lines of tests": 24820,
     "files of conf": 100,
     "keys of conf": 387,
