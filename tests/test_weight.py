@@ -18,7 +18,7 @@ BUDGET = {
     "code lines of tests": 26706,
     "files of conf": 114,
     "keys of conf": 545,
-    "words of docs": 61412,
+    "words of docs": 61416,
     "commands": 20,
 }
 # Docstrings and comments with each phrase, at most. Lower a number when you have lowered the count.
