@@ -24,7 +24,7 @@ from lmd.localise.fixed_map import LEAST_SIGMA, FixedMap
 from lmd.localise.localise import localise
 from lmd.scene.tag import Tag
 from lmd.survey.gauge import align_tags
-from lmd.survey.prior import PriorKnowledge
+from lmd.survey.knowledge import PriorKnowledge
 from lmd.survey.results import map_covariance
 from lmd.survey.survey import Survey, survey
 
@@ -34,7 +34,9 @@ def map_of_survey(found: Survey) -> FixedMap:
     ids, covariance = map_covariance(found)
     placed = np.searchsorted(found.ids, ids)
     sigmas = np.maximum(np.sqrt(np.diag(covariance)).reshape(-1, 6), LEAST_SIGMA)
-    return FixedMap(ids, found.found.poses.tags[placed], found.found.sightings.edges[placed], sigmas, covariance)
+    return FixedMap(
+        ids, found.found.poses.tags[placed], found.found.sightings.present_edges[placed], sigmas, covariance
+    )
 
 
 def squares(frames: FloatArray, covariances: FloatArray, true: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -81,7 +83,7 @@ def real(folder: Path, edge: float) -> None:
             assert motion is not None
             true, smoothed = inverse(motion) @ truth.found.poses.frames, result.smoothed
             row = f"{name} | {beside}"
-            print(line(f"{row} | single", *squares(result.found.poses.frames, result.found.covariances, true)))
+            print(line(f"{row} | single", *squares(result.found.frames, result.found.covariances, true)))
             if smoothed is not None:
                 print(line(f"{row} | smoothed", *squares(smoothed.frames, smoothed.covariances, true)), flush=True)
         changes = result.changes

@@ -38,7 +38,7 @@ from lmd.sight.models.fiducial import Fiducial
 from lmd.sight.models.limits import NAMES, Limits
 from lmd.space.cuboid import Cuboid
 from lmd.survey.audit import IN_A_ROW, Audit, audited, in_the_open, view_columns
-from lmd.survey.prior import PriorKnowledge
+from lmd.survey.knowledge import PriorKnowledge
 from lmd.survey.survey import Survey, survey
 
 FARTHEST = "farthest corner from the lens's centre, pixels"

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from lmd.survey.audit import Audit
     from lmd.survey.survey import Survey
 
-DOCUMENT, MEASURED, DETECTED = "survey.json", "measured.csv", "detections.csv"
+DOCUMENT, MEASURED, DETECTED, RIG = "survey.json", "measured.csv", "detections.csv", "rig.yaml"
 ALWAYS = ("map.csv", "map.npz", "frames.csv", DOCUMENT, "survey.png", "in_view.csv")
 AUDIT = (
     *(f"audit_{name}.csv" for name in ("pitches", "incidences", "places", "tags")),
@@ -45,14 +45,14 @@ def check_folder(directory: Path, cfg: DictConfig, cameras: int, exports: "Expor
     own = set(ALWAYS) | {all_formats()[name].file for name in exports.formats}
     own |= {MEASURED} if has_plan else set()
     own |= {DETECTED} if cfg.detections is None else set()
-    own |= set(camera_files(cameras))
+    own |= {*camera_files(cameras), *((RIG,) if cameras > 1 else ())}
     own |= set(AUDIT) if cfg.audit else set()
     for name in sorted(own):
         if (directory / name).is_dir():
             raise InputError(f"hydra.run.dir: {str(directory / name)!r} is a folder, where a file is to be written.")
     if not (directory / DOCUMENT).is_file():
         return
-    known = {MEASURED, DETECTED, *AUDIT, *(form.file for form in all_formats().values())}
+    known = {MEASURED, DETECTED, RIG, *AUDIT, *(form.file for form in all_formats().values())}
     known |= {path.name for path in directory.glob("camera*.yaml")}
     read = {os.path.realpath(text) for text in texts_in(OmegaConf.to_container(cfg, resolve=True))}
     left = [name for name in sorted(known - own) if (directory / name).is_file()]
@@ -79,12 +79,14 @@ def writers_of(
         title: title of the picture.
         detected: detections in all frames; None if they were read from a file.
     """
+    from lmd.adjust.intrinsics import camera_info
     from lmd.core.tables import write_table
     from lmd.formats.detection_formats import write_detections
+    from lmd.formats.rigs import write_rig
     from lmd.formats.tag_map import write_yaml
     from lmd.formats.tag_maps import FILE, write_map_covariance
     from lmd.plot.plans import save_survey_figure
-    from lmd.survey.intrinsics import camera_info
+    from lmd.scene.rig import Rig
     from lmd.survey.results import frame_columns, map_columns, map_covariance, measured_of, survey_document
 
     writers: dict[str, Callable[[Path], object]] = {
@@ -98,6 +100,10 @@ def writers_of(
         writers[MEASURED] = lambda path: measured.to_csv(path, ups=True)
     for file, camera in zip(camera_files(len(found.calibrated)), found.calibrated, strict=True):
         writers[file] = partial(write_yaml, keys=camera_info(camera.found))
+    if len(found.calibrated) > 1:
+        rig = Rig.of_poses([camera.found for camera in found.calibrated], found.found.poses.mounts)
+        sources = dict(zip(rig.cameras, camera_files(len(rig.cameras)), strict=True))
+        writers[RIG] = partial(write_rig, rig=rig, sources=sources)
     if detected is not None:
         writers[DETECTED] = lambda path: write_detections(path, detected)
     return writers

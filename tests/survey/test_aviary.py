@@ -10,7 +10,7 @@ from lmd.detection.corner_errors import CORNER_ERRORS
 from lmd.formats.calibrations import Calibration
 from lmd.formats.detection_formats import read_detections
 from lmd.scene.tag import Tag
-from lmd.survey.prior import PriorKnowledge
+from lmd.survey.knowledge import PriorKnowledge
 from lmd.survey.survey import survey
 
 REAL = Path(__file__).parents[2] / "../shared/real/detections/test_13"

@@ -8,7 +8,7 @@ import walks
 
 from lmd.core.checks import InputError
 from lmd.geometry.se3 import exp, log
-from lmd.survey.boards import Boards
+from lmd.survey.knowledge import Boards
 
 SHEETS, EACH, APART, SIGMA, PRINTED = 8, 4, 0.13, 0.3, 0.0002
 CORNERS = APART / 2.0 * np.array([[-1, 1], [1, 1], [-1, -1], [1, -1]])

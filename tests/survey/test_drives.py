@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from lmd.core.checks import InputError
 from lmd.geometry.se3 import act, adjoint_matrix, inverse, log, pose_of, rigid_alignment
 from lmd.scene.tag import Tag
-from lmd.survey.prior import PriorKnowledge
+from lmd.survey.knowledge import PriorKnowledge
 from lmd.survey.results import survey_document, tag_columns
 from lmd.survey.survey import survey
 from lmd.survey.terminal import to_text

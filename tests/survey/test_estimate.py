@@ -8,11 +8,11 @@ import walks
 from scipy.optimize import approx_fprime
 from scipy.stats import chi2
 
+from lmd.adjust.corners import Poses, Reprojection, squared_errors
 from lmd.geometry.se3 import camera_pose, exp, inverse, log
 from lmd.scene.deployment import Deployment
+from lmd.survey.knowledge import Prior, PriorKnowledge
 from lmd.survey.map_estimate import estimate_map
-from lmd.survey.prior import Prior, PriorKnowledge
-from lmd.survey.residuals import Poses, Reprojection, squared_errors
 
 COUNT, FRAMES, SIGMA = 24, 80, 0.2
 IDS = np.arange(COUNT)

@@ -8,8 +8,8 @@ import walks
 
 from lmd.geometry.se3 import exp, inverse
 from lmd.survey.faults import find_faults
+from lmd.survey.knowledge import Prior
 from lmd.survey.map_estimate import estimate_map
-from lmd.survey.prior import Prior
 
 COUNT, FRAMES, MOVED = 24, 64, 5
 IDS = np.arange(COUNT)

@@ -9,12 +9,12 @@ from scipy.optimize import approx_fprime
 from scipy.spatial.distance import pdist
 from scipy.stats import chi2
 
+from lmd.adjust.intrinsics import camera_info, intrinsics_of, parameter_slopes, prior_sigmas, with_intrinsics
 from lmd.formats.calibrations import calibrated_camera
 from lmd.formats.tag_map import write_yaml
 from lmd.geometry.projection import bearings, project
 from lmd.geometry.se3 import camera_pose
 from lmd.scene.deployment import Deployment
-from lmd.survey.intrinsics import camera_info, intrinsics_of, parameter_slopes, prior_sigmas, with_intrinsics
 from lmd.survey.results import survey_document
 from lmd.survey.terminal import to_text
 

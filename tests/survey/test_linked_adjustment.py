@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import walks
 
+from lmd.adjust.corners import Poses, Reprojection, squared_errors, student_weight
+from lmd.adjust.motion import DRIFT, STEADY, Motion, seconds_of
 from lmd.geometry.se3 import exp, inverse, log
 from lmd.survey.adjustment import Adjustment
+from lmd.survey.knowledge import EXACT_SIGMA, Prior
 from lmd.survey.linked_adjustment import LinkedAdjustment, adjustment_of, constraining
-from lmd.survey.motion import DRIFT, STEADY, Motion, seconds_of
-from lmd.survey.prior import EXACT_SIGMA, Prior
-from lmd.survey.residuals import Poses, Reprojection, squared_errors, student_weight
 
 COUNT, SIGMA = 5, 0.2
 

@@ -3,10 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lmd.adjust.motion import BIAS, Motion, seconds_of
 from lmd.core.checks import InputError
 from lmd.geometry.se3 import exp
 from lmd.geometry.trajectory import Trajectory
-from lmd.survey.motion import BIAS, Motion, seconds_of
 
 
 def some_motion(rng, count, kind):

@@ -9,13 +9,13 @@ import walks
 from scipy.optimize import approx_fprime
 from scipy.stats import chi2
 
+from lmd.adjust.corners import Poses, Reprojection
+from lmd.adjust.intrinsics import intrinsics_of, prior_sigmas, with_intrinsics
+from lmd.adjust.sightings import MODES, SHAPES, SQUARE, sightings_of
 from lmd.detection.corner_errors import CornerErrors, inward
 from lmd.geometry.projection import project
 from lmd.geometry.se3 import camera_pose
-from lmd.survey.intrinsics import intrinsics_of, prior_sigmas, with_intrinsics
 from lmd.survey.nuisances import Optics, with_nuisances
-from lmd.survey.residuals import Poses, Reprojection
-from lmd.survey.sightings import MODES, SHAPES, SQUARE, sightings_of
 from lmd.survey.terminal import to_text
 
 TAGS, FRAMES, SIGMA, SPREAD = 16, 60, 0.2, 0.2
