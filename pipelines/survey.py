@@ -37,8 +37,8 @@ def survey(cfg: DictConfig) -> None:
     from lmd.core.checks import InputError, boolean, integer, seed_number
     from lmd.core.tables import write_table
     from lmd.detection.tag_views import FILE as VIEWS
+    from lmd.evaluation.audit import audited, in_the_open, view_columns
     from lmd.evaluation.verdicts import verdicts
-    from lmd.survey.audit import audited, in_the_open, view_columns
     from lmd.survey.keyframes import select_keyframes
     from lmd.survey.results import map_of, metrics
     from lmd.survey.survey import SurveyStage

@@ -12,10 +12,10 @@ from .outputs import write_document
 from .provenance import texts_in
 
 if TYPE_CHECKING:
+    from lmd.evaluation.audit import Audit
     from lmd.export.exports import Export
     from lmd.formats.detections import DetectedTags
     from lmd.space.space import Space
-    from lmd.survey.audit import Audit
     from lmd.survey.survey import Survey
 
 DOCUMENT, MEASURED, DETECTED, RIG = "survey.json", "measured.csv", "detections.csv", "rig.yaml"

@@ -11,5 +11,5 @@ Modules in the order of a survey, each with its result:
 - `gauge` moves all poses into one world frame.
 - `faults` finds tags that were moved, hang twice, or have a wrong size or id; `held_out` localises frames by a map from
   the others.
-- `results` makes tables and files, `terminal` makes text; `audit` compares detections with a visibility model.
+- `results` makes tables and files, `terminal` makes text.
 """
