@@ -3,6 +3,7 @@
 python benchmarks/localise.py real FOLDER EDGE            # map of one half of the frames, the other half localised
 PYTHONPATH=tests python benchmarks/localise.py speed      # 2,000 frames of 5 tags: seconds of one processor
 PYTHONPATH=tests python benchmarks/localise.py changes [--drives 100] [--moved 20]   # false alarms and misses
+PYTHONPATH=tests python benchmarks/localise.py truth [--seeds 40]   # errors beside those stated, in rooms by OpenCV
 
 FOLDER has `detections.csv` and `cameras.yaml` of one camera.
 """
@@ -147,6 +148,26 @@ def changes(drives: int, moved: float) -> None:
           f"distance off by at most {max(off, default=np.nan):.1f} mm")  # fmt: skip
 
 
+def truth(seeds: int) -> None:
+    """Errors of smoothed poses beside those stated, of each scenario of `tests/localise_rooms.py`."""
+    import localise_rooms
+
+    print("| scenario | walks | failed | chi²/6, 10 %, 50 %, 90 % | in .2 to 3 | off, mm | stated, mm | localised |")
+    print("| --- |" + " --- |" * 7)
+    for name in localise_rooms.NAMES:
+        rows = []
+        for seed in range(seeds):
+            walk = localise_rooms.scenario(name, seed)
+            result = walk.localised()
+            if result.smoothed is not None:
+                rows.append((*localise_rooms.figures(walk, result), float(result.smoothed.localised.mean())))
+        square, off, stated, localised = np.array(rows).T
+        low, middle, high = np.quantile(square, (0.1, 0.5, 0.9))
+        cells = [f"{low:.2f}, {middle:.2f}, {high:.2f}", f"{((square > 0.2) & (square < 3.0)).mean():.0%}"]
+        cells += [f"{1e3 * np.median(off):.2f}", f"{1e3 * np.median(stated):.2f}", f"{localised.mean():.1%}"]
+        print(f"| {name} | {seeds} | {seeds - len(rows)} | {' | '.join(cells)} |", flush=True)
+
+
 def main() -> None:
     """Read the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -161,8 +182,10 @@ def main() -> None:
     own = parts.add_parser("changes")
     own.add_argument("--drives", type=int, default=100)
     own.add_argument("--moved", type=float, default=20.0)
+    own = parts.add_parser("truth")
+    own.add_argument("--seeds", type=int, default=40)
     args = vars(parser.parse_args())
-    {"real": real, "speed": speed, "changes": changes}[args.pop("part")](**args)
+    {"real": real, "speed": speed, "changes": changes, "truth": truth}[args.pop("part")](**args)
 
 
 if __name__ == "__main__":

@@ -29,6 +29,7 @@ FLOOR_PIXELS = 3.0  # maximum of the floor, pixels
 STEPS, FINAL_STEPS = 40, 15  # steps of bundle adjustment with all sightings, and without outliers
 # Threads of linear algebra: with matrices of some hundred rows, more threads wait longer than they work.
 ONE_THREAD = 1
+FEWEST_MISFITS = 3  # least number of outliers of a tag that hangs elsewhere or has another size
 FEWEST_FRAMES = 10  # minimum number of frames for blocks of time
 FEWEST_BLOCKS, MOST_BLOCKS = 5, 8
 FEWEST_IN_BLOCK = 3  # minimum number of frames of a block, unless there would be too few blocks
@@ -142,6 +143,12 @@ class Estimate:
     def adjusted(self, poses: Poses) -> "Estimate":
         """Estimate that is adjusted again, from `poses`."""
         return adjust(self.sightings, self.prior, poses, self.group, self.floor, self.inflation)
+
+    @property
+    def are_astray(self) -> BoolArray:
+        """True for tags of which most sightings, and at least `FEWEST_MISFITS`, are outliers, `(K,)`."""
+        counts = self.sightings.counts(self.misfits)
+        return np.asarray((counts >= FEWEST_MISFITS) & (counts > self.sightings.counts(self.used)))
 
     def errors(self) -> FloatArray:
         """RMS reprojection errors of the inliers, pixels, `(n,)`."""

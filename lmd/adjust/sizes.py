@@ -83,22 +83,24 @@ def odd_sizes(sightings: Sightings, single: FloatArray) -> tuple[FloatArray, Boo
     return np.where(odd, np.exp(size), 1.0), odd | (alone & odd.any())
 
 
-def with_sizes(found: Estimate, odd: BoolArray, others: float) -> Estimate:
-    """Estimate with the sizes of some tags, which are unknowns of a refinement from there on.
+def with_sizes(found: Estimate, odd: BoolArray, others: float, tried: bool) -> tuple[Estimate, BoolArray]:
+    """Estimate with the sizes of some tags, which are unknowns of a refinement from there on, and the mask of the tags
+    with another size, `(K,)`.
 
     Args:
         found: estimate with the stated sizes.
         odd: mask of the tags that are known to have another size, `(K,)`.
         others: standard deviation of the other tags, see `Sightings.size_sigmas`.
+        tried: True if further tags may have another size.
     """
-    for _ in range(ROUNDS if odd.any() else 0):
+    for _ in range(ROUNDS if tried else 0):
         sizes, poses = estimated_sizes(found, odd)
         if not sizes:
             break
-        found = resized(found, sizes, poses)
+        found, odd = resized(found, sizes, poses), odd | np.isin(np.arange(len(odd)), list(sizes))
     some = found.sightings
     sigmas = np.where(odd, ODD / 2.0 * some.edges * np.linalg.norm(SQUARE), others)
-    return replace(found, sightings=replace(some, size_sigmas=sigmas))
+    return replace(found, sightings=replace(some, size_sigmas=sigmas)), odd
 
 
 def other_sizes(found: Estimate, odd: BoolArray) -> dict[int, float]:

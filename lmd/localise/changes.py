@@ -27,7 +27,7 @@ from lmd.adjust.prior import Prior
 from lmd.adjust.refinement import Refined, refine
 from lmd.adjust.second_places import FEWEST_SIGHTINGS, LEAST_SHARE, SecondPlace, second_places
 from lmd.adjust.sightings import Observations
-from lmd.adjust.sizes import other_sizes
+from lmd.adjust.sizes import other_sizes, with_sizes
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.geometry.se3 import angle_between, inverse, log
 from lmd.localise.fixed_map import FixedMap, information_of
@@ -35,6 +35,7 @@ from lmd.localise.fixed_map import FixedMap, information_of
 # Least chi^2, with six degrees of freedom, of a tag that was moved: normal errors exceed it once in a thousand times.
 MOVED_CHI_SQUARE = 22.46
 OFF_M, OFF_RAD = 0.001, 0.02  # least shift, metres, or rotation, rad, of a tag that was moved
+SIZE_ROUNDS = 2  # number of rounds in which sizes are estimated
 MOST_ROUNDS = 12  # maximum number of rounds in which tags are found
 NEXT = 0.5  # tags with at least this share of the largest chi^2 are taken out together
 MOST_MOVED = 0.25  # largest share of the compared tags that may have been moved
@@ -181,11 +182,13 @@ class Comparison:
     """Mask of the tags that were moved, `(K,)`."""
     squares: FloatArray
     """chi^2 of the displacement of each tag, `(K,)`; NaN for tags that could not be compared."""
+    odd: BoolArray
+    """Mask of the tags with another size than stated, `(K,)`."""
     contradicted: int = 0
     """See `Changes.contradicted`."""
 
-    def changes(self, prior: MapPrior, odd: BoolArray) -> Changes:
-        """Changes of the map; the tags of the mask `odd` `(K,)` have another size than stated."""
+    def changes(self, prior: MapPrior) -> Changes:
+        """Changes of the map."""
         found = self.now.found
         is_placed = found.known & (found.sightings.counts(found.used) > 0)
         ids = found.sightings.ids[np.isfinite(self.squares)]
@@ -195,7 +198,7 @@ class Comparison:
             tuple(self._displaced(prior, k) for k in np.flatnonzero(which & is_placed).tolist())
             for which in (self.moved, ~prior.in_map)
         )
-        sizes = {int(found.sightings.ids[tag]): edge for tag, edge in other_sizes(found, odd).items()}
+        sizes = {int(found.sightings.ids[tag]): edge for tag, edge in other_sizes(found, self.odd).items()}
         return Changes(moved, new, ids, found.inflation, twice, sizes, self.contradicted)
 
     def _displaced(self, prior: MapPrior, k: int) -> Displaced:
@@ -210,15 +213,16 @@ def _astray(found: Estimate, trusted: BoolArray) -> FloatArray | None:
     """Poses of the `trusted` tags, mask `(K,)`, of which most sightings are outliers and agree on another pose,
     `(K, 4, 4)`, NaN for other tags; None if there are none.
     """
-    some, counts = found.sightings, found.sightings.counts(found.misfits)
-    lost = trusted & (counts >= FEWEST_SIGHTINGS) & (counts > some.counts(found.used))
+    some, lost = found.sightings, trusted & found.are_astray
     if not lost.any():
         return None
     tags = placed_tags(some.of(found.misfits & lost[some.tag]), found.poses, FEWEST_SIGHTINGS, LEAST_SHARE)
     return tags if np.isfinite(tags).any() else None
 
 
-def compare(seen: Observations, prior: MapPrior, begun: Estimate, gross: BoolArray, calibrate: bool) -> Comparison:
+def compare(
+    seen: Observations, prior: MapPrior, begun: Estimate, gross: BoolArray, odd: BoolArray, calibrate: bool
+) -> Comparison:
     """Estimate all poses with the map as the prior, without tags that were moved, and refine the cameras at last.
 
     Args:
@@ -226,6 +230,7 @@ def compare(seen: Observations, prior: MapPrior, begun: Estimate, gross: BoolArr
         prior: the map.
         begun: estimate with rough poses; its tags that have no pose are placed.
         gross: mask of the tags that contradict the others, `(K,)`.
+        odd: mask of the tags that are known to have another size than stated, `(K,)`.
         calibrate: False if cameras are exact.
     """
     moved, squares = gross, np.full(len(gross), np.nan)
@@ -238,9 +243,14 @@ def compare(seen: Observations, prior: MapPrior, begun: Estimate, gross: BoolArr
     for number in range(MOST_ROUNDS):
         found = now.found
         found = adjust(found.sightings, prior.prior(moved), found.poses, found.group, FLOOR_PIXELS, found.inflation)
+        if found.used.any() and number < SIZE_ROUNDS:
+            lost = found.group < 0
+            found, odd = with_sizes(
+                found, odd | (lost & prior.in_map), np.nan, bool((odd | lost | found.are_astray).any())
+            )
         now = replace(now, found=found)
         if not found.used.any():
-            return Comparison(now, np.zeros_like(moved), squares)
+            return Comparison(now, np.zeros_like(moved), squares, odd)
         if number == 0:
             now = replace(now, found=replace(found, inflation=inflation(found, lambda _done, _most: None)))
         if (astray := _astray(now.found, prior.in_map & ~moved)) is not None:
@@ -262,8 +272,9 @@ def compare(seen: Observations, prior: MapPrior, begun: Estimate, gross: BoolArr
         else:
             now, is_refined = refine(now), True
     if moved.sum() <= max(MOST_MOVED * np.isfinite(squares).sum(), FEWEST_SIGHTINGS):
-        return Comparison(now, moved, squares)
+        return Comparison(now, moved, squares, odd)
     found = first.found
     found = adjust(found.sightings, prior.prior(np.zeros_like(moved)), found.poses, found.group, FLOOR_PIXELS)
-    now = refine(replace(first, found=found), keep=not calibrate)
-    return Comparison(now, np.zeros_like(moved), squares, int(moved.sum()))
+    now = replace(first, found=found)
+    now = refine(now) if calibrate else now
+    return Comparison(now, np.zeros_like(moved), squares, odd, int(moved.sum()))

@@ -22,7 +22,7 @@ from lmd.adjust.refinement import Refined, edge_doubts
 from lmd.adjust.second_places import FEWEST_SIGHTINGS
 from lmd.adjust.sequence import Nodes, smoothest
 from lmd.adjust.sightings import Observations, outside_doubts
-from lmd.adjust.sizes import odd_sizes, with_sizes
+from lmd.adjust.sizes import odd_sizes
 from lmd.core.checks import BoolArray, FloatArray, InputError
 from lmd.detection.corner_errors import CornerErrors
 from lmd.formats.detections import DetectedTags
@@ -173,9 +173,8 @@ def localise(
         states, both = states_of(begun, rough.others)
         frames = np.where(np.isfinite(both[:, 0]), np.nan, begun.poses.frames)
         begun = replace(begun, poses=replace(begun.poses, frames=frames))
-        begun = with_sizes(begun, odd, others=np.nan)
-        comparison = compare(seen, prior, begun, gross, calibrate)
-    now, changes = comparison.now, comparison.changes(prior, odd)
+        comparison = compare(seen, prior, begun, gross, odd, calibrate)
+    now, changes = comparison.now, comparison.changes(prior)
     alone = FramePoses.of(*_refused(now.found, states))
     linked = None if motion is None else smoothed(now, motion, both)
     best = linked or now

@@ -143,7 +143,7 @@ def survey(
     seen, prior, turns, start, odd = _started(seen, known)
     observer(SurveyStage.ADJUSTING, 0, 0)
     found = _estimate(seen, prior, known, start)
-    found = with_sizes(found, odd, others=0.0)
+    found, odd = with_sizes(found, odd, others=0.0, tried=bool(odd.any()))
     on_round, on_block = (partial(observer, stage) for stage in (SurveyStage.REFINING, SurveyStage.COMPARING))
     refined = refine(Refined.begin(found, seen, bool(calibrate)), calibrate is False, on_round, on_block)
     doubts = outside_doubts(seen) or _mount_doubts(seen, start, known)

@@ -8,8 +8,8 @@ import processes
 import pytest
 from PIL import Image
 
+from lmd.adjust.gauge import SIGMA_COLUMNS
 from lmd.formats.tag_maps import write_map_covariance
-from lmd.survey.results import SIGMA_COLUMNS
 
 pytestmark = pytest.mark.slow
 SETTINGS = ["experiment=lab", "tracking=none", "hydra.run.dir=run", "uncertainty.views=3000",

@@ -62,7 +62,7 @@ def test_frames_held_out_agree_with_the_map(found):
     assert np.median(found.localised["measured"].shifts) < 0.005
 
 
-@pytest.mark.thorough("lmd/survey")
+@pytest.mark.thorough("lmd/survey", "lmd/adjust")
 def test_photographs_calibrate_the_camera(some, found):
     """The pixels of this sensor are square, but those of the given calibration are 0.1 % off; 5 seconds."""
     calibrated = survey(*some, PriorKnowledge(), calibrate=True)

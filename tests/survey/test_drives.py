@@ -20,7 +20,7 @@ from lmd.survey.terminal import to_text
 LENGTH, COUNT = 12.0, 9
 SLACK = 1.15  # factor of chi^2, as each drive estimates its spread from some hundred links
 SEEDS = range(1 if examples.SHARE < 1.0 else round(8 * examples.SHARE))
-more_drives = pytest.mark.thorough("lmd/survey", "tests/drives.py")
+more_drives = pytest.mark.thorough("lmd/survey", "lmd/adjust", "tests/drives.py")
 
 
 def found_of(driven, known, detected=None):
