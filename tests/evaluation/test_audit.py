@@ -24,7 +24,7 @@ from lmd.scene.tag import Tag
 from lmd.sight.models.fiducial import Fiducial
 from lmd.sight.models.limits import Limits
 from lmd.space.cuboid import Cuboid
-from lmd.survey.audit import Audit, audited, detections_of_map, in_the_open, view_columns
+from lmd.evaluation.audit import Audit, audited, detections_of_map, in_the_open, view_columns
 from lmd.survey.knowledge import PriorKnowledge
 from lmd.survey.results import map_of
 from lmd.survey.survey import survey
