@@ -24,7 +24,7 @@ from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import act, exp, inverse, rigid_alignment
 from lmd.geometry.trajectory import Trajectory
 from lmd.scene.tag import Tag
-from lmd.survey.prior import PriorKnowledge
+from lmd.survey.knowledge import PriorKnowledge
 from lmd.survey.survey import Survey, survey
 
 HEADER = (

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lmd.adjust.sightings import SQUARE
 from lmd.core.checks import FloatArray
 from lmd.detection.corner_errors import CORNER_ERRORS
 from lmd.estimation.estimators import errors_of
@@ -28,8 +29,7 @@ from lmd.geometry.projection import project
 from lmd.geometry.se3 import act, exp
 from lmd.geometry.trajectory import Trajectory
 from lmd.scene.tag import Tag
-from lmd.survey.prior import PriorKnowledge
-from lmd.survey.sightings import SQUARE
+from lmd.survey.knowledge import PriorKnowledge
 from lmd.survey.survey import Survey, survey
 
 SLOW = Odometry(0.001, 0.005)

@@ -3,6 +3,7 @@
 python benchmarks/localise.py real FOLDER EDGE            # map of one half of the frames, the other half localised
 PYTHONPATH=tests python benchmarks/localise.py speed      # 2,000 frames of 5 tags: seconds of one processor
 PYTHONPATH=tests python benchmarks/localise.py changes [--drives 100] [--moved 20]   # false alarms and misses
+PYTHONPATH=tests python benchmarks/localise.py truth [--seeds 40]   # errors beside those stated, in rooms by OpenCV
 
 FOLDER has `detections.csv` and `cameras.yaml` of one camera.
 """
@@ -24,7 +25,7 @@ from lmd.localise.fixed_map import LEAST_SIGMA, FixedMap
 from lmd.localise.localise import localise
 from lmd.scene.tag import Tag
 from lmd.survey.gauge import align_tags
-from lmd.survey.prior import PriorKnowledge
+from lmd.survey.knowledge import PriorKnowledge
 from lmd.survey.results import map_covariance
 from lmd.survey.survey import Survey, survey
 
@@ -34,7 +35,9 @@ def map_of_survey(found: Survey) -> FixedMap:
     ids, covariance = map_covariance(found)
     placed = np.searchsorted(found.ids, ids)
     sigmas = np.maximum(np.sqrt(np.diag(covariance)).reshape(-1, 6), LEAST_SIGMA)
-    return FixedMap(ids, found.found.poses.tags[placed], found.found.sightings.edges[placed], sigmas, covariance)
+    return FixedMap(
+        ids, found.found.poses.tags[placed], found.found.sightings.present_edges[placed], sigmas, covariance
+    )
 
 
 def squares(frames: FloatArray, covariances: FloatArray, true: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -81,7 +84,7 @@ def real(folder: Path, edge: float) -> None:
             assert motion is not None
             true, smoothed = inverse(motion) @ truth.found.poses.frames, result.smoothed
             row = f"{name} | {beside}"
-            print(line(f"{row} | single", *squares(result.found.poses.frames, result.found.covariances, true)))
+            print(line(f"{row} | single", *squares(result.found.frames, result.found.covariances, true)))
             if smoothed is not None:
                 print(line(f"{row} | smoothed", *squares(smoothed.frames, smoothed.covariances, true)), flush=True)
         changes = result.changes
@@ -145,6 +148,26 @@ def changes(drives: int, moved: float) -> None:
           f"distance off by at most {max(off, default=np.nan):.1f} mm")  # fmt: skip
 
 
+def truth(seeds: int) -> None:
+    """Errors of smoothed poses beside those stated, of each scenario of `tests/localise_rooms.py`."""
+    import localise_rooms
+
+    print("| scenario | walks | failed | chi²/6, 10 %, 50 %, 90 % | in .2 to 3 | off, mm | stated, mm | localised |")
+    print("| --- |" + " --- |" * 7)
+    for name in localise_rooms.NAMES:
+        rows = []
+        for seed in range(seeds):
+            walk = localise_rooms.scenario(name, seed)
+            result = walk.localised()
+            if result.smoothed is not None:
+                rows.append((*localise_rooms.figures(walk, result), float(result.smoothed.localised.mean())))
+        square, off, stated, localised = np.array(rows).T
+        low, middle, high = np.quantile(square, (0.1, 0.5, 0.9))
+        cells = [f"{low:.2f}, {middle:.2f}, {high:.2f}", f"{((square > 0.2) & (square < 3.0)).mean():.0%}"]
+        cells += [f"{1e3 * np.median(off):.2f}", f"{1e3 * np.median(stated):.2f}", f"{localised.mean():.1%}"]
+        print(f"| {name} | {seeds} | {seeds - len(rows)} | {' | '.join(cells)} |", flush=True)
+
+
 def main() -> None:
     """Read the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -159,8 +182,10 @@ def main() -> None:
     own = parts.add_parser("changes")
     own.add_argument("--drives", type=int, default=100)
     own.add_argument("--moved", type=float, default=20.0)
+    own = parts.add_parser("truth")
+    own.add_argument("--seeds", type=int, default=40)
     args = vars(parser.parse_args())
-    {"real": real, "speed": speed, "changes": changes}[args.pop("part")](**args)
+    {"real": real, "speed": speed, "changes": changes, "truth": truth}[args.pop("part")](**args)
 
 
 if __name__ == "__main__":

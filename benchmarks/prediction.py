@@ -24,6 +24,7 @@ from lmd.detection.corner_errors import CORNER_ERRORS
 from lmd.detection.detectors import AprilTagDetector
 from lmd.detection.evaluation import corner_error, precision_recall
 from lmd.detection.tag_views import FILE, SurveyedViews
+from lmd.evaluation.audit import IN_A_ROW, Audit, audited, in_the_open, view_columns
 from lmd.evaluation.verdicts import verdicts
 from lmd.formats.calibrations import calibrated_camera, read_cameras
 from lmd.formats.detection_formats import read_detections, with_images
@@ -37,8 +38,7 @@ from lmd.scene.tag import Tag
 from lmd.sight.models.fiducial import Fiducial
 from lmd.sight.models.limits import NAMES, Limits
 from lmd.space.cuboid import Cuboid
-from lmd.survey.audit import IN_A_ROW, Audit, audited, in_the_open, view_columns
-from lmd.survey.prior import PriorKnowledge
+from lmd.survey.knowledge import PriorKnowledge
 from lmd.survey.survey import Survey, survey
 
 FARTHEST = "farthest corner from the lens's centre, pixels"

@@ -30,7 +30,7 @@ from lmd.formats.detections import DetectedTags
 from lmd.geometry.camera import PIXEL_CENTRE, Camera
 from lmd.geometry.pose import solutions
 from lmd.scene.tag import Tag
-from lmd.survey.prior import PriorKnowledge
+from lmd.survey.knowledge import PriorKnowledge
 from lmd.survey.survey import survey
 
 ANGLES = (-60, -30, 30, 60)  # degrees, of the photographs of one tag that was turned

@@ -26,9 +26,8 @@ from lmd.pipelines.nodes import instantiate
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
-from lmd.scene.deployment import Deployment
+from lmd.scene.deployment import Deployment, poses_of
 from lmd.scene.surveyed import Surveyed
-from lmd.survey.prior import poses_of
 
 if TYPE_CHECKING:
     from lmd.geometry.camera import Camera
@@ -83,8 +82,7 @@ def aviary(folder: Path, boards: float | None, calibrate: bool | None) -> None:
     from lmd.formats.calibrations import calibrated_camera
     from lmd.formats.detection_formats import read_detections
     from lmd.scene.tag import Tag
-    from lmd.survey.boards import Boards
-    from lmd.survey.prior import PriorKnowledge
+    from lmd.survey.knowledge import Boards, PriorKnowledge
     from lmd.survey.survey import survey
     from lmd.survey.terminal import to_text
 
@@ -137,7 +135,7 @@ def perch(folder: Path, calibrate: bool | None) -> None:
     from lmd.formats.detection_formats import read_detections
     from lmd.geometry.se3 import act, rigid_alignment
     from lmd.scene.tag import Tag
-    from lmd.survey.prior import PriorKnowledge
+    from lmd.survey.knowledge import PriorKnowledge
     from lmd.survey.survey import survey
     from lmd.survey.terminal import to_text
 
@@ -182,7 +180,7 @@ def halves(folder: Path, edge: float, every: int | None) -> None:
     from lmd.geometry.se3 import act, rigid_alignment
     from lmd.scene.tag import Tag
     from lmd.survey.keyframes import select_keyframes
-    from lmd.survey.prior import PriorKnowledge
+    from lmd.survey.knowledge import PriorKnowledge
     from lmd.survey.survey import survey
 
     detected, path = read_detections(folder / "detections.csv"), str(folder / "cameras.yaml")
@@ -222,7 +220,7 @@ def measure(frames: int, tags: int) -> None:
     import walks  # of the tests
 
     from lmd.scene.tag import Tag
-    from lmd.survey.prior import PriorKnowledge
+    from lmd.survey.knowledge import PriorKnowledge
     from lmd.survey.survey import survey
 
     rng = np.random.default_rng(0)

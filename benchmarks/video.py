@@ -19,7 +19,7 @@ from lmd.formats.detections import DetectedTags
 from lmd.geometry.se3 import act, camera_pose, rigid_alignment
 from lmd.scene.tag import Tag
 from lmd.survey.keyframes import select_keyframes
-from lmd.survey.prior import PriorKnowledge
+from lmd.survey.knowledge import PriorKnowledge
 from lmd.survey.survey import survey
 
 RATE, TAGS, SIGMA = 30, 24, 0.2

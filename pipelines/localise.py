@@ -8,13 +8,17 @@ from omegaconf import DictConfig
 from .building import camera_of
 from .command import Command
 from .composing import FILES as RUN_FILES
+from .composing import RIG
 from .landmarks import table_in
 from .nodes import instantiate, keyed, note, settings_of
 from .photographs import detected, odometry_of, reader_of, with_camera_of_bag
 from .study import Report, Study
+from .survey_files import camera_files
 
 if TYPE_CHECKING:
+    from lmd.geometry.camera import Camera
     from lmd.localise.fixed_map import FixedMap
+    from lmd.scene.rig import Rig
     from lmd.scene.tag import Tag
 
 DETECTED, BAG, PICTURE = "detections.csv", "poses.mcap", "localise.png"
@@ -24,10 +28,10 @@ SURVEYED = "map.csv"  # map in the folder of a survey
 def localise(cfg: DictConfig) -> Study:
     """Localise the configured photographs or detections."""
     from lmd.core.checks import InputError, boolean, seed_number
-    from lmd.detection.corner_errors import CORNER_ERRORS
     from lmd.formats.detection_formats import write_detections
     from lmd.formats.pose_bags import check_pose_bag, write_pose_bag
     from lmd.localise import results
+    from lmd.localise.localise import Drive
     from lmd.localise.localise import localise as find
     from lmd.plot.localised import save_localised_figure
     from lmd.scene.rig import Rig
@@ -36,14 +40,15 @@ def localise(cfg: DictConfig) -> Study:
 
     seed_number(cfg.seed)
     tag = instantiate(cfg.tag)
-    given = camera_of(with_camera_of_bag(cfg).camera)
-    name, detector = reader_of(cfg)
+    given = _cameras(cfg)
+    _, detector = reader_of(cfg)
     known, room = _map(cfg, tag), instantiate(cfg.room) if cfg.get("room") else None
     settings = settings_of(cfg, "localise")
     odometry = odometry_of(settings.odometry, "localise.odometry")
     with keyed("localise"):
         steady = None if settings.motion == "auto" else boolean("motion", settings.motion)
         calibrate, bag = boolean("calibrate", settings.calibrate), boolean("bag", settings.bag)
+        is_mounted = boolean("mounted", settings.mounted)
     if steady and odometry is not None:
         raise InputError("localise.motion is for drives without odometry: leave one of the two out.")
     seen = detected(cfg, given.cameras, detector, tag)
@@ -54,9 +59,9 @@ def localise(cfg: DictConfig) -> Study:
         map="map",
     ):
         mounts = given.mounted if isinstance(given, Rig) else None
-        errors = CORNER_ERRORS[name.removesuffix("_fine")]
         with doing("localising"):
-            found = find(seen, given.cameras, tag, errors, known, mounts, odometry, steady, room, calibrate)
+            drive = Drive(mounts, is_mounted, odometry, steady)
+            found = find(seen, given.cameras, tag, detector.corner_errors, known, drive, room, calibrate)
     if bag:
         with keyed("localise"):
             check_pose_bag(seen.times)
@@ -64,7 +69,7 @@ def localise(cfg: DictConfig) -> Study:
     smoothed = None if found.smoothed is None else found.smoothed.frames
     files: dict[str, Any] = {
         "poses.csv": results.image_columns(found),
-        "poses.tum": results.tum_text(found, found.found.poses.frames),
+        "poses.tum": results.tum_text(found, found.found.frames),
         "smoothed.csv": results.smoothed_columns(found),
         "smoothed.tum": results.tum_text(found, smoothed),
         "changes.csv": results.change_columns(found),
@@ -79,6 +84,22 @@ def localise(cfg: DictConfig) -> Study:
         files[DETECTED] = lambda path: write_detections(path, seen)
     report = Report(files, results.metrics(found), text=results.to_text(found))
     return Study("localisation", lambda _: report, about)
+
+
+def _cameras(cfg: DictConfig) -> "Camera | Rig":
+    """Cameras of the configuration, or of the survey whose folder is the map, if no other ones are given."""
+    from lmd.formats.calibrations import calibrated_camera
+    from lmd.formats.rigs import read_mounts, rig_of
+
+    cfg = with_camera_of_bag(cfg)
+    folder = Path(str(cfg.map))
+    if cfg.map is not None and cfg.camera.get("path", "") is None and cfg.camera.get("rig") is None:
+        with keyed("localise"):
+            if (folder / RIG).is_file():
+                return rig_of(read_mounts(folder / RIG))
+            if (one := folder / camera_files(1)[0]).is_file():
+                return calibrated_camera(str(one))
+    return camera_of(cfg.camera)
 
 
 def _map(cfg: DictConfig, tag: "Tag") -> "FixedMap":

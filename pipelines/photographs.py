@@ -82,15 +82,13 @@ def reader_of(cfg: DictConfig) -> "tuple[str, Detector]":
         InputError: there is no detector, there are several, or the corner errors of the detector are unknown.
     """
     from lmd.core.checks import InputError
-    from lmd.detection.corner_errors import CORNER_ERRORS
 
     named = list(cfg.get("detectors") or {})
     if len(named) != 1:
         raise InputError(f"detectors must name one detector, got {named}.")
     detector = detector_of(cfg, named[0])
-    if named[0].removesuffix("_fine") not in CORNER_ERRORS:
-        known = ", ".join(CORNER_ERRORS)
-        raise InputError(f"detectors: of {named[0]} it is not known how far its corners are off, as it is of {known}.")
+    if not hasattr(detector, "corner_errors"):
+        raise InputError(f"detectors: {named[0]} does not say corner_errors, how far its corners are off.")
     return named[0], detector
 
 

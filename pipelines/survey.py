@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from lmd.scene.scene import Scene
     from lmd.scene.tag import Tag
     from lmd.space.space import Space
-    from lmd.survey.prior import PriorKnowledge
+    from lmd.survey.knowledge import PriorKnowledge
 
     from .progress import Stages
 
@@ -34,10 +34,9 @@ def survey(cfg: DictConfig) -> Study:
     """Estimate the map of the tags in the configured photographs or detections."""
     from lmd.core.checks import InputError, boolean, integer, seed_number
     from lmd.core.tables import write_table
-    from lmd.detection.corner_errors import CORNER_ERRORS
     from lmd.detection.tag_views import FILE as VIEWS
+    from lmd.evaluation.audit import audited, in_the_open, view_columns
     from lmd.evaluation.verdicts import verdicts
-    from lmd.survey.audit import audited, in_the_open, view_columns
     from lmd.survey.keyframes import select_keyframes
     from lmd.survey.results import map_of, metrics
     from lmd.survey.survey import SurveyStage
@@ -58,7 +57,6 @@ def survey(cfg: DictConfig) -> Study:
     exports = build_export(cfg, "export", tag)
     if exports.formats and room is None:
         raise InputError("export needs the room that the tags hang in: run=DIR, or room=... with its keys.")
-    errors = CORNER_ERRORS[name.removesuffix("_fine")]
     with keyed("survey"):
         calibrate = None if cfg.survey.calibrate == "auto" else boolean("calibrate", cfg.survey.calibrate)
         every = None if cfg.survey.every == "auto" else integer("every", cfg.survey.every, low=1)
@@ -72,7 +70,9 @@ def survey(cfg: DictConfig) -> Study:
                 cameras="camera",
                 fixed="deployment.fixed",
             ):
-                found = find(select_keyframes(found_tags, every), cameras, tag, errors, known, calibrate, stages)
+                found = find(
+                    select_keyframes(found_tags, every), cameras, tag, detector.corner_errors, known, calibrate, stages
+                )
             through = tuple(one.found for one in found.calibrated)
             if scene is not None and not stages(SurveyStage.AUDITING):
                 audit = audited(*((found, scene) if room is not None else in_the_open(found, scene)), verdicts)
@@ -134,8 +134,7 @@ def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "PriorKnowledg
     from lmd.core.checks import InputError, boolean, integer
     from lmd.formats.tag_maps import read_deployment
     from lmd.scene.rig import Rig
-    from lmd.survey.boards import Boards
-    from lmd.survey.prior import Hanging, MeasuredPoints, PriorKnowledge
+    from lmd.survey.knowledge import Boards, Hanging, MeasuredPoints, PriorKnowledge
 
     settings = OmegaConf.to_container(settings_of(cfg, "survey"), resolve=True)
     assert isinstance(settings, dict)

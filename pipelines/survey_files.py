@@ -5,12 +5,13 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from .composing import RIG
 from .outputs import write_document
 
 if TYPE_CHECKING:
+    from lmd.evaluation.audit import Audit
     from lmd.formats.detections import DetectedTags
     from lmd.space.space import Space
-    from lmd.survey.audit import Audit
     from lmd.survey.survey import Survey
 
 DOCUMENT, MEASURED, DETECTED = "survey.json", "measured.csv", "detections.csv"
@@ -32,12 +33,14 @@ def writers_of(
         title: title of the picture.
         detected: detections in all frames; None if they were read from a file.
     """
+    from lmd.adjust.intrinsics import camera_info
     from lmd.core.tables import write_table
     from lmd.formats.detection_formats import write_detections
+    from lmd.formats.rigs import write_rig
     from lmd.formats.tag_map import write_yaml
     from lmd.formats.tag_maps import FILE, write_map_covariance
     from lmd.plot.plans import save_survey_figure
-    from lmd.survey.intrinsics import camera_info
+    from lmd.scene.rig import Rig
     from lmd.survey.results import frame_columns, map_columns, map_covariance, measured_of, survey_document
 
     writers: dict[str, Callable[[Path], object]] = {
@@ -51,6 +54,10 @@ def writers_of(
         writers[MEASURED] = lambda path: measured.to_csv(path, ups=True)
     for file, camera in zip(camera_files(len(found.calibrated)), found.calibrated, strict=True):
         writers[file] = partial(write_yaml, keys=camera_info(camera.found))
+    if len(found.calibrated) > 1:
+        rig = Rig.of_poses([camera.found for camera in found.calibrated], found.found.poses.mounts)
+        sources = dict(zip(rig.cameras, camera_files(len(rig.cameras)), strict=True))
+        writers[RIG] = partial(write_rig, rig=rig, sources=sources)
     if detected is not None:
         writers[DETECTED] = lambda path: write_detections(path, detected)
     return writers

@@ -1,5 +1,6 @@
 """Simulated drives through a room with a map, for tests of `lmd.localise`."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -7,9 +8,15 @@ import numpy as np
 import walks
 from scipy.stats import chi2
 
+from lmd.adjust.corners import Poses
+from lmd.adjust.estimate import adjust
+from lmd.adjust.intrinsics import Optics
+from lmd.adjust.refinement import Refined
+from lmd.adjust.sightings import Observations
 from lmd.core.checks import FloatArray
 from lmd.formats.detections import DetectedTags
 from lmd.geometry.se3 import exp, inverse, log
+from lmd.localise.changes import MapPrior
 from lmd.localise.fixed_map import FixedMap
 from lmd.localise.localise import Localisation, localise
 from lmd.scene.tag import Tag
@@ -55,6 +62,17 @@ def localised(walk: Walked, detected: DetectedTags | None = None, **more) -> Loc
     """Localise a walk."""
     errors = walks.constant_errors(NOISE)
     return localise(detected or walk.detected, [walks.CAMERA], Tag(walks.EDGE), errors, walk.known, **more)
+
+
+def compared(walk: Walked, moved: Sequence[int] = ()) -> tuple[MapPrior, Refined]:
+    """Map as a prior, and an estimate beside it with exact cameras, in which the tags `moved` have no prior."""
+    ids = walk.known.ids
+    optics, errors = (Optics(walks.CAMERA),), walks.constant_errors(NOISE)
+    seen = Observations(walk.detected, optics, ids, walk.known.edges, 8, errors)
+    prior, some = MapPrior.of(walk.known, ids, None), seen.through()
+    poses = Poses(walk.known.poses, walk.frames, np.eye(4)[None])
+    found = adjust(some, prior.prior(np.isin(ids, moved)), poses, np.zeros(len(ids), dtype=np.int64), 0.0)
+    return prior, Refined.exact(found, seen)
 
 
 def squares(poses: FloatArray, covariances: FloatArray, true: FloatArray) -> FloatArray:

@@ -15,8 +15,7 @@ from format_samples import READERS, SAMPLES, content
 from lmd.core.checks import InputError
 from lmd.formats.rigs import read_mount
 from lmd.scene.pdf import from_csv as read_pdf
-from lmd.survey.boards import Boards
-from lmd.survey.prior import MeasuredPoints
+from lmd.survey.knowledge import Boards, MeasuredPoints
 
 BROKEN = round(100 * SHARE)  # files of each kind of change
 VALUES = [

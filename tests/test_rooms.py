@@ -29,6 +29,7 @@ FLOORS = (
     *(
         "optimisers",
         "detection",
+        "adjust",
         "estimation",
         "export",
         "survey",

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from lmd.adjust.intrinsics import Optics
+from lmd.adjust.sightings import Observations, Sightings
 from lmd.core.checks import FloatArray
 from lmd.detection.corner_errors import CornerErrors
 from lmd.formats.detections import DetectedTags
@@ -10,8 +12,7 @@ from lmd.geometry.projection import project
 from lmd.geometry.se3 import act, camera_pose, exp, inverse, log, pose_of, rigid_alignment
 from lmd.geometry.squares import CORNERS
 from lmd.scene.tag import Tag
-from lmd.survey.prior import PriorKnowledge
-from lmd.survey.sightings import Sightings, sightings_of
+from lmd.survey.knowledge import PriorKnowledge
 from lmd.survey.survey import survey
 
 CAMERA = Camera(5.0, 0.0048, 0.0048, (800.0, 600.0), 1600, 1200, 0.0)
@@ -89,9 +90,9 @@ def constant_errors(sigma):
 
 def sightings(detected, ids, edges=EDGE, sigma=0.2, camera=CAMERA) -> Sightings:
     """Sightings of a family with eight modules."""
-    cameras = [camera] * len(detected.cameras)
+    optics = (Optics(camera),) * len(detected.cameras)
     edge: FloatArray = np.broadcast_to(np.asarray(edges, dtype=np.float64), len(ids)).copy()
-    return sightings_of(detected, cameras, np.asarray(ids), edge, 8, constant_errors(sigma))
+    return Observations(detected, optics, np.asarray(ids), edge, 8, constant_errors(sigma)).through()
 
 
 def one_after_the_other(one: DetectedTags, two: DetectedTags) -> DetectedTags:

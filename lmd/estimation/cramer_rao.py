@@ -22,7 +22,7 @@ from lmd.estimation.estimators import Errors
 from lmd.estimation.recording import Recording
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import slope
-from lmd.geometry.se3 import adjoint_matrix, axis_and_right, camera_pose, inverse, skew
+from lmd.geometry.se3 import adjoint_matrix, axis_and_right, camera_pose, inverse, seen_by_twist
 from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator, averaged
@@ -44,8 +44,7 @@ def image_jacobians(poses: FloatArray, points: FloatArray, camera: Camera) -> Fl
     """
     offset = points - poses[:, :3, 3]
     seen = (offset[:, None, :] @ poses[:, :3, :3])[:, 0]  # R^T (C - p)
-    moved = np.concatenate([skew(seen), np.broadcast_to(-np.eye(3), (len(seen), 3, 3))], axis=-1)
-    return np.asarray(slope(camera, seen) @ moved)
+    return np.asarray(slope(camera, seen) @ seen_by_twist(seen))
 
 
 def pose_information(

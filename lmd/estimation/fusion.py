@@ -13,7 +13,7 @@ from lmd.estimation.pnp import images_of, likely
 from lmd.estimation.recording import Recording
 from lmd.geometry.pose import PointImage, body_solutions
 from lmd.geometry.projection import project, to_camera
-from lmd.geometry.se3 import skew
+from lmd.geometry.se3 import seen_by_twist
 
 
 @dataclass(frozen=True)
@@ -84,8 +84,7 @@ class CameraPoints(NamedTuple):
     def predicted(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
         """See `Measurement.predicted`."""
         y = to_camera(pose, self.landmarks)
-        moved = np.concatenate([skew(y), np.broadcast_to(-np.eye(3), (len(y), 3, 3))], axis=-1)
-        return y.reshape(-1), moved.reshape(-1, 6)
+        return y.reshape(-1), seen_by_twist(y).reshape(-1, 6)
 
 
 class CornerImages(NamedTuple):

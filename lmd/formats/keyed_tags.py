@@ -86,8 +86,8 @@ class KeyedTags(Keyed):
 
     def _tag(self, key: str, tag: Keys) -> PlacedTag:
         at = {name: path.replace("{key}", key) for name, path in self.at.items()}
-        value = {name: self._value(tag, path) for name, path in at.items() if name not in TURNS}
-        named = key if at["id"] == key else value["id"]
+        value = {name: self._value(tag, path) for name, path in at.items() if name not in (*TURNS, "id")}
+        named = key if self.at["id"] == "{key}" else self._value(tag, at["id"])
         known = tag_named(named) if isinstance(named, str) else (None, number_of(named))
         if known is None:
             raise InputError(f"the name {named[:80]!r} has no number of a tag, as 7, tag_7 or tag36h11:7 have.")

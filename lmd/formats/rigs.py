@@ -122,6 +122,8 @@ def rig_of(mounts: Any, camera: Camera | None = None) -> Rig:
 def read_mounts(path: Any) -> Any:
     """Read the mounts for `rig_of` from a file: a list with the key `rig`, or a calibration of several cameras.
 
+    Calibrations beside the file may be named relative to it.
+
     Raises:
         InputError: the file cannot be read, or `rig` is no list.
     """
@@ -130,6 +132,10 @@ def read_mounts(path: Any) -> Any:
         return {"path": path}
     if not isinstance(mounts := keys["rig"], list):
         raise InputError(f"rig: {path} has no list of cameras with the key rig.", "rig")
+    for mount in mounts:
+        source = mount.get("camera") if isinstance(mount, Mapping) else None
+        if isinstance(source, str) and (beside := Path(str(path)).parent / source).is_file():
+            mount["camera"] = str(beside)
     return mounts
 
 

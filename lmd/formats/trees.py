@@ -61,22 +61,23 @@ def entries(tree: Any, path: str, around: Keys | None = None, key: str = "") -> 
     """Entries at a path, each with its key, and with the keys of the mappings around it that it lacks.
 
     A step `*` stands for each entry of a list or a mapping, `/PATTERN/` for each key that matches a regular expression.
-    An entry without keys is the value of the key `value`.
+    Entries of one mapping are not around each other. An entry without keys is the value of the key `value`.
     """
-    around = {**(around or {}), **tree} if isinstance(tree, Mapping) else around or {}
     step, _, rest = path.partition(".")
+    own, outer = dict(tree) if isinstance(tree, Mapping) else {}, around or {}
     if not path:
-        yield key, around if isinstance(tree, Mapping) else {**around, "value": tree}
+        yield key, {**outer, **(own if isinstance(tree, Mapping) else {"value": tree})}
     elif step.startswith(ANYWHERE):
         for name, found in _anywhere(tree, step.removeprefix(ANYWHERE)):
-            yield from entries(found, rest, around, name)
+            yield from entries(found, rest, {**outer, **own}, name)
     elif step == "*" or step[0] == "/":
-        inner = tree.items() if isinstance(tree, Mapping) else enumerate(tree) if isinstance(tree, list | tuple) else ()
-        for own, value in inner:
-            if step == "*" or re.fullmatch(step.strip("/"), str(own)):
-                yield from entries(value, rest, around, str(own))
+        every = own or dict(enumerate(tree if isinstance(tree, list | tuple) else ()))
+        chosen = {name: value for name, value in every.items() if re.fullmatch(step.strip("/*") or ".*", str(name))}
+        beside = {name: value for name, value in own.items() if name not in chosen}
+        for name, value in chosen.items():
+            yield from entries(value, rest, {**outer, **beside}, str(name))
     elif (child := find(tree, step)) is not MISSING:
-        yield from entries(child, rest, around, key)
+        yield from entries(child, rest, {**outer, **own}, key)
 
 
 def _anywhere(tree: Any, wanted: str, name: str = "", levels: int = LEVELS) -> Iterator[tuple[str, Keys]]:

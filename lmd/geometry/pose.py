@@ -11,7 +11,7 @@ from lmd.core.checks import BoolArray, FloatArray
 from lmd.core.optional import optional
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import bearings, intrinsics, project, slope, to_camera
-from lmd.geometry.se3 import adjoint_matrix, angle_between, exp, inverse, skew
+from lmd.geometry.se3 import adjoint_matrix, angle_between, exp, inverse, seen_by_twist
 
 # Fewest points that determine a pose, such as the corners of a tag.
 FEWEST_POINTS = 4
@@ -55,8 +55,7 @@ class PointImage(NamedTuple):
 
     def slope(self, y: FloatArray) -> FloatArray:
         """Jacobian of the images of points y `(M, 3)` (camera frame) by a body twist (w, v), pixels, `(M, 2, 6)`."""
-        moved = np.concatenate([skew(y), np.broadcast_to(-np.eye(3), (len(y), 3, 3))], axis=-1)
-        return np.asarray(slope(self.camera, y) @ moved @ adjoint_matrix(inverse(self.mounted)))
+        return np.asarray(slope(self.camera, y) @ seen_by_twist(y) @ adjoint_matrix(inverse(self.mounted)))
 
 
 def body_solutions(images: Sequence[PointImage]) -> list[Solution]:

@@ -115,6 +115,15 @@ def skew(vector: FloatArray) -> FloatArray:
     return matrix
 
 
+def seen_by_twist(points: FloatArray) -> FloatArray:
+    """Derivative [[y]x  -I] of points y `(..., 3)` in the frame of a pose X by a twist (w, v), X -> X exp(w, v).
+
+    Returns:
+        `(..., 3, 6)`.
+    """
+    return np.concatenate([skew(points), np.broadcast_to(-np.eye(3), (*points.shape, 3))], axis=-1)
+
+
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
     """Cross product a x b, `(..., 3)`; several times faster than `np.cross` for a few vectors."""
     (ax, ay, az), (bx, by, bz) = ((each[..., 0], each[..., 1], each[..., 2]) for each in (a, b))

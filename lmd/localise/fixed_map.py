@@ -8,15 +8,14 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag
 
+from lmd.adjust.gauge import SIGMA_COLUMNS, rows_of
 from lmd.core.checks import FloatArray, InputError, IntArray, check_fields, real
 from lmd.core.files import read_text
 from lmd.core.tables import read_table
 from lmd.formats.tag_maps import FILE, read_deployment, read_map_covariance
-from lmd.scene.deployment import Deployment
+from lmd.scene.deployment import Deployment, poses_of
 from lmd.scene.labels import ID
 from lmd.scene.tag import Tag
-from lmd.survey.prior import poses_of
-from lmd.survey.results import SIGMA_COLUMNS
 
 SAME_SIGMA = 1e-3  # largest relative difference between standard deviations in two files of one map
 LEAST_SIGMA = 1e-5  # least standard deviation of a tag of the map, metres and rad
@@ -143,11 +142,6 @@ def surveyed_covariance(path: Any, deployment: Deployment) -> FloatArray | None:
     turned[:, :3, 3:] = turned[:, 3:, :3] = poses_of(deployment)[:, :3, :3]
     turn = block_diag(*turned)
     return np.asarray(turn @ joint @ turn.T)
-
-
-def rows_of(tags: IntArray) -> IntArray:
-    """Rows of some tags in matrices with six rows for each tag."""
-    return np.asarray((6 * tags[:, None] + np.arange(6)).ravel())
 
 
 def information_of(covariance: FloatArray) -> FloatArray:

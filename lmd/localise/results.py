@@ -6,22 +6,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lmd.core.checks import BoolArray, FloatArray
+from lmd.adjust.gauge import covariance_columns, in_world, quantiles
+from lmd.adjust.motion import seconds_of
+from lmd.core.checks import FloatArray
 from lmd.core.words import few, labelled
 from lmd.geometry.se3 import ROW
 from lmd.localise.changes import Displaced
-from lmd.localise.image_poses import State
-from lmd.localise.localise import Localisation
-from lmd.survey.map_estimate import in_world
-from lmd.survey.motion import seconds_of
-from lmd.survey.residuals import Reprojection
-from lmd.survey.results import AXES, quantiles
+from lmd.localise.images import State
+from lmd.localise.localise import FramePoses, Localisation
 
 TUM = "# timestamp tx ty tz qx qy qz qw"
 NOTICED = 0.01  # minimum floor of the corners' standard deviation that is printed, pixels
 MOST_SENTENCES = 20  # largest number of changes that are printed
 NAMED = 5  # largest number of refused frames that are named
-COVARIANCE = tuple((i, j) for i in range(6) for j in range(i, 6))  # order of the upper triangle, row by row
 
 
 class Change(NamedTuple):
@@ -39,40 +36,35 @@ class Change(NamedTuple):
 
 def image_columns(result: Localisation) -> dict[str, ArrayLike]:
     """Columns of `poses.csv`: a row for each image, with its state, its pose from this image alone, and covariances."""
-    found = result.found
-    states = [state.value for state in found.states]
-    return _columns(result, states, found.poses.frames, found.covariances, found.used)
+    return _columns(result, [state.value for state in result.found.states], result.found)
 
 
 def smoothed_columns(result: Localisation) -> dict[str, ArrayLike]:
     """Columns of `smoothed.csv`, as `image_columns`."""
-    count, smoothed = len(result.detected.times), result.smoothed
-    if smoothed is None:
-        nowhere = np.full((count, 4, 4), np.nan)
-        unused = np.zeros(len(result.found.sightings), dtype=bool)
-        return _columns(result, ["motion unknown"] * count, nowhere, np.full((count, 6, 6), np.nan), unused)
-    known = np.isfinite(smoothed.frames[:, 0, 0])
+    if result.smoothed is None:
+        return _columns(result, ["motion unknown"] * len(result.detected.times), None)
+    known = result.smoothed.localised
     states = ["smoothed" if there else state.value for there, state in zip(known, result.found.states, strict=True)]
-    return _columns(result, states, smoothed.frames, smoothed.covariances, smoothed.used)
+    return _columns(result, states, result.smoothed)
 
 
-def _columns(
-    result: Localisation, states: list[str], frames: FloatArray, covariances: FloatArray, used: BoolArray
-) -> dict[str, ArrayLike]:
-    some, count = result.found.sightings, len(frames)
-    poses = result.found.poses
-    square = Reprojection(some.of(used), poses.tags[some.tag[used]], frames[some.frame[used]],
-                          poses.mounts[some.camera[used]]).squared  # fmt: skip
-    tags = np.bincount(some.frame[used], minlength=count)
-    error = np.bincount(some.frame[used], square, minlength=count) / np.where(tags, 4.0 * tags, np.nan)
-    upper = in_world(frames, covariances)
+def _columns(result: Localisation, states: list[str], found: FramePoses | None) -> dict[str, ArrayLike]:
+    count = len(states)
+    frames, covariances = np.full((count, 4, 4), np.nan), np.full((count, 6, 6), np.nan)
+    tags: FloatArray = np.zeros(count)
+    square: FloatArray = np.zeros(count)
+    if found is not None:
+        frames, covariances, estimate = found.frames, found.covariances, found.estimate
+        owner = estimate.sightings.frame[found.used]
+        np.add.at(tags, owner, 1.0)
+        np.add.at(square, owner, estimate.squares[found.used])
     return {
         "time": list(result.detected.times),
         "state": states,
-        "tags": tags,
-        "error": np.sqrt(error),
+        "tags": tags.astype(int),
+        "error": np.sqrt(square / np.where(tags, 4.0 * tags, np.nan)),
         **dict(zip(ROW, _rows(frames).T, strict=True)),
-        **{f"cov_{AXES[i]}_{AXES[j]}": upper[:, i, j] for i, j in COVARIANCE},
+        **covariance_columns(in_world(frames, covariances)),
     }
 
 
@@ -101,7 +93,7 @@ def tum_text(result: Localisation, frames: FloatArray | None) -> str:
 def pose_topics(result: Localisation) -> tuple[dict[str, tuple[FloatArray, FloatArray]], str]:
     """Rows and covariances of poses by topic, for `lmd.formats.pose_bags`; and the topic that moves the camera."""
     found, smoothed = result.found, result.smoothed
-    topics = {"/localise/pose": (_rows(found.poses.frames), in_world(found.poses.frames, found.covariances))}
+    topics = {"/localise/pose": (_rows(found.frames), in_world(found.frames, found.covariances))}
     if smoothed is not None:
         topics["/localise/smoothed"] = (_rows(smoothed.frames), in_world(smoothed.frames, smoothed.covariances))
     return topics, list(topics)[-1]
@@ -140,7 +132,7 @@ def change_columns(result: Localisation) -> dict[str, ArrayLike]:
                 before = result.known.poses[np.searchsorted(result.known.ids, change.tag)]
                 shift = before[:3, :3].T @ (found.pose[:3, 3] - before[:3, 3])
         shifts.append(shift)
-    upper, nothing = in_world(poses, covariances), [np.nan] * 3
+    nothing = [np.nan] * 3
     figures = np.array(
         [nothing if one.found is None else [one.found.metres, one.found.radians, one.found.chi_square] for one in every]
     ).reshape(-1, 3)
@@ -151,7 +143,7 @@ def change_columns(result: Localisation) -> dict[str, ArrayLike]:
         **dict(zip(("distance", "rotation", "chi_square"), figures.T, strict=True)),
         **dict(zip(("moved_right", "moved_up", "moved_out"), np.array(shifts).reshape(-1, 3).T, strict=True)),
         **dict(zip(ROW, _rows(poses).T, strict=True)),
-        **{f"cov_{AXES[i]}_{AXES[j]}": upper[:, i, j] for i, j in COVARIANCE},
+        **covariance_columns(in_world(poses, covariances)),
     }
 
 
@@ -179,10 +171,10 @@ def metrics(result: Localisation) -> dict[str, float]:
         "frames": float(len(found.states)),
         "localised": float(found.localised.sum()),
         "sightings": float(found.used.sum()),
-        "corner_floor": found.floor,
+        "corner_floor": found.estimate.floor,
         "compared": float(len(result.changes.compared)),
         **{kind: float(count) for kind, count in Counter(change.kind for change in changes_of(result)).items()},
-        **_quantiles("", _sigmas(found.poses.frames, found.covariances)),
+        **_quantiles("", _sigmas(found.frames, found.covariances)),
     }
     if result.smoothed is not None:
         smoothed = result.smoothed
@@ -210,6 +202,7 @@ def localise_document(result: Localisation) -> dict[str, Any]:
         "renumbered_quarters": result.renumbered,
         "changes": [_sentence(change) for change in changes_of(result)],
         "compared": result.changes.compared.tolist(),
+        "sizes": {str(tag): edge for tag, edge in result.changes.sizes.items()},
         "intrinsics": [camera.document() for camera in result.calibrated],
         "inflation": result.changes.inflation,
         "contradicted": result.changes.contradicted,
@@ -232,8 +225,8 @@ def to_text(result: Localisation) -> str:
         lines["known to"] = f"{known_to('')}, each by one image"
     if result.smoothed is not None:
         lines["smoothed"] = f"{figures['smoothed']:.0f} frames, known to {known_to('smoothed_')}"
-    if found.floor > NOTICED:
-        lines["corners"] = f"a standard deviation of {found.floor:.2g} pixels is not the detector's"
+    if found.estimate.floor > NOTICED:
+        lines["corners"] = f"a standard deviation of {found.estimate.floor:.2g} pixels is not the detector's"
     for number, camera in enumerate(result.calibrated, 1):
         lines["camera" if len(result.calibrated) == 1 else f"camera {number}"] = camera.to_text()
     if result.renumbered:
@@ -254,6 +247,9 @@ def to_text(result: Localisation) -> str:
             "not looked for: no room is known that may hide tags; run=DIR or room=... gives one, or a run "
         )
         lines["vanished"] += "with a room as map=DIR"
+    if result.changes.sizes:
+        sizes = (f"{tag} ({1e3 * edge:.4g} mm)" for tag, edge in result.changes.sizes.items())
+        lines["other size"] = few(sizes, most=MOST_SENTENCES)
     if result.changes.contradicted:
         lines["map"] = f"{result.changes.contradicted} tags differ from it, too many to have been moved: is it another "
         lines["map"] += "calibration or another edge of the tags, or does the map state too small errors?"

@@ -6,18 +6,20 @@ is the probability of a detection; views from nearly one place count once.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from lmd.adjust.estimate import Estimate
+from lmd.adjust.intrinsics import Optics
+from lmd.adjust.sightings import SQUARE
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.detection.corner_errors import shortest_side
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import project
 from lmd.geometry.se3 import act, angle_between
 from lmd.localise.fixed_map import FixedMap
-from lmd.localise.image_poses import ImagePoses
 from lmd.space.space import Space
-from lmd.survey.sightings import SQUARE
 
 VANISHED = 1e-3  # greatest probability that a tag was missed in all views by chance
 MOST_RATE = 0.9  # greatest probability of a detection that is assumed
@@ -28,36 +30,41 @@ OFF_WALL = 0.02  # distance before a tag at which lines of sight end, metres
 APART_M, APART_RAD = 0.2, 0.2  # least distance and rotation of views that count separately
 
 
-def vanished_tags(found: ImagePoses, known: FixedMap, cameras: Sequence[Camera], room: Space) -> dict[int, int]:
+def vanished_tags(found: Estimate, known: FixedMap, optics: Sequence[Optics], room: Space) -> dict[int, int]:
     """Find tags that vanished.
 
     Args:
-        found: poses of images, with sightings of the tags of the map.
+        found: estimate of the frames, with the present poses of the tags that were seen.
         known: map.
-        cameras: cameras of the body.
+        optics: cameras of the body.
         room: room of the map, whose surfaces hide tags.
 
     Returns:
         number of views, in which the tag should have been detected, by the id of each tag that vanished.
     """
-    frames = np.flatnonzero(found.localised)
-    some, count = found.sightings, len(known.ids)
-    tag = np.searchsorted(known.ids, some.ids)[some.tag]  # sightings have tags of the map only
-    if not len(frames) or not found.used.any():
+    some = found.sightings.of(np.isin(found.sightings.ids, known.ids)[found.sightings.tag])
+    used = found.used[np.isin(found.sightings.ids, known.ids)[found.sightings.tag]]
+    frames, count = np.flatnonzero(np.isfinite(found.poses.frames[:, 0, 0])), len(known.ids)
+    if not len(frames) or not used.any():
         return {}
+    _, own, there = np.intersect1d(known.ids, found.sightings.ids, return_indices=True)
+    present, tag = known.poses.copy(), np.searchsorted(known.ids, found.sightings.ids)[some.tag]
+    present[own] = np.where(np.isfinite(found.poses.tags[there]), found.poses.tags[there], present[own])
+    known = replace(known, poses=present)
     views = np.zeros((2, len(frames), count), dtype=bool)  # in view, and detected
-    least_size = float(np.quantile(some.sizes[found.used], LOWEST))
+    least_size = float(np.quantile(some.sizes[used], LOWEST))
     towards = _cosines(found.poses.frames[some.frame] @ found.poses.mounts[some.camera], known.poses[tag])
-    least_cosine = float(np.quantile(towards[found.used], LOWEST))
-    for number, camera in enumerate(cameras):
+    least_cosine = float(np.quantile(towards[used], LOWEST))
+    for number, one in enumerate(optics):
         poses = found.poses.frames[frames] @ found.poses.mounts[number]
-        seen = np.zeros((len(found.states), count), dtype=bool)
-        own = some.camera == number
-        seen[some.frame[own], tag[own]] = True
-        seen = seen[frames]
-        inside = np.stack([_inside(camera, poses, known, k, least_size, least_cosine) for k in range(count)], axis=1)
+        seen = np.zeros((some.frames, count), dtype=bool)
+        shown = some.camera == number
+        seen[some.frame[shown], tag[shown]] = True
+        inside = np.stack(
+            [_inside(one.camera, poses, known, k, least_size, least_cosine) for k in range(count)], axis=1
+        )
         views[0] |= inside & _clear(room, poses, known, inside)
-        views[1] |= seen
+        views[1] |= seen[frames]
     detected = np.bincount(tag, minlength=count) > 0
     rate = min(float(views[1][:, detected][views[0][:, detected]].mean()), MOST_RATE) if views[0].any() else 0.0
     result = {}

@@ -5,14 +5,14 @@ from typing import Any
 
 import numpy as np
 
+from lmd.adjust.gauge import in_world
+from lmd.adjust.motion import seconds_of
 from lmd.core.checks import FloatArray
 from lmd.localise.localise import Localisation
 from lmd.localise.results import changes_of
 from lmd.plot.common import LANDMARK, draw_plan, literal, new_figure, shrink
 from lmd.plot.plans import ELLIPSE_SIGMAS, edge_lines, ellipse
 from lmd.space.space import Space
-from lmd.survey.map_estimate import in_world
-from lmd.survey.motion import seconds_of
 
 SINGLE, SMOOTHED = "#9e9e9e", "#1f77b4"
 CHANGED = {"moved": "#9467bd", "vanished": "#ff7f0e", "new": "#2ca02c"}
@@ -43,7 +43,7 @@ def save_localised_figure(path: str | Path, result: Localisation, room: Space | 
 def _ways(result: Localisation) -> list[tuple[str, str, FloatArray, FloatArray]]:
     """Name, colour, poses and covariances, of single images and of the smoothed drive."""
     found, smoothed = result.found, result.smoothed
-    ways = [("single images", SINGLE, found.poses.frames, found.covariances)]
+    ways = [("single images", SINGLE, found.frames, found.covariances)]
     if smoothed is not None:
         ways.append(("smoothed", SMOOTHED, smoothed.frames, smoothed.covariances))
     return ways

@@ -8,6 +8,7 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, said_of
 from lmd.core.tables import Table, read_table, write_table
+from lmd.geometry.se3 import pose_of
 from lmd.geometry.squares import upright
 from lmd.scene.edges import EDGE, checked_edges, edge_column
 from lmd.scene.labels import ID, Labels
@@ -309,3 +310,9 @@ class Deployment:
         """
         turned = in_plane(path, self.ids, self.normals, self.ups, ups)
         return self if turned is None else replace(self, surveyed=Surveyed(self.positions, self.positions, turned))
+
+
+def poses_of(deployment: Deployment) -> FloatArray:
+    """Poses of tags in the world, `(K, 4, 4)`: x to the right of the tag, y up, z along the normal."""
+    up, normal = deployment.ups, deployment.normals
+    return pose_of(np.stack([np.cross(up, normal), up, normal], axis=-1), deployment.places)

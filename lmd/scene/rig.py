@@ -89,6 +89,15 @@ class Rig:
         if not self.mounts:
             raise InputError("mounts must have at least one camera, got none.", "mounts")
 
+    @classmethod
+    def of_poses(cls, cameras: Sequence[Camera], poses: FloatArray) -> "Rig":
+        """Rig of cameras with the poses `mounted`, `(C, 4, 4)`; the body is the first camera."""
+        from scipy.spatial.transform import Rotation
+
+        turns = Rotation.from_matrix(OPTICAL @ poses[:, :3, :3] @ OPTICAL.T).as_quat()
+        rows = zip(cameras, (poses[:, :3, 3] @ OPTICAL.T).tolist(), turns.tolist(), strict=True)
+        return cls(tuple(Mount(camera, tuple(place), quaternion=tuple(turn)) for camera, place, turn in rows))
+
     @property
     def cameras(self) -> tuple[Camera, ...]:
         """Camera of each mount."""

@@ -10,45 +10,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from lmd.adjust.candidates import agreeing
+from lmd.adjust.corners import squared_errors
+from lmd.adjust.estimate import FLOOR_PIXELS, ONE_THREAD, Estimate, adjust
+from lmd.adjust.second_places import SecondPlace, second_places
+from lmd.adjust.sizes import estimated_sizes, other_sizes, resized
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
-from lmd.geometry.se3 import angle_between, exp
+from lmd.geometry.se3 import angle_between
 from lmd.survey.gauge import align_tags, into_world
-from lmd.survey.initialisation import FLOOR_PIXELS, Placing, agreeing
-from lmd.survey.map_estimate import ONE_THREAD, Estimate, Start, adjust, fitting, of_body
-from lmd.survey.residuals import Poses, Reprojection, normal_equations, solved, squared_errors, student_weight, sums_by
-from lmd.survey.sightings import Sightings
-from lmd.survey.single_poses import single_poses
+from lmd.survey.initialisation import Start, of_body
 
-# Minimum number of outliers, and minimum share of a tag's outliers, that agree on a second pose.
-FEWEST_SIGHTINGS, LEAST_SHARE = 3, 0.5
-APART_EDGES, TURNED_RAD = 0.2, 0.3  # least distance, in edges, and least rotation, rad, between two poses that differ
-OUT_OF_ORDER_SHARE = 0.1  # maximum share of frames before and after a move that are out of order
-# A size is wrong if it differs from the estimated size by the share `SIZE_DIFFERS` and by `SIZE_SIGMAS` standard
-# deviations, and if the share `SIZE_SHARE` of the sightings fits the estimated size.
-SIZE_DIFFERS, SIZE_SIGMAS, SIZE_SHARE = 0.02, 5.0, 0.5
-SIZE_STEPS = 15  # Gauss-Newton steps for sizes
 LOOSE_SIGMA = 1.0  # prior standard deviation, metres and rad, of fixed tags in the map used for comparison
 # A fixed tag is off if its error exceeds `SIGMAS` standard deviations, and also `OFF_M`, metres, or `OFF_RAD`, rad.
 SIGMAS, OFF_M, OFF_RAD = 5.0, 0.001, 0.02
 MOST_M, MOST_RAD = 0.02, 0.15  # maximum error of a fixed tag, metres and rad; above it the survey is refused
-
-
-@dataclass(frozen=True)
-class SecondPlace:
-    """Second pose of a tag."""
-
-    tag: int
-    """Index of the tag."""
-    pose: FloatArray
-    """`(4, 4)` pose, tag to world."""
-    sightings: int
-    """Number of sightings that agree with the second pose."""
-    moved: int | None
-    """Index of the frame from which the tag hangs at the later pose; None if frames show the tag at both poses in
-    turns, which means that two tags have its id.
-    """
-    later: bool
-    """True if the second pose is the later pose."""
 
 
 @dataclass(frozen=True)
@@ -63,18 +38,22 @@ class Faults:
     """`(K,)` number of sightings with each id that fit no pose of the tag."""
 
 
-def find_faults(found: Estimate) -> tuple[Estimate, Faults]:
+def find_faults(found: Estimate, odd: BoolArray) -> tuple[Estimate, Faults]:
     """Find faults, and correct sizes and moved tags: a moved tag gets the later of its poses.
+
+    Args:
+        found: estimate.
+        odd: mask of the tags whose size is an unknown of the estimate, `(K,)`.
 
     Returns:
         corrected estimate, and all faults.
     """
     with threadpool_limits(limits=ONE_THREAD):
-        sizes, poses = _sizes(found)
+        sizes, poses = estimated_sizes(found, np.zeros_like(odd))
+        sizes = {tag: edge for tag, edge in sizes.items() if not odd[tag]}
         if sizes:
-            edges, group = found.sightings.edges.copy(), found.group.copy()
-            edges[list(sizes)], group[list(sizes)] = list(sizes.values()), 0
-            found = _adjusted(replace(found, sightings=replace(found.sightings, edges=edges), group=group), poses)
+            found = resized(found, sizes, poses)
+        sizes |= other_sizes(found, odd)
         error = squared_errors(found.sightings, found.poses)
         gross = found.misfits & np.isfinite(error) & ~agreeing(found.sightings, error)
         places = second_places(found, gross)
@@ -85,90 +64,8 @@ def find_faults(found: Estimate) -> tuple[Estimate, Faults]:
         if last:
             tags = found.poses.tags.copy()
             tags[[place.tag for place in last]] = [place.pose for place in last]
-            found = _adjusted(found, replace(found.poses, tags=tags))
+            found = found.adjusted(replace(found.poses, tags=tags))
     return found, Faults(tuple(places), sizes, misread)
-
-
-def _adjusted(found: Estimate, poses: Poses) -> Estimate:
-    """Adjust an estimate again, from `poses`."""
-    return adjust(found.sightings, found.prior, poses, found.group, found.floor, found.inflation)
-
-
-def placed_beside(poses: Poses, some: Sightings, fewest: int, share: float = LEAST_SHARE) -> Poses:
-    """Poses of the tags of some sightings, see `Sightings.with_separate_cameras`, with all frames of `poses` fixed."""
-    placing = Placing(some, single_poses(some))
-    placing.frames = np.asarray((poses.frames[None] @ poses.mounts[:, None]).reshape(-1, 4, 4))
-    placing.place(np.arange(len(some)), by_frame=False, fewest=fewest, share=share)
-    return placing.poses
-
-
-def second_places(found: Estimate, gross: BoolArray) -> list[SecondPlace]:
-    """Second poses of tags: poses on which several of the `gross` outliers, mask `(N,)`, agree."""
-    counts = found.sightings.counts(gross)
-    often = counts[found.sightings.tag] >= FEWEST_SIGHTINGS
-    some = found.sightings.of(np.flatnonzero(gross & often)).with_separate_cameras()
-    if not len(some):
-        return []
-    poses = placed_beside(found.poses, some, FEWEST_SIGHTINGS)
-    agree, tags = fitting(some, squared_errors(some, poses), found.floor), poses.tags
-    places = []
-    for tag in np.unique(some.tag).tolist():
-        there = some.frame[agree & (some.tag == tag)] % found.sightings.frames
-        if len(there) < max(FEWEST_SIGHTINGS, LEAST_SHARE * counts[tag]):
-            continue
-        here = found.sightings.frame[found.used & (found.sightings.tag == tag)]
-        own = found.poses.tags[tag]
-        away = np.linalg.norm(own[:3, 3] - tags[tag, :3, 3]) / found.sightings.edges[tag]
-        if not here.size or (away < APART_EDGES and angle_between(own, tags[tag]) < TURNED_RAD):
-            continue
-        later = bool(np.median(there) > np.median(here))
-        moved = _change(here, there) if later else _change(there, here)
-        places.append(SecondPlace(tag, tags[tag], len(there), moved, later))
-    return places
-
-
-def _change(first: IntArray, second: IntArray) -> int | None:
-    """Frame at which a tag was moved: the `first` frames come before this frame, the `second` frames after; None if
-    first and second frames are mixed.
-    """
-    begins = int(np.quantile(second, OUT_OF_ORDER_SHARE / 2.0))
-    mixed = (first >= begins).mean() > OUT_OF_ORDER_SHARE
-    mixed |= np.intersect1d(first, second).size > OUT_OF_ORDER_SHARE * len(first)
-    return None if mixed else begins
-
-
-def _sizes(found: Estimate) -> tuple[dict[int, float], Poses]:
-    """Edges of tags with a wrong size, metres, and poses that fit these edges."""
-    sightings = found.sightings
-    known = np.isfinite(found.poses.frames[sightings.frame, 0, 0]) & (found.group[sightings.tag] <= 0)
-    some = sightings.of(np.flatnonzero(known))
-    tags, count = found.poses.tags.copy(), len(found.group)
-    astray = sightings.counts(found.used) == 0
-    lost = np.flatnonzero(astray[some.tag])
-    if lost.size:
-        apart = some.of(lost).with_separate_cameras()
-        tags[astray] = placed_beside(found.poses, apart, fewest=0, share=0.0).tags[astray]
-    edges, growth, summed = some.edges, np.zeros(count), sums_by(some.tag, count)
-    for _ in range(SIZE_STEPS):
-        scaled = replace(some, edges=edges * np.exp(growth))
-        at = Reprojection(scaled, *replace(found.poses, tags=tags).of(some))
-        variance = some.variance(found.floor)
-        weight = student_weight(at.squared / variance) / variance
-        jacobian = np.concatenate([at.by_tag, at.by_size], axis=-1)
-        matrix, right = normal_equations(jacobian, at.error, weight, summed)
-        matrix += np.diag([1e-6] * 6 + [1e-2])
-        step = -solved(matrix, right)
-        tags, growth = tags @ exp(step[:, :6]), growth + np.clip(step[:, 6], -0.2, 0.2)
-    sigma = np.sqrt(np.linalg.inv(matrix)[:, 6, 6])
-    other = (np.abs(growth) > SIZE_DIFFERS) & (np.abs(growth) > SIZE_SIGMAS * sigma)
-    error = squared_errors(replace(some, edges=edges * np.exp(growth)), replace(found.poses, tags=tags))
-    counts = some.counts()
-    other &= (counts >= FEWEST_SIGHTINGS) & (some.counts(fitting(some, error, found.floor)) >= SIZE_SHARE * counts)
-    changed = np.flatnonzero(other)
-    kept = found.poses.tags.copy()
-    kept[changed] = tags[changed]
-    sizes = {int(tag): float(edges[tag] * np.exp(growth[tag])) for tag in changed}
-    return sizes, replace(found.poses, tags=kept)
 
 
 def errors_of_fixed(found: Estimate, start: Start) -> FloatArray:

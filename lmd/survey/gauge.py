@@ -8,11 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from lmd.adjust.corners import DEGREES_OF_FREEDOM, Poses
+from lmd.adjust.prior import EXACT_SIGMA, Prior
+from lmd.adjust.sightings import Sightings
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
-from lmd.geometry.se3 import adjoint_matrix, inverse, pose_of, rigid_alignment
-from lmd.survey.prior import EXACT_SIGMA, FEWEST_POINTS, Prior, are_in_line
-from lmd.survey.residuals import DEGREES_OF_FREEDOM, Poses
-from lmd.survey.sightings import Sightings
+from lmd.geometry.se3 import inverse, pose_of, rigid_alignment
+from lmd.survey.knowledge import FEWEST_POINTS, are_in_line
 
 ARM = 0.1  # distance of a point on a tag's normal from the centre, metres; the point represents the normal in fits
 NO_TURN = 0.05**2  # points with a smaller sum of squared distances from a line, m^2, determine no rotation
@@ -200,26 +201,3 @@ def motion_to_floor(tags: FloatArray, floor: IntArray, origin: int) -> FloatArra
     turn = np.stack([np.cross(ahead, up), ahead, up])
     below = tags[origin, :3, 3] - up * (up @ (tags[origin, :3, 3] - places.mean(axis=0)))
     return pose_of(turn, -turn @ below)
-
-
-def diagonal_blocks(covariance: FloatArray, count: int) -> FloatArray:
-    """The `count` equal blocks on the diagonal of a matrix, `(count, m, m)`."""
-    size = len(covariance) // count
-    return np.stack([covariance[size * k : size * (k + 1), size * k : size * (k + 1)] for k in range(count)])
-
-
-def gauge_free(tags: FloatArray) -> FloatArray:
-    """Matrix L `(6 n, 6 n)` that removes the best-fitting motion of the whole map from the twists of n tags.
-
-    Let T `(6 n, 6)` be the twists of all tags due to a motion of the world, T_p and x_p the rows of T and of the twists
-    x that belong to the centres. The motion that fits x best is g = T_p^+ x_p, so L x = x - T g. If P is the covariance
-    of the twists, L P L^T is the covariance of the tags relative to each other.
-
-    Args:
-        tags: poses of the tags, `(n, 4, 4)`.
-    """
-    motion = adjoint_matrix(inverse(tags)).reshape(-1, 6)
-    centres = np.tile(np.arange(6) >= 3, len(tags))
-    fit = np.zeros((6, len(motion)))
-    fit[:, centres] = np.linalg.pinv(motion[centres])
-    return np.asarray(np.eye(len(motion)) - motion @ fit)

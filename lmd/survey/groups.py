@@ -15,30 +15,27 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
-from lmd.geometry.se3 import angle_between, inverse, log, median_pose
-from lmd.survey.initialisation import FLOOR_PIXELS, agreeing
-from lmd.survey.linked_adjustment import LinkedAdjustment
-from lmd.survey.links import MOST_SQUARE
-from lmd.survey.motion import LONGEST_GAP, Motion, with_bridged_gaps
-from lmd.survey.prior import EXACT_SIGMA, Prior
-from lmd.survey.residuals import Poses, squared_errors
-from lmd.survey.sightings import Sightings
-from lmd.survey.single_poses import best_sequence, single_poses
+from lmd.adjust.adjustment import Adjustment
+from lmd.adjust.candidates import agreeing
+from lmd.adjust.corners import Poses, squared_errors
+from lmd.adjust.estimate import FLOOR_PIXELS, Estimate
+from lmd.adjust.motion import LONGEST_GAP, Motion, with_bridged_gaps
+from lmd.adjust.mounts import Mounts
+from lmd.adjust.prior import EXACT_SIGMA, Prior
+from lmd.adjust.sequence import Nodes, smoothest
+from lmd.adjust.sightings import Sightings
+from lmd.core.checks import FloatArray, IntArray
+from lmd.geometry.se3 import inverse, log, median_pose, skew
 
 TOGETHER = 3  # minimum number of agreeing images that put two tags into one part
-# Errors of rough poses of frames: rotation, rad, and position, metres; and their growth by motion, per second.
-ROUGH_TURN, ROUGH_PLACE, MOVING = 0.1, 0.15, 1.0
 # Maximum number of following frames with which a frame gives relations, and of pairs of frames for each relation.
 FOLLOWING, PAIRS = 12, 40
 AGREE_TURN, AGREE_PLACE = 0.2, 0.3  # maximum deviation of a pair of frames from a relation, rad and metres
 # A body leaps if, from a frame to one of the next `LEAP_FOLLOWING` frames, it moves farther than `LEAP`, metres, plus
 # `LEAP_SPEEDS` times the distance at its highest speed. `FASTEST`, m/s, replaces an unknown highest speed.
 LEAP, LEAP_SPEEDS, FASTEST, LEAP_FOLLOWING = 0.5, 2.0, 2.0, 3
-# Odometry belongs to another camera or drive if the share of links that do not fit exceeds `MOST_OFF`, or if the bias
-# exceeds `MOST_BIAS`, in units of `lmd.survey.motion.BIAS`.
-MOST_OFF, MOST_BIAS = 0.5, 8.0
 STEPS = 12  # steps of the bundle adjustment of parts
+NEAREST = 6  # number of tags of other groups relative to which the covariance of a tag is computed
 
 
 class Relation(NamedTuple):
@@ -54,36 +51,6 @@ class Relation(NamedTuple):
     """Number of frames of each part that agree on `way`."""
     seconds: float
     """Median time between the frames of the two parts, seconds."""
-
-
-@dataclass(frozen=True)
-class Nodes:
-    """Nodes: pairs of a frame and a part that the frame shows, sorted by part, then by time."""
-
-    sightings: Sightings
-    """Sightings with nodes in place of frames."""
-    frame: IntArray
-    """`(n,)` frame of each node."""
-    part: IntArray
-    """`(n,)` part of each node."""
-    motion: Motion
-    """Motion between the nodes of each part."""
-
-    @classmethod
-    def of(cls, sightings: Sightings, part: IntArray, motion: Motion) -> "Nodes":
-        """Nodes of all sightings of tags in parts `(K,)`."""
-        key, node = np.unique(part[sightings.tag] * sightings.frames + sightings.frame, return_inverse=True)
-        order = np.argsort(node, kind="stable")
-        frame, own = key % sightings.frames, key // sightings.frames
-        some = replace(sightings.of(order), frame=node[order], frames=len(key))
-        return cls(some, frame, own, motion.of(frame, own))
-
-    def following(self, count: int) -> tuple[IntArray, IntArray]:
-        """Pairs of nodes, the second among the `count` nodes after the first in time."""
-        order = np.lexsort((self.part, self.frame))
-        ends = [(order[:-k], order[k:]) for k in range(1, min(count, len(order) - 1) + 1)]
-        first, second = zip(*ends, strict=True) if ends else ((order[:0],), (order[:0],))
-        return np.concatenate(first), np.concatenate(second)
 
 
 def join_groups(sightings: Sightings, poses: Poses, group: IntArray, prior: Prior) -> tuple[Poses, IntArray, Prior]:
@@ -131,7 +98,7 @@ def _parts(sightings: Sightings, poses: Poses, group: IntArray, prior: Prior) ->
     from scipy.sparse.csgraph import connected_components
 
     count = len(group)
-    fits = _fitting(sightings, poses) & (group[sightings.tag] >= 0)
+    fits = agreeing(sightings, squared_errors(sightings, poses)) & (group[sightings.tag] >= 0)
     shown = coo_array(
         (np.ones(fits.sum()), (sightings.frame[fits], sightings.tag[fits])), shape=(sightings.frames, count)
     ).tocsr()
@@ -148,40 +115,6 @@ def _parts(sightings: Sightings, poses: Poses, group: IntArray, prior: Prior) ->
     return parts
 
 
-def _fitting(sightings: Sightings, poses: Poses) -> BoolArray:
-    """True for sightings that agree with rough poses, `(N,)`."""
-    error = squared_errors(sightings, poses)
-    return np.asarray(agreeing(sightings, np.where(np.isfinite(error), error, np.inf)))
-
-
-def smoothest(nodes: Nodes, poses: Poses) -> Poses:
-    """Poses of the nodes in the worlds of their parts: the smoothest sequence of poses from their largest sightings and
-    from the rough poses of frames.
-    """
-    some, count = nodes.sightings, len(nodes.frame)
-    order = np.lexsort((-some.sizes, some.frame))
-    best = order[np.searchsorted(some.frame[order], np.arange(count))]
-    single = single_poses(some.of(best))
-    views = poses.tags[some.tag[best]][:, None] @ inverse(poses.mounts[some.camera[best]][:, None] @ single.poses)
-    costs = np.stack([np.zeros(count), single.odds], axis=1)
-    placed = poses.frames[nodes.frame]
-    several = np.bincount(some.frame[_fitting(some, replace(poses, frames=placed))], minlength=count) >= 2
-    views[several] = placed[several, None]
-    follows = np.flatnonzero(nodes.motion.follows(np.arange(count)))
-    between = np.zeros((count, 2, 2))  # cost of each pose, given each pose of the previous node
-    steps = nodes.motion.steps(follows, follows + 1)
-    seconds = nodes.motion.times[follows + 1] - nodes.motion.times[follows]
-    moving = 0.0 if nodes.motion.is_odometry else MOVING * seconds
-    for here in range(2):
-        for there in range(2):
-            off = inverse(views[follows, here] @ steps) @ views[follows + 1, there]
-            turn = angle_between(off, np.eye(4)) / np.hypot(ROUGH_TURN, moving)
-            place = np.linalg.norm(off[:, :3, 3], axis=1) / np.hypot(ROUGH_PLACE, moving)
-            between[follows + 1, there, here] = np.log1p(turn**2 + place**2)
-    which = best_sequence(costs, between)
-    return replace(poses, frames=views[np.arange(count), which])
-
-
 def _adjusted(nodes: Nodes, poses: Poses) -> tuple[Poses, Motion]:
     """Poses of the parts, each adjusted by itself, and the motion with its estimated spread."""
     some, motion = nodes.sightings, nodes.motion
@@ -191,25 +124,12 @@ def _adjusted(nodes: Nodes, poses: Poses) -> tuple[Poses, Motion]:
     information = np.zeros((len(of_tag), 6))
     information[first[of_tag[first] >= 0]] = EXACT_SIGMA**-2.0
     for _ in range(2):
-        adjustment = LinkedAdjustment(some, Prior(poses.tags, information, None, poses.mounts, motion))
+        adjustment = Adjustment(some, Prior(poses.tags, information, None, Mounts(poses.mounts), motion))
         poses, floor = adjustment.run(poses, FLOOR_PIXELS, STEPS)
         motion = adjustment.estimate_motion(poses, floor)
-    check_odometry(adjustment, poses)
+    assert adjustment.links is not None
+    adjustment.links.check(poses.frames[adjustment.seen])
     return poses, motion if motion.is_odometry else with_bridged_gaps(motion, poses.frames)
-
-
-def check_odometry(adjustment: LinkedAdjustment, poses: Poses) -> None:
-    """Raise `InputError` if odometry contradicts the images."""
-    if not adjustment.motion.is_odometry or not len(adjustment.links.first):
-        return
-    at = adjustment.links.at(poses.frames[adjustment.seen])
-    off = float((adjustment.links.squares(at.error) > MOST_SQUARE).mean())
-    if off > MOST_OFF or np.abs(at.bias).max() > MOST_BIAS:
-        raise InputError(
-            "odometry does not move as the images do: does it need a mount or frame=body, as it describes a body and "
-            "not the (first) camera, or is it of another drive?",
-            "odometry",
-        )
 
 
 def _worlds(nodes: Nodes, poses: FloatArray, motion: Motion) -> tuple[FloatArray, IntArray]:
@@ -300,3 +220,38 @@ def _relations(nodes: Nodes, poses: FloatArray, motion: Motion, velocities: Floa
         one, other = int(nodes.part[i[own[0]]]), int(nodes.part[j[own[0]]])
         found.append(Relation(one, other, centre, agreed, float(np.median(away[own]))))
     return sorted(found, key=lambda relation: (-relation.agreed, relation.seconds))
+
+
+@dataclass(frozen=True)
+class JoinedGroups:
+    """Groups of a map that only motion joins."""
+
+    group: IntArray
+    """`(K,)` group of each tag, as images alone connect them; -1 for tags that are not in the map."""
+    sigma: FloatArray
+    """`(G,)` standard deviation of each group's place relative to the nearest other tags, in the worst direction, m."""
+
+
+def joined_groups(found: Estimate, group: IntArray) -> JoinedGroups:
+    """Groups that motion has joined, and the standard deviations of their places relative to each other.
+
+    Args:
+        found: estimate with a motion.
+        group: group of each tag, `(K,)`, as images alone connect them; -1 for tags that no image connects with others.
+    """
+    alone = group < 0
+    own = np.where(alone, group.max(initial=-1) + 1 + np.cumsum(alone), group)
+    own = np.where(found.known, own, -1)
+    own[found.known] = np.unique(own[found.known], return_inverse=True)[1]
+    best = np.full(int(own.max(initial=-1)) + 1, np.inf)
+    tags, covariance = found.poses.tags, found.covariance
+    for k in np.flatnonzero(found.known).tolist():
+        others = np.flatnonzero(found.known & (own != own[k]))
+        near = others[np.argsort(np.linalg.norm(tags[others, :3, 3] - tags[k, :3, 3], axis=1))[:NEAREST]]
+        for other in near.tolist():
+            between = inverse(tags[k]) @ tags[other]
+            slope = np.hstack([skew(between[:3, 3]), -np.eye(3), np.zeros((3, 3)), between[:3, :3]])
+            rows = np.r_[6 * k : 6 * k + 6, 6 * other : 6 * other + 6]
+            square = slope @ covariance[np.ix_(rows, rows)] @ slope.T
+            best[own[k]] = min(best[own[k]], float(np.sqrt(np.linalg.eigvalsh(square)[-1])))
+    return JoinedGroups(own, best)

@@ -12,37 +12,117 @@ With a plan, initialisation starts with the tags at their planned poses, and is 
 As detectors may number corners from another corner, all planned tags are tried at each of the four quarter turns.
 """
 
-import numpy as np
+from dataclasses import dataclass
 
-from lmd.core.checks import BoolArray, FloatArray, IntArray
-from lmd.geometry.se3 import exp, inverse
-from lmd.survey.adjustment import Adjustment
-from lmd.survey.prior import Prior
-from lmd.survey.residuals import Poses, Reprojection, normal_equations, solved, squared_errors, sums_by
-from lmd.survey.sightings import QUARTERS, Sightings
-from lmd.survey.single_poses import SinglePoses, single_poses
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from lmd.adjust.adjustment import Adjustment
+from lmd.adjust.candidates import SinglePoses, agreeing, place, single_poses
+from lmd.adjust.corners import Poses, squared_errors
+from lmd.adjust.estimate import FLOOR_PIXELS, ONE_THREAD
+from lmd.adjust.mounts import Mounts
+from lmd.adjust.prior import Prior
+from lmd.adjust.sightings import QUARTERS, Sightings
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
+from lmd.geometry.se3 import inverse, median_pose
+from lmd.survey.groups import join_groups
 
 # Least log-likelihood ratios of the two poses of a sighting at which the better pose is beyond doubt, and is likely.
 BEYOND_DOUBT, LIKELY = 6.0, 1.5
-# A sighting agrees with a pose if the RMS error is at most `AGREES` times its size plus `AGREES_PIXELS`, pixels.
-AGREES, AGREES_PIXELS = 0.15, 2.0
 FEWEST, LEAST_SHARE = 2, 0.3  # minimum number, and share, of sightings that must agree
 # A tag or frame is tried again if the share `DISPUTED` of its sightings has squared errors above `MUCH_WORSE` medians.
 DISPUTED, MUCH_WORSE = 0.2, 25.0
-# Maximum numbers, for a frame or tag, of sightings that propose poses, of sightings that judge poses (the largest
-# sightings are used), and of poses that are refined.
-PROPOSING, JUDGING, REFINED = 8, 60, 3
-REFINING_STEPS, WIDE, NARROW = 12, 40.0, 3.0  # Gauss-Newton steps; first and last scale of the loss, pixels
 STEPS, FINAL_STEPS = 3, 8  # steps of bundle adjustment between placements, and after the last placement
 GROWN = 1.2  # growth factor of the number of placed tags and frames after which all are adjusted again
 AS_PLANNED = 0.97  # least share of sightings that must agree with an initialisation by the plan
-FLOOR_PIXELS = 3.0  # maximum of the floor in adjustments during the initialisation, pixels
 ANCHOR_SIGMA = 1e-4  # prior standard deviation of the first tag of a group, metres and rad
 
 
-def agreeing(sightings: Sightings, error: FloatArray) -> BoolArray:
-    """True for sightings with squared errors `(N,)` that agree with a rough pose."""
-    return np.asarray(np.sqrt(error / 4.0) < AGREES * sightings.sizes + AGREES_PIXELS)
+@dataclass(frozen=True)
+class Start:
+    """Initial poses."""
+
+    poses: Poses
+    """Rough poses, with each camera as a body of its own, see `Sightings.with_separate_cameras`."""
+    group: IntArray
+    """`(K,)` group of each tag, -1 for tags that are not placed. Each group has a world of its own."""
+
+    def agreed(self, sightings: Sightings) -> int:
+        """Number of sightings that agree with the poses."""
+        apart = sightings.with_separate_cameras()
+        return int(agreeing(apart, squared_errors(apart, self.poses)).sum())
+
+
+def initialise(sightings: Sightings, prior: Prior) -> Start:
+    """Find initial poses.
+
+    Raises:
+        InputError: no two tags were seen together.
+    """
+    with threadpool_limits(limits=ONE_THREAD):
+        apart = sightings.with_separate_cameras()
+        # To find unknown mounts, frames of two cameras must be placed, even by single sightings.
+        is_linked = prior.motion is not None and (sightings.cameras == 1 or prior.mounts is not None)
+        rough, group = place_all(apart, np.where(prior.is_posed[:, None, None], prior.tags, np.nan), is_linked)
+        if prior.motion is None:
+            _check_groups(group)
+        return Start(_turned_as_seen(apart, rough), group)
+
+
+def _turned_as_seen(sightings: Sightings, poses: Poses) -> Poses:
+    """Poses with each tag at the quarter turn at which most of its sightings agree."""
+    turned = [poses.tags @ quarter for quarter in QUARTERS]
+    each = [Poses(tags, poses.frames, poses.mounts) for tags in turned]
+    counts = [sightings.counts(agreeing(sightings, squared_errors(sightings, one))) for one in each]
+    return Poses(poses.tags @ QUARTERS[np.argmax(counts, axis=0)], poses.frames, poses.mounts)
+
+
+def of_body(sightings: Sightings, start: Start, prior: Prior) -> tuple[Poses, IntArray, Prior]:
+    """Initial poses of the body, groups joined by motion, and the prior with the estimated spread of the motion.
+
+    Raises:
+        InputError: a camera was never placed together with the first camera.
+    """
+    rough = _mounted(sightings, start.poses, prior.mounts)
+    if prior.motion is None:
+        return rough, start.group, prior
+    poses, group, prior = join_groups(sightings, rough, start.group, prior)
+    _check_groups(group)
+    return poses, group, prior
+
+
+def _check_groups(group: IntArray) -> None:
+    """Raise `InputError` if there is no group."""
+    if group.max(initial=-1) < 0:
+        raise InputError("detections never show two tags at once, of which one leaves no doubt.", "detections")
+
+
+def _mounted(sightings: Sightings, apart: Poses, mounts: Mounts | None) -> Poses:
+    """Poses of the body from the poses of its cameras.
+
+    Args:
+        sightings: sightings of the body.
+        apart: poses for `sightings.with_separate_cameras()`.
+        mounts: mounts of the cameras; None to estimate them.
+
+    Raises:
+        InputError: a camera was never placed together with the first camera.
+    """
+    views = apart.frames.reshape(sightings.cameras, sightings.frames, 4, 4)
+    found, frames = np.tile(np.eye(4), (sightings.cameras, 1, 1)), views[0].copy()
+    for camera in range(1, sightings.cameras):
+        there = np.isfinite(views[camera, :, 0, 0])
+        both = there & np.isfinite(frames[:, 0, 0])
+        if mounts is not None:
+            found[camera] = mounts.poses[camera]
+        elif both.any():
+            found[camera] = median_pose(inverse(frames[both]) @ views[camera, both])
+        else:
+            raise InputError(f"detections have no frame that shows where camera {camera + 1} is mounted.", "detections")
+        fresh = there & ~both
+        frames[fresh] = views[camera, fresh] @ inverse(found[camera])
+    return Poses(apart.tags, frames, found)
 
 
 class Placing:
@@ -169,103 +249,14 @@ class Placing:
             fewest: minimum number of sightings that must agree.
             share: minimum share of the sightings that must agree.
         """
-        index = index[_rank(self.sightings, index, by_frame) < JUDGING]
-        if not index.size:
-            return
-        trial = _Trial(self, self.sightings.of(index), by_frame)
-        target = self.frames if by_frame else self.tags
-        proposing = np.flatnonzero(_rank(self.sightings, index, by_frame) < PROPOSING)
-        poses = trial.candidates(proposing, self.single.poses[index[proposing]]).reshape(-1, 4, 4)
-        owner = np.repeat(trial.owner[proposing], 2)
-        order = np.lexsort((trial.loss(poses, owner), owner))
-        best = order[_rank_within(owner[order]) < REFINED]
-        poses, owner = trial.refined(poses[best], owner[best]), owner[best]
-        own = np.flatnonzero(np.isfinite(target[trial.owners, 0, 0]))
-        poses, owner = np.concatenate([poses, target[trial.owners[own]]]), np.concatenate([owner, own])
-        order = np.lexsort((trial.loss(poses, owner), owner))
-        poses = poses[order[_rank_within(owner[order]) == 0]]
-        agreed = trial.agreed(poses)
-        enough = (agreed >= fewest) & (agreed >= share * trial.counts)
-        placed = trial.owners[enough]
-        target[placed] = poses[enough]
+        some, single = self.sightings.of(index), self.single.poses[index]
+        placed, poses = place(some, single, self.poses, by_frame, fewest, share)
+        (self.frames if by_frame else self.tags)[placed] = poses
         if not by_frame:
             self.group[placed] = np.where(self.group[placed] < 0, self.group.max(), self.group[placed])
 
 
-class _Trial:
-    """Candidate poses for the owners of some sightings: frames whose tags are placed, or tags whose frames are
-    placed.
-    """
-
-    def __init__(self, placing: Placing, some: Sightings, by_frame: bool) -> None:
-        self.some, self.by_frame = some, by_frame
-        self.given = placing.tags[some.tag] if by_frame else placing.frames[some.frame]
-        self.owners, self.owner, self.counts = np.unique(
-            some.frame if by_frame else some.tag, return_inverse=True, return_counts=True
-        )
-        self.order = np.argsort(self.owner, kind="stable")
-
-    def candidates(self, index: IntArray, single: FloatArray) -> FloatArray:
-        """Poses of the owners of the sightings `index`, `(n, 2, 4, 4)`, from the two poses of each tag in its
-        camera.
-        """
-        given = self.given[index, None]
-        return np.asarray(given @ (inverse(single) if self.by_frame else single))
-
-    def _pairs(self, owner: IntArray) -> tuple[IntArray, IntArray]:
-        """Indices of all pairs of a pose and a sighting of its owner; `owner` `(P,)` has the owner of each pose."""
-        counts = self.counts[owner]
-        pose = np.repeat(np.arange(len(owner)), counts)
-        within = np.arange(len(pose)) - np.repeat(np.cumsum(counts) - counts, counts)
-        return self.order[(np.cumsum(self.counts) - self.counts)[owner][pose] + within], pose
-
-    def _reprojection(self, poses: FloatArray, pairs: IntArray, pose: IntArray) -> Reprojection:
-        """Reprojection of each pair of a sighting and a pose."""
-        still = np.broadcast_to(np.eye(4), (len(pairs), 4, 4))
-        own, given = poses[pose], self.given[pairs]
-        tags, frames = (given, own) if self.by_frame else (own, given)
-        return Reprojection(self.some.of(pairs), tags, frames, still)
-
-    def loss(self, poses: FloatArray, owner: IntArray) -> FloatArray:
-        """Robust losses `(P,)` of poses `(P, 4, 4)` of the owners `(P,)`."""
-        pairs, pose = self._pairs(owner)
-        error = self._reprojection(poses, pairs, pose).squared
-        return np.asarray(np.bincount(pose, np.log1p(error / (4.0 * NARROW**2)), minlength=len(poses)))
-
-    def agreed(self, poses: FloatArray) -> FloatArray:
-        """Number of sightings of each of M owners that agree with the owner's pose, `(M,)`."""
-        pairs, pose = self._pairs(np.arange(len(self.owners)))
-        agree = agreeing(self.some.of(pairs), self._reprojection(poses, pairs, pose).squared)
-        return np.asarray(np.bincount(pose, agree, minlength=len(self.owners)))
-
-    def refined(self, poses: FloatArray, owner: IntArray) -> FloatArray:
-        """Poses after Gauss-Newton steps with robust losses of decreasing scale."""
-        pairs, pose = self._pairs(owner)
-        summed = sums_by(pose, len(poses))
-        for scale in np.geomspace(WIDE, NARROW, REFINING_STEPS):
-            at = self._reprojection(poses, pairs, pose)
-            weight = 1.0 / (1.0 + (at.error**2).mean(axis=1) / scale**2)
-            jacobian = at.by_frame if self.by_frame else at.by_tag
-            matrix, right = normal_equations(jacobian, at.error, weight, summed)
-            poses = np.asarray(poses @ exp(-solved(matrix + 1e-6 * np.eye(6), right)))
-        return poses
-
-
-def _rank(sightings: Sightings, index: IntArray, by_frame: bool) -> IntArray:
-    """Rank of the sightings `index` by size, from the largest, among the sightings of their frame or tag."""
-    owner = (sightings.frame if by_frame else sightings.tag)[index]
-    order = np.lexsort((-sightings.sizes[index], owner))
-    rank = np.empty(len(index), dtype=np.int64)
-    rank[order] = _rank_within(owner[order])
-    return rank
-
-
-def _rank_within(owner: IntArray) -> IntArray:
-    """Position of each entry among the entries with an equal owner; `owner` is sorted."""
-    return np.asarray(np.arange(len(owner)) - np.searchsorted(owner, owner))
-
-
-def place(sightings: Sightings, planned: FloatArray, is_linked: bool) -> tuple[Poses, IntArray]:
+def place_all(sightings: Sightings, planned: FloatArray, is_linked: bool) -> tuple[Poses, IntArray]:
     """Place all tags and frames that can be placed.
 
     Args:

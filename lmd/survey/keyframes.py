@@ -18,9 +18,9 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
+from lmd.adjust.motion import SHORTEST_GAP, seconds_of
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.formats.detections import DetectedTags
-from lmd.survey.motion import SHORTEST_GAP, seconds_of
 
 LONGEST = 0.21  # maximum seconds between keyframes that have frames between them: five keyframes a second, with jitter
 

@@ -5,20 +5,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lmd.adjust.gauge import SIGMA_COLUMNS, TWISTS, covariance_columns, quantiles
 from lmd.core.checks import FloatArray, IntArray
 from lmd.geometry.se3 import ROW, inverse, log
 from lmd.scene.deployment import COLUMNS, UP_COLUMNS, Deployment
 from lmd.scene.edges import EDGE
 from lmd.scene.labels import ID, Labels
 from lmd.scene.surveyed import Surveyed
-from lmd.survey.residuals import squared_errors
 from lmd.survey.survey import Survey
 
 SIGHTINGS = "sightings"  # column of the number of inliers of a tag
-AXES = ("x", "y", "z", "rx", "ry", "rz")
-TWISTS = ("tilt_x", "tilt_y", "turn", "right", "up", "out")  # components of a twist in the frame of a tag
-# Columns of the standard deviations of a tag beside the other tags, along its own axes, rad and metres.
-SIGMA_COLUMNS = tuple(f"sigma_{name}" for name in TWISTS)
 # A tag of the map needs another photograph if it has fewer inliers than `FEW`, or a sigma above `LOOSE` times the
 # median.
 FEW, LOOSE = 3, 3.0
@@ -30,7 +26,7 @@ FAR, FAR_SIGMAS = 5.0, 3.0
 def map_of(survey: Survey) -> Deployment:
     """Tags of the map as they hang, with their edges and numbers of inliers."""
     found, chosen = survey.found, np.flatnonzero(survey.placed)
-    edges = np.array([float(f"{edge:.6g}") for edge in found.sightings.edges[chosen]])
+    edges = np.array([float(f"{edge:.6g}") for edge in found.sightings.present_edges[chosen]])
     labels = Labels(survey.ids[chosen], {SIGHTINGS: [str(count) for count in survey.used[chosen]]})
     poses = found.poses.tags[chosen]
     places = poses[:, :3, 3]
@@ -70,10 +66,15 @@ def map_columns(survey: Survey) -> dict[str, ArrayLike]:
     covariances = survey.found.in_world(survey.found.covariances)[survey.placed]
     squares = np.diagonal(survey.found.gauge_free_covariances[survey.placed], axis1=1, axis2=2)
     own = dict(zip(SIGMA_COLUMNS, np.sqrt(np.maximum(squares, 0.0)).T, strict=True))
-    upper = {f"cov_{AXES[i]}_{AXES[j]}": covariances[:, i, j] for i in range(len(AXES)) for j in range(i, len(AXES))}
     assert tags.labels is not None
     columns = {ID: tags.ids, **dict(zip((*COLUMNS, *UP_COLUMNS), vectors.T, strict=True)), EDGE: tags.edges}
-    return {**columns, **tags.labels.columns, "sigma": survey.found.sigmas[survey.placed], **own, **upper}
+    return {
+        **columns,
+        **tags.labels.columns,
+        "sigma": survey.found.sigmas[survey.placed],
+        **own,
+        **covariance_columns(covariances),
+    }
 
 
 def map_covariance(survey: Survey) -> tuple[IntArray, FloatArray]:
@@ -108,7 +109,7 @@ def tag_columns(survey: Survey) -> dict[str, ArrayLike]:
     `out` are metres in the tag's frame, `tilt_x`, `tilt_y` and `turn` rad about its axes.
     """
     found, owner = survey.found, survey.found.sightings.tag
-    error = np.sqrt(squared_errors(found.sightings, found.poses) / 4.0)
+    error = np.sqrt(found.squares / 4.0)
     own = [error[found.used & (owner == k)] for k in range(len(survey.ids))]
     moved = np.full((len(survey.ids), 6), np.nan)
     if (planned := survey.planned) is not None:
@@ -196,13 +197,6 @@ def metrics(survey: Survey) -> dict[str, float]:
         figures |= quantiles(f"held_out_error_{name}", frames.errors)
         figures |= quantiles(f"held_out_shift_{name}", frames.shifts)
     return {name: value for name, value in figures.items() if np.isfinite(value)}
-
-
-def quantiles(name: str, values: FloatArray) -> dict[str, float]:
-    """Median and 90 % quantile; empty without values."""
-    if not values.size:
-        return {}
-    return {f"{name}/{share}": float(np.quantile(values, share / 100.0)) for share in (50, 90)}
 
 
 def survey_document(survey: Survey) -> dict[str, Any]:

@@ -10,13 +10,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lmd.adjust.corners import Poses
+from lmd.adjust.prior import Prior
+from lmd.adjust.sightings import QUARTERS
 from lmd.core.checks import FloatArray, IntArray
 from lmd.geometry.se3 import inverse
 from lmd.survey.gauge import align_tags, angle_between_normals
-from lmd.survey.initialisation import agreeing
-from lmd.survey.prior import Prior
-from lmd.survey.residuals import Poses, squared_errors
-from lmd.survey.sightings import QUARTERS, Sightings
 
 # A tag gets a turn if it is nearer to its planned centre than NEAR, metres, and if its angles to the planned normal and
 # to a multiple of 90 degrees are below FACING and IN_QUARTERS, rad. LEAST_SHARE is the minimum share of tags of a group
@@ -54,13 +53,6 @@ class Turns:
         if sheets is not None:
             sheets = replace(sheets, poses=sheets.poses @ QUARTERS[self.beside_sheets[sheets.tag]])
         return replace(prior, tags=prior.tags @ QUARTERS[self.beside_plan], sheets=sheets)
-
-
-def turned_as_seen(sightings: Sightings, poses: Poses) -> Poses:
-    """Poses with each tag at the quarter turn at which most of its sightings agree."""
-    turned = [replace(poses, tags=poses.tags @ quarter) for quarter in QUARTERS]
-    agree = [agreeing(sightings, squared_errors(sightings, each)) for each in turned]
-    return replace(poses, tags=poses.tags @ QUARTERS[np.argmax([sightings.counts(each) for each in agree], axis=0)])
 
 
 def turns_of(poses: Poses, group: IntArray, prior: Prior, in_order: bool) -> Turns:

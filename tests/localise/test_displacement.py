@@ -1,73 +1,54 @@
-"""Displacements of tags, compared with dense least squares that has the displacement as an unknown."""
+"""Displacements of tags beside dense least squares in which the displacement is one more unknown."""
 
+from dataclasses import replace
+
+import localise_drives as ld
 import numpy as np
 import pytest
 
-from lmd.localise.displacement import LinearMap, rows_of
+from lmd.adjust.adjustment import Adjustment
+from lmd.adjust.gauge import rows_of
+from lmd.localise.fixed_map import LEAST_SIGMA
 
-TAGS, REST = 4, 9  # tags, of which the first three are trusted, and other unknowns
-
-
-def problem(seed):
-    """Information and gradient of sightings about u = 0, and a covariance of the map."""
-    rng = np.random.default_rng(seed)
-    size = 6 * TAGS + REST
-    root = rng.normal(size=(size, 3 * size)) * 30.0
-    half = rng.normal(size=(6 * TAGS, 6 * TAGS)) * 0.03
-    return root @ root.T, rng.normal(size=size) * 100.0, half @ half.T
+TAGS, MOVED = 6, 4
 
 
-def linear(information, gradient, covariance):
-    """`LinearMap` of a problem, eliminated by hand."""
-    trusted, rest = rows_of(np.arange(TAGS - 1)), np.arange(6 * (TAGS - 1), len(information))
-    whole = np.linalg.inv(information[np.ix_(rest, rest)])
-    gain, step = -whole @ information[np.ix_(rest, trusted)], whole @ gradient[rest]
-    kept = information[np.ix_(trusted, trusted)] + information[np.ix_(trusted, rest)] @ gain
-    pull = gradient[trusted] - information[np.ix_(trusted, rest)] @ step
-    return LinearMap(
-        covariance, trusted, rows_of(np.array([TAGS - 1])), np.zeros(6 * TAGS), kept, pull,
-        whole[:6, :6], gain[:6], step[:6],
-    )  # fmt: skip
+def covariance_of(kind, rng):
+    """Covariance of a map: tags whose errors are correlated, or exact tags in an unknown world."""
+    if kind == "singular":
+        common = np.tile(np.eye(6), (TAGS, 1)) * 0.01
+        return common @ common.T
+    half = rng.normal(size=(6 * TAGS, 6 * TAGS)) * 3e-4
+    return half @ half.T + 1e-6 * np.eye(6 * TAGS)
 
 
-@pytest.mark.parametrize("tag", [0, 2, 3])
-@pytest.mark.parametrize("seed", range(3))
-def test_a_displacement_is_that_of_least_squares_with_the_displacement_as_an_unknown(tag, seed):
-    """Unknowns are all twists, the rest and t; the prior holds for the trusted tags and for u_k - t."""
-    information, gradient, covariance = problem(seed)
-    size = len(information)
-    with_prior = rows_of(np.unique([*range(TAGS - 1), tag]))
-    prior = np.zeros((size + 6, size + 6))
-    select = np.zeros((len(with_prior), size + 6))
-    select[np.arange(len(with_prior)), with_prior] = 1.0
-    select[np.flatnonzero(np.isin(with_prior, rows_of(np.array([tag])))), size + np.arange(6)] = -1.0
-    prior += select.T @ np.linalg.inv(covariance[np.ix_(with_prior, with_prior)]) @ select
-    prior[:size, :size] += information
-    whole = np.linalg.inv(prior)
-    found = linear(information, gradient, covariance).displacement(tag)
-    assert found is not None
-    np.testing.assert_allclose(found[0], (whole[:, :size] @ gradient)[size:], rtol=1e-6, atol=1e-9)
-    np.testing.assert_allclose(found[1], whole[size:, size:], rtol=1e-6, atol=1e-12)
-
-
-def test_covariances_are_those_of_the_inverse_of_all_information():
-    information, gradient, covariance = problem(5)
-    trusted = rows_of(np.arange(TAGS - 1))
-    every = information.copy()
-    every[np.ix_(trusted, trusted)] += np.linalg.inv(covariance[np.ix_(trusted, trusted)])
-    expected = np.linalg.inv(every)
-    found = linear(information, gradient, covariance).covariances
-    for k in range(TAGS):
-        rows = slice(6 * k, 6 * k + 6)
-        np.testing.assert_allclose(found[k], expected[rows, rows], rtol=1e-6)
-
-
-def test_a_singular_covariance_of_the_map_is_no_obstacle():
-    """All tags but their common motion are exact: the tag that was moved is known as well as the sightings know it."""
-    information, gradient, _ = problem(7)
-    common = np.tile(np.eye(6), (TAGS, 1)) * 0.01
-    found = linear(information, gradient, common @ common.T).displacement(1)
-    nearly = linear(information, gradient, common @ common.T + 1e-12 * np.eye(6 * TAGS)).displacement(1)
-    assert found is not None
-    assert nearly is not None
-    np.testing.assert_allclose(found[1], nearly[1], rtol=1e-3)
+@pytest.mark.parametrize("kind", ["correlated", "singular"])
+@pytest.mark.parametrize("seed", range(2))
+def test_displacements_are_those_of_generalised_least_squares(kind, seed):
+    """The prior holds for the twists of trusted tags, and for u_k - t. One tag has no prior."""
+    walk = ld.walked(seed, TAGS, frames=40)
+    joint = covariance_of(kind, np.random.default_rng(seed))
+    walk = walk._replace(known=replace(walk.known, covariance=joint))
+    prior, now = ld.compared(walk, (MOVED,))
+    values, covariances = prior.displacements(now)
+    found, twists = now.found, prior.twists(now)
+    blank = replace(found.prior, joint=0.0 * found.prior.joint)
+    slope, spread = found.adjustment.efficiency(found.poses, found.floor)
+    alone = Adjustment(found.sightings.of(found.used), blank)
+    images = alone.system(found.poses, found.floor, 0.0, slope**2 / spread).matrix
+    pull = (images + found.prior.joint) @ twists.ravel()  # as the twists are those of the optimum
+    assert np.isfinite(values[MOVED]).all()
+    assert np.isfinite(values).all(axis=1).sum() >= 4
+    for k in np.flatnonzero(np.isfinite(values[:, 0])):
+        with_prior = rows_of(np.array([j for j in range(TAGS) if j in (k,) or j != MOVED]))
+        select = np.zeros((len(with_prior), 6 * TAGS + 6))
+        select[np.arange(len(with_prior)), with_prior] = 1.0
+        select[np.isin(with_prior, rows_of(np.array([k]))), -6:] = -np.eye(6)
+        known = joint[np.ix_(with_prior, with_prior)] + LEAST_SIGMA**2 * np.eye(len(with_prior))
+        whole = select.T @ np.linalg.inv(known) @ select
+        whole[:-6, :-6] += images
+        expected = np.linalg.solve(whole, np.append(pull, np.zeros(6)))[-6:]
+        spread = np.linalg.inv(whole)[-6:, -6:]
+        root = np.linalg.inv(np.linalg.cholesky(spread))
+        np.testing.assert_allclose(root @ covariances[k] @ root.T, np.eye(6), atol=5e-3)
+        np.testing.assert_allclose(root @ (values[k] - expected), 0.0, atol=5e-3)

@@ -168,7 +168,9 @@ def test_a_detector_is_calibrated_on_the_frames_of_a_survey(room):
 
 
 @pytest.mark.usefixtures("surveyed")
-@pytest.mark.parametrize("mounted", ["false", pytest.param("true", marks=pytest.mark.thorough("lmd/survey"))])
+@pytest.mark.parametrize(
+    "mounted", ["false", pytest.param("true", marks=pytest.mark.thorough("lmd/survey", "lmd/adjust"))]
+)
 def test_a_rig_has_a_folder_for_each_camera(room, mounted):
     """Two cameras that see the same, of which one begins later."""
     cwd, _, true = room

@@ -10,7 +10,7 @@ from lmd.detection.corner_errors import CORNER_ERRORS
 from lmd.formats.calibrations import Calibration
 from lmd.formats.detection_formats import read_detections
 from lmd.scene.tag import Tag
-from lmd.survey.prior import PriorKnowledge
+from lmd.survey.knowledge import PriorKnowledge
 from lmd.survey.survey import survey
 
 REAL = Path(__file__).parents[2] / "../shared/real/detections/test_13"
@@ -62,7 +62,7 @@ def test_frames_held_out_agree_with_the_map(found):
     assert np.median(found.localised["measured"].shifts) < 0.005
 
 
-@pytest.mark.thorough("lmd/survey")
+@pytest.mark.thorough("lmd/survey", "lmd/adjust")
 def test_photographs_calibrate_the_camera(some, found):
     """The pixels of this sensor are square, but those of the given calibration are 0.1 % off; 5 seconds."""
     calibrated = survey(*some, PriorKnowledge(), calibrate=True)

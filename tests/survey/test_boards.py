@@ -7,14 +7,13 @@ import pytest
 import walks
 
 from lmd.core.checks import InputError
-from lmd.geometry.se3 import exp, log
-from lmd.survey.boards import Boards
+from lmd.geometry.se3 import exp
+from lmd.survey.knowledge import Boards
 
 SHEETS, EACH, APART, SIGMA, PRINTED = 8, 4, 0.13, 0.3, 0.0002
 CORNERS = APART / 2.0 * np.array([[-1, 1], [1, 1], [-1, -1], [1, -1]])
 IDS = np.arange(SHEETS * EACH)
 BOARDS = Boards(tuple(str(k // EACH) for k in IDS), IDS, np.tile(CORNERS, (SHEETS, 1)), PRINTED)
-ON_SHEETS = BOARDS.among(IDS).of(np.ones(len(IDS), dtype=bool))
 
 
 @pytest.fixture(scope="module")
@@ -51,32 +50,6 @@ def test_a_tag_at_a_wrong_place_of_its_sheet_does_no_harm(room):
     found = walks.surveyed(detected, SIGMA, boards=replace(BOARDS, places=places))
     assert found.placed.all()
     assert spacing(found, true) < 0.001
-
-
-def test_gradient_and_information_of_sheets_are_differences_of_their_loss(room):
-    """The pose of each sheet is at its best for any poses of the tags."""
-    true, _ = room
-    rng = np.random.default_rng(1)
-    tags = true @ exp(rng.normal(0.0, 1e-4, (len(IDS), 6)))
-    moved = rng.normal(0.0, 1e-5, (len(IDS), 6))
-    fitted = ON_SHEETS.fitted(tags)
-
-    def loss(scale):
-        return 0.5 * (ON_SHEETS.fitted(tags @ exp(scale * moved)).squares * fitted.weights).sum()
-
-    slope = (fitted.weights[:, None] * ON_SHEETS.information * fitted.off * moved).sum()
-    assert (loss(1.0) - loss(-1.0)) / 2.0 == pytest.approx(slope, rel=0.02)
-    one, other = ON_SHEETS.pairs
-    own = (fitted.weights[:, None] * ON_SHEETS.information * moved**2).sum()
-    shared = np.einsum("pi,pij,pj->", moved[one], ON_SHEETS.couplings(fitted.weights), moved[other])
-    assert loss(1.0) + loss(-1.0) - 2.0 * loss(0.0) == pytest.approx(own - shared, rel=0.1)
-
-
-def test_sheets_may_hang_anywhere(room):
-    true, _ = room
-    moved = np.repeat(exp(np.random.default_rng(2).normal(0.0, 0.5, (SHEETS, 6))), EACH, axis=0) @ true
-    np.testing.assert_allclose(ON_SHEETS.fitted(moved).squares, ON_SHEETS.fitted(true).squares, rtol=1e-6)
-    assert np.abs(log(exp(ON_SHEETS.fitted(true).off))).max() < 0.001
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from lmd.core.checks import InputError
 from lmd.geometry.se3 import act, adjoint_matrix, inverse, log, pose_of, rigid_alignment
 from lmd.scene.tag import Tag
-from lmd.survey.prior import PriorKnowledge
+from lmd.survey.knowledge import PriorKnowledge
 from lmd.survey.results import survey_document, tag_columns
 from lmd.survey.survey import survey
 from lmd.survey.terminal import to_text
@@ -20,7 +20,7 @@ from lmd.survey.terminal import to_text
 LENGTH, COUNT = 12.0, 9
 SLACK = 1.15  # factor of chi^2, as each drive estimates its spread from some hundred links
 SEEDS = range(1 if examples.SHARE < 1.0 else round(8 * examples.SHARE))
-more_drives = pytest.mark.thorough("lmd/survey", "tests/drives.py")
+more_drives = pytest.mark.thorough("lmd/survey", "lmd/adjust", "tests/drives.py")
 
 
 def found_of(driven, known, detected=None):

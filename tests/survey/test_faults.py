@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import walks
 
+from lmd.adjust.prior import Prior
 from lmd.geometry.se3 import exp, inverse
 from lmd.survey.faults import find_faults
-from lmd.survey.map_estimate import estimate_map
-from lmd.survey.prior import Prior
+from lmd.survey.survey import estimate_map
 
 COUNT, FRAMES, MOVED = 24, 64, 5
 IDS = np.arange(COUNT)
@@ -24,7 +24,7 @@ def room():
 
 
 def found_in(detected):
-    return find_faults(estimate_map(walks.sightings(detected, IDS), NOTHING))
+    return find_faults(estimate_map(walks.sightings(detected, IDS), NOTHING), np.zeros(COUNT, dtype=bool))
 
 
 def off(found, true):
@@ -36,7 +36,7 @@ def off(found, true):
 
 def test_a_walk_without_faults_has_none(room):
     found, faults = found_in(walks.photographed(*room, np.random.default_rng(1)))
-    assert len(found.mapped) == COUNT
+    assert (found.group == 0).all()
     assert faults.second_places == ()
     assert faults.sizes == {}
     assert not faults.misread.any()
@@ -60,7 +60,7 @@ def test_two_tags_of_one_id_are_found(room):
     every = np.concatenate([tags, twin[None]])
     found, faults = found_in(walks.photographed(every, frames, np.random.default_rng(3), ids=np.append(IDS, MOVED)))
     assert [(place.tag, place.moved) for place in faults.second_places] == [(MOVED, None)]
-    assert len(found.mapped) == COUNT
+    assert (found.group == 0).all()
 
 
 @pytest.mark.parametrize("factor", [0.8, 1.1, 1.6])

@@ -3,18 +3,15 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 import walks
-from scipy.optimize import approx_fprime
 from scipy.spatial.distance import pdist
 from scipy.stats import chi2
 
+from lmd.adjust.intrinsics import camera_info, intrinsics_of, prior_sigmas, with_intrinsics
 from lmd.formats.calibrations import calibrated_camera
 from lmd.formats.tag_map import write_yaml
-from lmd.geometry.projection import bearings, project
 from lmd.geometry.se3 import camera_pose
 from lmd.scene.deployment import Deployment
-from lmd.survey.intrinsics import camera_info, intrinsics_of, parameter_slopes, prior_sigmas, with_intrinsics
 from lmd.survey.results import survey_document
 from lmd.survey.terminal import to_text
 
@@ -44,20 +41,6 @@ def test_a_wrong_focal_length_is_found_together_with_the_map():
     assert camera.is_fixed
     assert "focal length" in to_text(found)
     assert survey_document(found)["intrinsics"][0]["fixed"]
-
-
-@pytest.mark.parametrize(
-    "camera", [TRUE, walks.CAMERA, replace(TRUE, distortion_model="equidistant", distortion=(0.01, 0.0, 0.0, 0.0))]
-)
-def test_slopes_are_those_of_the_image(camera):
-    direction = bearings(camera, np.array([[1300.0, 250.0]]))
-    step = 1e-6 * np.maximum(np.abs(intrinsics_of(camera)), 1.0)
-
-    def seen(values, axis):
-        return project(with_intrinsics(camera, values), np.eye(4), direction)[0, axis]
-
-    expected = [approx_fprime(intrinsics_of(camera), seen, step, axis) for axis in range(2)]
-    np.testing.assert_allclose(parameter_slopes(camera, direction)[0], expected, rtol=1e-3, atol=1e-3)
 
 
 def test_photographs_that_do_not_fix_the_intrinsics_say_so():

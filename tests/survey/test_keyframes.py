@@ -4,10 +4,10 @@ import drives
 import numpy as np
 import pytest
 
+from lmd.adjust.motion import SHORTEST_GAP
 from lmd.core.checks import IntArray
 from lmd.formats.detections import DetectedTags
 from lmd.survey.keyframes import LONGEST, select_keyframes
-from lmd.survey.motion import SHORTEST_GAP
 
 
 def video(shown, rate: float | None = 30.0, cameras=1) -> DetectedTags:

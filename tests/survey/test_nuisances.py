@@ -6,16 +6,12 @@ import examples
 import numpy as np
 import pytest
 import walks
-from scipy.optimize import approx_fprime
 from scipy.stats import chi2
 
-from lmd.detection.corner_errors import CornerErrors, inward
+from lmd.adjust.intrinsics import intrinsics_of, with_intrinsics
+from lmd.adjust.sightings import MODES, SHAPES, SQUARE, Observations
+from lmd.detection.corner_errors import inward
 from lmd.geometry.projection import project
-from lmd.geometry.se3 import camera_pose
-from lmd.survey.intrinsics import intrinsics_of, prior_sigmas, with_intrinsics
-from lmd.survey.nuisances import Optics, with_nuisances
-from lmd.survey.residuals import Poses, Reprojection
-from lmd.survey.sightings import MODES, SHAPES, SQUARE, sightings_of
 from lmd.survey.terminal import to_text
 
 TAGS, FRAMES, SIGMA, SPREAD = 16, 60, 0.2, 0.2
@@ -88,7 +84,7 @@ def test_shapes_of_tags_are_found():
     assert np.sqrt(((found.sightings.shapes[often, :MODES] - shapes[often]) ** 2).mean()) < 0.0003
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.thorough("lmd/survey"))])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.thorough("lmd/survey", "lmd/adjust"))])
 def test_errors_alike_in_time_inflate_covariances(seed):
     """The focal length changes by 2 % over the walk, as by an autofocus."""
     rng = np.random.default_rng(seed)
@@ -105,42 +101,17 @@ def test_errors_alike_in_time_inflate_covariances(seed):
     assert f"of time disagree {moved.found.inflation:.1f} times" in to_text(moved)
 
 
-def test_jacobians_are_those_of_the_residuals():
-    rng = np.random.default_rng(1)
-    tag = walks.wall_tags(1, rng)
-    frame = camera_pose(tag[:, :3, 3] + [0.4, 1.5, 0.2], np.pi, 0.1, 0.05)
-    one = walks.photographed(tag, frame, rng, 0.0, camera=TRUE)
-    errors = CornerErrors((1.0, 9.0), (0.3, 0.3), (0.3, 0.3), (0.1, 0.02), 0.1)
-    sigmas = [np.append(prior_sigmas(TRUE), [0.1, 0.05])]
-
-    def sighted(values):
-        optics = Optics(TRUE).at(values)
-        shifts = np.array([optics.shifts])
-        return sightings_of(one, [optics.camera], np.zeros(1, dtype=int), np.array([walks.EDGE]), 8, errors, shifts)
-
-    def at(some):
-        return Reprojection(some, tag, frame, np.eye(4)[None])
-
-    values = Optics(TRUE).values
-    found = with_nuisances(sighted(values), [Optics(TRUE)], sigmas, Poses(tag, frame, np.eye(4)[None]))
-    step = np.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-5, 1e-5, 1e-5, 1e-5, 1e-5, 1e-4, 1e-4])
-    expected = approx_fprime(values, lambda x: at(sighted(x)).error[0], step)
-    np.testing.assert_allclose(found.lens[0, :, : len(values)] / sigmas[0], expected, rtol=0.02, atol=0.02)
-    bent = approx_fprime(np.zeros(6), lambda shape: at(replace(found, shapes=shape[None])).error[0], 1e-7)
-    np.testing.assert_allclose(at(found).by_shape[0], bent, rtol=1e-3, atol=0.5)
-
-
 def test_a_lens_that_images_fewer_corners_than_the_given_one_does_no_harm(monkeypatch):
     """As if a refined lens folded before a corner near the border, whose sighting is then lost."""
     true, detected = drawn(2)
-    seen = sightings_of
+    every, seen = Observations.through, []
 
-    def fewer(detected, cameras, *rest):
-        some = seen(detected, cameras, *rest)
-        return some if cameras[0] == GIVEN else some.of(np.arange(len(some) - 3))
+    def fewer(self, optics=None):
+        some = every(self, optics)
+        seen.append(len(some))
+        return some if optics is None or optics[0].camera == GIVEN else some.of(np.arange(len(some) - 3))
 
-    monkeypatch.setattr("lmd.survey.survey.sightings_of", fewer)
+    monkeypatch.setattr(Observations, "through", fewer)
     found = surveyed(detected)
-    every = seen(detected, [GIVEN], found.ids, found.found.sightings.edges, 8, ERRORS)
-    assert len(found.found.sightings) == len(every) - 3
+    assert len(found.found.sightings) == max(seen) - 3
     assert walks.square_of(found.found, true) < chi2.ppf(0.999, 6)

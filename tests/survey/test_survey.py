@@ -15,7 +15,7 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.labels import Labels
 from lmd.scene.surveyed import Surveyed
 from lmd.scene.tag import Tag
-from lmd.survey.prior import MeasuredPoints, PriorKnowledge, poses_of
+from lmd.survey.knowledge import MeasuredPoints, PriorKnowledge, poses_of
 from lmd.survey.results import map_columns, map_of, measured_of, metrics, survey_document
 from lmd.survey.terminal import to_text
 

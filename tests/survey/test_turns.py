@@ -13,7 +13,7 @@ from lmd.formats.detections import DetectedTags
 from lmd.scene.deployment import Deployment
 from lmd.scene.labels import Labels
 from lmd.scene.surveyed import Surveyed
-from lmd.survey.boards import Boards
+from lmd.survey.knowledge import Boards
 from lmd.survey.results import map_of
 from lmd.survey.terminal import to_text
 

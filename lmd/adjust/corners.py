@@ -1,6 +1,6 @@
 """Reprojection errors of sightings: residuals, Jacobians, robust weights and normal equations.
 
-A sighting has 8 residuals e, pixels, see `lmd.survey.sightings`. Errors are modelled by a multivariate Student
+A sighting has 8 residuals e, pixels, see `lmd.adjust.sightings`. Errors are modelled by a multivariate Student
 distribution with nu degrees of freedom. With chi^2 = |e|^2 / sigma^2 of d residuals, the robust loss is (nu + d) / 2
 log(1 + chi^2 / nu), and the weight in iteratively reweighted least squares is (nu + d) / (nu + chi^2).
 
@@ -8,19 +8,21 @@ Source: Lange et al., "Robust Statistical Modeling Using the t Distribution".
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
+from lmd.adjust.frames import LEAST_DAMPING, solved
+from lmd.adjust.sightings import RESIDUALS, SHAPES, Sightings
 from lmd.core.checks import FloatArray, IntArray
-from lmd.geometry.se3 import cross, inverse
-from lmd.survey.sightings import RESIDUALS, SHAPES, Sightings
+from lmd.geometry.se3 import cross, exp, inverse
 
 DEGREES_OF_FREEDOM = 4.0  # nu
 # Minimum depth of a corner in front of the camera, metres. Nearer corners, and corners behind the camera, have
 # residuals of NOWHERE pixels.
 NEAREST, NOWHERE = 1e-3, 1e4
+RESECTION_STEPS = 10  # Gauss-Newton steps of resection
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,10 @@ class Poses:
     def of(self, sightings: Sightings) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Poses `(N, 4, 4)` of the tag, the frame and the mount of each sighting."""
         return self.tags[sightings.tag], self.frames[sightings.frame], self.mounts[sightings.camera]
+
+    def with_tags(self, tags: FloatArray) -> "Poses":
+        """Poses with other poses of the tags, `(K, 4, 4)`."""
+        return replace(self, tags=tags)
 
 
 class Reprojection:
@@ -62,6 +68,11 @@ class Reprojection:
     def squared(self) -> FloatArray:
         """Squared errors |e|^2, pixels^2, `(N,)`; NaN where a pose is not known."""
         return np.asarray((self.error**2).sum(axis=1))
+
+    @property
+    def directions(self) -> FloatArray:
+        """Directions of the corners by the poses, unit vectors in the camera's frame, `(N, 4, 3)`."""
+        return np.asarray(self._seen / np.linalg.norm(self._seen, axis=-1, keepdims=True))
 
     @cached_property
     def _by_seen(self) -> FloatArray:
@@ -139,11 +150,6 @@ def normal_equations(
     return summed(weighted_product(jacobian, jacobian, weight)), summed(right)
 
 
-def solved(matrices: FloatArray, right: FloatArray) -> FloatArray:
-    """Solutions `(n, m)` of n systems `(n, m, m)`."""
-    return np.asarray(np.linalg.solve(matrices, right[..., None])[..., 0], dtype=np.float64)
-
-
 def sums_by(owner: IntArray, count: int) -> Callable[[FloatArray], FloatArray]:
     """Make a function that sums values `(N, ...)` of sightings over the sightings of each owner, to `(count, ...)`."""
     from scipy.sparse import csc_array
@@ -151,6 +157,21 @@ def sums_by(owner: IntArray, count: int) -> Callable[[FloatArray], FloatArray]:
     matrix = csc_array((np.ones(len(owner)), owner, np.arange(len(owner) + 1)), shape=(count, len(owner)))
 
     def summed(values: FloatArray) -> FloatArray:
-        return np.asarray((matrix @ values.reshape(len(owner), -1)).reshape(count, *values.shape[1:]))
+        shape = values.shape[1:]
+        return np.asarray((matrix @ values.reshape(len(owner), int(np.prod(shape)))).reshape(count, *shape))
 
     return summed
+
+
+def resected(sightings: Sightings, poses: Poses, floor: float) -> Poses:
+    """Poses with the frames of some sightings refined, while tags and mounts are fixed (resection)."""
+    seen, owner = np.unique(sightings.frame, return_inverse=True)
+    summed, variance = sums_by(owner, len(seen)), sightings.variance(floor)
+    for _ in range(RESECTION_STEPS):
+        at = Reprojection(sightings, *poses.of(sightings))
+        weight = student_weight(at.squared / variance) / variance
+        matrix, right = normal_equations(at.by_frame, at.error, weight, summed)
+        frames = poses.frames.copy()
+        frames[seen] = frames[seen] @ exp(-solved(matrix + LEAST_DAMPING * np.eye(6), right))
+        poses = replace(poses, frames=frames)
+    return poses

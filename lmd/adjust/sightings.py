@@ -6,7 +6,7 @@ the residual e = J p / (b . p), pixels. The residual equals the reprojection err
 needs the inverse of the lens model only once.
 
 Paper bends and printers stretch, so the corners of a printed tag do not lie on an exact flat square. In addition to
-rigid motions and the size, a tag has five modes of deformation, `SHAPES`.
+rigid motions, a tag has five modes of deformation and its size, `SHAPES`.
 """
 
 from collections.abc import Sequence
@@ -15,6 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
+from lmd.adjust.intrinsics import Optics
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.detection.corner_errors import CornerErrors, inward, shortest_side
 from lmd.formats.detections import DetectedTags
@@ -40,11 +41,10 @@ def _shapes() -> FloatArray:
     """Orthonormal modes of deformation, `(6, 4, 3)`, see `SHAPES`."""
     rigid = [np.broadcast_to(axis, (4, 3)) for axis in np.eye(3)] + [np.cross(axis, SQUARE) for axis in np.eye(3)]
     basis, *_ = np.linalg.svd(np.stack([other.ravel() for other in (*rigid, SQUARE)], axis=1))
-    return np.asarray(np.vstack([basis[:, 7:].T, np.zeros(12)]).reshape(6, 4, 3))
+    return np.asarray(np.vstack([basis[:, 7:].T, SQUARE.ravel() / np.linalg.norm(SQUARE)]).reshape(6, 4, 3))
 
 
-# Orthonormal displacements of the corners: `MODES` modes of deformation and a zero mode, as unknowns are in blocks of
-# six, `(6, 4, 3)`.
+# Orthonormal displacements of the corners: `MODES` modes of deformation, and growth, `(6, 4, 3)`.
 SHAPES = _shapes()
 
 
@@ -80,11 +80,14 @@ class Sightings:
     """`(N,)` standard deviation of a coordinate of a corner according to the detector, pixels."""
     lens: FloatArray
     """`(N, 8, 6 L)` derivatives of e by the camera's nuisance parameters, in units of their prior standard deviations,
-    see `lmd.survey.nuisances`; L = 0 without nuisances."""
+    see `lmd.adjust.refinement`; L = 0 without nuisances."""
     shapes: FloatArray
     """`(K, 6)` deformations of the tags along `SHAPES`, metres."""
     shape_sigma: float
-    """Prior standard deviation of the deformations, metres; 0 if tags are known to be flat squares."""
+    """Prior standard deviation of the modes of deformation, metres; 0 if tags are known to be flat squares."""
+    size_sigmas: FloatArray
+    """`(K,)` prior standard deviation of the growth of each tag along its mode, metres; NaN for that of the other
+    modes."""
     taken: float
     """Degrees of freedom that nuisance parameters have taken from the residuals."""
 
@@ -110,6 +113,22 @@ class Sightings:
         off = np.tensordot(self.shapes, SHAPES, axes=1)
         return np.asarray(self.edges[self.tag, None, None] / 2.0 * SQUARE + off[self.tag])
 
+    @property
+    def shape_sigmas(self) -> FloatArray:
+        """Prior standard deviations of the modes of each tag, metres, `(K, 6)`."""
+        sigmas = np.full((len(self.ids), 6), self.shape_sigma)
+        sigmas[:, MODES] = np.where(np.isnan(self.size_sigmas), self.shape_sigma, self.size_sigmas)
+        return sigmas
+
+    @property
+    def present_edges(self) -> FloatArray:
+        """Edges with the growth of each tag, metres, `(K,)`."""
+        return np.asarray(self.edges + 2.0 * self.shapes[:, MODES] / np.linalg.norm(SQUARE))
+
+    def grown(self, growth: FloatArray) -> "Sightings":
+        """Sightings of tags whose edges have grown by the factors exp(growth), `(K,)`."""
+        return replace(self, edges=self.edges * np.exp(growth))
+
     def variance(self, floor: float) -> FloatArray:
         """Variance of a coordinate of a corner, pixels^2, `(N,)`; `floor`, pixels, is added in quadrature."""
         return np.asarray(self.noise**2 + floor**2)
@@ -130,8 +149,9 @@ def within_images(detected: DetectedTags, cameras: Sequence[Camera]) -> BoolArra
     return np.asarray(((detected.corners >= 0.0) & (detected.corners <= sizes)).all(axis=(1, 2)))
 
 
-def outside_doubts(detected: DetectedTags, cameras: Sequence[Camera]) -> list[str]:
+def outside_doubts(seen: "Observations") -> list[str]:
     """Sentences on cameras in whose images many detections do not lie."""
+    detected, cameras = seen.detected, [one.camera for one in seen.optics]
     whole = within_images(detected, cameras)
     doubts = []
     for index, camera in enumerate(cameras):
@@ -145,54 +165,68 @@ def outside_doubts(detected: DetectedTags, cameras: Sequence[Camera]) -> list[st
     return doubts
 
 
-def sightings_of(
-    detected: DetectedTags,
-    cameras: Sequence[Camera],
-    ids: IntArray,
-    edges: FloatArray,
-    modules: int,
-    errors: CornerErrors,
-    shifts: FloatArray | None = None,
-) -> Sightings:
-    """Convert detections of the tags `ids` to sightings.
-
-    Detections of other tags are left out, as are detections with a corner outside the image or the domain of the lens
-    model.
-
-    Args:
-        detected: the detections.
-        cameras: cameras in the order of `detected.cameras`.
-        ids, edges: see `Sightings`.
-        modules: N of the tags' family.
-        errors: errors of the detector's corners.
-        shifts: shift of edges `inward` in each camera's images, in addition to the shift in `errors`, pixels, `(C, 2)`,
-            see `shift_basis`; None for 0.
+@dataclass(frozen=True)
+class Observations:
+    """Detections of K tags, and the errors of the detector that made them.
 
     Raises:
         InputError: the number of cameras differs.
     """
-    if len(cameras) != len(detected.cameras):
-        raise InputError(
-            f"cameras must be one for each of {', '.join(map(repr, detected.cameras))}, got {len(cameras)}.", "cameras"
+
+    detected: DetectedTags
+    """The detections."""
+    optics: tuple[Optics, ...]
+    """Optics of the cameras, in the order of `detected.cameras`, before they are refined."""
+    ids: IntArray
+    """`(K,)` ids of the tags, ascending; detections of other tags are left out."""
+    edges: FloatArray
+    """`(K,)` edges of the tags' black squares, metres."""
+    modules: int
+    """N of the tags' family."""
+    errors: CornerErrors
+    """Errors of the detector's corners."""
+
+    def __post_init__(self) -> None:
+        if len(self.optics) != len(self.detected.cameras):
+            named = ", ".join(map(repr, self.detected.cameras))
+            raise InputError(f"cameras must be one for each of {named}, got {len(self.optics)}.", "cameras")
+
+    def through(self, optics: Sequence[Optics] | None = None) -> Sightings:
+        """Sightings through other optics; detections with a corner outside the image or the domain of the lens model
+        are left out.
+        """
+        cameras, shifts = zip(*((one.camera, one.shifts) for one in optics or self.optics), strict=True)
+        known = np.flatnonzero(np.isin(self.detected.ids, self.ids))
+        order = np.lexsort([getattr(self.detected, name)[known] for name in ("ids", "camera", "frame")])
+        chosen = self.detected.of(known[order])
+        sides = shortest_side(chosen.corners)
+        pitch = sides / self.modules
+        off = self.errors.inward_at(pitch) + (shift_basis(pitch) * np.array(shifts)[chosen.camera]).sum(axis=1)
+        image = chosen.corners - off[:, None, None] * inward(chosen.corners)
+        directions, tangents = np.empty((len(chosen), 4, 3)), np.empty((len(chosen), 4, 2, 3))
+        whole = within_images(chosen, cameras)
+        for index, camera in enumerate(cameras):
+            own = chosen.camera == index
+            directions[own] = bearings(camera, image[own])
+            tangents[own] = slope(camera, directions[own])
+        every = Sightings(
+            ids=self.ids,
+            edges=self.edges,
+            frames=len(chosen.times),
+            cameras=len(cameras),
+            frame=chosen.frame,
+            camera=chosen.camera,
+            tag=np.searchsorted(self.ids, chosen.ids),
+            image=image,
+            directions=directions,
+            tangents=tangents,
+            sizes=sides,
+            pitch=pitch,
+            noise=self.errors.sigma(pitch),
+            lens=np.empty((len(chosen), RESIDUALS, 0)),
+            shapes=np.zeros((len(self.ids), 6)),
+            shape_sigma=0.0,
+            size_sigmas=np.zeros(len(self.ids)),
+            taken=0.0,
         )
-    known = np.flatnonzero(np.isin(detected.ids, ids))
-    chosen = detected.of(known[np.lexsort((detected.ids[known], detected.camera[known], detected.frame[known]))])
-    sides = shortest_side(chosen.corners)
-    pitch = sides / modules
-    off = errors.inward_at(pitch) + (
-        0.0 if shifts is None else (shift_basis(pitch) * shifts[chosen.camera]).sum(axis=1)
-    )
-    image = chosen.corners - off[:, None, None] * inward(chosen.corners)
-    directions, tangents = np.empty((len(chosen), 4, 3)), np.empty((len(chosen), 4, 2, 3))
-    whole = within_images(chosen, cameras)
-    for index, camera in enumerate(cameras):
-        own = chosen.camera == index
-        directions[own] = bearings(camera, image[own])
-        tangents[own] = slope(camera, directions[own])
-    every = Sightings(
-        ids=ids, edges=edges, frames=len(detected.times), cameras=len(cameras),
-        frame=chosen.frame, camera=chosen.camera, tag=np.searchsorted(ids, chosen.ids),
-        image=image, directions=directions, tangents=tangents, sizes=sides, pitch=pitch, noise=errors.sigma(pitch),
-        lens=np.empty((len(chosen), RESIDUALS, 0)), shapes=np.zeros((len(ids), 6)), shape_sigma=0.0, taken=0.0,
-    )  # fmt: skip
-    return every.of(np.flatnonzero(whole & np.isfinite(tangents).all(axis=(1, 2, 3))))
+        return every.of(np.flatnonzero(whole & np.isfinite(tangents).all(axis=(1, 2, 3))))

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
+from lmd.adjust.corners import squared_errors
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.detection.evaluation import CORNER_TOLERANCE, Matches, precision_recall
 from lmd.detection.frames import overlapping, qualities, tagged_room
@@ -27,7 +28,6 @@ from lmd.scene.tag import Tag
 from lmd.sight.views import visible_through
 from lmd.space.cuboid import Cuboid
 from lmd.space.space import Space
-from lmd.survey.residuals import squared_errors
 from lmd.survey.results import map_of
 from lmd.survey.survey import Survey
 

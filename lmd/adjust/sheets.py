@@ -1,4 +1,4 @@
-"""Boards: sheets with several tags. The poses of the tags on a sheet are known; the pose of the sheet is not.
+"""Sheets with several tags. The poses of the tags on a sheet are known; the pose of the sheet is not.
 
 Tag k has the pose R_k on its sheet (x to the right, y up, z out of the sheet) and the pose T_k = B R_k exp(d_k) in the
 world, where B is the pose of the sheet and d_k a twist due to printing and bending. Sheets are no unknowns of the
@@ -8,69 +8,16 @@ joint information D - D A (A' D A)^-1 A' D.
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, check_fields, real
-from lmd.core.tables import read_table
-from lmd.geometry.se3 import adjoint_matrix, exp, inverse, log, pose_of
-from lmd.scene.labels import Labels
-from lmd.survey.residuals import DEGREES_OF_FREEDOM, solved, student_weight
+from lmd.adjust.corners import DEGREES_OF_FREEDOM, student_weight
+from lmd.adjust.frames import solved
+from lmd.core.checks import BoolArray, FloatArray, IntArray
+from lmd.geometry.se3 import adjoint_matrix, exp, inverse, log
 
-# Standard deviations of tags on a bent sheet: shift out of the plane, metres; tilt out of the plane, rad; rotation in
-# the plane, rad.
-BENT, TILTED, TURNED = 0.001, 0.005, 0.001
 FEWEST = 2  # minimum number of tags of a sheet
 STEPS = 6  # Gauss-Newton steps for the pose of a sheet
-
-
-@dataclass(frozen=True)
-class Boards:
-    """Flat sheets of several tags each, all tags with the same side up.
-
-    Raises:
-        InputError: a tag occurs twice, a sheet has only one tag, or `printed` is not positive.
-    """
-
-    names: tuple[str, ...]
-    """Name of the sheet of each of M tags."""
-    ids: IntArray
-    """`(M,)` ids of the tags."""
-    places: FloatArray
-    """`(M, 2)` centres on the sheet, to the right and up, metres."""
-    printed: float
-    """Standard deviation of `places`, metres."""
-
-    def __post_init__(self) -> None:
-        check_fields(self, real, "printed", above=0.0)
-        numbers, counts = np.unique(self.ids, return_counts=True)
-        if (counts > 1).any():
-            raise InputError(f"boards has tag {numbers[counts > 1][0]} twice.", "boards")
-        sheets, counts = np.unique(self.names, return_counts=True)
-        if (counts < FEWEST).any():
-            raise InputError(f"boards has one tag only on board {str(sheets[counts < FEWEST][0])!r}.", "boards")
-
-    @classmethod
-    def from_csv(cls, path: Any, printed: float) -> "Boards":
-        """Read a CSV with the columns `board,id,x,y`; further columns are ignored.
-
-        Raises:
-            InputError: the file cannot be read, or its boards are refused.
-        """
-        table = read_table(path, name="boards")
-        if "board" not in table:
-            raise InputError(f"{path} lacks the column board.", "boards")
-        rows = table.numbers(("id", "x", "y"), None)
-        return cls(tuple(table.texts["board"]), Labels.of(table, ()).ids, rows[:, 1:], printed)
-
-    def among(self, ids: IntArray) -> "Sheets":
-        """Sheets of the tags `ids` `(K,)`, ascending."""
-        _, of, own = np.intersect1d(ids, self.ids, return_indices=True)
-        places = np.hstack([self.places[own], np.zeros((len(own), 1))])
-        board = np.unique(self.names, return_inverse=True)[1][own]
-        deviations = np.array([TILTED, TILTED, TURNED, self.printed, self.printed, BENT])
-        return Sheets(of, board, pose_of(np.eye(3), places), deviations**-2.0)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Intrinsics of the cameras of a survey: priors, derivatives, and estimates with their standard deviations."""
+"""Intrinsics of cameras and shifts of corners: priors, derivatives, and estimates with their standard deviations."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -20,6 +20,29 @@ UNDISTORTED = (0.1, 0.1, 0.01, 0.01, 0.1)  # prior standard deviations of coeffi
 DIFFERENCE = 1e-4  # step of a coefficient for numerical derivatives
 FIXED_PIXELS = 1.0  # photographs determine the intrinsics if `Calibrated.unsure` is at most this, pixels
 GRID_SIDE = 9  # number of places along each side of the image at which `unsure` is evaluated
+
+
+@dataclass(frozen=True)
+class Optics:
+    """Camera, and the shift of edges in its images."""
+
+    camera: Camera
+    """The camera."""
+    shifts: tuple[float, float] = (0.0, 0.0)
+    """Shifts s_1 and s_2 inward, pixels, see `lmd.adjust.refinement`."""
+
+    @property
+    def values(self) -> FloatArray:
+        """Intrinsics and shifts, `(P + 2,)`."""
+        return np.append(intrinsics_of(self.camera), self.shifts)
+
+    def at(self, values: FloatArray) -> "Optics":
+        """Optics with other values.
+
+        Raises:
+            InputError: no camera has these intrinsics.
+        """
+        return Optics(with_intrinsics(self.camera, values[:-2]), (float(values[-2]), float(values[-1])))
 
 
 @dataclass(frozen=True)

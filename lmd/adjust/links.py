@@ -1,17 +1,20 @@
-"""Links: relative pose constraints between consecutive frames, their errors and Jacobians; see `lmd.survey.motion`."""
+"""Links: relative pose constraints between consecutive frames, their errors and Jacobians; see `lmd.adjust.motion`."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, IntArray
+from lmd.core.checks import FloatArray, InputError, IntArray
 from lmd.geometry.se3 import adjoint_matrix, inverse, log, skew
 
 # chi^2 above which a link of odometry has less weight; normal errors exceed this value once in a thousand times.
 MOST_SQUARE = 22.5
 BIAS_ROUNDS = 3  # reweighted least-squares rounds for the bias of odometry
 LEAST_STIFFNESS = 1e-9  # information on a velocity without links
+# Odometry belongs to another camera or drive if the share of links that do not fit exceeds `MOST_OFF`, or if the bias
+# exceeds `MOST_BIAS`, in units of `lmd.adjust.motion.BIAS`.
+MOST_OFF, MOST_BIAS = 0.5, 8.0
 
 
 class LinkErrors(NamedTuple):
@@ -26,7 +29,7 @@ class LinkErrors(NamedTuple):
     by_bias: FloatArray
     """`(M, r, 6)` Jacobian by `bias`; `(M, r, 0)` for a constant velocity."""
     bias: FloatArray
-    """`(6,)` error common to all metres of odometry, in units of `lmd.survey.motion.BIAS`; `(0,)` for a constant
+    """`(6,)` error common to all metres of odometry, in units of `lmd.adjust.motion.BIAS`; `(0,)` for a constant
     velocity.
     """
 
@@ -112,6 +115,19 @@ class Links:
     def weights(self, squares: FloatArray) -> FloatArray:
         """Robust weights of the links, `(M,)`, by chi^2."""
         return np.ones(len(squares)) if self.steps is None else MOST_SQUARE / np.maximum(squares, MOST_SQUARE)
+
+    def check(self, poses: FloatArray) -> None:
+        """Raise `InputError` if odometry contradicts the images, by poses of the frames, `(F, 4, 4)`."""
+        if self.steps is None or not len(self.first):
+            return
+        at = self.at(poses)
+        off = float((self.squares(at.error) > MOST_SQUARE).mean())
+        if off > MOST_OFF or np.abs(at.bias).max() > MOST_BIAS:
+            raise InputError(
+                "odometry does not move as the images do: does it need a mount or frame=body, as it describes a body "
+                "and not the (first) camera, or is it of another drive?",
+                "odometry",
+            )
 
     @property
     def log_determinant(self) -> float:

@@ -6,21 +6,23 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, boolean, check_fields, integer, real
+from lmd.adjust.mounts import Mounts
+from lmd.adjust.prior import EXACT_SIGMA, Prior
+from lmd.adjust.sheets import FEWEST, Sheets
+from lmd.core.checks import FloatArray, InputError, IntArray, boolean, check_fields, integer, real
 from lmd.core.tables import read_table
-from lmd.geometry.se3 import inverse, log, pose_of
+from lmd.geometry.se3 import pose_of
 from lmd.geometry.trajectory import Trajectory
-from lmd.scene.deployment import Deployment
+from lmd.scene.deployment import Deployment, poses_of
 from lmd.scene.labels import Labels
 from lmd.scene.tag import Tag
-from lmd.survey.boards import Boards, Sheets
-from lmd.survey.motion import Motion
-from lmd.survey.residuals import student_loss, student_weight
 
-EXACT_SIGMA = 1e-6  # standard deviation of poses that count as exact, metres and rad
 TAPE_SIGMA_M = 0.005  # standard deviation of a centre measured with a tape measure, metres
 # Minimum number of points that determine a world, and their minimum extent across the line that fits them best, metres.
 FEWEST_POINTS, NO_LINE = 3, 0.05
+# Standard deviations of tags on a bent sheet: shift out of the plane, metres; tilt out of the plane, rad; rotation in
+# the plane, rad.
+BENT, TILTED, TURNED = 0.001, 0.005, 0.001
 
 
 @dataclass(frozen=True)
@@ -93,55 +95,51 @@ class MeasuredPoints:
 
 
 @dataclass(frozen=True)
-class Prior:
-    """Prior of the unknowns of a bundle adjustment."""
+class Boards:
+    """Flat sheets of several tags each, all tags with the same side up.
 
-    tags: FloatArray
-    """`(K, 4, 4)` expected poses of tags; any pose where `information` is 0."""
-    information: FloatArray
-    """`(K, 6)` inverse variances of rotations about the axes of each tag and of shifts along them; 0 if unknown."""
-    sheets: Sheets | None = None
-    """Tags that were printed together, all of them placed."""
-    mounts: FloatArray | None = None
-    """`(C, 4, 4)` poses of the cameras on the body; None to estimate them."""
-    motion: Motion | None = None
-    """Motion between the frames; None if frames are independent of each other."""
-    joint: FloatArray | None = None
-    """`(6 K, 6 K)` information of the twists of all tags from their expected poses, if their errors are correlated; it
-    takes the place of the values of `information`, which then says which tags have a prior. None for independent tags.
+    Raises:
+        InputError: a tag occurs twice, a sheet has only one tag, or `printed` is not positive.
     """
 
-    @property
-    def exact(self) -> BoolArray:
-        """True for tags with exactly known poses, `(K,)`: no sighting moves them."""
-        return np.asarray((self.information >= 0.5 * EXACT_SIGMA**-2.0).all(axis=1))
+    names: tuple[str, ...]
+    """Name of the sheet of each of M tags."""
+    ids: IntArray
+    """`(M,)` ids of the tags."""
+    places: FloatArray
+    """`(M, 2)` centres on the sheet, to the right and up, metres."""
+    printed: float
+    """Standard deviation of `places`, metres."""
 
-    @property
-    def is_posed(self) -> BoolArray:
-        """True for tags whose orientation is known, `(K,)`."""
-        return np.asarray(self.information[:, :3].any(axis=1))
+    def __post_init__(self) -> None:
+        check_fields(self, real, "printed", above=0.0)
+        numbers, counts = np.unique(self.ids, return_counts=True)
+        if (counts > 1).any():
+            raise InputError(f"boards has tag {numbers[counts > 1][0]} twice.", "boards")
+        sheets, counts = np.unique(self.names, return_counts=True)
+        if (counts < FEWEST).any():
+            raise InputError(f"boards has one tag only on board {str(sheets[counts < FEWEST][0])!r}.", "boards")
 
-    def off(self, tags: FloatArray) -> FloatArray:
-        """Twists from the expected poses to `tags`, `(K, 6)`; 0 for tags without a prior."""
-        known = self.information.any(axis=1)
-        twists = np.zeros((len(tags), 6))
-        twists[known] = log(inverse(self.tags[known]) @ tags[known])
-        return twists
+    @classmethod
+    def from_csv(cls, path: Any, printed: float) -> "Boards":
+        """Read a CSV with the columns `board,id,x,y`; further columns are ignored.
 
-    def squares(self, off: FloatArray) -> FloatArray:
-        """chi^2 of each tag, `(K,)`, by its twist `off`."""
-        return np.asarray((self.information * off**2).sum(axis=1))
+        Raises:
+            InputError: the file cannot be read, or its boards are refused.
+        """
+        table = read_table(path, name="boards")
+        if "board" not in table:
+            raise InputError(f"{path} lacks the column board.", "boards")
+        rows = table.numbers(("id", "x", "y"), None)
+        return cls(tuple(table.texts["board"]), Labels.of(table, ()).ids, rows[:, 1:], printed)
 
-    def weights(self, squares: FloatArray) -> FloatArray:
-        """Robust weights of the tags, `(K,)`, by chi^2; exact poses keep the full weight."""
-        return student_weight(np.where(self.exact, 0.0, squares), 6)
-
-    def loss(self, off: FloatArray) -> float:
-        """Sum of the robust losses by the twists `off`; exact poses and correlated tags have a quadratic loss."""
-        if self.joint is not None:
-            return 0.5 * float(off.ravel() @ self.joint @ off.ravel())
-        exact, squares = self.exact, self.squares(off)
-        return student_loss(squares[~exact], 6) + float(student_weight(np.zeros(1), 6)[0] / 2.0 * squares[exact].sum())
+    def among(self, ids: IntArray) -> Sheets:
+        """Sheets of the tags `ids` `(K,)`, ascending."""
+        _, of, own = np.intersect1d(ids, self.ids, return_indices=True)
+        places = np.hstack([self.places[own], np.zeros((len(own), 1))])
+        board = np.unique(self.names, return_inverse=True)[1][own]
+        deviations = np.array([TILTED, TILTED, TURNED, self.printed, self.printed, BENT])
+        return Sheets(of, board, pose_of(np.eye(3), places), deviations**-2.0)
 
 
 @dataclass(frozen=True)
@@ -225,16 +223,11 @@ class PriorKnowledge:
         if self.fixed is not None:
             of, among = _shared(ids, self.fixed.ids)
             tags[of], information[of] = poses_of(self.fixed)[among], EXACT_SIGMA**-2.0
-        return Prior(tags, information, None if self.boards is None else self.boards.among(ids), self.mounts)
+        sheets = None if self.boards is None else self.boards.among(ids)
+        return Prior(tags, information, sheets, None if self.mounts is None else Mounts(self.mounts))
 
 
 def _shared(ids: IntArray, known: IntArray) -> tuple[IntArray, IntArray]:
     """Indices of the common ids in `ids` and in `known`."""
     _, of, among = np.intersect1d(ids, known, return_indices=True)
     return of, among
-
-
-def poses_of(deployment: Deployment) -> FloatArray:
-    """Poses of tags in the world, `(K, 4, 4)`: x to the right of the tag, y up, z along the normal."""
-    up, normal = deployment.ups, deployment.normals
-    return pose_of(np.stack([np.cross(up, normal), up, normal], axis=-1), deployment.places)

@@ -12,6 +12,7 @@ from lmd.detection.calibration import DetectorCalibration, fit, intervals
 from lmd.detection.evaluation import Matches
 from lmd.detection.predictions import CameraPrediction, Prediction
 from lmd.detection.tag_views import FILE, SurveyedViews
+from lmd.evaluation.audit import Audit, audited, detections_of_map, in_the_open, view_columns
 from lmd.evaluation.verdicts import verdicts
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import axis_and_right, pose_of
@@ -24,8 +25,7 @@ from lmd.scene.tag import Tag
 from lmd.sight.models.fiducial import Fiducial
 from lmd.sight.models.limits import Limits
 from lmd.space.cuboid import Cuboid
-from lmd.survey.audit import Audit, audited, detections_of_map, in_the_open, view_columns
-from lmd.survey.prior import PriorKnowledge
+from lmd.survey.knowledge import PriorKnowledge
 from lmd.survey.results import map_of
 from lmd.survey.survey import survey
 

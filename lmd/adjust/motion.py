@@ -25,10 +25,10 @@ from typing import Any
 
 import numpy as np
 
+from lmd.adjust.links import Links, turn_twist
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.geometry.se3 import adjoint_matrix, exp, inverse, log
 from lmd.geometry.trajectory import Trajectory
-from lmd.survey.links import Links, turn_twist
 
 # Prior standard deviations of rotation and translation; they are re-estimated from the drive.
 STEADY = (1.0, 1.0)  # change of the turn rate, rad/s, and of the velocity, m/s, within a second

@@ -1,0 +1,367 @@
+"""Bundle adjustment: the poses of tags, frames and cameras that minimise the robust reprojection error.
+
+A sighting has eight residuals e, pixels, and chi^2 = |e|^2 / sigma^2, see `lmd.adjust.corners` and `lmd.adjust.noise`.
+Levenberg-Marquardt steps, with the weights of reweighted least squares, minimise the sum of the Student losses of
+sightings, and the losses of priors and of links of motion.
+
+The *kept* unknowns are tags, mounts except the first, and nuisance parameters; frames are eliminated
+(`lmd.adjust.frames`). With the blocks H_ff, H_kk and H_kf, the step of the kept unknowns solves
+
+    (H_kk - H_kf H_ff^-1 H_fk) d_k = g_k - H_kf H_ff^-1 g_f.
+
+The spread s of a motion is estimated by maximum evidence: with theta = log s^2,
+
+    d chi^2 / d theta + d log |Q| / d theta + d log |H| / d theta = 0,
+
+where chi^2 and Q are the errors of the links and their covariance, and H is the matrix of all unknowns. The prior of s
+has the weight of `ASSUMED_LINKS` links.
+
+Source: Triggs et al., "Bundle Adjustment - A Modern Synthesis"; MacKay, "Bayesian Interpolation".
+"""
+
+from collections.abc import Callable
+from copy import copy
+from dataclasses import replace
+from functools import partial
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from lmd.adjust.corners import (
+    Poses,
+    Reprojection,
+    squared_errors,
+    student_loss,
+    student_weight,
+    sums_by,
+    weighted_product,
+)
+from lmd.adjust.frames import LEAST_DAMPING, Frames, LinkedFrames, Part, SeparateFrames
+from lmd.adjust.links import Links
+from lmd.adjust.motion import Motion
+from lmd.adjust.noise import efficiency, floor_of
+from lmd.adjust.prior import Kept, Prior
+from lmd.adjust.sightings import RESIDUALS, Sightings
+from lmd.core.checks import FloatArray, IntArray
+from lmd.geometry.se3 import exp, nearest_rotations, pose_of
+
+FRAME_CHUNK = 128  # frames whose equations are made at once
+LEAST_SHARE = 0.1  # least share of the squared errors that is assumed to remain after a fit
+FIRST_DAMPING, MOST_DAMPING = 1e-4, 1e6
+LEAST_GAIN = 1e-7  # the iteration ends when a step decreases the loss per sighting by less
+ASSUMED_LINKS = 3.0  # weight of the prior of a spread, as a number of links
+CHANGE = 1e-3  # relative change for derivatives of determinants
+# Estimate of a spread: maximum number of steps, largest factor on its square in a step, and relative change of the
+# square that ends the estimate.
+SPREAD_STEPS, MOST_CHANGE, SETTLED = 3, 10.0, 0.03
+
+
+class System(NamedTuple):
+    """Normal equations at one linearisation, from which frames are eliminated."""
+
+    matrix: FloatArray
+    """`(6 kept, 6 kept)`."""
+    right: FloatArray
+    """`(kept, 6)` right side."""
+    parts: list[Part]
+    """Equations of the frames."""
+    frames: Frames
+    """The eliminated frames."""
+
+    @property
+    def informed(self) -> IntArray:
+        """Rows of the kept unknowns with information."""
+        return np.flatnonzero(np.diag(self.matrix) > 0.0)
+
+    @property
+    def informed_matrix(self) -> FloatArray:
+        """Matrix of the kept unknowns with information."""
+        return self.matrix[np.ix_(self.informed, self.informed)]
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance of the kept unknowns, `(6 kept, 6 kept)`; NaN for those without information."""
+        whole = np.full_like(self.matrix, np.nan)
+        whole[np.ix_(self.informed, self.informed)] = np.linalg.inv(self.informed_matrix)
+        return whole
+
+    @property
+    def log_determinant(self) -> float:
+        """Log-determinant of the matrix of all unknowns with information."""
+        return float(np.linalg.slogdet(self.informed_matrix)[1]) + self.frames.log_determinant
+
+
+class Adjustment:
+    """Bundle adjustment of some sightings, all of whose tags and frames have a pose.
+
+    Kept unknowns are in blocks of six: twists of tags, twists of mounts, nuisance parameters of each camera, and shapes
+    of tags.
+
+    Args:
+        sightings: the sightings.
+        prior: prior of the unknowns.
+        nuisances: True if nuisance parameters of cameras and shapes of tags are unknowns, see `Sightings`.
+        inflation: factor on the standard deviations of sightings relative to the priors; the weights of sightings
+            relative to each other do not change.
+    """
+
+    def __init__(self, sightings: Sightings, prior: Prior, nuisances: bool = False, inflation: float = 1.0) -> None:
+        self.sightings, self.prior, self.inflation = sightings, prior, inflation
+        self.mounts = sightings.cameras - 1 if prior.has_unknown_mounts else 0  # number of unknown mounts
+        self.posed = len(sightings.ids) + self.mounts  # number of blocks of poses
+        self.lens_blocks = sightings.lens.shape[2] // 6 if nuisances else 0  # number of blocks of each camera
+        self.first_shape = self.posed + sightings.cameras * self.lens_blocks
+        self.kept = self.first_shape + (len(sightings.ids) if nuisances and sightings.shape_sigma else 0)
+        # Prior information of nuisance parameters in units of their standard deviations. Shapes also absorb errors that
+        # are common to all sightings of a tag, so the inflation must not weaken sightings relative to the priors of
+        # shapes.
+        lenses = np.arange(self.posed, self.kept) < self.first_shape
+        self.nuisance_information = np.where(lenses, 1.0, inflation**-2.0)
+        self.seen, first = np.unique(sightings.frame, return_index=True)
+        ends = np.append(first[::FRAME_CHUNK], len(sightings))
+        self._chunks = [sightings.of(slice(*between)) for between in pairwise(ends)]
+        self.links: Links | None = None if prior.motion is None else prior.motion.links(self.seen)
+        poses = len(self.seen) + len(np.unique(sightings.tag)) + self.mounts
+        unknowns = 6 * poses + sightings.taken
+        self.share = max(1.0 - unknowns / (RESIDUALS * len(sightings)), LEAST_SHARE)  # of the squares, after a fit
+
+    def _jacobians(self, some: Sightings, at: Reprojection) -> list[tuple[IntArray, FloatArray]]:
+        """Kept block of each sighting, `(n,)`, and Jacobian by this block, `(n, 8, 6)`, for each kind of unknowns."""
+        found = [(some.tag, at.by_tag)]
+        if self.mounts:
+            others = some.camera > 0
+            index = len(some.ids) + np.where(others, some.camera - 1, 0)
+            found.append((index, at.by_mount * others[:, None, None]))
+        for block in range(self.lens_blocks):
+            index = self.posed + self.lens_blocks * some.camera + block
+            found.append((index, some.lens[:, :, 6 * block : 6 * block + 6]))
+        if self.kept > self.first_shape:
+            found.append((self.first_shape + some.tag, some.shape_sigmas[some.tag, None] * at.by_shape))
+        return found
+
+    def system(self, poses: Poses, floor: float, damping: float = 0.0, weight: float | None = None) -> System:
+        """Linearise at `poses` and eliminate the frames.
+
+        Args:
+            poses: poses.
+            floor: floor of the standard deviation of corners, pixels.
+            damping: relative growth of diagonals.
+            weight: weight of every sighting and prior; None for robust weights.
+        """
+        kept, parts = Kept(self.kept), []
+        for some in self._chunks:
+            at = Reprojection(some, *poses.of(some))
+            variance = some.variance(floor)
+            trust = student_weight(at.squared / variance) if weight is None else weight
+            product = partial(weighted_product, weight=trust / variance / self.inflation**2)
+            frames, owner = np.unique(some.frame, return_inverse=True)
+            summed = sums_by(owner, len(frames))
+            parts.append(self._part(some, at, kept, product, summed, owner, damping))
+        frames_of = SeparateFrames() if self.links is None else self._linked(poses, weight is None)
+        frames_of.eliminate(parts, kept.matrix, kept.right)
+        self.prior.add_to(kept, poses, weight is None)
+        kept.add(slice(self.posed, self.kept), self.nuisance_information[:, None] * np.ones(6), np.zeros(6))
+        each = np.arange(self.kept)
+        kept.cells[each, each] += kept.diagonal * (1.0 + damping * np.eye(6))
+        return System(kept.matrix, kept.right, parts, frames_of)
+
+    def _linked(self, poses: Poses, is_robust: bool) -> LinkedFrames:
+        assert self.links is not None
+        return LinkedFrames(self.links, poses.frames[self.seen], is_robust)
+
+    def _part(
+        self,
+        some: Sightings,
+        at: Reprojection,
+        kept: Kept,
+        product: Callable[[FloatArray, FloatArray], FloatArray],
+        summed: Callable[[FloatArray], FloatArray],
+        owner: IntArray,
+        damping: float,
+    ) -> Part:
+        """Add the equations of the kept unknowns of some sightings, and return those of their frames."""
+        error = -at.error[..., None]
+        block = summed(product(at.by_frame, at.by_frame))
+        block += damping * block * np.eye(6)
+        jacobians = self._jacobians(some, at)
+        rows = np.unique(np.concatenate([index for index, _ in jacobians]))
+        panel = np.zeros((len(block), 6, len(rows), 6))
+        turned = panel.transpose(2, 0, 3, 1)
+        for k, (index, slope) in enumerate(jacobians):
+            np.add.at(turned, (np.searchsorted(rows, index), owner), product(slope, at.by_frame))
+            by_index = sums_by(index, self.kept)
+            kept.diagonal += by_index(product(slope, slope))
+            kept.right += by_index(product(slope, error)[..., 0])
+            for other, beside in jacobians[:k]:
+                both = product(slope, beside)
+                np.add.at(kept.cells, (index, other), both)
+                np.add.at(kept.cells, (other, index), np.swapaxes(both, 1, 2))
+        return Part(block, summed(product(at.by_frame, error)[..., 0]), panel, rows)
+
+    def _moved(self, poses: Poses, kept: FloatArray, system: System) -> Poses:
+        """Poses after a step `(kept, 6)` of the kept unknowns, with frames by back-substitution."""
+        frames, mounts, count = poses.frames.copy(), poses.mounts.copy(), len(self.sightings.ids)
+        twists = system.frames.steps(np.concatenate([part.reached(kept) for part in system.parts]))
+        frames[self.seen] = frames[self.seen] @ exp(twists)
+        mounts[1 : 1 + self.mounts] = mounts[1 : 1 + self.mounts] @ exp(kept[count : self.posed])
+        return Poses(poses.tags @ exp(kept[:count]), frames, mounts)
+
+    def step(self, poses: Poses, floor: float, damping: float) -> Poses:
+        """Poses after one step; unknowns without information do not change."""
+        system = self.system(poses, floor, damping)
+        some, kept = system.informed_matrix, np.zeros(6 * self.kept)
+        some[np.diag_indices_from(some)] *= 1.0 + LEAST_DAMPING
+        kept[system.informed] = np.linalg.solve(some, system.right.ravel()[system.informed])
+        return self._moved(poses, kept.reshape(-1, 6), system)
+
+    def joint_step(
+        self, poses: Poses, floor: float, damping: float, off: FloatArray
+    ) -> tuple[Poses, FloatArray, FloatArray]:
+        """Take one step of all unknowns, nuisance parameters included, in units of their prior standard deviations.
+
+        Args:
+            poses, floor: best poses and floor for the present nuisance parameters.
+            damping: relative growth of diagonals.
+            off: distance of the nuisance parameters from their prior means, `(n, 6)`.
+
+        Returns:
+            poses; step of the nuisance parameters, and their variances, `(n, 6)` each.
+        """
+        system = self.system(poses, floor, damping)
+        system.right[self.posed :] -= self.nuisance_information[:, None] * off
+        covariance = np.nan_to_num(system.covariance)
+        step = (covariance @ system.right.ravel()).reshape(-1, 6)
+        variance = np.diag(covariance).reshape(-1, 6)
+        return self._moved(poses, step, system), step[self.posed :], variance[self.posed :]
+
+    def loss(self, poses: Poses, floor: float, sightings: Sightings | None = None) -> float:
+        """Total loss of sightings, priors and links, or with equally many `sightings` through other cameras."""
+        some = self.sightings if sightings is None else sightings
+        return self._loss(squared_errors(some, poses), self._prior_loss(poses), floor)
+
+    def _prior_loss(self, poses: Poses) -> float:
+        loss = self.prior.loss(poses)
+        if self.links is not None:
+            at = self.links.at(poses.frames[self.seen])
+            loss += self.links.loss(self.links.squares(at.error)) + 0.5 * float(at.bias @ at.bias)
+        return loss
+
+    def _loss(self, error: FloatArray, prior_loss: float, floor: float) -> float:
+        return prior_loss + student_loss(error / self.sightings.variance(floor)) / self.inflation**2
+
+    def run(self, poses: Poses, floor: float, steps: int, most: float | None = None) -> tuple[Poses, float]:
+        """Minimise the loss by Levenberg-Marquardt.
+
+        Args:
+            poses: initial poses.
+            floor: initial floor, pixels.
+            steps: maximum number of steps.
+            most: maximum of the floor; None for its initial value.
+
+        Returns:
+            poses; floor, pixels: the standard deviation of corners beyond the detector's own.
+        """
+        self._update_share(poses, floor)
+        damping, most, some = FIRST_DAMPING, floor if most is None else most, self.sightings
+        error, priors = squared_errors(some, poses), self._prior_loss(poses)
+        loss = self._loss(error, priors, floor)
+        for _ in range(steps):
+            tried = self.step(poses, floor, damping)
+            error, priors = squared_errors(some, tried), self._prior_loss(tried)
+            found = self._loss(error, priors, floor)
+            if found > loss or not np.isfinite(found):
+                damping *= 10.0
+                if damping > MOST_DAMPING:
+                    break
+                continue
+            gained, poses, damping = loss - found, tried, max(damping / 10.0, LEAST_DAMPING)
+            before, floor = floor, floor_of(error / self.share, some.noise, most)
+            loss = self._loss(error, priors, floor)
+            if gained < LEAST_GAIN * len(some) and abs(floor - before) < 1e-3 * before + 1e-6:
+                break
+        return Poses(*map(_orthonormal, (poses.tags, poses.frames, poses.mounts))), floor
+
+    def fixed_system(self, poses: Poses, floor: float) -> System:
+        """System with the weight of least squares that has the covariance of the robust fit, see `efficiency`."""
+        slope, spread = self.efficiency(poses, floor)
+        return self.system(poses, floor, 0.0, slope**2 / spread)
+
+    def efficiency(self, poses: Poses, floor: float) -> tuple[float, float]:
+        """See `lmd.adjust.noise.efficiency`."""
+        self._update_share(poses, floor)
+        return efficiency(squared_errors(self.sightings, poses) / self.sightings.variance(floor) / self.share)
+
+    def covariance(self, poses: Poses, floor: float) -> FloatArray:
+        """Marginal covariance of the kept unknowns, `(6 kept, 6 kept)`; NaN for tags without sightings."""
+        return self.fixed_system(poses, floor).covariance
+
+    def frame_covariances(self, poses: Poses, floor: float) -> FloatArray:
+        """Marginal covariance of the right-hand twist of each frame of `seen`, `(F, 6, 6)`.
+
+        With the covariance C of the kept unknowns, it is H_ff^-1 + H_ff^-1 H_fk C H_kf H_ff^-1. The inflation counts in
+        C, and for frames that are linked; the errors of one frame are not correlated with others.
+        """
+        system = self.fixed_system(poses, floor)
+        values, vectors = np.linalg.eigh(np.nan_to_num(system.covariance))
+        root = (vectors * np.sqrt(np.maximum(values, 0.0))).reshape(self.kept, 6, -1)
+        share = self.inflation**-2.0 if self.links is None else 1.0
+        return system.frames.covariances(np.concatenate([part.reached(root) for part in system.parts]), share)
+
+    def _update_share(self, poses: Poses, floor: float) -> None:
+        """Set the share of the squared errors that remains after a fit, if links or a map hold some unknowns."""
+        if self.links is not None or self.prior.joint is not None:
+            here, there = (self.system(poses, floor, 0.0, weight).log_determinant for weight in (1.0, 1.0 + CHANGE))
+            taken = (there - here) / np.log1p(CHANGE)
+            self.share = max(1.0 - taken / (RESIDUALS * len(self.sightings)), LEAST_SHARE)
+
+    def with_motion(self, motion: Motion) -> "Adjustment":
+        """Copy with another spread of the motion, and equal pairs of linked frames."""
+        assert self.links is not None
+        other, first = copy(self), self.seen[self.links.first]
+        other.prior = replace(self.prior, motion=motion)
+        information = motion.information(first, self.seen[self.links.first + 1])
+        other.links = replace(self.links, information=information)
+        return other
+
+    def estimate_motion(self, poses: Poses, floor: float) -> Motion:
+        """Motion with the spread of maximum evidence."""
+        motion, links = self.prior.motion, self.links
+        assert motion is not None
+        assert links is not None
+        if not len(links.first):
+            return motion
+        assumed, found = motion.assumed, self
+        error = links.at(poses.frames[self.seen]).error
+        for _ in range(SPREAD_STEPS):
+            growths, own = [], motion.spread
+            here, size = found._evidence(poses, floor, error), links.size
+            for which in range(2):
+                turn, place = (s * (1.0 + CHANGE) ** (0.5 * (k == which)) for k, s in enumerate(own))
+                there = found.with_motion(replace(motion, spread=(turn, place)))._evidence(poses, floor, error)
+                square, volume, fit = (there - here) / np.log1p(CHANGE)
+                count = ASSUMED_LINKS * size / 2.0
+                most = volume + fit + count  # degrees of freedom of the errors after the fit
+                growth = (count * (assumed[which] / own[which]) ** 2 - square) / max(most, count)
+                growths.append(float(np.clip(growth, 1.0 / MOST_CHANGE, MOST_CHANGE)))
+            turn, place = (s * growth**0.5 for s, growth in zip(own, growths, strict=True))
+            motion = replace(motion, spread=(turn, place))
+            found = found.with_motion(motion)
+            if max(abs(growth - 1.0) for growth in growths) < SETTLED:
+                break
+        return motion
+
+    def _evidence(self, poses: Poses, floor: float, error: FloatArray) -> FloatArray:
+        """Terms of the evidence for a spread, chi^2 of the links, log |Q| and log |H|, `(3,)`."""
+        assert self.links is not None
+        squares = self.links.squares(error)
+        fit = self.system(poses, floor, 0.0, 1.0).log_determinant
+        return np.array([float((self.links.weights(squares) * squares).sum()), self.links.log_determinant, fit])
+
+
+def _orthonormal(poses: FloatArray) -> FloatArray:
+    """Poses with their rotations made orthonormal again, as products accumulate rounding errors; NaN stays NaN."""
+    result = poses.copy()
+    known = np.isfinite(poses).all(axis=(1, 2))
+    result[known] = pose_of(nearest_rotations(poses[known, :3, :3]), poses[known, :3, 3])
+    return result

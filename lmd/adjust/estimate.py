@@ -1,0 +1,302 @@
+"""Estimate of poses: bundle adjustment from initial poses without outliers, marginal covariances, blocks of time.
+
+*Blocks of time*: the covariance C of an adjustment assumes that errors of sightings are independent. The errors in a
+drive are correlated, as exposure, blur and errors of the lens model change slowly. So frames are cut into blocks of
+time with equally many sightings. Block b adds S_b to the normal equations S = C^-1, and g_b to their right side, which
+sums to 0. Block b contributes x_b = C (1 - S_b C)^-1/2 g_b to the error of the map. The covariance of the map is the
+sum of x_b x_b', which equals C if errors are uncorrelated. The inverse instead of the inverse root would be the
+jackknife, which leaves each block out; it overrates blocks that alone hold a part of the map.
+
+Source: Bell and McCaffrey, "Bias reduction in standard errors for linear regression with multi-stage samples" (CR2).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from lmd.adjust.adjustment import Adjustment
+from lmd.adjust.corners import Poses, squared_errors
+from lmd.adjust.gauge import diagonal_blocks, gauge_free, in_world, rows_of
+from lmd.adjust.noise import fitting
+from lmd.adjust.prior import EXACT_SIGMA, Prior
+from lmd.adjust.sightings import Sightings
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
+
+FLOOR_PIXELS = 3.0  # maximum of the floor, pixels
+STEPS, FINAL_STEPS = 40, 15  # steps of bundle adjustment with all sightings, and without outliers
+# Threads of linear algebra: with matrices of some hundred rows, more threads wait longer than they work.
+ONE_THREAD = 1
+FEWEST_MISFITS = 3  # least number of outliers of a tag that hangs elsewhere or has another size
+FEWEST_FRAMES = 10  # minimum number of frames for blocks of time
+FEWEST_BLOCKS, MOST_BLOCKS = 5, 8
+FEWEST_IN_BLOCK = 3  # minimum number of frames of a block, unless there would be too few blocks
+ALONE = 0.98  # a block with a larger share of the information in a direction holds that direction alone
+LEAST_RATIO = 1e-2  # minimum ratio of squared errors of a tag to its variance
+LEAST_PART = 1e-9  # minimum eigenvalue of a block's information, relative to the largest
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Estimated poses of the tags of some sightings."""
+
+    sightings: Sightings
+    """All sightings."""
+    prior: Prior
+    """Prior of the unknowns."""
+    poses: Poses
+    """Poses of tags, frames and mounts; NaN if not placed."""
+    group: IntArray
+    """`(K,)` group of each tag: 0 for tags of the map, larger for tags that no frame connects with the map, -1 for tags
+    that are not placed.
+    """
+    used: BoolArray
+    """`(N,)` inliers: sightings from which the map is made."""
+    misfits: BoolArray
+    """`(N,)` outliers: sightings, of tags and in frames of the map, that do not fit the pose of their tag."""
+    floor: float
+    """Standard deviation of corners beyond the detector's own, pixels."""
+    inflation: float = 1.0
+    """Factor of the standard deviations of sightings, see `inflation`."""
+
+    @property
+    def adjustment(self) -> Adjustment:
+        """Adjustment of the inliers with nuisance parameters."""
+        return Adjustment(self.sightings.of(self.used), self.prior, True, self.inflation)
+
+    @cached_property
+    def covariance(self) -> FloatArray:
+        """Covariance of the kept unknowns, see `Adjustment`; twists are in the frames of the tags and cameras."""
+        with threadpool_limits(limits=ONE_THREAD):
+            return self.adjustment.covariance(self.poses, self.floor)
+
+    @property
+    def known(self) -> BoolArray:
+        """True for tags of the map that have a covariance, `(K,)`."""
+        of_tags = np.diag(self.covariance)[: 6 * len(self.group)].reshape(-1, 6)
+        return np.asarray((self.group == 0) & np.isfinite(of_tags).all(axis=1))
+
+    @property
+    def covariances(self) -> FloatArray:
+        """Marginal covariance of the twist of each tag, `(K, 6, 6)`; NaN for tags not in the map."""
+        size = 6 * len(self.group)
+        blocks = diagonal_blocks(self.covariance[:size, :size], len(self.group))
+        return np.where(self.known[:, None, None], blocks, np.nan)
+
+    @cached_property
+    def gauge_free_covariance(self) -> FloatArray:
+        """Covariance of the twists of all `known` tags relative to the other tags, see `gauge_free`, `(6 n, 6 n)`."""
+        rows = rows_of(np.flatnonzero(self.known))
+        left = gauge_free(self.poses.tags[self.known])
+        return np.asarray(left @ self.covariance[np.ix_(rows, rows)] @ left.T)
+
+    @cached_property
+    def gauge_free_covariances(self) -> FloatArray:
+        """Covariance of the twist of each tag relative to the other tags, see `gauge_free`, `(K, 6, 6)`."""
+        known, found = self.known, np.full((len(self.group), 6, 6), np.nan)
+        found[known] = diagonal_blocks(self.gauge_free_covariance, int(known.sum()))
+        return found
+
+    @property
+    def mount_covariances(self) -> FloatArray:
+        """Covariance of the twist of each unknown mount, `(C - 1, 6, 6)`; empty if mounts are exact."""
+        first, system = len(self.group), self.adjustment
+        own = slice(6 * first, 6 * system.posed)
+        return diagonal_blocks(self.covariance[own, own], system.mounts) if system.mounts else np.empty((0, 6, 6))
+
+    @property
+    def lens_covariances(self) -> FloatArray:
+        """Covariance of each camera's nuisance parameters, in the units of `Sightings.lens`, `(C, 6 L, 6 L)`."""
+        system = self.adjustment
+        own = slice(6 * system.posed, 6 * system.first_shape)
+        return diagonal_blocks(self.covariance[own, own], self.sightings.cameras)
+
+    @property
+    def frames(self) -> IntArray:
+        """Indices of the frames from which the map is made."""
+        return np.unique(self.sightings.frame[self.used])
+
+    @property
+    def sigmas(self) -> FloatArray:
+        """Standard deviation of each tag's place relative to the other tags, in the worst direction, metres, `(K,)`."""
+        known = np.asarray(np.isfinite(self.gauge_free_covariances).all(axis=(1, 2)))
+        result = np.full(len(known), np.nan)
+        largest = np.linalg.eigvalsh(self.gauge_free_covariances[known][:, 3:, 3:])[:, -1]
+        result[known] = np.sqrt(np.maximum(largest, 0.0))
+        return result
+
+    def in_world(self, covariances: FloatArray) -> FloatArray:
+        """Covariances of position and rotation in the world frame, m^2 and rad^2, `(K, 6, 6)`.
+
+        Args:
+            covariances: covariances of the twists of tags in their own frames, `(K, 6, 6)`.
+        """
+        return in_world(self.poses.tags, covariances)
+
+    def moved(self, motion: FloatArray) -> "Estimate":
+        """Estimate after a motion `(4, 4)` of the world."""
+        poses = replace(self.poses, tags=motion @ self.poses.tags, frames=motion @ self.poses.frames)
+        return replace(self, poses=poses, prior=replace(self.prior, tags=motion @ self.prior.tags))
+
+    def adjusted(self, poses: Poses) -> "Estimate":
+        """Estimate that is adjusted again, from `poses`."""
+        return adjust(self.sightings, self.prior, poses, self.group, self.floor, self.inflation)
+
+    @property
+    def are_astray(self) -> BoolArray:
+        """True for tags of which most sightings, and at least `FEWEST_MISFITS`, are outliers, `(K,)`."""
+        counts = self.sightings.counts(self.misfits)
+        return np.asarray((counts >= FEWEST_MISFITS) & (counts > self.sightings.counts(self.used)))
+
+    def errors(self) -> FloatArray:
+        """RMS reprojection errors of the inliers, pixels, `(n,)`."""
+        return np.asarray(np.sqrt(self.squares[self.used] / 4.0))
+
+    @property
+    def squares(self) -> FloatArray:
+        """Squared error of each sighting, pixels^2, `(N,)`; NaN if its tag or frame has no pose."""
+        return squared_errors(self.sightings, self.poses)
+
+
+def constraining(sightings: Sightings, used: BoolArray, prior: Prior | None = None) -> BoolArray:
+    """True for the `used` sightings that constrain the map, `(N,)`.
+
+    A single sighting in its frame constrains the map only if the frame is linked to another frame; in a map that is
+    known (`Prior.joint`), it tells where the frame is.
+    """
+    if prior is not None and prior.joint is not None:
+        return used
+    motion = None if prior is None else prior.motion
+    counts = np.bincount(sightings.frame[used], minlength=sightings.frames)
+    enough = counts >= 2
+    if motion is not None:
+        frames = np.flatnonzero(counts)
+        enough[frames[motion.linked(frames)]] = True
+    return np.asarray(used & enough[sightings.frame])
+
+
+def adjust(
+    sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, floor: float, inflation: float = 1.0
+) -> Estimate:
+    """Adjust the map, which is group 0, from initial `poses`; arguments as in `Estimate`.
+
+    Raises:
+        InputError: no sightings agree.
+    """
+    of_map = (group[sightings.tag] == 0) & np.isfinite(poses.frames[sightings.frame, 0, 0])
+    of_map = used = constraining(sightings, of_map, prior)
+    misfits = np.zeros(len(sightings), dtype=bool)
+    sheets = None if prior.sheets is None else prior.sheets.of((group == 0) & (sightings.counts(of_map) > 0))
+    information = np.where((group == 0)[:, None], prior.information, 0.0)
+    prior = replace(prior, information=information, sheets=sheets if sheets is not None and len(sheets.tag) else None)
+    for steps in (STEPS, FINAL_STEPS):
+        used = constraining(sightings, used, prior)
+        if not used.any() and prior.joint is not None:
+            break
+        if not used.any():
+            raise InputError(
+                "detections: no two tags of a frame agree with one pose of the camera; are the corners in another "
+                "order, or the calibration another one?",
+                "detections",
+            )
+        adjustment = Adjustment(sightings.of(used), prior, inflation=inflation)
+        poses, floor = adjustment.run(poses, floor, steps)
+        if adjustment.links is not None and steps == STEPS:
+            prior = replace(prior, motion=adjustment.estimate_motion(poses, floor))
+        misfits = of_map & ~fitting(sightings, squared_errors(sightings, poses), floor)
+        used = of_map & ~misfits
+    used = constraining(sightings, used, prior)
+    frames = np.full_like(poses.frames, np.nan)
+    frames[np.unique(sightings.frame[used])] = poses.frames[np.unique(sightings.frame[used])]
+    poses = replace(poses, frames=frames)
+    return Estimate(sightings, prior, poses, group, used, misfits, floor, inflation)
+
+
+def inflation(found: Estimate, report: Callable[[int, int], object]) -> float:
+    """Factor on the standard deviations of places, from blocks of time: the geometric mean over tags, at least 1.
+
+    The factor is 1 if there are too few frames for blocks. If frames are linked, only frames with two or more tags are
+    used, in the largest part of the map that such frames connect.
+
+    Args:
+        found: estimate with an inflation of 1.
+        report: called with the number of finished blocks, and the number of all blocks.
+    """
+    if found.prior.motion is not None:
+        found = _without_links(found)
+    if len(found.frames) < FEWEST_FRAMES:
+        return 1.0
+    with threadpool_limits(limits=ONE_THREAD):
+        blocks = _blocks_of_time(found)
+        efficiency = Adjustment(found.sightings.of(found.used), found.prior).efficiency(found.poses, found.floor)
+        off: list[FloatArray] = []
+        for frames in blocks:
+            report(len(off), len(blocks))
+            off.append(_off(found, frames, *efficiency))
+    square = (np.stack(off) ** 2).sum(axis=(0, 2))
+    stated = np.trace(found.gauge_free_covariances[found.known][:, 3:, 3:], axis1=1, axis2=2)
+    known = stated > 0.0
+    if not known.any():
+        return 1.0
+    ratio = np.maximum(square[known] / stated[known], LEAST_RATIO)
+    return float(max(np.exp(np.log(ratio).mean() / 2.0), 1.0))
+
+
+def _blocks_of_time(found: Estimate) -> list[IntArray]:
+    """Frames of each block of time, in ascending order."""
+    counts = np.bincount(found.sightings.frame[found.used], minlength=found.sightings.frames)[found.frames]
+    middle = np.cumsum(counts) - counts / 2.0
+    blocks = int(np.clip(len(counts) // FEWEST_IN_BLOCK, FEWEST_BLOCKS, MOST_BLOCKS))
+    block = (blocks * middle / counts.sum()).astype(int)
+    return [found.frames[block == b] for b in range(blocks) if (block == b).any()]
+
+
+def _without_links(found: Estimate) -> Estimate:
+    """Largest part of a map that images alone connect, as an estimate without links."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    some, count = found.sightings, len(found.group)
+    used = constraining(some, found.used)
+    ends = (some.tag[used], count + some.frame[used])
+    whole = coo_array((np.ones(used.sum()), ends), shape=(count + some.frames,) * 2)
+    _, part = connected_components(whole, directed=False)
+    of_part = np.bincount(part[some.tag[used]], minlength=1)
+    used = used & (part[some.tag] == of_part.argmax())
+    information = found.prior.information.copy()
+    if used.any() and not information[some.tag[used]].any():
+        information[some.tag[used][0]] = EXACT_SIGMA**-2.0
+    prior = replace(found.prior, motion=None, information=information)
+    return replace(found, prior=prior, used=used, group=np.where(some.counts(used) > 0, found.group, -1))
+
+
+def _off(found: Estimate, frames: IntArray, slope: float, spread: float) -> FloatArray:
+    """Displacement x_b, by a block, of each known tag relative to the others, metres, `(n, 3)`.
+
+    Args:
+        found: estimate.
+        frames: frames of the block.
+        slope, spread: results of `Adjustment.efficiency` for all sightings.
+    """
+    used = found.sightings.of(found.used)
+    some = used.of(np.isin(used.frame, frames))
+    mounts = found.prior.mounts
+    unknown = replace(mounts, sigmas=(np.inf, np.inf)) if mounts is not None and mounts.sigmas is not None else mounts
+    nothing = Prior(found.prior.tags, np.zeros_like(found.prior.information), mounts=unknown)
+    part = Adjustment(some, nothing, nuisances=True)
+    own = part.system(found.poses, found.floor, 0.0, slope**2 / spread).matrix
+    right = part.system(found.poses, found.floor).right
+    own[6 * part.posed :, 6 * part.posed :] -= np.eye(len(own) - 6 * part.posed)  # the prior of nuisance parameters
+    covariance = found.covariance
+    rows = np.flatnonzero((np.diag(own) > 0.0) & np.isfinite(np.diag(covariance)))
+    values, vectors = np.linalg.eigh(own[np.ix_(rows, rows)])
+    there = values > LEAST_PART * values[-1]
+    root = vectors[:, there] * np.sqrt(values[there])
+    whitened = vectors[:, there].T @ right.ravel()[rows] * (slope / spread) / np.sqrt(values[there])
+    share, turn = np.linalg.eigh(root.T @ covariance[np.ix_(rows, rows)] @ root)
+    grown = np.where(share < ALONE, 1.0 / np.sqrt(np.clip(1.0 - share, 1.0 - ALONE, 1.0)), 0.0)
+    tags = rows_of(np.flatnonzero(found.known))
+    moved = covariance[np.ix_(tags, rows)] @ (root @ (turn @ (grown * (turn.T @ whitened))))
+    return np.asarray((gauge_free(found.poses.tags[found.known]) @ moved).reshape(-1, 6)[:, 3:])

@@ -1,0 +1,162 @@
+"""Rough poses of single images in a map, and the reasons why images are refused.
+
+Each sighting of a tag proposes two poses of the body, as two poses of a tag look alike (IPPE). For each image the
+likeliest proposals are refined with all tags in view. If another pose is nearly as likely as the best pose, the image
+is refused.
+"""
+
+from dataclasses import dataclass, replace
+from enum import Enum
+from itertools import pairwise
+
+import numpy as np
+
+from lmd.adjust.candidates import Candidates, agreeing
+from lmd.adjust.corners import DEGREES_OF_FREEDOM, Poses, Reprojection, resected, squared_errors
+from lmd.adjust.estimate import Estimate
+from lmd.adjust.mounts import measured_mounts
+from lmd.adjust.second_places import FEWEST_SIGHTINGS
+from lmd.adjust.sightings import RESIDUALS, Sightings
+from lmd.core.checks import BoolArray, FloatArray
+from lmd.geometry.se3 import angle_between
+
+FRAME_CHUNK = 256  # frames whose proposals are refined at once
+ANOTHER_RAD, ANOTHER_SHARE = 0.05, 0.02  # least rotation, rad, or shift, in distances to the tags, of another pose
+TOLD_APART = float(np.log(100.0))  # least log-likelihood ratio of the best pose to another pose
+SIGMAS = 3.0  # standard deviations of the map by which a sighting of a tag that was not moved may be off
+# A tag contradicts the map if the share `CONTRADICTS` of its sightings beside other tags does; tags with the share
+# `SURELY` are taken out together, in at most `MOST_ROUNDS` rounds.
+CONTRADICTS, SURELY, MOST_ROUNDS = 0.5, 0.75, 12
+
+
+class State(Enum):
+    """Outcome of an image."""
+
+    LOCALISED = "localised"
+    NO_TAG = "no tag of the map"
+    TWO_POSES = "one tag, whose two poses cannot be told apart"
+    ALIKE = "tags whose two poses cannot be told apart"
+    RESIDUAL = "residual too large"
+
+
+@dataclass(frozen=True)
+class RoughPoses:
+    """Rough poses of F frames."""
+
+    poses: Poses
+    """Poses; tags are NaN if they are not in the map or contradict it, frames if they show no other tag."""
+    others: FloatArray
+    """`(F, 4, 4)` the best pose that differs from the pose of the frame; NaN if there is none."""
+
+    def agreed(self, sightings: Sightings) -> int:
+        """Number of sightings that agree with the poses."""
+        return int(agreeing(sightings, squared_errors(sightings, self.poses)).sum())
+
+
+def rough_poses(
+    sightings: Sightings, single: FloatArray, poses: Poses, sigmas: FloatArray
+) -> tuple[RoughPoses, BoolArray]:
+    """Find rough poses of the frames, and the mask of the tags that contradict the others, `(K,)`.
+
+    A sighting that does not fit the pose of its image counts fully, and all sightings of an image without a majority
+    count half. Tags with the largest share of such sightings are taken out, and images are localised again.
+
+    Args:
+        sightings: all sightings.
+        single: two poses of the tag of each sighting in its camera, `(N, 2, 4, 4)`.
+        poses: poses of tags in the map, NaN if not in the map, and expected mounts; a mount that frames show to be
+            elsewhere begins there.
+        sigmas: standard deviations of the tags in the map, `(K, 6)`.
+    """
+    gross = np.zeros(len(poses.tags), dtype=bool)
+    if sightings.cameras > 1:
+        order = np.argsort(sightings.frame + sightings.camera * sightings.frames, kind="stable")
+        apart = sightings.with_separate_cameras()
+        views = _proposed(apart, replace(poses, mounts=np.eye(4)[None]), single[order]).poses.frames
+        views = views.reshape(sightings.cameras, -1, 4, 4)
+        poses = replace(poses, mounts=measured_mounts(views, poses.mounts)[0])
+    for _ in range(MOST_ROUNDS):
+        found = _proposed(sightings, poses, single)
+        share = _blame(sightings, found.poses, sigmas)
+        if share.max(initial=0.0) < CONTRADICTS:
+            break
+        gross |= (share >= SURELY) | (share == share.max())
+        poses = replace(poses, tags=np.where(gross[:, None, None], np.nan, poses.tags))
+    return found, gross
+
+
+def _blame(sightings: Sightings, poses: Poses, sigmas: FloatArray) -> FloatArray:
+    """Share of the sightings of each tag, among those beside other tags, that contradict these tags, `(K,)`."""
+    some = sightings.of(np.flatnonzero(np.isfinite(poses.tags[sightings.tag, 0, 0])))
+    at = Reprojection(some, *poses.of(some))
+    expected = ((at.by_tag * sigmas[some.tag, None]) ** 2).sum(axis=(1, 2))
+    fits = agreeing(some, np.maximum(at.squared - SIGMAS**2 * expected, 0.0))
+    counts, agreed = (np.bincount(some.frame, which, minlength=some.frames) for which in (None, fits))
+    refused = (2 * agreed <= counts)[some.frame]
+    beside = counts[some.frame] > 1
+    total = np.bincount(some.tag, np.where(refused, 0.5, ~fits) * beside, minlength=len(poses.tags))
+    share = total / np.maximum(np.bincount(some.tag, beside, minlength=len(poses.tags)), 1)
+    return np.where(total < FEWEST_SIGHTINGS / 2.0, 0.0, share)
+
+
+def _proposed(sightings: Sightings, poses: Poses, single: FloatArray) -> RoughPoses:
+    """Best pose of each frame, and the best pose that differs from it."""
+    known = np.flatnonzero(np.isfinite(poses.tags[sightings.tag, 0, 0]))
+    best, other = np.full((2, sightings.frames, 4, 4), np.nan)
+    poses = replace(poses, frames=best)
+    _, first = np.unique(sightings.frame[known], return_index=True)
+    ends = np.append(first[::FRAME_CHUNK], len(known))
+    for begin, end in pairwise(ends):
+        own = known[begin:end]
+        trial = Candidates(sightings.of(own), poses, by_frame=True)
+        found, owner = trial.proposals(single[own])
+        order = trial.best(found, owner, len(found))
+        found, owner = found[order], owner[order]
+        at = np.searchsorted(owner, owner)  # index of the best proposal of the frame of each proposal
+        best[trial.owners[owner[at]]] = found[at]
+        away = _mean_distances(sightings.of(own), replace(poses, frames=best))[trial.owners[owner]]
+        differ = np.flatnonzero(_are_apart(found[at], found, away))[::-1]
+        other[trial.owners[owner[differ]]] = found[differ]  # the last assignment of each frame is its best one
+    return RoughPoses(replace(poses, frames=best), other)
+
+
+def _are_apart(one: FloatArray, two: FloatArray, away: FloatArray) -> BoolArray:
+    """True where two poses `(n, 4, 4)` differ; `away` is the mean distance of the tags, metres, `(n,)`."""
+    shift = np.linalg.norm(one[:, :3, 3] - two[:, :3, 3], axis=1)
+    return np.asarray((angle_between(one, two) > ANOTHER_RAD) | (shift > ANOTHER_SHARE * away))
+
+
+def states_of(found: Estimate, others: FloatArray) -> tuple[list[State], FloatArray]:
+    """Outcome of each frame, and the best and the other pose of frames that two poses fit, `(F, 2, 4, 4)`; NaN for the
+    other frames.
+
+    Args:
+        found: estimate with a pose of each frame that shows a tag of the map.
+        others: other poses of the frames, `(F, 4, 4)`; NaN if there is none.
+    """
+    some = found.sightings.of(np.isfinite(found.poses.tags[found.sightings.tag, 0, 0]))
+    seen = np.bincount(some.frame, minlength=some.frames)
+    tried = some.of(np.isfinite(others[some.frame, 0, 0]))
+    poses = resected(tried, replace(found.poses, frames=others), found.floor)
+    gap = _losses(tried, poses, found.floor) - _losses(tried, found.poses, found.floor)
+    here, there = found.poses.frames, poses.frames
+    away = _mean_distances(tried, found.poses)
+    alike = (seen > 0) & np.isfinite(here[:, 0, 0]) & (gap < TOLD_APART) & _are_apart(here, there, away)
+    states = np.array([State.LOCALISED if shown else State.NO_TAG for shown in seen])
+    states[alike & (seen == 1)], states[alike & (seen > 1)] = State.TWO_POSES, State.ALIKE
+    both = np.where((gap < 0.0)[:, None, None, None], np.stack([there, here], 1), np.stack([here, there], 1))
+    return states.tolist(), np.where(alike[:, None, None, None], both, np.nan)
+
+
+def _mean_distances(some: Sightings, poses: Poses) -> FloatArray:
+    """Mean distance of each frame from its tags, metres, `(F,)`; 0 without sightings."""
+    away = np.linalg.norm(poses.tags[some.tag, :3, 3] - poses.frames[some.frame, :3, 3], axis=1)
+    counts = np.bincount(some.frame, minlength=some.frames)
+    return np.asarray(np.bincount(some.frame, away, minlength=some.frames) / np.maximum(counts, 1))
+
+
+def _losses(some: Sightings, poses: Poses, floor: float) -> FloatArray:
+    """Negative log-likelihood of each frame, `(F,)`."""
+    square = squared_errors(some, poses) / some.variance(floor)
+    each = (DEGREES_OF_FREEDOM + RESIDUALS) / 2.0 * np.log1p(square / DEGREES_OF_FREEDOM)
+    return np.asarray(np.bincount(some.frame, each, minlength=len(poses.frames)))
