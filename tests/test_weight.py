@@ -18,7 +18,7 @@ BUDGET = {
     "code lines of tests": 26850,
     "files of conf": 114,
     "keys of conf": 546,
-    "words of docs": 61507,
+    "words of docs": 61516,
     "commands": 20,
 }
 # Docstrings and comments with each phrase, at most. Lower a number when you have lowered the count.
