@@ -15,10 +15,10 @@ BUDGET = {
     "code lines of lmd": 31328,
     "files of pipelines": 57,
     "code lines of pipelines": 4248,
-    "code lines of tests": 24964,
+    "code lines of tests": 24988,
     "files of conf": 100,
     "keys of conf": 388,
-    "words of docs": 61401,
+    "words of docs": 61574,
     "commands": 12,
 }
 # Docstrings and comments with each phrase, at most. Lower a number when you have lowered the count.
@@ -27,7 +27,7 @@ CEILINGS = {
     "so many, so far, so much": 2,
     "the same, without a noun": 4,
     "nobody, whoever, whatever": 0,
-    "what it is of": 1,
+    "what it is of": 0,
 }
 MODULE = '''"""What it is.
 
