@@ -15,7 +15,7 @@ from lmd.core.files import read_bytes
 from lmd.core.optional import optional
 from lmd.core.words import few
 from lmd.formats.trees import File
-from lmd.formats.wall_lines import Drawing, ReadPlan, plan_of
+from lmd.space.wall_lines import Drawing, ReadPlan, plan_of
 
 # Units that a user may name, in metres, and their codes in $INSUNITS.
 UNITS = {"metres": 1.0, "millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "feet": 0.3048}
@@ -43,7 +43,7 @@ def read_drawing(file: File) -> ReadPlan:
     Raises:
         InputError: the file cannot be read, a layer is unknown, the unit is not known, or walls enclose no room.
     """
-    return plan_of(file, _lines(file))
+    return plan_of(str(file.path), _lines(file), file.asked["gap"], file.asked["start"])
 
 
 def _lines(file: File) -> Drawing:

@@ -1,12 +1,11 @@
-"""Occupancy grids of ROS: `map.yaml` with a picture, read like nav2_map_server does.
+"""Occupancy grids of ROS: `map.yaml` with a picture, read like nav2_map_server does, and their floor plans.
 
 Source: `loadMapFromFile` of nav2_map_server. A cell is occupied at 100, free at 0, and unknown at -1.
 """
 
 import io
-import math
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +24,9 @@ from lmd.core.checks import (
 from lmd.core.files import read_bytes, read_keys
 from lmd.core.memory import check_memory
 from lmd.core.optional import optional
+from lmd.formats.trees import File
+from lmd.space.free_region import OccupancyGrid, plan_of_grid
+from lmd.space.wall_lines import ReadPlan
 
 KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 MODES = ("trinary", "scale", "raw")
@@ -37,35 +39,17 @@ FORMATS = ("PNG", "PPM", "BMP")
 SAVED_UNKNOWN, SAVED_FREE = 205, 254
 
 
-class OccupancyGrid(NamedTuple):
-    """Occupancy grid of H x W cells."""
+def read_map(file: File) -> ReadPlan:
+    """Read the free region of an occupancy grid, in the frame of the map.
 
-    path: str
-    """Path of the YAML file, for messages."""
-    cells: IntArray
-    """Occupancy in per cent, -1 for unknown, `(H, W)`; the first row has the lowest y in the frame of the picture."""
-    resolution: float
-    """Side of a cell, metres."""
-    origin: tuple[float, float, float]
-    """Pose of the outer corner of cell (0, 0) in the map frame: x, y, metres, and yaw, rad."""
-    is_occupied: BoolArray
-    """Mask of the occupied cells, `(H, W)`."""
-    is_free: BoolArray
-    """Mask of the free cells, `(H, W)`."""
-    note: str = ""
-    """Remark on an ambiguous file, a clause; empty without ambiguity."""
+    Args:
+        file: YAML file of the map; `asked` has `tolerance`, `speck`, `passage` and `start` of `Reading`.
 
-    def in_map(self, at: FloatArray) -> FloatArray:
-        """Points of the map frame, metres, from points (column, row) in cells from the corner of cell (0, 0)."""
-        x, y, yaw = self.origin
-        turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
-        return np.asarray(self.resolution * np.asarray(at) @ turn.T + [x, y])
-
-    def in_cells(self, points: FloatArray) -> FloatArray:
-        """Points (column, row) in cells from points of the map frame, metres; the inverse of `in_map`."""
-        x, y, yaw = self.origin
-        turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
-        return np.asarray((np.asarray(points) - [x, y]) @ turn / self.resolution)
+    Raises:
+        InputError: the file or a setting is refused, or there is no free region.
+    """
+    settings = (file.asked[name] for name in ("tolerance", "speck", "passage", "start"))
+    return plan_of_grid(read_occupancy_grid(file.path), *settings)
 
 
 def read_occupancy_grid(path: str | Path) -> OccupancyGrid:

@@ -10,9 +10,9 @@ from typing_extensions import override
 from lmd.core.checks import InputError, check_fields, file_path, real, vector
 from lmd.formats.registry import read
 from lmd.formats.trees import File
-from lmd.formats.wall_lines import ReadPlan
 from lmd.space.parts import check_metres
 from lmd.space.prism import Prism, from_floor_plan
+from lmd.space.wall_lines import ReadPlan
 
 # Values of `conf/room/floor_plan.yaml`, which a file replaces.
 EXAMPLE = {

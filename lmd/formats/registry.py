@@ -92,7 +92,7 @@ class Format:
     | trajectory | `lmd.formats.pose_files.Rows` |
     | tag map | `lmd.formats.placed_tag.Found` |
     | room | meshes of trimesh by name, z up |
-    | floor plan | `lmd.formats.plans.ReadPlan` |
+    | floor plan | `lmd.space.wall_lines.ReadPlan` |
     | detections | `lmd.formats.detections.DetectedTags` |
     """
     why_not: str | Callable[[Any], str] = ""

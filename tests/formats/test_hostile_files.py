@@ -94,8 +94,8 @@ DRAWINGS = {
 def test_a_drawing_that_grows_is_refused(name, tmp_path, monkeypatch):
     monkeypatch.setattr("lmd.formats.dxf.MOST_ENTITIES", 5_000)
     monkeypatch.setattr("lmd.formats.dxf.MOST_VERTICES", 5_000)
-    monkeypatch.setattr("lmd.formats.wall_lines.MOST_MEETINGS", 50_000)
-    monkeypatch.setattr("lmd.formats.wall_lines.MOST_CROSSINGS", 1_000)
+    monkeypatch.setattr("lmd.space.wall_lines.MOST_MEETINGS", 50_000)
+    monkeypatch.setattr("lmd.space.wall_lines.MOST_CROSSINGS", 1_000)
     drawing = ezdxf.new(units=6)
     drawing.modelspace().add_lwpolyline([(0, 0), (5, 0), (5, 4), (0, 4)], close=True)
     build, words = DRAWINGS[name]

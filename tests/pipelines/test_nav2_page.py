@@ -44,8 +44,8 @@ def test_the_page_has_at_most_350_words():
     "docs/nav2.md",
     "lmd/export",
     "lmd/formats/occupancy_grid.py",
-    "lmd/formats/free_region.py",
-    "lmd/formats/wall_lines.py",
+    "lmd/space/free_region.py",
+    "lmd/space/wall_lines.py",
     "lmd/formats/tag_map_writers.py",
 )  # three quarters of a minute, most of it compiling
 def test_the_commands_of_the_page_lead_to_tags_in_the_frame_of_the_map(tmp_path):

@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, bounded
-from lmd.formats.trees import File
 from lmd.space.polygon import edges
 
 # Half the thickness of lines, metres; walls move by this length.
@@ -55,12 +54,12 @@ class ReadPlan(NamedTuple):
 
     @classmethod
     def of(
-        cls, file: File, polygon: Any, openings: Callable[[FloatArray], Iterable[Any]], scale: str, *clauses: str
+        cls, path: str, polygon: Any, openings: Callable[[FloatArray], Iterable[Any]], scale: str, *clauses: str
     ) -> "ReadPlan":
         """Floor plan of a polygon of shapely with its holes.
 
         Args:
-            file: file of the plan.
+            path: path of the file, for messages.
             polygon: outline and holes.
             openings: function of an edge `(2, 2)` that returns start, end and name of its parts where nothing hangs.
             scale, clauses: see the class; clauses of the note, which may be empty.
@@ -71,7 +70,7 @@ class ReadPlan(NamedTuple):
         each = ((i, j, edge) for i, ring in enumerate(rings) for j, edge in enumerate(edges(ring)))
         stretches = [Stretch(i, j, *span) for i, j, edge in each for span in openings(edge)]
         note = "; ".join(filter(None, clauses))
-        return cls(rings, stretches, scale, f"{file.path}: {note}" if note else "")
+        return cls(rings, stretches, scale, f"{path}: {note}" if note else "")
 
 
 class Drawing(NamedTuple):
@@ -89,23 +88,25 @@ class Drawing(NamedTuple):
     """Clause about the layers that are left out."""
 
 
-def plan_of(file: File, drawing: Drawing) -> ReadPlan:
+def plan_of(path: str, drawing: Drawing, gap: float, start: Sequence[float] | None) -> ReadPlan:
     """Find the room in a drawing; the result is in the frame of the drawing.
 
     Gaps between walls are closed by the straight lines between their ends. The room is a region that no line crosses;
     lines inside the region, such as a pillar, are allowed.
 
     Args:
-        file: file; `asked` has `gap` and `start` of `read_plan_room`.
+        path: path of the file, for messages.
         drawing: lines of the file.
+        gap: widest gap between walls that is closed, metres.
+        start: point of the room, metres; None for the largest region.
 
     Raises:
         InputError: walls enclose no room.
     """
     import shapely
 
-    _check_lines(f"path: {str(file.path)!r}", drawing)
-    room, others = _enclosed(file, drawing)
+    _check_lines(f"path: {path!r}", drawing)
+    room, others = _enclosed(path, drawing, gap, start)
     room = room.buffer(LINE_M, join_style="mitre")
     partitions = drawing.walls.intersection(room.buffer(-2.0 * LINE_M))
     room = room.difference(partitions.buffer(PARTITION_M, cap_style="square", join_style="mitre"))
@@ -113,7 +114,7 @@ def plan_of(file: File, drawing: Drawing) -> ReadPlan:
     room = shapely.orient_polygons(shapely.simplify(room, 4.0 * LINE_M))
     near = drawing.walls.buffer(NEAR_M)
     unit = f"unit = {drawing.unit}"
-    return ReadPlan.of(file, room, lambda edge: _openings(edge, near, drawing.boxes), unit, drawing.note, others)
+    return ReadPlan.of(path, room, lambda edge: _openings(edge, near, drawing.boxes), unit, drawing.note, others)
 
 
 def _check_lines(source: str, drawing: Drawing) -> None:
@@ -132,7 +133,7 @@ def _check_lines(source: str, drawing: Drawing) -> None:
         bounded("crossings of two lines", crossings // 2, MOST_CROSSINGS, source, "path")
 
 
-def _enclosed(file: File, drawing: Drawing) -> tuple[Any, str]:
+def _enclosed(path: str, drawing: Drawing, gap: float, start: Sequence[float] | None) -> tuple[Any, str]:
     """Region of the room, a shapely polygon, and a clause on other regions."""
     import shapely
     from scipy.sparse import coo_array
@@ -145,7 +146,7 @@ def _enclosed(file: File, drawing: Drawing) -> tuple[Any, str]:
     triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(free))
     corners = shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3]
     first, second, length = _shared(corners)
-    count, gap = len(corners), file.asked["gap"]
+    count = len(corners)
 
     def labelled(passable: BoolArray) -> IntArray:
         pairs = (first[passable], second[passable])
@@ -156,10 +157,10 @@ def _enclosed(file: File, drawing: Drawing) -> tuple[Any, str]:
     areas = np.bincount(labels, area)
     outside = labels[(corners == low).all(axis=2).any(axis=1)]
     areas[outside] = 0.0
-    if file.asked["start"] is None:
+    if start is None:
         chosen = int(np.argmax(areas))
     else:
-        at = np.flatnonzero(shapely.covers(triangles, shapely.Point(file.asked["start"])))
+        at = np.flatnonzero(shapely.covers(triangles, shapely.Point(start)))
         chosen = int(labels[at[0]]) if len(at) else int(outside[0])
     # Small parts that only a short line separates from the room, such as a niche, belong to the room.
     is_small = (areas[labels] <= gap**2) & (labels != chosen) & ~np.isin(labels, outside)
@@ -171,9 +172,9 @@ def _enclosed(file: File, drawing: Drawing) -> tuple[Any, str]:
     inside = (labels == chosen) | (is_small & np.isin(clusters, pockets))
     room = max(shapely.get_parts(shapely.union_all(triangles[inside])), key=lambda part: float(part.area))
     if areas[chosen] == 0.0 or room.buffer(-THICKEST_M / 2.0).is_empty:
-        where = "the walls" if file.asked["start"] is None else f"start = {list(file.asked['start'])}: the walls"
+        where = "the walls" if start is None else f"start = {list(start)}: the walls"
         raise InputError(
-            f"path: {where} of {str(file.path)!r} enclose no room; a gap is wider than gap = {gap:g}, or walls are in "
+            f"path: {where} of {path!r} enclose no room; a gap is wider than gap = {gap:g}, or walls are in "
             "another layer.",
             "path",
         )

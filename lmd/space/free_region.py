@@ -1,4 +1,4 @@
-"""Floor plan of the free region of an occupancy grid."""
+"""Floor plan of the free region of an occupancy grid, for maps of robots."""
 
 import math
 from typing import Any, NamedTuple
@@ -6,10 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, bounded
-from lmd.formats.occupancy_grid import OccupancyGrid, read_occupancy_grid
-from lmd.formats.trees import File
-from lmd.formats.wall_lines import ReadPlan
 from lmd.space.polygon import edges
+from lmd.space.wall_lines import ReadPlan
 
 NO_WALL = "no wall"
 
@@ -27,6 +25,37 @@ ROUNDING = 1e-9
 MOST_CORNERS = 4000
 
 
+class OccupancyGrid(NamedTuple):
+    """Occupancy grid of H x W cells."""
+
+    path: str
+    """Path of the map's file, for messages."""
+    cells: IntArray
+    """Occupancy in per cent, -1 for unknown, `(H, W)`; the first row has the lowest y in the frame of the picture."""
+    resolution: float
+    """Side of a cell, metres."""
+    origin: tuple[float, float, float]
+    """Pose of the outer corner of cell (0, 0) in the map frame: x, y, metres, and yaw, rad."""
+    is_occupied: BoolArray
+    """Mask of the occupied cells, `(H, W)`."""
+    is_free: BoolArray
+    """Mask of the free cells, `(H, W)`."""
+    note: str = ""
+    """Remark on an ambiguous file, a clause; empty without ambiguity."""
+
+    def in_map(self, at: FloatArray) -> FloatArray:
+        """Points of the map frame, metres, from points (column, row) in cells from the corner of cell (0, 0)."""
+        x, y, yaw = self.origin
+        turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+        return np.asarray(self.resolution * np.asarray(at) @ turn.T + [x, y])
+
+    def in_cells(self, points: FloatArray) -> FloatArray:
+        """Points (column, row) in cells from points of the map frame, metres; the inverse of `in_map`."""
+        x, y, yaw = self.origin
+        turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+        return np.asarray((np.asarray(points) - [x, y]) @ turn / self.resolution)
+
+
 class Region(NamedTuple):
     """Free region of a map, in cells from the corner of cell (0, 0)."""
 
@@ -38,39 +67,33 @@ class Region(NamedTuple):
     """Clauses about the parts of the map that are left out."""
 
 
-def read_map(file: File) -> ReadPlan:
-    """Read the free region of an occupancy grid, in the frame of the map.
-
-    Args:
-        file: YAML file of the map; `asked` has `tolerance`, `speck`, `passage` and `start` of `read_plan_room`.
-
-    Raises:
-        InputError: the file or a setting is refused, or there is no free region.
-    """
-    grid, tolerance = read_occupancy_grid(file.path), file.asked["tolerance"]
-    speck, passage = (file.asked[name] / grid.resolution for name in ("speck", "passage"))
-    region = free_region(grid, tolerance / grid.resolution, speck, passage, file.asked["start"])
-    most, shortest = tolerance / grid.resolution + 1.5, SHORTEST_GAP_M / grid.resolution
-
-    def gaps(edge: FloatArray) -> list[tuple[float, float, str]]:
-        found = _gaps(edge, region.to_wall, most, shortest)
-        return [(grid.resolution * start, grid.resolution * stop, NO_WALL) for start, stop in found]
-
-    scale = f"resolution = {grid.resolution:g}"
-    found = ReadPlan.of(file, region.polygon, gaps, scale, grid.note, region.note)
-    return found._replace(rings=[grid.in_map(ring) for ring in found.rings])
-
-
-def free_region(
+def plan_of_grid(
     grid: OccupancyGrid, tolerance: float, speck: float, passage: float, start: tuple[float, ...] | None
-) -> Region:
-    """Find the free region of a map.
+) -> ReadPlan:
+    """Find the floor plan of the free region of a map; the result is in the frame of the map.
 
     Args:
         grid: map.
-        tolerance, speck, passage: see `lmd.formats.plans.read_plan_room`; in cells.
-        start: see `lmd.formats.plans.read_plan_room`; metres.
+        tolerance, speck, passage, start: see `lmd.formats.plans.Reading`; metres.
+
+    Raises:
+        InputError: there is no free region, or a setting does not fit the map.
     """
+    cell = grid.resolution
+    region = _free_region(grid, tolerance / cell, speck / cell, passage / cell, start)
+    most, shortest = tolerance / cell + 1.5, SHORTEST_GAP_M / cell
+
+    def gaps(edge: FloatArray) -> list[tuple[float, float, str]]:
+        return [(cell * a, cell * b, NO_WALL) for a, b in _gaps(edge, region.to_wall, most, shortest)]
+
+    found = ReadPlan.of(grid.path, region.polygon, gaps, f"resolution = {cell:g}", grid.note, region.note)
+    return found._replace(rings=[grid.in_map(ring) for ring in found.rings])
+
+
+def _free_region(
+    grid: OccupancyGrid, tolerance: float, speck: float, passage: float, start: tuple[float, ...] | None
+) -> Region:
+    """Free region of a map; `tolerance`, `speck` and `passage` are in cells, `start` in metres."""
     import shapely
     from scipy import ndimage
 
