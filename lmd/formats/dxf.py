@@ -15,10 +15,10 @@ from lmd.core.files import read_bytes
 from lmd.core.optional import optional
 from lmd.core.words import few
 from lmd.formats.trees import File
+from lmd.space.parts import UNITS
 from lmd.space.wall_lines import Drawing, ReadPlan, plan_of
 
-# Units that a user may name, in metres, and their codes in $INSUNITS.
-UNITS = {"metres": 1.0, "millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "feet": 0.3048}
+# Codes of units in $INSUNITS.
 CODES = {1: "inches", 2: "feet", 4: "millimetres", 5: "centimetres", 6: "metres"}
 # Names of layers and blocks in the languages of drawings.
 WALL = re.compile(r"wall|wand|waende|wände|mauer|mur|pared|parede|vegg|vägg|стен|墙|壁", re.IGNORECASE)

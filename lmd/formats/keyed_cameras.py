@@ -20,8 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, bounded, vector
+from lmd.core.checks import FloatArray, InputError, bounded
 from lmd.formats.calibrations import LENS_MODELS, Calibration, ReadCamera, lens_model, no_size
+from lmd.formats.placed_tag import transform_of
 from lmd.formats.registry import Keyed
 from lmd.formats.trees import MISSING, File, Keys, find, number_at, numbers_of, plain, vector_at
 from lmd.geometry.central_models import (
@@ -35,7 +36,7 @@ from lmd.geometry.central_models import (
     restated,
 )
 from lmd.geometry.lens import EQUIDISTANT
-from lmd.geometry.se3 import are_rotations, inverse, nearest_rotations, pose_of, poses_from_rows
+from lmd.geometry.se3 import inverse, poses_from_rows
 
 BROWN_CONRADY = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4")
 INVERSE, MODIFIED = "inverse_brown_conrady", "modified_brown_conrady"
@@ -299,10 +300,4 @@ def _pose_of(value: Any) -> FloatArray:
     """Pose from the keys px, py, pz, qx, qy, qz, qw, or from the 16 numbers of its matrix row by row."""
     if isinstance(value, Mapping) and "data" not in value:
         return np.asarray(poses_from_rows(np.array([[number_at(value, key) for key in POSE]]))[0])
-    matrix = np.array(vector("its matrix", numbers_of(value), 16)).reshape(4, 4)
-    turn = matrix[:3, :3]
-    if are_rotations(turn) and np.any(matrix[3, :3]) and not np.any(matrix[:3, 3]):
-        raise InputError("its matrix looks as if it was written column by column, and must be written row by row.")
-    if not (are_rotations(turn) and np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0])):
-        raise InputError("its matrix is no rigid motion.")
-    return pose_of(nearest_rotations(turn), matrix[:3, 3])
+    return transform_of(numbers_of(value), "matrix")

@@ -118,7 +118,8 @@ class KeyedTags(Keyed):
         turns = {name: at[name].rstrip("?") for name in TURNS if name in at}
         name = next((name for name, path in turns.items() if find(tag, path) is not MISSING), list(turns)[-1])
         if (value := self._value(tag, at[name])) is not MISSING and name == "transform":
-            return transform_of(number, numbers_of(value))
+            moved = transform_of(numbers_of(value), "transform", f"tag {number}: ")
+            return moved[:3, 3], moved[:3, :3]
         path = turns[name]
         if name == "pose":
             x, y, z, *turn = vector_at(tag, path, 7)

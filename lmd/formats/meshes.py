@@ -21,7 +21,7 @@ from lmd.formats.registry import read
 from lmd.formats.trees import File
 from lmd.space.mesh import Mesh
 from lmd.space.mesh_room import MeshRoom
-from lmd.space.parts import box_text, check_metres
+from lmd.space.parts import UNITS, box_text, check_metres
 from lmd.space.scan import Scan
 from lmd.space.triangles import THINNEST_M
 
@@ -30,8 +30,7 @@ Y_UP = (".gltf", ".glb")  # formats whose standard has y up
 SUFFIXES = (*Y_UP, ".obj", ".stl", ".ply")
 # Decimals of a metre to which corners are rounded before they are compared: files have 32 bits for a number.
 CORNER_DIGITS = 6
-# Units of programs in metres; and longest side of a room for which a message suggests a unit, metres.
-UNITS = {"metres": 1.0, "millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "feet": 0.3048}
+# Longest side of a room for which a message suggests a unit, metres.
 LIKELY = (2.0, 100.0)
 # Greatest number of triangles; data of more triangles would take gigabytes and minutes.
 MOST_TRIANGLES = 5_000_000

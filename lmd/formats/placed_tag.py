@@ -11,11 +11,11 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, integer, radians, real, vector
 from lmd.core.tables import Table
+from lmd.formats.trees import Keys
 from lmd.geometry.frames import roll_pitch_yaw
-from lmd.geometry.se3 import QUATERNION_TOLERANCE, are_rotations, exp, nearest_rotations
+from lmd.geometry.se3 import QUATERNION_TOLERANCE, are_rotations, exp, nearest_rotations, pose_of
 from lmd.scene.families import FAMILIES, family_named
 
-Keys = Mapping[str, Any]
 METRE = 1.0  # unit, metres
 SMALLEST_EDGE, LARGEST_EDGE = 0.005, 2.0  # plausible edges of a tag of a map, metres; other edges are refused
 SQUARE_TOLERANCE = 0.05  # tolerance of the sides of a measured square, relative to the longest side
@@ -74,15 +74,12 @@ class Found(NamedTuple):
         table: table of tags, instead of `tags`; see `lmd.formats.tag_tables`.
         by_opencv: True if the programs that read such files detect tags with OpenCV.
         note: assumption about the file, a sentence; empty without an assumption.
-        any_frame: True if the file does not define the axes of a tag's frame; the user may then define them, see
-            `axes_of`.
     """
 
     tags: Sequence[PlacedTag]
     table: Table | None = None
     by_opencv: bool = False
     note: str = ""
-    any_frame: bool = False
 
 
 def axes_of(words: Sequence[str] | None) -> FloatArray:
@@ -213,19 +210,25 @@ def turn_by_vector(source: str, rotation: FloatArray) -> FloatArray:
     return exp(np.concatenate([rotation, np.zeros(3)]))[:3, :3]
 
 
-def transform_of(number: int, values: Any) -> tuple[FloatArray, FloatArray]:
-    """Position and rotation of a tag from the 16 numbers of its 4 x 4 transform, row by row.
+def transform_of(values: Any, called: str, source: str = "") -> FloatArray:
+    """Rigid motion `(4, 4)` of the 16 numbers of a matrix, row by row; its rotation is made orthonormal.
+
+    Args:
+        called: name of the matrix, for messages.
+        source: words before a message, such as `tag 7: `.
 
     Raises:
         InputError: the numbers are no rigid motion, or are written column by column.
     """
-    pose = np.array(vector("transform", values, 16)).reshape(4, 4)
+    pose = np.array(vector(called, values, 16)).reshape(4, 4)
     if np.abs(pose[3] - LAST_ROW).max() > LAST_ROW_TOLERANCE:
         last = ", ".join(f"{value:g}" for value in pose[3])
         columns = np.abs(pose[:, 3] - LAST_ROW).max() <= LAST_ROW_TOLERANCE
         guess = ": it looks as if it was written column by column, and must be written row by row" if columns else ""
-        raise InputError(f"tag {number}: the last row of its transform must be 0, 0, 0, 1, it is {last}{guess}.")
-    return pose[:3, 3], orthonormal(pose[:3, :3])
+        raise InputError(f"{source}the last row of its {called} must be 0, 0, 0, 1, it is {last}{guess}.")
+    if not are_rotations(turn := pose[:3, :3]):
+        raise InputError(f"the rotation {np.round(turn, 4).tolist()} must be orthonormal and right-handed.")
+    return pose_of(nearest_rotations(turn), pose[:3, 3])
 
 
 def tag_of_corners(number: int, corners: FloatArray, family: str | None) -> PlacedTag:
@@ -249,17 +252,6 @@ def tag_of_corners(number: int, corners: FloatArray, family: str | None) -> Plac
     up /= np.linalg.norm(up)
     axes = np.stack([right, up, np.cross(right, up)], axis=-1)
     return PlacedTag(number, corners.mean(axis=0), axes, edge, family)
-
-
-def orthonormal(matrix: FloatArray) -> FloatArray:
-    """Rotation nearest to a matrix printed with a few decimals.
-
-    Raises:
-        InputError: the matrix is no rotation.
-    """
-    if not are_rotations(matrix):
-        raise InputError(f"the rotation {np.round(matrix, 4).tolist()} must be orthonormal and right-handed.")
-    return nearest_rotations(matrix)
 
 
 def one_family(named: Iterable[str | None]) -> str | None:

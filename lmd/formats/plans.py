@@ -55,7 +55,7 @@ class Reading:
     layers: Sequence[str] | None = None
     """Names of the layers of a drawing with walls; None for the layers whose names mean walls."""
     unit: str | None = None
-    """Unit of a drawing, one of `lmd.formats.dxf.UNITS`; None for the unit that the drawing names."""
+    """Unit of a drawing, one of `lmd.space.parts.UNITS`; None for the unit that the drawing names."""
     gap: float = 1.3
     """Widest gap between walls of a drawing that is closed, such as a door, metres."""
     least_width: float = 0.4

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, IntArray
-from lmd.formats.placed_tag import HALF_TURN, RIGHT_UP_OUT, Found, PlacedTag, axes_of, check_family, one_family
+from lmd.formats.placed_tag import HALF_TURN, Found, PlacedTag, check_family, one_family
 from lmd.formats.registry import read
 from lmd.formats.tag_sources import parameters_of
 from lmd.formats.tag_tables import deployment_of
@@ -84,8 +84,6 @@ def read_deployment(
             raise InputError("it has no tags with places.")
         turned = found.by_opencv and family is not None and FAMILIES[family].apriltag
         tags = [tag._replace(axes=tag.axes @ HALF_TURN) for tag in found.tags] if turned else found.tags
-        if found.any_frame:
-            return _in_frame(path, tags, axes)
         return _deployment(path, tags, found.note)
     except InputError as error:
         known = error.argument in (name, "axes", "columns") or str(path) in str(error)
@@ -94,16 +92,6 @@ def read_deployment(
         raise InputError(f"{path}: the key {error} is missing.") from None
     except (IndexError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
         raise InputError(f"{path}: a value in it is of another kind than a tag map has there ({error}).") from None
-
-
-def _in_frame(path: Any, tags: Sequence[PlacedTag], axes: Sequence[str] | None) -> Deployment:
-    """Tags with the frame that the user defines by `axes`; an error if the file itself defines the frame."""
-    turn = axes_of(axes).T
-    note = (
-        f"{path}: the axes x, y, z of a tag point {', '.join(RIGHT_UP_OUT if axes is None else axes)}"
-        f"{', and axes can say otherwise' if axes is None else ''}"
-    )
-    return _deployment(path, [tag._replace(axes=tag.axes @ turn) for tag in tags], note)
 
 
 def _deployment(path: Any, tags: Sequence[PlacedTag], note: str) -> Deployment:

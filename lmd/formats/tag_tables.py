@@ -37,7 +37,6 @@ from lmd.formats.placed_tag import (
     NUMBERS,
     RIGHT_UP_OUT,
     Found,
-    Keys,
     PlacedTag,
     axes_of,
     edge_of,
@@ -48,7 +47,7 @@ from lmd.formats.placed_tag import (
     turn_by_quaternion,
     turn_by_vector,
 )
-from lmd.formats.trees import File
+from lmd.formats.trees import File, Keys
 from lmd.scene.deployment import Deployment
 from lmd.scene.edges import EDGE, edge_column
 from lmd.scene.families import family_named

@@ -11,6 +11,8 @@ from lmd.space.blockers import Body
 from lmd.space.polygon import checked_ring
 from lmd.space.surface import Surface
 
+# Units of programs that write rooms, in metres.
+UNITS = {"metres": 1.0, "millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "feet": 0.3048}
 FACES = ("x_min", "x_max", "y_min", "y_max", "bottom", "top")
 
 # Bounds on the longest side of a room, and upper bound on its shortest side, metres; beyond them the unit is wrong.
