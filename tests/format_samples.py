@@ -8,6 +8,7 @@ import itertools
 import json
 from pathlib import Path
 
+import trimesh
 import yaml
 from occupancy_maps import KEYS, hall
 from PIL import Image
@@ -49,6 +50,7 @@ def texts(of, *names):
     return {name: TABLES[of][name]["text"] for name in names or TABLES[of]}
 
 
+BOX = trimesh.creation.box()
 _SQUARE = [(0, 0), (6, 0), (6, 4), (0, 4)]
 _LINES = (
     f"0\nLINE\n8\nWALLS\n10\n{a}\n20\n{b}\n30\n0\n11\n{c}\n21\n{d}\n31\n0\n"
@@ -80,7 +82,7 @@ SAMPLES = {
     "tag map": keyed("tag_map")
     | texts("tags", "size of a list", "quaternions", "header with spaces", "clover", "clover without names", "list")
     | texts("tags", "fiducial_slam", "rtabmap priors", "rtabmap ini", "rtabmap poses"),
-    "room": {"room.obj": OBJ},
+    "room": {"room.obj": OBJ, **{f"room.{kind}": BOX.export(file_type=kind) for kind in ("ply", "stl", "glb")}},
     "floor plan": {"map.yaml": json.dumps(KEYS | {"image": "map.pgm"}), "plan.dxf": DXF},
     "detections": texts("detections", "table", "family", "photonvision", "photonvision by camera", "limelight"),
 }

@@ -105,9 +105,10 @@ def broken_bytes(data, rng):
 
 def broken(text, rng):
     """A file of a text or bytes as bytes, with a change."""
-    if isinstance(text, bytes) and text.startswith(b"PK"):
+    try:
+        text = text if isinstance(text, str) else text.decode()
+    except UnicodeDecodeError:
         return broken_bytes(text, rng)
-    text = text if isinstance(text, str) else text.decode()
     if text.startswith('{"') and rng.random() < 0.6:
         return json.dumps(changed(json.loads(text), rng)).encode()
     kind, place = rng.randrange(4), rng.randrange(len(text))

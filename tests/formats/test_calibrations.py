@@ -37,6 +37,8 @@ KALIBR = {
     "resolution": [640, 480],
     "rostopic": "/cam0/image_raw",
 }
+FISHEYE = KALIBR | {"distortion_model": "equidistant"}
+WRONG = yaml.safe_load(Path(__file__).with_name("files").joinpath("refused.yaml").read_text(encoding="utf-8"))
 
 
 def opencv(path, lens):
@@ -174,28 +176,9 @@ def test_cameras_of_a_chain_are_a_rig(write):
         read_chain(path, ["cam3"])
 
 
-FISHEYE = {
-    "ros": ROS | {"distortion_model": "equidistant"},
-    "opencv": {key: value for key, value in ROS.items() if key != "distortion_model"} | {"fisheye_model": 1},
-    "kalibr": {"cam0": KALIBR | {"distortion_model": "equidistant"}},
-}
-
-
-def fisheye(path, kind, lens):
-    keys = json.loads(json.dumps(FISHEYE[kind]))
-    if kind == "kalibr":
-        keys["cam0"]["distortion_coeffs"] = lens
-    else:
-        keys["distortion_coefficients"] = {"data": lens}
-    path.write_text(yaml.safe_dump(keys))
-
-
-@pytest.mark.parametrize("kind", FISHEYE)
 @pytest.mark.parametrize("lens", [[0.0, 0.0, 0.0, 0.0], [-0.02, 0.01, -0.004, 0.001], [0.3, -0.1, 0.05, 0.0]])
-def test_a_fisheye_images_as_opencvs_does(kind, lens, tmp_path):
-    path = tmp_path / "camera.yaml"
-    fisheye(path, kind, lens)
-    camera = calibrated_camera(path)
+def test_a_fisheye_images_as_opencvs_does(lens, write):
+    camera = calibrated_camera(write(json.dumps({"cam0": FISHEYE | {"distortion_coeffs": lens}})))
     rng = np.random.default_rng(0)
     rays = np.concatenate([rng.uniform(-1.2, 1.2, (4000, 2)), np.ones((4000, 1))], axis=1)
     expected = cv2.fisheye.projectPoints(rays[:, None], np.zeros(3), np.zeros(3), MATRIX, np.array(lens))[0][:, 0]
@@ -205,11 +188,9 @@ def test_a_fisheye_images_as_opencvs_does(kind, lens, tmp_path):
     np.testing.assert_allclose(project(camera, np.eye(4), rays)[inside], expected[inside], atol=1e-9)
 
 
-def test_a_fisheye_may_see_what_is_behind_it(tmp_path):
-    path = tmp_path / "camera.yaml"
-    wide = {**KALIBR, "intrinsics": [200.0, 200.0, 319.5, 239.5], "distortion_model": "equidistant"}
-    path.write_text(yaml.safe_dump({"cam0": wide | {"distortion_coeffs": [0.0] * 4}}))
-    camera = calibrated_camera(path)
+def test_a_fisheye_may_see_what_is_behind_it(write):
+    wide = FISHEYE | {"intrinsics": [200.0, 200.0, 319.5, 239.5], "distortion_coeffs": [0.0] * 4}
+    camera = calibrated_camera(write(json.dumps({"cam0": wide})))
     assert camera.widest_angle == pytest.approx(2.0)  # 400 pixels from the centre to a corner
     behind = np.array([[math.sin(1.9) * 0.8, math.sin(1.9) * 0.6, math.cos(1.9)]])
     np.testing.assert_allclose(project(camera, np.eye(4), behind), [[320 + 380 * 0.8, 240 + 380 * 0.6]])
@@ -223,16 +204,6 @@ def test_a_lens_gives_pixels_their_size(tmp_path):
     assert camera.pixel_width == pytest.approx(4.0 / 612.5)
     near, far = camera.depth_of_field(2.0)
     assert 0.0 < near < 1.5 < far < math.inf
-
-
-def test_one_camera_of_several_is_named(tmp_path):
-    path = tmp_path / "camchain.yaml"
-    path.write_text(yaml.safe_dump({"cam0": KALIBR, "cam1": {**KALIBR, "resolution": [320, 400]}}))
-    assert read_calibration(path, "cam1").image_width == 320
-    with pytest.raises(InputError, match=r"^name must be given: .*camchain\.yaml has the cameras cam0, cam1\.$"):
-        read_calibration(path)
-    with pytest.raises(InputError, match=r"^name = 'cam2' is no camera of .*camchain\.yaml, which has cam0, cam1\.$"):
-        read_calibration(path, "cam2")
 
 
 def test_a_lens_that_does_not_distort_has_no_coefficients(tmp_path):
@@ -252,45 +223,10 @@ def without(keys, *path):
     return keys
 
 
-def data(*values):
-    return {"data": list(values)}
-
-
-@pytest.mark.parametrize(
-    ("keys", "message"),
-    [
-        (without(ROS, "camera_matrix", "data"), "camera_matrix must be a list of 9 numbers, got [{"),
-        (without(ROS, "distortion_coefficients"), "the key distortion_coefficients is missing."),
-        (ROS | {"image_height": 480.5}, "image_height must be a whole number, got 480.5."),
-        (ROS | {"camera_matrix": data(1, 2)}, "camera_matrix.data must be a list of 9 numbers, got [1, 2]."),
-        (ROS | {"camera_matrix": data(-6, 0, 320, 0, 600, 240, 0, 0, 1)}, "focal_pixels[0] must be greater than 0"),
-        (
-            ROS | {"camera_matrix": data(600, 0, 900, 0, 600, 240, 0, 0, 1)},
-            "principal_point must lie inside the 640 x 480",
-        ),
-        (
-            ROS | {"distortion_coefficients": data(*LENS, *[0.1] * 9)},
-            "distortion [-0.21, 0.06, 0.0012, -0.0008, 1e-05, ",
-        ),
-        (ROS | {"distortion_coefficients": data(1, "a")}, "distortion_coefficients.data[1] must be a number, got 'a'."),
-        (ROS | {"distortion_coefficients": data(1, 2)}, "distortion must be [] or [k1, k2, p1, p2], with k3, "),
-        (ROS | {"distortion_coefficients": data(-9, 0, 0, 0)}, "distortion must show what is farther"),
-        (ROS | {"distortion_coefficients": {"data": 3}}, "distortion must be [] or [k1, k2, p1, p2], with k3, "),
-        (ROS | {"fisheye_model": 1}, "the lens model 'plumb_bob_1' is not known here"),
-        (
-            without(ROS, "distortion_model") | {"fisheye_model": 1},
-            "distortion of an equidistant lens must be [k1, k2, k3, k4], got (-0.21",
-        ),
-        ({"cam0": without(KALIBR, "intrinsics")}, "the key intrinsics.fx is missing."),
-        ({"cam0": KALIBR | {"camera_model": "fov"}}, "the lens model 'fov_radtan' is not known here, only plumb_bob, "),
-        ({"cam0": KALIBR | {"distortion_model": "fov"}}, "the lens model 'pinhole_fov' is not known here"),
-        ({"cam0": KALIBR | {"resolution": [640]}}, "resolution must be a list of 2 numbers, got [640]."),
-    ],
-)
-def test_what_is_wrong_names_file_and_key(keys, message, tmp_path):
-    path = tmp_path / "camera.yaml"
-    path.write_text(yaml.safe_dump(keys))
-    with pytest.raises(InputError, match=f"^{re.escape(f'{path}: {message}')}") as caught:
+@pytest.mark.parametrize("row", WRONG["calibration"], ids=lambda row: row["words"])
+def test_what_is_wrong_names_file_and_key(row, write):
+    path = write(json.dumps(row["keys"]))
+    with pytest.raises(InputError, match="^" + re.escape(f"{path}: {row['words']}")) as caught:
         calibrated_camera(path)
     assert caught.value.argument is None
 

@@ -1,5 +1,7 @@
 """Detections: frames, corners, lists of images, and copies of images; `test_table_files.py` has their files."""
 
+from dataclasses import replace
+
 import numpy as np
 import pyapriltags
 import pytest
@@ -78,9 +80,7 @@ def test_frames_of_a_detector_keep_their_places():
     """Also those in which it found nothing; a video may end before all that were named are read."""
     some = Detections(np.array([3, 5]), np.zeros((2, 4, 2)))
     nothing = Detections(np.empty(0, dtype=np.int64), np.empty((0, 4, 2)))
-    found = DetectedTags.in_frames(
-        ["a", "b", "c", "d"], [some.ids, nothing.ids, some.ids], [some.corners, nothing.corners, some.corners]
-    )
+    found = in_frames(["a", "b", "c", "d"], [some, nothing, some])
     assert found.times == ("a", "b", "c")
     assert found.frame.tolist() == [0, 0, 2, 2]
     assert found.ids.tolist() == [3, 5, 3, 5]
@@ -90,10 +90,9 @@ TAG = np.array([[0.0, 0.0], [9.0, 0.0], [9.0, 9.0], [0.0, 9.0]])
 
 
 def of_two(*rows):
-    """Detections (frame, camera) of tag 3 at the times 1.0 to 3.0, each elsewhere."""
-    frame, camera = np.array(rows).T
-    corners = TAG + np.arange(len(rows))[:, None, None]
-    return DetectedTags(("1.0", "2.0", "3.0"), ("left", "right"), frame, camera, np.full(len(rows), 3), corners)
+    """Detections of two cameras at three times, each elsewhere, of tag 3."""
+    found = seen(*((*row, 3, 1.0 * k) for k, row in enumerate(rows)), cameras=("left", "right"))
+    return replace(found, times=("1.0", "2.0", "3.0"))
 
 
 def listed(path, *lines, head="topic,stamp,tags"):

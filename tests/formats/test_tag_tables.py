@@ -49,17 +49,6 @@ def test_further_columns_of_a_table_stay_and_edges_are_metres(read):
         read("id,x,y,z,qx,qy,qz,qw,edge\n7,2,0,1,0,0,0,1,150\n")
 
 
-def test_a_family_is_a_column(read):
-    text = "id,x,y,z,nx,ny,nz,family\n1,0,1,0,1,0,0,TAG16h5\n2,0,2,0,1,0,0,\n"
-    assert len(read(text, family="16h5")) == len(read(text)) == 2
-    with pytest.raises(
-        InputError, match=r"^family=16h5 is needed: the tags of .*map are of that family, and not of 36h11"
-    ):
-        read(text, family="36h11")
-    with pytest.raises(InputError, match="of the families 16h5 and 36h11"):
-        read(text.replace("0,\n", "0,36h11\n"))
-
-
 def test_a_path_alone_means_a_file():
     assert with_file(["+deployment.path=a.csv", "seed=1"], "evaluate") == [
         "deployment=file",
