@@ -7,7 +7,6 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from processes import inside
 from rays import RAYS, by_opencv, images, radial
 
 from lmd.core.checks import InputError
@@ -206,14 +205,6 @@ def test_a_lens_gives_pixels_their_size(tmp_path):
     assert 0.0 < near < 1.5 < far < math.inf
 
 
-def test_a_lens_that_does_not_distort_has_no_coefficients(tmp_path):
-    path = tmp_path / "camchain.yaml"
-    keys = KALIBR | {"distortion_model": "none", "distortion_coeffs": []}
-    for cam0 in (keys, without(keys, "distortion_coeffs")):
-        path.write_text(yaml.safe_dump({"cam0": cam0}))
-        assert calibrated_camera(path).distortion == ()
-
-
 def without(keys, *path):
     keys = json.loads(json.dumps(keys))
     inner = keys
@@ -256,11 +247,3 @@ def test_a_calibration_checks_itself():
     assert Calibration(640, 480, (600, 600), (320, 240), (0.1, *[0] * 13)).distortion == (0.1, 0, 0, 0, 0)
     with pytest.raises(InputError, match=r"^principal_point\[0\] must be finite"):
         Calibration(640, 480, (600, 600), (math.nan, 240))
-
-
-def test_a_run_says_that_nothing_is_out_of_focus(tmp_path):
-    ros(tmp_path / "info.yaml", [0.0] * 5)  # for a lens that distorts much would be compiled
-    overrides = ("camera=calibration", "camera.path=info.yaml", "localisation=false", "losses=false", "tracking=none")
-    done = inside("evaluate", *overrides, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "no criterion: the camera has no aperture" in done.stdout

@@ -13,7 +13,6 @@ from format_samples import READERS, SAMPLES, content, texts
 from occupancy_maps import KEYS
 
 from lmd.core.checks import InputError
-from lmd.space.crowd import Crowd
 
 LONG, SECONDS = 200_000, 20.0  # characters, and processor time that quadratic work exceeds many times
 RUNS = yaml.safe_load(Path(__file__).with_name("files").joinpath("refused.yaml").read_text(encoding="utf-8"))["long"]
@@ -142,8 +141,3 @@ def test_a_mesh_of_too_many_parts_is_refused(name, tmp_path):
     content, words = MESHES[name]
     (path := tmp_path / name).write_text(content if isinstance(content, str) else json.dumps(content))
     refused("room", path, words)
-
-
-def test_a_crowd_of_too_many_states_is_refused():
-    with pytest.raises(InputError, match=r"^crowd has 3000000 states, which take 5 kB each, and at most 200000 are"):
-        Crowd(3, states=3_000_000)

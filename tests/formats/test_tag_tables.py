@@ -8,7 +8,6 @@ from scipy.spatial.transform import Rotation
 from lmd.core.checks import InputError
 from lmd.formats.deployments import FileDeployment
 from lmd.formats.tag_maps import read_deployment
-from pipelines.pipeline import with_file
 
 
 @pytest.fixture
@@ -47,14 +46,3 @@ def test_further_columns_of_a_table_stay_and_edges_are_metres(read):
     assert_allclose(found.edges, [0.15, np.nan])
     with pytest.raises(InputError, match=r"map line 2: edge = 150 looks like millimetres; edges are in metres"):
         read("id,x,y,z,qx,qy,qz,qw,edge\n7,2,0,1,0,0,0,1,150\n")
-
-
-def test_a_path_alone_means_a_file():
-    assert with_file(["+deployment.path=a.csv", "seed=1"], "evaluate") == [
-        "deployment=file",
-        "deployment.path=a.csv",
-        "seed=1",
-    ]
-    for given in (["deployment=mine", "deployment.path=a"], ["run=out", "deployment.path=a"], ["deployment.free=true"]):
-        assert with_file(given, "optimise") == given
-    assert with_file(["deployment.path=a"], "size") == ["deployment.path=a"]  # it takes no deployment

@@ -123,20 +123,6 @@ def test_the_frame_that_ros_names_is_no_other_one(write):
         poses_of(write(lines), "body")
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (b"PK\x03\x04\x00\xff", "it is an archive"),
-        (b"#ROSBAG V2.0\n\x00", "a bag of ROS: rostopic echo -b FILE -p TOPIC > drive.csv"),
-        (b"SQLite format 3\x00", "a database, such as a bag of ROS 2"),
-    ],
-)
-def test_what_is_no_text_names_its_kind(tmp_path, content, message):
-    (tmp_path / "drive").write_bytes(content)
-    with pytest.raises(InputError, match=message):
-        poses_of(str(tmp_path / "drive"))
-
-
 @pytest.mark.parametrize("row", REFUSED["mount"], ids=lambda row: row["words"])
 def test_a_calibration_without_extrinsics_or_with_several_cameras_is_refused(write, row):
     mount = {"path": write(json.dumps(row["keys"]), "mount.json"), "name": row.get("name")}

@@ -190,3 +190,8 @@ def test_a_rig_sees_no_crowd():
     scene = crowded(Crowd(2, states=2))
     with pytest.raises(InputError, match="crowd: a rig of 2 cameras works only without"):
         replace(scene, camera=Rig((Mount(scene.camera), Mount(scene.camera, yaw=2.0))))
+
+
+def test_a_crowd_of_too_many_states_is_refused():
+    with pytest.raises(InputError, match=r"^crowd has 3000000 states, which take 5 kB each, and at most 200000 are"):
+        Crowd(3, states=3_000_000)
