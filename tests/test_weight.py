@@ -12,10 +12,10 @@ import weight
 # amount, and raise none.
 BUDGET = {
     "files of lmd": 360,
-    "code lines of lmd": 31328,
+    "code lines of lmd": 31311,
     "files of pipelines": 57,
     "code lines of pipelines": 4248,
-    "code lines of tests": 24988,
+    "code lines of tests": 24851,
     "files of conf": 100,
     "keys of conf": 388,
     "words of docs": 61574,
