@@ -28,6 +28,11 @@ from .study import Study, conduct
 from .trust import Trust
 
 HELP = ("--help", "-h")
+# Launchers that are plugins of Hydra, and their packages.
+LAUNCHERS = {
+    "joblib": "hydra_plugins.hydra_joblib_launcher",
+    **dict.fromkeys(("submitit_local", "submitit_slurm"), "hydra_plugins.hydra_submitit_launcher"),
+}
 PRINTED = {*HELP, "--hydra-help", "--cfg", "-c", "--info", "-i"}  # options with which a command only prints
 Outcome = Study | float | None
 Task = Callable[[DictConfig], Outcome]
@@ -65,6 +70,7 @@ class Command:
         if len(options := [word for word in sys.argv[1:] if word.startswith("-")]) == 1 and options[0] in HELP:
             print(help_of(self.name, [word for word in sys.argv[1:] if word not in HELP]))
             return
+        _check_launcher()
         is_composed = False
 
         def settle_and_do(cfg: DictConfig) -> float | None:
@@ -92,6 +98,19 @@ class Command:
             if ended.code == 1 and not is_composed and SWEEP_VARIABLE not in os.environ:  # Hydra has refused it
                 ask_what_was_meant()
             raise
+
+
+def _check_launcher() -> None:
+    """Exit if the package of a launcher is missing, with a sentence in place of Hydra's lines."""
+    from lmd.core.checks import InputError
+    from lmd.core.optional import optional
+
+    names = [word.removeprefix("+").partition("hydra/launcher=")[2] for word in sys.argv[1:]]
+    try:
+        for name in LAUNCHERS.keys() & names:
+            optional(LAUNCHERS[name], "sweeps")
+    except InputError as error:
+        sys.exit(f"error: {error}")
 
 
 def help_of(command: str, overrides: Iterable[str]) -> str:

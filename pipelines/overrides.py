@@ -91,8 +91,6 @@ def ask_what_was_meant() -> None:
         key = argument.partition("=")[0]
         if key.replace(".", "_").isidentifier() and "." in key and (question := meant(key)):
             print(f"{key}: {question}", file=sys.stderr)
-        if key.startswith("hydra/launcher"):
-            print("other launchers are packages of their own: pip install 'lmd[sweeps]'", file=sys.stderr)
 
 
 @cache

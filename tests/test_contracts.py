@@ -72,5 +72,5 @@ def test_a_mesh_keeps_the_contract_of_a_space(tmp_path):
 
 @pytest.mark.parametrize("name", options("estimator"))
 def test_every_estimator_keeps_its_contract(name):
-    (estimator,) = composed("observe", f"estimator=[{name}]").estimator.values()
+    (estimator,) = composed("evaluate", "studies=observe", f"estimator=[{name}]").estimator.values()
     check_estimator(instantiate(estimator))

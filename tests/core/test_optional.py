@@ -86,7 +86,7 @@ def test_another_error_is_no_missing_package():
 @pytest.mark.parametrize(
     ("pipeline", "override", "package", "extra"),
     [
-        ("detect", "frames=1", "cv2", "detection"),
+        ("evaluate", "studies=detect", "cv2", "detection"),
         ("view", "port=0", "viser", "view"),
         ("optimise", "hydra/launcher=joblib", "hydra_plugins", "sweeps"),
     ],
