@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 GROUPS = ("room", "camera", "tag", "visibility", "objective", "encoding", "deployment")  # of every problem
 SWITCHES = ("validate", "picture", "localisation", "losses", "sensitivity", "all_visible")  # true or false
 RUN_BYTES = 1000  # least memory of one of several runs, bytes
+MENTIONED = 8  # greatest number of tags that a note lists
 SAME_EDGE = 1e-6  # greatest difference of equal edges, metres
 
 
@@ -120,6 +121,7 @@ def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
         with keyed("tag"):
             scene.tag.check_ids(drawn.ids)
         _note_edges(scene.tag, drawn)
+        _note_outside(scene.room, scene.tag, drawn)
     return parts
 
 
@@ -269,6 +271,18 @@ def _note_edges(tag: "Tag", deployment: "Deployment") -> None:
         sizes = ", ".join(f"{edge:g} m ({count})" for edge, count in sorted(other.items()))
         holds = f"{len(own) - other.total()} of {len(own)} tags"
         note(f"tag.edge = {tag.size:g} m ({tag.square}) holds for {holds}; the others have their own: {sizes}")
+
+
+def _note_outside(room: "Space", tag: "Tag", deployment: "Deployment") -> None:
+    """Print the landmarks with a corner behind a face of the room, which no camera sees."""
+    from lmd.core.words import few
+    from lmd.geometry.squares import corners
+
+    points = corners(deployment.positions, deployment.normals, deployment.ups, deployment.edges_of(tag))
+    behind = deployment.ids[~room.contains(points).all(axis=1)]
+    if len(behind):
+        said = few(behind, MENTIONED)
+        note(f"behind a face of the {room.describe()}, where no camera sees them: {said}")
 
 
 def build_optimiser(cfg: DictConfig, seed: int) -> "Optimiser":

@@ -17,7 +17,7 @@ def test_intrinsics_and_poses_are_those_of_calibrate_camera():
     """A map without errors: both fit the same corners, and differ by less than half a standard deviation."""
     cv2 = optional("cv2", "estimators")
     walk = ld.walked(3, frames=50, place=1e-5, turn=1e-5)
-    given = with_intrinsics(walks.CAMERA, [*intrinsics_of(walks.CAMERA), 3.0, 3.0, 3.0, -3.0, *([0.0] * 5)])
+    given = with_intrinsics(walks.CAMERA, intrinsics_of(walks.CAMERA) + np.array([3.0, 3.0, 3.0, -3.0, 0, 0, 0, 0, 0]))
     found = localise(walk.detected, [given], Tag(walks.EDGE), walks.constant_errors(ld.NOISE), walk.known)
     (camera,) = found.calibrated
     corners = act(walk.true, walks.EDGE / 2.0 * SQUARE)
