@@ -1,6 +1,6 @@
 """Fixed map: poses of tags that are known, with standard deviations."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -67,16 +67,6 @@ class FixedMap:
     def joint(self) -> FloatArray:
         """Covariance of the twists of all tags, `(6 K, 6 K)`, tag by tag."""
         return np.diag(self.sigmas.ravel() ** 2) if self.covariance is None else self.covariance
-
-    def with_poses(self, tags: IntArray, poses: FloatArray, covariances: FloatArray) -> "FixedMap":
-        """Map with other poses of the tags of the indices `tags`, whose errors `(n, 6, 6)` are independent."""
-        every, joint, sigmas = self.poses.copy(), self.joint.copy(), self.sigmas.copy()
-        every[tags] = poses
-        for tag, own in zip(tags.tolist(), covariances, strict=True):
-            rows = slice(6 * tag, 6 * tag + 6)
-            joint[rows], joint[:, rows] = 0.0, 0.0
-            joint[rows, rows], sigmas[tag] = own, np.sqrt(np.diag(own))
-        return replace(self, poses=every, sigmas=sigmas, covariance=joint)
 
     @classmethod
     def read(cls, path: Any, tag: Tag, errors: MapErrors, **table: Any) -> "FixedMap":

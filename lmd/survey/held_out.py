@@ -10,7 +10,6 @@ from lmd.adjust.estimate import FEWEST_FRAMES, ONE_THREAD, Estimate, adjust, con
 from lmd.core.checks import BoolArray, FloatArray
 
 HELD_OUT_STEP = 5  # every fifth frame is held out
-RESECTION_STEPS = 10  # Gauss-Newton steps of resection
 
 
 @dataclass(frozen=True)
