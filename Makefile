@@ -37,7 +37,7 @@ $(VENV)/installed-all: $(VENV)/made
 	@echo "installing what all commands and the tests need, with $(if $(UV),uv,pip)"
 	@$(call TIMED,$(INSTALL) '.[dev]',installing)
 	@# Once, before many processes would do it at the same time: what Python compiles of all packages, and the main job.
-	@$(call TIMED,PYTHONPATH=.:tests $(BIN)/python -c 'import warm',compiling)
+	@$(call TIMED,PYTHONPATH=.:tests $(BIN)/python -c 'import support.warm',compiling)
 	@touch $@
 
 run: install  ## the main job on the paper's room at a small budget

@@ -67,8 +67,7 @@ def attempt(seed: int, by: str, known: PriorKnowledge, ids: IntArray, places: Fl
 
 def simulated(seeds: int, length: float, tags: int) -> None:
     """Drives down a corridor whose truth is known."""
-    import drives  # of the tests
-    import walks
+    from support import drives, walks  # of the tests
 
     print(HEADER)
     for seed in range(seeds):

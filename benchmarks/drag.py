@@ -29,9 +29,9 @@ from lmd.planner.background import ESTIMATE
 from lmd.planner.session import PlanningSession
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
-import chromium
-from planner_page import Page
-from processes import command, start
+from support import chromium
+from support.chromium import Page
+from support.processes import command, start
 
 OBJECTIVES = {"paper": [], "robust": ["objective=robust"], "localisation": ["objective=localisation", "tag.edge=0.10"]}
 DRAGS = 500

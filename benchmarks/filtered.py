@@ -13,8 +13,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from composing import composed
 from filtered_recording import corner_errors, lasting_noise, within
+from support.composing import composed
 
 from lmd.core.checks import FloatArray
 from lmd.core.layers import layers

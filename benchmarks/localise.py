@@ -99,7 +99,7 @@ def real(folder: Path, edge: float) -> None:
 
 def speed(frames: int, tags: int, each: int) -> None:
     """Time of one processor, everything but reading files."""
-    import walks
+    from support import walks
 
     rng = np.random.default_rng(0)
     true = walks.spaced_tags(tags, rng)
@@ -125,7 +125,7 @@ def speed(frames: int, tags: int, each: int) -> None:
 
 def changes(drives: int, moved: float) -> None:
     """False alarms and misses of simulated walks; in every other walk a tag was moved in a random direction."""
-    import localise_drives
+    from support import localisations
 
     alarms = compared = found = tried = gone = 0
     off: list[float] = []
@@ -133,8 +133,8 @@ def changes(drives: int, moved: float) -> None:
         rng = np.random.default_rng(1000 + seed)
         way, tag = rng.normal(size=3), int(rng.integers(16))
         shift = np.r_[np.zeros(3), moved / 1e3 * way / np.linalg.norm(way)]
-        walk = localise_drives.walked(seed, moved={tag: shift} if seed % 2 else None)
-        result = localise_drives.localised(walk)
+        walk = localisations.walked(seed, moved={tag: shift} if seed % 2 else None)
+        result = localisations.localised(walk)
         named = {one.tag: one.metres for one in result.changes.moved}
         if seed % 2:
             tried += 1
@@ -149,18 +149,18 @@ def changes(drives: int, moved: float) -> None:
 
 
 def truth(seeds: int) -> None:
-    """Errors of smoothed poses beside those stated, of each scenario of `tests/localise_rooms.py`."""
-    import localise_rooms
+    """Errors of smoothed poses beside those stated, of each scenario of `tests/support/localisations.py`."""
+    from support import localisations
 
     print("| scenario | walks | failed | chi²/6, 10 %, 50 %, 90 % | in .2 to 3 | off, mm | stated, mm | localised |")
     print("| --- |" + " --- |" * 7)
-    for name in localise_rooms.NAMES:
+    for name in localisations.NAMES:
         rows = []
         for seed in range(seeds):
-            walk = localise_rooms.scenario(name, seed)
+            walk = localisations.scenario(name, seed)
             result = walk.localised()
             if result.smoothed is not None:
-                rows.append((*localise_rooms.figures(walk, result), float(result.smoothed.localised.mean())))
+                rows.append((*localisations.figures(walk, result), float(result.smoothed.localised.mean())))
         square, off, stated, localised = np.array(rows).T
         low, middle, high = np.quantile(square, (0.1, 0.5, 0.9))
         cells = [f"{low:.2f}, {middle:.2f}, {high:.2f}", f"{((square > 0.2) & (square < 3.0)).mean():.0%}"]

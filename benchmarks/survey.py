@@ -217,7 +217,7 @@ def halves(folder: Path, edge: float, every: int | None) -> None:
 
 def measure(frames: int, tags: int) -> None:
     """Time of one processor and memory, from detections to figures."""
-    import walks  # of the tests
+    from support import walks  # of the tests
 
     from lmd.scene.tag import Tag
     from lmd.survey.knowledge import PriorKnowledge

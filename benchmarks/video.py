@@ -12,7 +12,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-import walks  # of the tests
+from support import walks  # of the tests
 
 from lmd.core.checks import FloatArray
 from lmd.formats.detections import DetectedTags

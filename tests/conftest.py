@@ -5,11 +5,10 @@ from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before it is loaded: workers and what they start share processors
 
-import processes
 import pytest
-import thorough
-from examples import DEFAULT, examples
 from hypothesis import settings
+from support import processes, thorough
+from support.thorough import DEFAULT, examples
 
 from lmd.core import workers
 from lmd.core.threads import available_threads

@@ -4,14 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from composing import composed
 from contracts.criterion import check_alone, check_criterion
 from contracts.estimator import check_estimator
 from contracts.objective import check_objective
 from contracts.space import check_space
-from floor_plans import L_SHAPE, PILLAR, RACK, lab
-from meshes import mesh_room
-from paper import experiment_room, paper_camera
+from support.composing import composed
+from support.paper import experiment_room, paper_camera
+from support.rooms import L_SHAPE, PILLAR, RACK, lab, mesh_room
 
 from lmd.scene.tag import Tag
 from lmd.sight.models.fiducial import Fiducial

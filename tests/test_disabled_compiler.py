@@ -6,9 +6,9 @@ import sys
 from dataclasses import replace
 
 import pytest
-from floor_plans import lab
-from paper import paper_camera, paper_room, paper_scene
-from processes import ROOT, call, environment
+from support.paper import paper_camera, paper_room, paper_scene
+from support.processes import ROOT, call, environment
+from support.rooms import lab
 
 import lmd
 from lmd.objectives.coverage import Coverage

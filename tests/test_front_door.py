@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from floor_plans import L_SHAPE
-from meshes import written
-from processes import environment
-from small import problem
+from support.processes import environment
+from support.rooms import L_SHAPE, written
+from support.small import problem
 
 import lmd
 from lmd.optimisers.ega import EGA

@@ -9,8 +9,8 @@ import random
 from functools import partial
 
 import pytest
-from examples import SHARE
-from format_samples import READERS, SAMPLES, content
+from support.format_samples import READERS, SAMPLES, content
+from support.thorough import SHARE
 
 from lmd.core.checks import InputError
 from lmd.formats.rigs import read_mount

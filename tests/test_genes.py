@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from small import problem
+from support.small import problem
 
 from lmd.cameras.body import Body
 from lmd.cameras.mounts import MountSpace

@@ -12,7 +12,6 @@ from dataclasses import replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
-import composing
 import numpy as np
 import pytest
 import yaml
@@ -22,10 +21,11 @@ from contracts.format import check_format
 from contracts.objective import check_objective
 from contracts.optimiser import check_optimiser
 from contracts.space import check_space
-from floor_plans import L_SHAPE, PILLAR
-from paper import paper_camera, paper_room, paper_scene
-from processes import call
-from small import problem
+from support import composing
+from support.paper import paper_camera, paper_room, paper_scene
+from support.processes import call
+from support.rooms import L_SHAPE, PILLAR
+from support.small import problem
 
 from lmd.core.checks import InputError
 from lmd.evaluation.bounds import Search, average_upper_bound

@@ -8,7 +8,7 @@ import pytest
 from contracts.criterion import check_gains, tilted
 from contracts.objective import check_objective
 from contracts.optimiser import check_going_on
-from paper import paper_camera, paper_room, paper_scene
+from support.paper import paper_camera, paper_room, paper_scene
 
 from lmd.core.checks import InputError
 from lmd.estimation import study

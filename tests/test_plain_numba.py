@@ -6,8 +6,8 @@ import subprocess
 import sys
 
 import pytest
-from processes import ROOT, environment
-from small import problem
+from support.processes import ROOT, environment
+from support.small import problem
 
 import lmd
 from lmd.core import compiled

@@ -3,7 +3,7 @@ import math
 
 import numpy as np
 import pytest
-from paper import one_position_room, paper_camera, paper_room, paper_scene
+from support.paper import one_position_room, paper_camera, paper_room, paper_scene
 
 from lmd.core.checks import InputError
 from lmd.formats.rigs import rig_of

@@ -1,7 +1,7 @@
 from types import SimpleNamespace
 
 import pytest
-import thorough
+from support import thorough
 
 
 def item(*paths, marked=True):

@@ -3,7 +3,7 @@
 import sys
 
 import pytest
-from processes import ROOT
+from support.processes import ROOT
 
 sys.path.append(str(ROOT / "benchmarks"))
 import weight

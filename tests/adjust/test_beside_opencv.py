@@ -1,8 +1,8 @@
 """The adjuster beside OpenCV's calibration, which shares no code with it; 3 seconds."""
 
-import localise_drives as ld
 import numpy as np
-import walks
+from support import localisations as ld
+from support import walks
 
 from lmd.adjust.intrinsics import intrinsics_of, with_intrinsics
 from lmd.adjust.sightings import SQUARE

@@ -5,9 +5,9 @@ from dataclasses import replace
 import adjust_rooms as rooms
 import numpy as np
 import pytest
-import walks
 from scipy.optimize import approx_fprime
 from scipy.stats import chi2
+from support import walks
 from threadpoolctl import threadpool_limits
 
 from lmd.adjust.adjustment import Adjustment

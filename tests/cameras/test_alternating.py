@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from small import make
+from support.small import make
 from test_camera_problem import Squared, problem, tagged
 
 from lmd.core.checks import InputError

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from paper import paper_camera
+from support.paper import paper_camera
 
 from lmd.cameras.body import FACES, NORMALS, Body, Box
 from lmd.cameras.mounts import MountSpace

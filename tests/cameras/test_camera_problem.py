@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from paper import experiment_room, paper_camera, paper_scene
-from small import make, marked
+from support.paper import experiment_room, paper_camera, paper_scene
+from support.small import make, marked
 
 from lmd.cameras.body import Body
 from lmd.cameras.mounts import MountSpace

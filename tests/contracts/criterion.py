@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from floor_plans import lab
+from support.rooms import lab
 
 from contracts.field import check_field
 from lmd.objectives.coverage import Coverage

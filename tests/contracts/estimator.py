@@ -3,7 +3,7 @@
 from dataclasses import fields, replace
 
 import numpy as np
-from paper import paper_scene
+from support.paper import paper_scene
 
 from lmd.estimation.flights import Pace, RandomMotion
 from lmd.estimation.recording import Flight, Odometry, record

@@ -1,7 +1,7 @@
 """What a space, a room, promises."""
 
 import numpy as np
-from paper import paper_camera
+from support.paper import paper_camera
 
 from contracts.criterion import check_counts, check_every_path
 from lmd.scene import pdf

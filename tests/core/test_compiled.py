@@ -9,7 +9,7 @@ from itertools import count
 import numba
 import numpy as np
 import pytest
-from processes import ROOT, environment
+from support.processes import ROOT, environment
 
 from lmd.core import compile_clock, compiled, inside_numba
 from lmd.core.compiled import allocating, borrowing, inlined, inner, kernel

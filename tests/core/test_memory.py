@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from paper import paper_room, paper_scene
+from support.paper import paper_room, paper_scene
 
 from lmd.core import memory
 from lmd.core.checks import InputError

@@ -7,8 +7,8 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from composing import composed
-from processes import call
+from support.composing import composed
+from support.processes import call
 
 from lmd.core.checks import InputError
 from lmd.core.optional import EXTRAS, missing_of, optional

@@ -5,7 +5,7 @@ import numba
 import numpy as np
 import pytest
 from numba.core.caching import NullCache
-from small import problem
+from support.small import problem
 
 import lmd
 from lmd.core import compiled, sources

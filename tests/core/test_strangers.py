@@ -4,12 +4,13 @@ import subprocess
 import sys
 
 import pytest
-from processes import ROOT, environment
+from support.processes import ROOT, environment
 
 
 def ran(*arguments, cwd):
     line = [sys.executable, *arguments]
-    return subprocess.run(line, cwd=cwd, env=environment(ROOT / "tests"), capture_output=True, text=True, check=False)
+    environ = environment(ROOT / "tests", ROOT / "tests" / "core")
+    return subprocess.run(line, cwd=cwd, env=environ, capture_output=True, text=True, check=False)
 
 
 @pytest.mark.slow

@@ -4,7 +4,7 @@ import subprocess
 import sys
 
 import pytest
-from processes import ROOT, environment
+from support.processes import ROOT, environment
 
 from lmd.core.checks import InputError
 from lmd.core.workers import in_processes

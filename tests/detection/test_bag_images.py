@@ -1,10 +1,10 @@
 """Images in bags of ROS 2."""
 
-import bag_files as bf
 import cv2
 import numpy as np
 import pytest
-import walks
+from support import bags as bf
+from support import walks
 
 from lmd.core.checks import InputError
 from lmd.detection.bag_images import ENCODINGS, images_in

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from paper import experiment_room, paper_scene
+from support.paper import experiment_room, paper_scene
 
 from lmd.detection.detectors import ArucoDetector
 from lmd.detection.evaluation import Matches

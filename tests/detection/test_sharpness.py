@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-import walks
+from support import walks
 
 from lmd.detection.detectors import Detections
 from lmd.detection.images import blur_of, blurred

@@ -5,7 +5,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from paper import paper_camera, paper_room, paper_scene
+from support.paper import paper_camera, paper_room, paper_scene
 
 from lmd.core.checks import InputError
 from lmd.estimation.cramer_rao import CramerRaoBound, cramer_rao_bound, cramer_rao_map, pose_information

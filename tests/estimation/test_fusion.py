@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from paper import paper_scene
 from scipy.stats import chi2
+from support.paper import paper_scene
 
 from lmd.core.checks import InputError
 from lmd.estimation.cramer_rao import CramerRaoBound, cramer_rao_bound, pose_information

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from paper import paper_scene
 from scipy.stats import chi2
+from support.paper import paper_scene
 
 from lmd.estimation.consistency import squares
 from lmd.estimation.flights import Pace, RandomMotion

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from paper import paper_camera
 from scipy.stats import chi2
+from support.paper import paper_camera
 
 from lmd.core.checks import InputError
 from lmd.detection.corner_errors import CORNER_ERRORS, MeasuredCorners, inward

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from paper import paper_camera, paper_room, paper_scene
+from support.paper import paper_camera, paper_room, paper_scene
 
 from lmd.estimation.cramer_rao import CramerRaoBound, cramer_rao_bound, moment_information
 from lmd.estimation.flights import Pace, Waypoints

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from paper import paper_room, paper_scene
+from support.paper import paper_room, paper_scene
 
 from lmd.core.checks import InputError
 from lmd.estimation.cramer_rao import CramerRaoBound

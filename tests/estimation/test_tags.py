@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from paper import paper_camera, paper_scene
+from support.paper import paper_camera, paper_scene
 
 from lmd.core.checks import InputError
 from lmd.core.workers import in_processes

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 import shapely
-from floor_plans import lab
 from numpy.testing import assert_allclose, assert_array_equal
-from paper import paper_room, paper_scene
 from scipy.spatial.transform import Rotation
+from support.paper import paper_room, paper_scene
+from support.rooms import lab
 
 from lmd.core.checks import InputError
 from lmd.estimation.flights import FileTrajectory, Pace, RandomMotion, Waypoints

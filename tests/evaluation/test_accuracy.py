@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from bearings import view_matrices
-from paper import paper_room, paper_scene
+from support.paper import paper_room, paper_scene
+from support.references import view_matrices
 
 from lmd.evaluation.accuracy import TOLERANCES, accuracy_metrics, predicted_errors, save_accuracy_map
 from lmd.evaluation.validation import VALIDATION_STREAM, Sample

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from contracts.criterion import check_gains, check_slack, cover_matrix
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
-from paper import paper_room, paper_scene
 from scipy.optimize import linprog
 from scipy.sparse import block_array, csr_array, eye_array, kron
-from small import make
-from strategies import fiducial_scenes, scenes, scenes_with_boundary_landmarks, scenes_with_deployments, seeds
+from support.paper import paper_room, paper_scene
+from support.small import make
+from support.strategies import fiducial_scenes, scenes, scenes_with_boundary_landmarks, scenes_with_deployments, seeds
+from support.thorough import examples
 
 from lmd.core.checks import InputError
 from lmd.evaluation.bounds import (

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from mlflow import MlflowClient
-from processes import call, command, start
+from support.processes import call, command, start
 
 from lmd.evaluation.comparison import OptimiserRun, attained, best_at, compared, comparison_markdown, curve_targets
 from lmd.objectives.coverage import Coverage

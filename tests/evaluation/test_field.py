@@ -4,9 +4,9 @@ import csv
 import math
 from pathlib import Path
 
-import composing
 import numpy as np
 import shapely
+from support import composing
 
 from lmd.evaluation.validation import Sample, validation_metrics
 from lmd.geometry.squares import corners

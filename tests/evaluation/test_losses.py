@@ -5,12 +5,12 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 import pytest
-from examples import examples
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from paper import X
-from small import problem
-from strategies import deployments, scenes
+from support.paper import X
+from support.small import problem
+from support.strategies import deployments, scenes
+from support.thorough import examples
 
 from lmd.evaluation.losses import losses
 from lmd.objectives.coverage import Coverage, MeanCoverage

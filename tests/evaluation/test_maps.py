@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from paper import X, paper_camera, paper_room, paper_scene
 from scipy.spatial.transform import Rotation
+from support.paper import X, paper_camera, paper_room, paper_scene
 
 from lmd.detection.frames import draw_poses
 from lmd.evaluation.maps import MountedTags, error_quantiles, errors_text, map_errors

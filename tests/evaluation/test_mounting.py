@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.image import imread
-from paper import X, paper_room, paper_scene
+from support.paper import X, paper_room, paper_scene
 
 from lmd.core.checks import InputError
 from lmd.evaluation.measured import as_measured, read_measured

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from paper import paper_camera
+from support.paper import paper_camera
 
 from lmd.core.checks import InputError
 from lmd.evaluation.reach import Reading, is_read, pose_bounds, reach, reach_text, smallest_edge

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from paper import paper_room, paper_scene
+from support.paper import paper_room, paper_scene
 
 from lmd.detection.frames import draw_poses
 from lmd.evaluation.maps import MountedTags, map_errors

@@ -3,12 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from examples import examples
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from matplotlib.image import imread
-from paper import X, Y, paper_room, paper_scene
-from strategies import deployments, scenes, seeds
+from support.paper import X, Y, paper_room, paper_scene
+from support.strategies import deployments, scenes, seeds
+from support.thorough import examples
 
 from lmd.evaluation.sensitivity import (
     FACTORS,

@@ -1,9 +1,9 @@
 import numpy as np
 import pandas as pd
 import pytest
-import small
 from matplotlib.image import imread
-from paper import X
+from support import small
+from support.paper import X
 
 from lmd.evaluation.tradeoff import (
     ANEW,

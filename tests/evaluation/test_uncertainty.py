@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
-from composing import composed
+from support.composing import composed
 
 from lmd.core.checks import InputError
 from lmd.estimation.deviation_law import LEAST_VIEWS, QUANTITIES, PowerLaw, fit_law, fit_rule, ratio_quantiles

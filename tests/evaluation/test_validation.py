@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from paper import paper_room, paper_scene
+from support.paper import paper_room, paper_scene
 
 from lmd.core.checks import InputError
 from lmd.evaluation.validation import Sample, validation_metrics
@@ -154,7 +154,7 @@ def test_an_empty_sampling_is_refused(name):
 
 def test_a_sampling_generalises_better_than_the_grid():
     """On a coarse grid and few evaluations already."""
-    from small import make
+    from support.small import make
 
     from lmd.optimisers.ledger import Budget
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from paper import paper_camera, paper_room, paper_scene
+from support.paper import paper_camera, paper_room, paper_scene
 
 from lmd.evaluation.verdicts import CAUSES_STREAM, VIEWS, causes, verdicts
 from lmd.geometry.se3 import axis_and_right, camera_pose

@@ -9,7 +9,7 @@ import sys
 
 import numpy as np
 import pytest
-from ros_parameters import parameters
+from support.references import parameters
 
 from lmd.core.checks import InputError
 from lmd.estimation.deviation_law import QUANTITIES, Law, PowerLaw, Rule

@@ -3,12 +3,11 @@
 import itertools
 
 import cv2
-import floor_plans
-import meshes
 import numpy as np
 import pypdfium2
 import pytest
 import trimesh
+from support import rooms
 
 from lmd.export import overview
 from lmd.export.paper import PAPERS, begin_page, document
@@ -103,11 +102,11 @@ def test_a_view_is_that_of_a_tag_on_the_surface():
 
 
 def test_keep_outs_are_measured_as_the_plan_shows_them():
-    names = [surface.name for surface in floor_plans.lab(obstacles=[FACES]).surfaces()]
+    names = [surface.name for surface in rooms.lab(obstacles=[FACES]).surfaces()]
     assert {"ceiling", "hole_0_wall_3", "obstacle_0_x_min", "obstacle_0_y_max", "obstacle_0_bottom"} < set(names)
     for name in names:
         part = {"surface": name, "from_left": [0.1, 0.2], "from_below": [0.3, 0.4]}
-        room = floor_plans.lab(obstacles=[FACES], keep_out=[part], band=None)
+        room = rooms.lab(obstacles=[FACES], keep_out=[part], band=None)
         (surface,) = [surface for surface in room.surfaces() if surface.name == name]
         seen = View(surface).place(np.array(room.plan.kept_out[0]))
         np.testing.assert_allclose([seen.min(axis=0), seen.max(axis=0)], [[0.1, 0.3], [0.2, 0.4]], atol=1e-9)
@@ -116,7 +115,7 @@ def test_keep_outs_are_measured_as_the_plan_shows_them():
 
 
 def test_where_nothing_may_hang_is_grey(tmp_path):
-    room = floor_plans.lab()
+    room = rooms.lab()
     (wall,) = [surface for surface in room.surfaces() if surface.name == "wall_0"]
     tag = Deployment(wall.point(3.0, 1.5)[None], wall.normal[None]).with_surfaces(room)
     write_plan(tmp_path / "plan.pdf", TagMap(room, TAG, tag), "a4")
@@ -181,13 +180,13 @@ def test_tags_near_a_surface_belong_to_it_and_others_are_listed_apart(tmp_path):
 
 def lab():
     """A room with a door, a window, a table and something without a name, and two tags on each of its walls."""
-    room = floor_plans.lab(
+    room = rooms.lab(
         keep_out=[
-            floor_plans.DOOR,
+            rooms.DOOR,
             {"name": "big window", "surface": "wall_5", "from_left": [1, 2], "from_below": [1, 2]},
             {"surface": "wall_1", "from_left": [0.5, 1], "from_below": [1, 2]},
         ],
-        obstacles=[{**floor_plans.RACK, "name": "rack", "faces": []}],
+        obstacles=[{**rooms.RACK, "name": "rack", "faces": []}],
         surfaces=[f"wall_{i}" for i in range(6)],
     )
     source = UniformDeployment(16)
@@ -246,7 +245,7 @@ def test_each_id_stands_beside_its_triangle(tmp_path, monkeypatch):
 
 def test_names_around_pillars_do_not_overlap(tmp_path):
     holes = [[[x, 1.0], [x + 0.35, 1.0], [x + 0.35, 1.35], [x, 1.35]] for x in (1.0, 1.6)]
-    room = floor_plans.lab(holes=holes)
+    room = rooms.lab(holes=holes)
     drawn = Footprints(room, TAG).draw(UniformDeployment(24), np.random.default_rng(0))
     write_plan(tmp_path / "plan.pdf", TagMap(room, TAG, drawn), "a4")
     text, boxes = next(iter(pypdfium2.PdfDocument(tmp_path / "plan.pdf"))).get_textpage(), []
@@ -262,8 +261,8 @@ def test_names_around_pillars_do_not_overlap(tmp_path):
 
 
 def test_heights_are_from_the_floor_even_where_it_is_not_the_lowest_point(tmp_path):
-    plan = FloorPlan(floor_plans.L_SHAPE, 2.5, obstacles=[{"low": [1, 1, 1], "high": [2, 2, 1.5]}])
-    scene = trimesh.load_scene(meshes.written(tmp_path / "lab.glb", plan))
+    plan = FloorPlan(rooms.L_SHAPE, 2.5, obstacles=[{"low": [1, 1, 1], "high": [2, 2, 1.5]}])
+    scene = trimesh.load_scene(rooms.written(tmp_path / "lab.glb", plan))
     scene.add_geometry(trimesh.creation.box(bounds=[(4, 0.5, -1), (5, 1.5, -0.5)]), node_name="pit")
     scene.add_geometry(trimesh.creation.box(bounds=[(-0.5, -0.5, 2.5), (6.5, 4.5, 2.6)]), node_name="roof")
     scene.export(tmp_path / "pit.glb")
@@ -293,8 +292,8 @@ def test_doors_windows_and_furniture_are_told_apart_without_their_names(tmp_path
 
 
 def test_names_in_other_letters_are_written_and_long_ones_shortened(tmp_path):
-    door, rack = {**floor_plans.DOOR, "name": "dve\u0159e"}, {**floor_plans.RACK, "name": 50 * "rack "}
-    room = floor_plans.lab(keep_out=[door], obstacles=[rack])
+    door, rack = {**rooms.DOOR, "name": "dve\u0159e"}, {**rooms.RACK, "name": 50 * "rack "}
+    room = rooms.lab(keep_out=[door], obstacles=[rack])
     (wall,) = [surface for surface in room.surfaces() if surface.name == "wall_0"]
     tag = Deployment(wall.point(3.0, 1.5)[None], wall.normal[None]).with_surfaces(room)
     for name in ("one", "two"):

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import pypdfium2
 import pytest
-from examples import examples
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from support.thorough import examples
 
 from lmd.core.checks import InputError
 from lmd.detection.detectors import AprilTagDetector, ArucoDetector

@@ -2,10 +2,10 @@
 
 import os
 
-import bag_files as bf
-import localise_drives as ld
 import numpy as np
 import pytest
+from support import bags as bf
+from support import localisations as ld
 
 from lmd.core.checks import InputError
 from lmd.detection.bag_images import images_in

@@ -7,7 +7,6 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from rays import RAYS, by_opencv, images, radial
 
 from lmd.core.checks import InputError
 from lmd.formats.calibrations import Calibration, calibrated_camera, read_calibration
@@ -15,6 +14,24 @@ from lmd.formats.rigs import read_chain, rig_of
 from lmd.geometry.camera import PIXEL_CENTRE
 from lmd.geometry.projection import project
 from lmd.geometry.se3 import exp
+
+RAYS = np.array([[0.0, 0.0, 1.0], [0.3, -0.2, 1.0], [-0.4, 0.25, 1.0], [0.1, 0.35, 1.0]])
+
+
+def images(camera, rays=RAYS):
+    """Images of rays, from the centre of the first pixel."""
+    return project(camera, np.eye(4), rays) - PIXEL_CENTRE
+
+
+def by_opencv(matrix, lens, rays=RAYS):
+    return cv2.projectPoints(rays, np.zeros(3), np.zeros(3), np.array(matrix, dtype=float), np.array(lens))[0][:, 0]
+
+
+def radial(rays, k1, k2, k3):
+    x, y = (rays[:, :2] / rays[:, 2:]).T
+    s = x * x + y * y
+    return x, y, s, 1 + k1 * s + k2 * s**2 + k3 * s**3
+
 
 REAL = Path(__file__).parents[2] / ".." / "shared" / "real" / "calibration"
 MATRIX = np.array([[612.5, 0.0, 317.25], [0.0, 608.0, 244.5], [0.0, 0.0, 1.0]])

@@ -160,8 +160,8 @@ def test_a_wall_that_a_cad_program_does_not_show_is_none(tmp_path, within, on, m
 
 
 def test_a_drawing_takes_the_place_of_the_example(draw):
-    from composing import composed
     from omegaconf import OmegaConf
+    from support.composing import composed
 
     from pipelines.nodes import instantiate
 

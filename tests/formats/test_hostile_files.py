@@ -9,8 +9,8 @@ from pathlib import Path
 import ezdxf
 import pytest
 import yaml
-from format_samples import READERS, SAMPLES, content, texts
-from occupancy_maps import KEYS
+from support.format_samples import READERS, SAMPLES, content, texts
+from support.rooms import KEYS
 
 from lmd.core.checks import InputError
 

@@ -7,8 +7,8 @@ import pytest
 import shapely
 import yaml
 from numpy.testing import assert_array_equal
-from occupancy_maps import FREE, KEYS, hall, write_map
 from PIL import Image
+from support.rooms import FREE, KEYS, hall, write_map
 
 from lmd.core.checks import InputError
 from lmd.formats.occupancy_grid import occupancy, read_occupancy_grid

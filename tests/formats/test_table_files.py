@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from examples import examples
 from hypothesis import given, strategies
 from scipy.spatial.transform import Rotation
+from support.thorough import examples
 
 from lmd.core.checks import InputError
 from lmd.formats.columns import LAYOUTS, POSES, TAGS, VOCABULARY

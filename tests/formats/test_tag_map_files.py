@@ -1,10 +1,10 @@
 """Maps of others, in the forms in which they come, against what their makers say of them."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from map_files import assert_is, reader
 from numpy.testing import assert_allclose
 
 from lmd.core.checks import InputError
@@ -12,6 +12,27 @@ from lmd.formats.deployments import FileDeployment
 from lmd.formats.tag_maps import read_deployment
 from lmd.space.cuboid import Cuboid
 from pipelines.app import CONF
+
+UP = [0.0, 0.0, 1.0]
+
+
+def reader(folder):
+    """A function that writes a text, or an object as JSON, to a file in `folder`, and reads it as a deployment."""
+
+    def read(text, name="map", **options):
+        (folder / name).write_text(text if isinstance(text, str) else json.dumps(text))
+        return read_deployment(folder / name, **options)
+
+    return read
+
+
+def assert_is(deployment, number, position, normal, up=UP, atol=1e-9):
+    """Assert that a deployment has this tag alone."""
+    assert deployment.ids.tolist() == [number]
+    found = deployment.positions[0], deployment.normals[0], deployment.ups[0]
+    for value, expected in zip(found, (position, normal, up), strict=True):
+        assert_allclose(value, expected, atol=atol)
+
 
 WPILIB = Path(__file__).with_name("files").joinpath("tag_map", "wpilib.json").read_text(encoding="utf-8")
 REAL = Path(__file__).parents[2] / "../shared/real/layouts"

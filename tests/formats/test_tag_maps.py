@@ -10,7 +10,7 @@ import numpy as np
 import pyapriltags
 import pytest
 import yaml
-from ros_parameters import parameters
+from support.references import parameters
 
 from lmd.core.checks import InputError
 from lmd.export.exports import Export, all_formats

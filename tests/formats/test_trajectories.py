@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import yaml
 from numpy.testing import assert_allclose
-from paper import paper_room
 from scipy.spatial.transform import Rotation
+from support.paper import paper_room
 
 from lmd.core.checks import InputError
 from lmd.formats.trajectories import TrajectoryFile

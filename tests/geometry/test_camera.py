@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from paper import PAPER_CAMERA, paper_camera, printed_experiment_camera
-from strategies import cameras, visibilities
+from support.paper import PAPER_CAMERA, paper_camera, printed_experiment_camera
+from support.strategies import cameras, visibilities
 
 from lmd.core.checks import InputError
 from lmd.geometry.projection import blur_disc

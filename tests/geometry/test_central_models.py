@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from composing import composed
 from numpy.testing import assert_allclose
+from support.composing import composed
 
 from lmd.core.checks import InputError
 from lmd.formats.calibrations import calibrated_camera, read_calibration

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from numpy.testing import assert_allclose
-from strategies import pitches, unit_vectors, yaws
+from support.strategies import pitches, unit_vectors, yaws
 
 from lmd.geometry.frames import landmark_normal, normal_angles, optical_axis, rotation
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from strategies import lenses
+from support.strategies import lenses
 
 from lmd.core.checks import InputError
 from lmd.geometry.lens import Lens, lens_of

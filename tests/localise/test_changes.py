@@ -2,11 +2,11 @@
 
 from dataclasses import replace
 
-import localise_drives as ld
 import numpy as np
 import pytest
-import walks
 from scipy.stats import chi2
+from support import localisations as ld
+from support import walks
 
 from lmd.geometry.se3 import exp
 from lmd.localise.changes import MOVED_CHI_SQUARE

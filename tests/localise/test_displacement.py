@@ -2,9 +2,9 @@
 
 from dataclasses import replace
 
-import localise_drives as ld
 import numpy as np
 import pytest
+from support import localisations as ld
 
 from lmd.adjust.adjustment import Adjustment
 from lmd.adjust.gauge import rows_of

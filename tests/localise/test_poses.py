@@ -2,12 +2,11 @@
 
 from dataclasses import replace
 
-import drives
-import localise_drives as ld
 import numpy as np
 import pytest
-import walks
 from scipy.stats import chi2
+from support import drives, walks
+from support import localisations as ld
 
 from lmd.adjust.gauge import SIGMA_COLUMNS
 from lmd.adjust.intrinsics import intrinsics_of, with_intrinsics

@@ -1,9 +1,9 @@
 """Smoothed poses beside the truth where map, mounts, prints, sizes or ids are not as stated."""
 
-import localise_rooms as rooms
 import numpy as np
 import pytest
-import walks
+from support import localisations as rooms
+from support import walks
 
 from lmd.localise.results import to_text
 from lmd.survey.results import map_of

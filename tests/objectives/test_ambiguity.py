@@ -6,7 +6,7 @@ from statistics import NormalDist
 import cv2
 import numpy as np
 import pytest
-from paper import paper_camera, paper_room, paper_scene
+from support.paper import paper_camera, paper_room, paper_scene
 
 from lmd.detection.detectors import ArucoDetector
 from lmd.geometry.projection import intrinsics, project

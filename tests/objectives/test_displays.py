@@ -1,7 +1,7 @@
 """Figures in displays: a label and a unit for each, and the fitness by one name."""
 
 import pytest
-from small import problem
+from support.small import problem
 
 from lmd.objectives.base import labelled_figures
 from lmd.objectives.coverage import MeanCoverage

@@ -4,17 +4,25 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bearings import view_matrices
 from contracts.field import check_field
-from driven import DEPLOYMENT, MOTION, SCENE, along
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
-from paper import paper_room, paper_scene
-from rigs import rig_scenes_with_deployments
 from scipy.sparse import lil_matrix
 from scipy.sparse.linalg import splu
-from strategies import BENT, deployments, distorted_cameras, fiducial_scenes, is_bent, scenes, seeds
+from support.drives import DEPLOYMENT, MOTION, SCENE, along
+from support.paper import paper_room, paper_scene
+from support.references import view_matrices
+from support.strategies import (
+    BENT,
+    deployments,
+    distorted_cameras,
+    fiducial_scenes,
+    is_bent,
+    rig_scenes_with_deployments,
+    scenes,
+    seeds,
+)
+from support.thorough import examples
 
 from lmd.geometry.se3 import camera_pose, inverse
 from lmd.geometry.trajectory import Trajectory

@@ -5,9 +5,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from composing import composed
 from contracts.objective import check_selection
-from driven import DEPLOYMENT, MOTION, PACE, SCENE, SLOW, along
+from support.composing import composed
+from support.drives import DEPLOYMENT, MOTION, PACE, SCENE, SLOW, along
 
 from lmd.core.checks import InputError
 from lmd.estimation.drives import cut, filtered

@@ -5,8 +5,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from bearings import view_matrices
-from paper import paper_camera, paper_room, paper_scene
+from support.paper import paper_camera, paper_room, paper_scene
+from support.references import view_matrices
 
 from lmd.geometry.se3 import axis_and_right, camera_pose, exp
 from lmd.geometry.squares import corners, upright

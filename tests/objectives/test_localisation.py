@@ -3,11 +3,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from contracts.field import check_field, check_rebuilt, move, poses_of
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
-from paper import paper_camera, paper_room, paper_scene
-from strategies import BENT, FISHEYE, deployments, distorted_cameras, fiducial_scenes, is_bent, scenes, seeds
+from support.paper import paper_camera, paper_room, paper_scene
+from support.strategies import BENT, FISHEYE, deployments, distorted_cameras, fiducial_scenes, is_bent, scenes, seeds
+from support.thorough import examples
 
 from lmd.core.checks import InputError
 from lmd.objectives.coverage import Coverage

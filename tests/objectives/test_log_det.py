@@ -5,8 +5,8 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from bearings import view_matrices
-from paper import paper_room, paper_scene
+from support.paper import paper_room, paper_scene
+from support.references import view_matrices
 
 from lmd.evaluation.selection_bound import GUARANTEE, selection_upper_bound
 from lmd.objectives.coverage import Coverage

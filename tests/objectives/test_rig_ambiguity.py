@@ -6,14 +6,13 @@ import cv2
 import numpy as np
 import pytest
 from contracts.field import check_field
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
-from paper import one_position_room, paper_camera, paper_scene
-from rigs import rig_scenes_with_deployments
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
-from strategies import deployments, seeds
+from support.paper import one_position_room, paper_camera, paper_scene
+from support.strategies import deployments, rig_scenes_with_deployments, seeds
+from support.thorough import examples
 
 from lmd.geometry.projection import intrinsics, project
 from lmd.geometry.se3 import camera_pose

@@ -4,14 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bearings import view_matrices
 from contracts.field import check_field
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
-from paper import facing, one_position_room, paper_camera, paper_room, paper_scene
-from rigs import rig_scenes_with_deployments
-from strategies import deployments, seeds
+from support.paper import facing, one_position_room, paper_camera, paper_room, paper_scene
+from support.references import view_matrices
+from support.strategies import deployments, rig_scenes_with_deployments, seeds
+from support.thorough import examples
 
 from lmd.evaluation.accuracy import predicted_errors
 from lmd.objectives.localisation import Localisation, reference

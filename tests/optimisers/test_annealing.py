@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from contracts.field import copied
-from paper import paper_room, paper_scene
-from small import make, problem
+from support.paper import paper_room, paper_scene
+from support.small import make, problem
 
 from lmd.core.checks import InputError
 from lmd.formats.deployments import FileDeployment

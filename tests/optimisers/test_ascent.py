@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from small import make, problem
+from support.small import make, problem
 
 from lmd.incremental.field import in_order
 from lmd.objectives.coverage import Coverage

@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 from contracts.optimiser import NanProblem, Scores
-from small import problem
+from support.small import problem
 
 from lmd.evaluation.comparison import OptimiserRun, attained, curve_targets, expected_running_time
 from lmd.optimisers.checkpoint import Checkpoint

@@ -9,11 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from checkpoints import BUDGET, SETTINGS, resumed, saved, stopped
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
-from small import problem
+from support.small import BUDGET, SETTINGS, problem, resumed, saved, stopped
+from support.thorough import examples
 
 from lmd.core.checks import InputError
 from lmd.objectives.coverage import Coverage

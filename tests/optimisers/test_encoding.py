@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from paper import experiment_room, paper_room
-from strategies import flush_deployments, seeds
+from support.paper import experiment_room, paper_room
+from support.strategies import flush_deployments, seeds
 
 from lmd.core.checks import InputError
 from lmd.optimisers.encoding import make_encoding

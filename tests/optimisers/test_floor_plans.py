@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from floor_plans import hangs_properly, lab
-from paper import paper_scene
+from support.paper import paper_scene
+from support.rooms import hangs_properly, lab
 
 from lmd.evaluation.bounds import Search, average_upper_bound
 from lmd.evaluation.validation import Sample, validation_metrics

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from small import problem
+from support.small import problem
 
 from lmd.core.checks import InputError
 from lmd.objectives.coverage import Coverage

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
-from composing import composed
-from paper import paper_room, paper_scene
-from small import make, problem
+from support.composing import composed
+from support.paper import paper_room, paper_scene
+from support.small import make, problem
 
 from lmd.objectives.coverage import CappedCount, Coverage
 from lmd.optimisers.greedy import GreedyDeployment, select

@@ -6,10 +6,10 @@ from itertools import combinations
 import numpy as np
 import pytest
 from contracts.criterion import cover_matrix
-from floor_plans import lab
-from paper import paper_camera
 from scipy.optimize import linprog
 from scipy.sparse import block_array, csr_array, eye_array
+from support.paper import paper_camera
+from support.rooms import lab
 
 from lmd.core.checks import InputError
 from lmd.evaluation.bounds import Search, average_upper_bound, fewest_landmarks, fitness_upper_bound

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from contracts.optimiser import check_optimiser
-from small import make, marked, problem
+from support.small import make, marked, problem
 
 from lmd.core.checks import InputError
 from lmd.optimisers.base import AskTell

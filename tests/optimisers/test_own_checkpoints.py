@@ -4,8 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from checkpoints import BUDGET, SETTINGS, resumed, saved, stopped
-from small import problem
+from support.small import BUDGET, SETTINGS, problem, resumed, saved, stopped
 
 from lmd.core.checks import InputError
 from lmd.optimisers.base import Optimiser

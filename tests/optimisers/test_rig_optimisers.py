@@ -3,8 +3,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from paper import paper_camera, paper_room, paper_scene
-from small import make
+from support.paper import paper_camera, paper_room, paper_scene
+from support.small import make
 
 from lmd.evaluation.losses import losses
 from lmd.objectives.coverage import Coverage

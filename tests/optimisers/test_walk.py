@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 from contracts import field as moves
-from paper import paper_room, paper_scene
+from support.paper import paper_room, paper_scene
 
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.annealing import Stage

@@ -5,8 +5,8 @@ from functools import partial
 
 import numpy as np
 import pytest
-from libraries import OneByOne, pymoo, run
 from scipy.optimize import differential_evolution
+from support.small import OneByOne, pymoo, run
 
 from lmd.core.checks import InputError
 from lmd.optimisers.nevergrad import Nevergrad

@@ -9,12 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from composing import composed
 from contracts.optimiser import check_going_on
-from libraries import OneByOne, pymoo, run
-from processes import environment
 from scipy.optimize import differential_evolution, direct, dual_annealing, minimize, shgo
-from small import problem
+from support.composing import composed
+from support.processes import environment
+from support.small import OneByOne, problem, pymoo, run
 
 from lmd.core.checks import InputError
 from lmd.optimisers.ledger import Budget

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from recordings import MOVING, estimated, independent_draws, simulated
 from scipy.stats import norm, vonmises
+from support.recordings import MOVING, estimated, independent_draws, simulated
 
 from lmd.core.checks import InputError
 from lmd.orientation import density

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from recordings import MOVING, estimated, independent_draws, simulated
+from support.recordings import MOVING, estimated, independent_draws, simulated
 
 from lmd.core.checks import InputError
 from lmd.orientation.density import circular_difference, independence_test

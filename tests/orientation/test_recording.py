@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from recordings import MOVING, simulated
 from scipy.spatial.transform import Rotation
+from support.recordings import MOVING, simulated
 
 from lmd.core.checks import InputError
 from lmd.geometry.frames import rotation

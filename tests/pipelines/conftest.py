@@ -1,8 +1,7 @@
 import subprocess
 
 import pytest
-from endless import ENDLESS, SETTINGS, wait_for
-from processes import command, start
+from support.processes import ENDLESS, SETTINGS, command, start, wait_for
 
 
 @pytest.fixture(scope="module")

@@ -3,9 +3,9 @@
 import shlex
 from pathlib import Path
 
-import photographs
 import pytest
-from processes import SMALL, refused
+from support import walks
+from support.processes import SMALL, refused
 
 from lmd.geometry.camera import Camera
 
@@ -227,7 +227,7 @@ def test_bad_input_gets_one_sentence_and_leaves_nothing(command, overrides, mess
     if command in ("survey", "localise"):
         (tmp_path / "photos").mkdir()
         (tmp_path / "cut.mp4").write_bytes(b"\0\0\0\x18ftypisom\0\0\0\0isom")
-        photographs.calibration(tmp_path / "camera.yaml", Camera(2.2, 0.0075, 0.0075, (320.0, 240.0), 640, 480, 0.0))
+        walks.calibration(tmp_path / "camera.yaml", Camera(2.2, 0.0075, 0.0075, (320.0, 240.0), 640, 480, 0.0))
     settings = shlex.split(SETTINGS[command]) if command in SETTINGS else SMALL
     name, *more = ALIASES.get(command, (command,))
     given = (*more, *shlex.split(overrides), "tracking=none", "hydra.run.dir=run")

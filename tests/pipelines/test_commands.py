@@ -7,8 +7,8 @@ import shlex
 import pandas as pd
 import pytest
 from mlflow import MlflowClient
-from processes import ROOT, inside
-from recordings import MOVING, simulated
+from support.processes import ROOT, inside
+from support.recordings import MOVING, simulated
 
 pytestmark = pytest.mark.slow
 LANDMARKS = "id,x,y,z,nx,ny,nz,note\n7,0,2,3,1,0,0,by the door\n3,0,3,3,1,0,0,\n9,7.5,2,3,-1,0,0,\n"

@@ -4,7 +4,7 @@ import json
 
 import pandas as pd
 import pytest
-from processes import inside
+from support.processes import inside
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]
 SUITE = ("suite=[tiny_mean,tiny_qualified]", "suite_budgets=[1]", "tracking=none", "workers=1", "validate=false")

@@ -6,13 +6,13 @@ import sys
 from functools import cache
 from pathlib import Path
 
-import composing
 import numpy as np
 import pytest
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import ReadonlyConfigError
-from processes import inside, refused
+from support import composing
+from support.processes import inside, refused
 
 import lmd.suite
 import pipelines

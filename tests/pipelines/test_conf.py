@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from composing import composed
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.types import RunMode
 from hydra.utils import get_object
-from paper import PAPER_CAMERA, PRINTED_EXPERIMENT_CAMERA
+from support.composing import composed
+from support.paper import PAPER_CAMERA, PRINTED_EXPERIMENT_CAMERA
 
 from lmd.core.checks import InputError
 from lmd.geometry.camera import Camera

@@ -4,7 +4,7 @@ import json
 
 import pytest
 from omegaconf import OmegaConf
-from processes import SMALL, inside
+from support.processes import SMALL, inside
 
 from lmd.export.exports import formats_of
 from lmd.scene.tag import Tag

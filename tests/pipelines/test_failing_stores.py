@@ -9,10 +9,9 @@ import time
 
 import pandas as pd
 import pytest
-from endless import SETTINGS, ended, metrics_in
 from mlflow import MlflowClient
-from processes import call
-from services import mlflow_server
+from support.processes import SETTINGS, call, ended, metrics_in
+from support.services import mlflow_server
 
 pytestmark = pytest.mark.slow
 

@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
-from composing import composed
-from processes import inside
+from support.composing import composed
+from support.processes import inside
 
 from lmd.core.checks import InputError
 from pipelines.building import build_problem

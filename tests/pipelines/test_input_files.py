@@ -4,8 +4,8 @@ import os
 
 import pandas as pd
 import pytest
-from composing import composed
-from processes import SMALL, call, refused
+from support.composing import composed
+from support.processes import SMALL, call, refused
 
 from pipelines.app import flat_settings
 from pipelines.provenance import contents_of

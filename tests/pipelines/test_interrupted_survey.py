@@ -6,10 +6,9 @@ import sys
 
 import numpy as np
 import pandas as pd
-import photographs
 import pytest
-import walks
-from endless import ended, wait_for
+from support import walks
+from support.processes import ended, wait_for
 
 from lmd.formats.detection_formats import write_detections
 
@@ -48,7 +47,7 @@ def told(begin, tmp_path):
     """Run a survey that gets a signal at each of some steps; returns its exit code, stdout and stderr."""
     rng = np.random.default_rng(3)
     tags = walks.spaced_tags(16, rng)
-    photographs.calibration(tmp_path / "camera.yaml", walks.CAMERA)
+    walks.calibration(tmp_path / "camera.yaml", walks.CAMERA)
     write_detections(tmp_path / "detections.csv", walks.photographed(tags, walks.walk(25, rng), rng))
 
     def run(*at, number=signal.SIGINT):

@@ -7,8 +7,7 @@ import time
 
 import pandas as pd
 import pytest
-from endless import ENDLESS, SETTINGS, ended, metrics_in, runs, wait_for
-from processes import ROOT, WHOLE, command
+from support.processes import ENDLESS, ROOT, SETTINGS, WHOLE, command, ended, metrics_in, runs, wait_for
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]
 

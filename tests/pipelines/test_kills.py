@@ -9,10 +9,9 @@ import time
 
 import pandas as pd
 import pytest
-from endless import SETTINGS, ended, metrics_in, runs, wait_for
-from examples import SHARE
 from mlflow import MlflowClient
-from processes import call, command
+from support.processes import SETTINGS, call, command, ended, metrics_in, runs, wait_for
+from support.thorough import SHARE
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]
 

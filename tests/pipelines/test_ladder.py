@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from composing import composed
+from support.composing import composed
 
 from lmd.core.checks import InputError
 from lmd.evaluation.tradeoff import ANEW, Found

@@ -2,15 +2,12 @@
 
 import json
 
-import bag_files
-import localise_drives as ld
 import numpy as np
 import pandas as pd
-import photographs
-import processes
 import pytest
-import walks
 from scipy.spatial.transform import Rotation
+from support import bags, processes, walks
+from support import localisations as ld
 
 from lmd.adjust.gauge import SIGMA_COLUMNS
 from lmd.core.tables import write_table
@@ -30,7 +27,7 @@ pytestmark = pytest.mark.slow
 def room(tmp_path_factory):
     """A map with standard deviations, a calibration and the detections of a walk."""
     cwd, walk = tmp_path_factory.mktemp("work"), ld.walked(3)
-    photographs.calibration(cwd / "camera.yaml", walks.CAMERA)
+    walks.calibration(cwd / "camera.yaml", walks.CAMERA)
     write_detections(cwd / "seen.csv", walk.detected)
     poses = walk.known.poses
     vectors = np.hstack([poses[:, :3, 3], poses[:, :3, 2], poses[:, :3, 1]])
@@ -118,9 +115,9 @@ def test_a_rig_is_localised_by_a_bag_of_its_detections(room):
     for f in range(len(walk.frames)):
         for c, topic in enumerate(("/front", "/left")):
             own = np.flatnonzero((seen.frame == f) & (seen.camera == c))
-            message = bag_files.tags(seen.ids[own], seen.corners[own] - PIXEL_CENTRE)
+            message = bags.tags(seen.ids[own], seen.corners[own] - PIXEL_CENTRE)
             rows.append((topic, "apriltag_msgs/msg/AprilTagDetectionArray", f * 10**9, message))
-    bag_files.write(cwd / "rig.mcap", rows)
+    bags.write(cwd / "rig.mcap", rows)
     own = "camera: {path: camera.yaml}"
     cameras = f"{{{own}}}, {{{own}, translation: [0, 0.1, 0], yaw: {np.pi / 2}}}"
     given = ["detections=rig.mcap", "topic=[/front,/left]", f"camera.rig=[{cameras}]", "tracking=none"]

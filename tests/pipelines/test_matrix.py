@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from composing import composed
+from support.composing import composed
 
 from lmd.core.checks import InputError
 from pipelines.building import build_optimiser, build_problem

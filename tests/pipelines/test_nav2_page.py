@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import shapely
 import yaml
-from occupancy_maps import OCCUPIED, box, hall, write_map
-from processes import inside
+from support.processes import inside
+from support.rooms import OCCUPIED, box, hall, write_map
 
 from lmd.formats.tag_maps import read_deployment
 

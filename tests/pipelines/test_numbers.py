@@ -7,12 +7,12 @@ import warnings
 import zlib
 from pathlib import Path
 
-import composing
 import hydra
 import pytest
-from examples import SHARE
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import OmegaConf, open_dict
+from support import composing
+from support.thorough import SHARE
 
 from lmd.core.checks import InputError
 from pipelines.app import CONF

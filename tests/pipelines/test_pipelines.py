@@ -6,7 +6,7 @@ import re
 import pandas as pd
 import pytest
 from mlflow import MlflowClient
-from processes import inside
+from support.processes import inside
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from occupancy_maps import OCCUPIED, box, hall, write_map
-from processes import inside
+from support.processes import inside
+from support.rooms import OCCUPIED, box, hall, write_map
 
 FOLDER = Path(__file__).parents[2] / "docs" / "recipes"
 PAGES = {path.stem: path.read_text(encoding="utf-8") for path in sorted(FOLDER.glob("*.md"))}

@@ -7,7 +7,7 @@ import signal
 import time
 
 import pytest
-from processes import inside
+from support.processes import inside
 
 from lmd.optimisers.base import Optimiser
 from lmd.optimisers.checkpoint import CHECKPOINT_FILE, Checkpoint

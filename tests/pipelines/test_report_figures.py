@@ -2,7 +2,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.image import imread
-from paper import paper_scene
+from support.paper import paper_scene
 
 from lmd.objectives.coverage import Coverage
 from lmd.plot import common

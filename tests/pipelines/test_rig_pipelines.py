@@ -2,11 +2,11 @@
 
 import json
 
-import composing
 import numpy as np
 import pytest
-from paper import PAPER_CAMERA
-from processes import inside
+from support import composing
+from support.paper import PAPER_CAMERA
+from support.processes import inside
 
 from lmd.core.checks import InputError
 from lmd.geometry.camera import Camera

@@ -5,8 +5,8 @@ import json
 import pandas as pd
 import pytest
 from mlflow import MlflowClient
-from processes import inside
-from recorded_runs import ANOTHER, started, stored
+from support.processes import inside
+from support.stores import ANOTHER, started, stored
 
 from lmd.core.checks import InputError
 from lmd.optimisers.checkpoint import CHECKPOINT_FILE

@@ -4,9 +4,9 @@ import json
 
 import numpy as np
 import pandas as pd
-import processes
 import pytest
-from composing import composed
+from support import processes
+from support.composing import composed
 
 from lmd.detection.frames import draw_crowd, draw_poses
 from pipelines.building import build_problem

@@ -7,7 +7,7 @@ import subprocess
 
 import pytest
 from mlflow import MlflowClient
-from processes import LIMIT, command, environment, start
+from support.processes import LIMIT, command, environment, start
 
 from pipelines.operations.signals import SIGNALS, Stop, Stopped
 from pipelines.operations.tracking import MlflowTracker, RunStart

@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
-from composing import composed
-from processes import inside
+from support.composing import composed
+from support.processes import inside
 
 from lmd.optimisers.ledger import Budget
 from pipelines.building import build_optimiser, build_problem

@@ -3,12 +3,10 @@
 import json
 from dataclasses import replace
 
-import drives
 import numpy as np
-import photographs
-import processes
 import pytest
 from scipy.spatial.transform import Rotation
+from support import drives, processes, walks
 
 from lmd.core.tables import write_table
 from lmd.formats.detection_formats import write_detections
@@ -24,7 +22,7 @@ def cwd(tmp_path_factory):
     folder, rng = tmp_path_factory.mktemp("drive"), np.random.default_rng(5)
     driven = drives.drive(8.0, 6, rng, alone=1.0, dark=0.1)
     odometry = drives.odometry(driven, rng)
-    photographs.calibration(folder / "camera.yaml", drives.CAMERA)
+    walks.calibration(folder / "camera.yaml", drives.CAMERA)
     write_detections(folder / "detections.csv", driven.detected)
     write_detections(folder / "family.csv", replace(driven.detected, family="16h5"))
 

@@ -5,14 +5,11 @@ import os
 import re
 import shutil
 
-import bag_files
 import cv2
 import numpy as np
 import pandas as pd
-import photographs
-import processes
 import pytest
-import walks
+from support import bags, processes, walks
 
 from lmd.core.checks import InputError
 from lmd.detection.detectors import Detections
@@ -48,8 +45,8 @@ def room(tmp_path_factory):
     true = plan @ exp(rng.normal(size=(COUNT, 6)) * [0.0, 0.0, 0.01, 0.01, 0.01, 0.0])
     ids = np.where(np.arange(COUNT) == UNSEEN - 1, NEW, np.arange(COUNT))
     frames = walks.walk(FRAMES, rng)
-    photographs.calibration(cwd / "camera.yaml", CAMERA)
-    photographs.photograph(cwd / "photos", true[:UNSEEN], ids[:UNSEEN], frames, CAMERA, EDGE)
+    walks.calibration(cwd / "camera.yaml", CAMERA)
+    walks.photograph(cwd / "photos", true[:UNSEEN], ids[:UNSEEN], frames, CAMERA, EDGE)
     sharp = cv2.imread(str(cwd / "photos" / "0003.png"), cv2.IMREAD_GRAYSCALE)
     cv2.imwrite(str(cwd / "photos" / BLURRED), cv2.blur(sharp, (7, 1)))
     planned = np.flatnonzero(np.arange(COUNT) != UNSEEN - 1)
@@ -69,11 +66,11 @@ def surveyed(room):
 def test_a_bag_of_photographs_with_their_camera_is_surveyed_and_localised(room):
     """MCAP by another library; the map is that of the photographs, and the bag of poses is read by that library."""
     cwd, _, _ = room
-    rows = [("/camera_info", "sensor_msgs/msg/CameraInfo", 0, bag_files.camera_info(CAMERA))]
+    rows = [("/camera_info", "sensor_msgs/msg/CameraInfo", 0, bags.camera_info(CAMERA))]
     for k, path in enumerate(sorted((cwd / "photos").iterdir())):
         grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-        rows.append(("/image", "sensor_msgs/msg/Image", k * 10**9, bag_files.image(grey)))
-    bag_files.write(cwd / "drive.mcap", rows)
+        rows.append(("/image", "sensor_msgs/msg/Image", k * 10**9, bags.image(grey)))
+    bags.write(cwd / "drive.mcap", rows)
     given = ["photographs=drive.mcap", f"tag.edge={EDGE}", "tracking=none", "workers=1"]
     done = call("deployment.path=plan.csv", *ROOM, "hydra.run.dir=bagged", cwd=cwd, settings=given)
     assert done.returncode == 0, done.stderr
@@ -82,7 +79,7 @@ def test_a_bag_of_photographs_with_their_camera_is_surveyed_and_localised(room):
     more = ["map=bagged", "localise.bag=true", "hydra.run.dir=localised"]
     done = processes.inside("localise", *more, cwd=cwd, settings=given)
     assert done.returncode == 0, done.stderr
-    poses = [message for _, message in bag_files.read(cwd / "localised" / "poses.mcap", "/localise/pose")]
+    poses = [message for _, message in bags.read(cwd / "localised" / "poses.mcap", "/localise/pose")]
     table = pd.read_csv(cwd / "localised" / "poses.csv")
     known = table[table.state == "localised"]
     assert len(poses) == len(known) > 15

@@ -7,7 +7,7 @@ from pathlib import Path
 import psutil
 import pytest
 from mlflow import MlflowClient
-from recorded_runs import ANOTHER, started, stored
+from support.stores import ANOTHER, started, stored
 
 from lmd.core.checks import InputError
 from pipelines.operations.tracking import Dataset, MlflowReader, MlflowTracker, RunStart

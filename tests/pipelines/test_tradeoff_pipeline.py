@@ -9,9 +9,9 @@ import time
 
 import numpy as np
 import pandas as pd
-import processes
 import pytest
 from mlflow import MlflowClient
+from support import processes
 
 from lmd.scene.deployment import Deployment
 

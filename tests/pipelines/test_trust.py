@@ -3,9 +3,9 @@
 import sys
 from pathlib import Path
 
-import composing
 import pytest
 from omegaconf import OmegaConf
+from support import composing
 
 import pipelines.report
 from lmd.core.checks import InputError, printable

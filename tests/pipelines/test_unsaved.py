@@ -7,7 +7,7 @@ import signal
 from pathlib import Path
 
 import pytest
-from planned import LANDMARKS, SETTINGS, UNSAVED
+from support.chromium import LANDMARKS, SETTINGS, UNSAVED
 
 from lmd.planner.plan import Plan
 from lmd.planner.server import Planner

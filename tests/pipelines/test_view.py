@@ -9,13 +9,12 @@ from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from threading import Thread
 from urllib.parse import urlsplit
 
-import chromium
 import numpy as np
 import pytest
-from paper import paper_room
-from planned import LANDMARKS, SETTINGS
-from planner_page import LIMIT, Page
-from processes import SMALL, call, command, refused, start
+from support import chromium
+from support.chromium import LANDMARKS, LIMIT, SETTINGS, Page
+from support.paper import paper_room
+from support.processes import SMALL, call, command, refused, start
 
 from lmd.formats.rigs import read_mounts
 from lmd.scene.deployment import Deployment

@@ -7,7 +7,7 @@ from urllib.request import Request, urlopen
 
 import numpy as np
 import pytest
-from small import problem
+from support.small import problem
 
 from lmd.core.checks import InputError
 from lmd.optimisers.ledger import Budget

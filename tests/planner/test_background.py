@@ -7,7 +7,7 @@ from itertools import count
 
 import numpy as np
 import pytest
-from small import problem
+from support.small import problem
 
 from lmd.core.checks import InputError
 from lmd.evaluation.validation import Sample, describe_validation, validation_metrics

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from paper import paper_room, paper_scene
-from small import problem
+from support.paper import paper_room, paper_scene
+from support.small import problem
 
 from lmd.objectives.localisation import Localisation
 from lmd.planner.figures import additions, candidate_cells

@@ -4,7 +4,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
-from small import problem
+from support.small import problem
 
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.random_search import RandomSearch

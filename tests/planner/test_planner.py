@@ -5,10 +5,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from floor_plans import L_SHAPE, lab
-from meshes import mesh_room
-from paper import paper_scene
-from small import problem
+from support.paper import paper_scene
+from support.rooms import L_SHAPE, lab, mesh_room
+from support.small import problem
 
 from lmd.core.checks import InputError
 from lmd.formats.trajectories import read_recorded_poses

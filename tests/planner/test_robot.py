@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from paper import experiment_room, paper_camera, paper_scene
 from scipy.spatial.transform import Rotation
+from support.paper import experiment_room, paper_camera, paper_scene
 
 from lmd.cameras.body import Body
 from lmd.cameras.mounts import MountSpace

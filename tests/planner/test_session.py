@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from floor_plans import lab
-from paper import paper_room, paper_scene
-from small import problem
+from support.paper import paper_room, paper_scene
+from support.rooms import lab
+from support.small import problem
 
 from lmd.core.checks import InputError
 from lmd.formats.deployments import FileDeployment

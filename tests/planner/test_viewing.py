@@ -4,10 +4,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from floor_plans import lab
 from hypothesis import given
 from hypothesis import strategies as st
-from paper import paper_room
+from support.paper import paper_room
+from support.rooms import lab
 
 from lmd.planner.viewing import FIELD_OF_VIEW, FILLED_SHARE, Framing, framed, pointed_at
 from lmd.space.surface import SurfaceArrays

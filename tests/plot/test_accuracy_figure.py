@@ -1,6 +1,6 @@
 import numpy as np
 from matplotlib.image import imread
-from paper import paper_room, paper_scene
+from support.paper import paper_room, paper_scene
 
 from lmd.evaluation.accuracy import plan_of_errors, predicted_errors
 from lmd.objectives.coverage import Coverage

@@ -1,7 +1,7 @@
 import math
 
 from matplotlib.image import imread
-from paper import paper_camera
+from support.paper import paper_camera
 
 from lmd.cameras.body import Body
 from lmd.plot.body_drawing import save_body_figure

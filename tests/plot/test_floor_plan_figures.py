@@ -1,9 +1,9 @@
 """The parts of a floor plan in figures."""
 
 import numpy as np
-from floor_plans import lab
 from matplotlib.figure import Figure
-from paper import paper_scene
+from support.paper import paper_scene
+from support.rooms import lab
 
 from lmd.objectives.coverage import Coverage
 from lmd.plot.plans import save_room_figure

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.image import imread
-from paper import paper_scene
-from processes import environment
 from scipy.spatial import cKDTree
+from support.paper import paper_scene
+from support.processes import environment
 
 from lmd.objectives.coverage import Coverage
 from lmd.plot import common

@@ -1,5 +1,5 @@
 import numpy as np
-from floor_plans import lab
+from support.rooms import lab
 
 from lmd.detection.frames import tagged_room
 from lmd.geometry.camera import Camera

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
-from paper import X, Y, Z, experiment_room, paper_room
 from scipy.stats import chisquare, kstest
-from strategies import deployments, rooms, seeds
+from support.paper import X, Y, Z, experiment_room, paper_room
+from support.strategies import deployments, rooms, seeds
 
 from lmd.core.checks import InputError
 from lmd.formats.deployments import FileDeployment

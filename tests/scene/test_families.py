@@ -3,7 +3,7 @@ import importlib
 
 import numpy as np
 import pytest
-from processes import ROOT
+from support.processes import ROOT
 
 from lmd.core.checks import InputError
 from lmd.scene.families import FAMILIES, dictionary, family_named, picture

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from contracts.field import move
-from floor_plans import lab
 from hypothesis import given
 from hypothesis import strategies as st
-from paper import paper_room
-from small import make, problem
-from strategies import deployments, scenes, seeds
+from support.paper import paper_room
+from support.rooms import lab
+from support.small import make, problem
+from support.strategies import deployments, scenes, seeds
 
 from lmd.core.checks import InputError
 from lmd.formats.deployments import FileDeployment

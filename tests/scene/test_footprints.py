@@ -4,11 +4,11 @@ import time
 
 import numpy as np
 import pytest
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
-from paper import paper_camera, paper_room, paper_scene
-from strategies import rooms, seeds
+from support.paper import paper_camera, paper_room, paper_scene
+from support.strategies import rooms, seeds
+from support.thorough import examples
 
 from lmd.core.checks import InputError
 from lmd.formats.deployments import FileDeployment

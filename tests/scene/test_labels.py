@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from paper import paper_room
-from small import make, problem
+from support.paper import paper_room
+from support.small import make, problem
 
 from lmd.core.checks import InputError
 from lmd.detection.frames import tagged_room

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
-from strategies import pdfs
+from support.strategies import pdfs
 
 from lmd.core.checks import InputError
 from lmd.geometry.frames import optical_axis, rotation

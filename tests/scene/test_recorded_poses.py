@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from floor_plans import lab
 from numpy.testing import assert_allclose, assert_array_equal
-from paper import paper_camera, paper_room, paper_scene
 from scipy.spatial.transform import Rotation
+from support.paper import paper_camera, paper_room, paper_scene
+from support.rooms import lab
 
 from lmd.core.checks import InputError
 from lmd.estimation.flights import Pace, RandomMotion

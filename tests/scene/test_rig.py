@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from contracts.criterion import check_gains, check_slack
-from floor_plans import L_SHAPE
 from numpy.testing import assert_allclose, assert_array_equal
-from paper import facing, one_position_room, paper_camera, paper_scene
+from support.paper import facing, one_position_room, paper_camera, paper_scene
+from support.rooms import L_SHAPE
 
 from lmd.core.checks import InputError
 from lmd.evaluation.bounds import Search, fitness_upper_bound

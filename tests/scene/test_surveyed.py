@@ -4,11 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from floor_plans import L_SHAPE, PILLAR, RACK, lab
-from meshes import mesh_room
 from numpy.testing import assert_allclose, assert_array_equal
-from paper import paper_camera, paper_room
 from scipy.spatial.transform import Rotation
+from support.paper import paper_camera, paper_room
+from support.rooms import L_SHAPE, PILLAR, RACK, lab, mesh_room
 
 from lmd.core.checks import InputError
 from lmd.detection.frames import tagged_room

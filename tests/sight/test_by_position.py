@@ -2,15 +2,14 @@
 
 import numpy as np
 import pytest
-from by_position import plain_scenes, tag_scenes, varied_scenes, with_probabilities
 from contracts.criterion import check_counts
 from contracts.field import check_field
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
-from paper import facing, paper_room, paper_scene
-from strategies import deployments, seeds
+from support.paper import facing, paper_room, paper_scene
+from support.strategies import deployments, plain_scenes, seeds, tag_scenes, varied_scenes, with_probabilities
+from support.thorough import examples
 
 from lmd.evaluation.bounds import Search, average_upper_bound
 from lmd.objectives.coverage import Coverage

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from contracts.field import check_field
-from examples import examples
-from floor_plans import lab
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
-from paper import paper_scene
-from strategies import seeds
+from support.paper import paper_scene
+from support.rooms import lab
+from support.strategies import seeds
+from support.thorough import examples
 
 from lmd.core.checks import InputError
 from lmd.evaluation.validation import Sample, validation_metrics

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from paper import paper_camera, paper_scene
-from strategies import seeds
+from support.paper import paper_camera, paper_scene
+from support.strategies import seeds
 
 from lmd.core.bits import in_words, unpacked
 from lmd.scene import pdf

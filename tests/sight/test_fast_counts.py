@@ -3,12 +3,11 @@ import math
 import numpy as np
 import pytest
 from contracts.criterion import check_counts
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
-from paper import facing, one_position_room, paper_room, paper_scene
-from strategies import (
+from support.paper import facing, one_position_room, paper_room, paper_scene
+from support.strategies import (
     cameras,
     deployments,
     pdfs,
@@ -18,6 +17,7 @@ from strategies import (
     scenes_with_deployments,
     visibilities,
 )
+from support.thorough import examples
 
 from lmd.geometry.frames import optical_axis
 from lmd.scene import pdf

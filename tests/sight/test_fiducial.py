@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from contracts.criterion import check_counts, check_every_path, tilted
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
-from paper import paper_camera, paper_room
-from strategies import FISHEYE, deployments, fiducial_scenes, seeds, unit_vectors
+from support.paper import paper_camera, paper_room
+from support.strategies import FISHEYE, deployments, fiducial_scenes, seeds, unit_vectors
+from support.thorough import examples
 
 from lmd.core.checks import InputError
 from lmd.detection.quality import apparent_edge, incidence, pitch

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 from contracts.field import bound, settle
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
-from paper import paper_room, paper_scene
-from strategies import scenes_with_deployments
+from support.paper import paper_room, paper_scene
+from support.strategies import scenes_with_deployments
+from support.thorough import examples
 
 from lmd.incremental.camera_occlusion import turns
 from lmd.incremental.coverage_field import coverage_field

@@ -4,13 +4,22 @@ import math
 
 import numpy as np
 import pytest
-from by_position import with_probabilities
-from examples import examples
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from numba import njit
-from paper import paper_camera, paper_scene
-from strategies import cameras, distorted_cameras, fiducials, pdfs, rolled_pdfs, seeds, unit_vectors, visibilities
+from support.paper import paper_camera, paper_scene
+from support.strategies import (
+    cameras,
+    distorted_cameras,
+    fiducials,
+    pdfs,
+    rolled_pdfs,
+    seeds,
+    unit_vectors,
+    visibilities,
+    with_probabilities,
+)
+from support.thorough import examples
 from test_fiducial import check_paths
 
 from lmd.scene.criteria import from_position, horizon_of

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 from contracts.criterion import check_every_path
-from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
-from paper import paper_room, paper_scene
-from strategies import deployments, scenes_with_boundary_landmarks, scenes_with_deployments, seeds
+from support.paper import paper_room, paper_scene
+from support.strategies import deployments, scenes_with_boundary_landmarks, scenes_with_deployments, seeds
+from support.thorough import examples
 
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment

@@ -3,13 +3,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from contracts.criterion import check_counts, check_every_path, check_gains
-from examples import examples
-from floor_plans import L_SHAPE, lab, prisms
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
-from paper import paper_scene
-from strategies import cameras, fiducials, pdfs, rolled_pdfs, seeds, visibilities
+from support.paper import paper_scene
+from support.rooms import L_SHAPE, lab, prisms
+from support.strategies import cameras, fiducials, pdfs, rolled_pdfs, seeds, visibilities
+from support.thorough import examples
 
 from lmd.geometry.se3 import axis_and_right, camera_pose
 from lmd.objectives.coverage import Coverage

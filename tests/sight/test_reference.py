@@ -5,7 +5,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
-from paper import (
+from support.paper import (
     Y,
     Z,
     experiment_room,
@@ -16,7 +16,7 @@ from paper import (
     paper_scene,
     printed_experiment_camera,
 )
-from strategies import cameras, free_deployments, pitches, points, seeds, unit_vectors, yaws
+from support.strategies import cameras, free_deployments, pitches, points, seeds, unit_vectors, yaws
 
 from lmd.geometry.frames import optical_axis, rotation
 from lmd.scene import pdf

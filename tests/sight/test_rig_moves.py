@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 from contracts.criterion import check_every_path
-from examples import examples
-from floor_plans import lab
 from hypothesis import given
 from hypothesis import strategies as st
-from rigs import rig_scenes_with_deployments, rigs
-from strategies import deployments, rooms, seeds
+from support.rooms import lab
+from support.strategies import deployments, rig_scenes_with_deployments, rigs, rooms, seeds
+from support.thorough import examples
 
 from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.pdf import level_flight

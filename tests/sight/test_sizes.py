@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from contracts.criterion import check_counts, check_every_path, check_shrunk, tilted
 from contracts.field import check_field
-from floor_plans import lab
+from support.rooms import lab
 from test_fiducial import LENSES, fiducial_scene
 
 from lmd.objectives.localisation import Localisation

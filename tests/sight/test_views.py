@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
-from paper import paper_scene
-from strategies import scenes_with_boundary_landmarks, scenes_with_deployments
+from support.paper import paper_scene
+from support.strategies import scenes_with_boundary_landmarks, scenes_with_deployments
 
 from lmd.scene.deployment_sources import UniformDeployment
 from lmd.sight.evaluator import Evaluator

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 import shapely
-from examples import SHARE
-from floor_plans import L_SHAPE, PILLAR, blocks, lab, plan_of, random_boxes, star
 from numpy.testing import assert_array_equal
+from support.rooms import L_SHAPE, PILLAR, blocks, lab, plan_of, random_boxes, star
+from support.thorough import SHARE
 
 from lmd.space.blockers import Blockers
 from lmd.space.floor_plan import FloorPlan

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import shapely
 import trimesh
-from examples import examples
 from hypothesis import given, strategies
-from meshes import captured, quad
 from numpy.testing import assert_array_equal
+from support.rooms import captured, quad
+from support.thorough import examples
 
 from lmd.core.checks import InputError
 from lmd.formats.meshes import read_mesh, read_mesh_room

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
-from paper import SIDE_WALLS, experiment_room, paper_room
-from strategies import rooms
+from support.paper import SIDE_WALLS, experiment_room, paper_room
+from support.strategies import rooms
 
 from lmd.core.checks import InputError
 from lmd.space.cuboid import WALLS, Cuboid

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import shapely
 import trimesh
-from floor_plans import lab
 from numpy.testing import assert_array_equal
+from support.rooms import lab
 
 from lmd.core.checks import InputError
 from lmd.core.worst import worst_mean

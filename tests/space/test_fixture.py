@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from floor_plans import DOOR, L_SHAPE, PILLAR, RACK, lab
-from meshes import mesh_room
 from numpy.testing import assert_allclose
+from support.rooms import DOOR, L_SHAPE, PILLAR, RACK, lab, mesh_room
 
 from lmd.space.fixture import Fixture
 from lmd.space.floor_plan import FloorPlan

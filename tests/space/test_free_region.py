@@ -7,7 +7,7 @@ import pytest
 import shapely
 from contracts.space import check_space
 from numpy.testing import assert_allclose
-from occupancy_maps import FREE, OCCUPIED, UNKNOWN, box, hall, write_map
+from support.rooms import FREE, OCCUPIED, UNKNOWN, box, hall, write_map
 
 from lmd.formats.plans import read_plan_room
 from lmd.scene.deployment_sources import RandomDeployment

@@ -1,10 +1,9 @@
 import numpy as np
 import pytest
 import trimesh
-from floor_plans import DOOR, L_SHAPE, PILLAR, RACK, hangs_properly
-from meshes import mesh_room, walls_of
 from numpy.testing import assert_allclose, assert_array_equal
-from paper import paper_camera
+from support.paper import paper_camera
+from support.rooms import DOOR, L_SHAPE, PILLAR, RACK, hangs_properly, mesh_room, walls_of
 
 from lmd.core.checks import InputError
 from lmd.formats.meshes import read_mesh_room

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 import shapely
-from examples import examples
-from floor_plans import DOOR, L_SHAPE, PILLAR, RACK, hangs_properly, lab, plan_of, prisms, star
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
+from support.rooms import DOOR, L_SHAPE, PILLAR, RACK, hangs_properly, lab, plan_of, prisms, star
+from support.thorough import examples
 
 from lmd.core.checks import InputError
 from lmd.optimisers.encoding import make_encoding

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 import trimesh
-from examples import SHARE
 from numpy.testing import assert_allclose, assert_array_equal
+from support.thorough import SHARE
 
 from lmd.space.triangles import Triangles
 

@@ -8,7 +8,7 @@ import sys
 
 import numpy as np
 import pytest
-from processes import ROOT
+from support.processes import ROOT
 
 import lmd.suite
 from lmd.core.checks import InputError

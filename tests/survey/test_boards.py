@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import walks
+from support import walks
 
 from lmd.core.checks import InputError
 from lmd.geometry.se3 import exp

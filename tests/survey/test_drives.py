@@ -2,12 +2,10 @@
 
 from dataclasses import replace
 
-import drives
-import examples
 import numpy as np
 import pytest
-import walks
 from scipy.stats import chi2
+from support import drives, thorough, walks
 
 from lmd.core.checks import InputError
 from lmd.geometry.se3 import act, adjoint_matrix, inverse, log, pose_of, rigid_alignment
@@ -19,8 +17,8 @@ from lmd.survey.terminal import to_text
 
 LENGTH, COUNT = 12.0, 9
 SLACK = 1.15  # factor of chi^2, as each drive estimates its spread from some hundred links
-SEEDS = range(1 if examples.SHARE < 1.0 else round(8 * examples.SHARE))
-more_drives = pytest.mark.thorough("lmd/survey", "lmd/adjust", "tests/drives.py")
+SEEDS = range(1 if thorough.SHARE < 1.0 else round(8 * thorough.SHARE))
+more_drives = pytest.mark.thorough("lmd/survey", "lmd/adjust", "tests/support/drives.py")
 
 
 def found_of(driven, known, detected=None):

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import walks
+from support import walks
 
 from lmd.adjust.prior import Prior
 from lmd.geometry.se3 import exp, inverse

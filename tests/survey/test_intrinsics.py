@@ -3,9 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
-import walks
 from scipy.spatial.distance import pdist
 from scipy.stats import chi2
+from support import walks
 
 from lmd.adjust.intrinsics import camera_info, intrinsics_of, prior_sigmas, with_intrinsics
 from lmd.formats.calibrations import calibrated_camera

@@ -1,8 +1,8 @@
 """Keyframes of videos and of drives."""
 
-import drives
 import numpy as np
 import pytest
+from support import drives
 
 from lmd.adjust.motion import SHORTEST_GAP
 from lmd.core.checks import IntArray

@@ -2,11 +2,10 @@
 
 from dataclasses import replace
 
-import examples
 import numpy as np
 import pytest
-import walks
 from scipy.stats import chi2
+from support import thorough, walks
 
 from lmd.adjust.intrinsics import intrinsics_of, with_intrinsics
 from lmd.adjust.sightings import MODES, SHAPES, SQUARE, Observations
@@ -21,7 +20,7 @@ GIVEN = with_intrinsics(
     TRUE, intrinsics_of(TRUE) * [1.003, 1.003, *[1.0] * 7] + [0, 0, 2, -1.5, 0.004, -0.004, 0.0003, 0, 0.002]
 )
 ERRORS = replace(walks.constant_errors(SIGMA), inward_spread=SPREAD)
-SEEDS = range(max(4, round(20 * examples.SHARE)))
+SEEDS = range(max(4, round(20 * thorough.SHARE)))
 
 
 def surveyed(detected, camera=GIVEN, calibrate=None):

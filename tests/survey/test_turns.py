@@ -6,7 +6,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-import walks
+from support import walks
 
 from lmd.core.checks import InputError
 from lmd.formats.detections import DetectedTags

@@ -4,14 +4,14 @@ import gc
 import importlib
 import pkgutil
 
-import stores
-from composing import composed
 from mlflow.store.db import utils
 from PIL import Image
 
 import lmd
 import pipelines
 from pipelines.operations.sweeps.forks import TRACKED
+from support import stores
+from support.composing import composed
 
 # What is imported when it is needed. The page of runs is mlflow's server, which nobody else needs.
 LIBRARIES = (
@@ -35,9 +35,8 @@ def _compose():
 
 def _load_kernels():
     """Load what the main job calls."""
-    from small import problem
-
     import lmd
+    from support.small import problem
 
     lmd.optimise(problem(), evaluations=60)
 

@@ -1,6 +1,6 @@
 """A process that has imported `lmd` and used it: kernels are compiled, and others are read from disk."""
 
-import small
+from support import small
 
 import lmd
 from lmd.core.compiled import inner, kernel

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-import walks
+from support import walks
 
 from lmd.adjust.corners import Poses
 from lmd.adjust.intrinsics import Optics, prior_sigmas

@@ -1,16 +1,76 @@
-"""The interactive planner in a browser, with the mouse where places of the paper's room are shown."""
+"""Chromium without a window, and the interactive planner in it."""
 
+import json
+import shutil
 import time
 
-import chromium
 import numpy as np
+import pytest
 import viser
-from paper import paper_room
 from selenium.webdriver.common.actions.action_builder import ActionBuilder
 from selenium.webdriver.common.keys import Keys
 
 from lmd.planner.background import ESTIMATE
 from lmd.planner.viewing import FIELD_OF_VIEW, framed
+from pipelines.view import UNSAVED as BEGIN
+from support.paper import paper_room
+from support.processes import SMALL
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+DRIVER = shutil.which("chromedriver")
+FOREIGN = "foreign.example"
+FLAGS = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--enable-unsafe-swiftshader",  # WebGL on the processor
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--window-size=1400,900",
+    f"--host-resolver-rules=MAP {FOREIGN} 127.0.0.1",  # as its owner may have names servers say
+)
+FRAMES = """
+requestAnimationFrame = draw => setTimeout(() => draw(performance.now()), 250);
+cancelAnimationFrame = clearTimeout;
+"""
+REASON = "needs Chromium and its driver (Debian: apt-get install chromium chromium-driver)"
+needs_chromium = pytest.mark.skipif(not (CHROMIUM and DRIVER), reason=REASON)
+
+
+def start(profile):
+    """A driver of selenium; `profile` is an empty folder."""
+    from selenium import webdriver
+
+    options = webdriver.ChromeOptions()
+    options.binary_location = CHROMIUM
+    for flag in (*FLAGS, f"--user-data-dir={profile}"):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(executable_path=DRIVER))
+    driver.set_page_load_timeout(120)
+    return driver
+
+
+def draw_little(driver):
+    """Let pages that never stop drawing do it four times a second, in a small window: the processor does it all."""
+    driver.set_window_size(1000, 640)
+    driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": FRAMES})
+
+
+def complaints(driver):
+    """Errors that pages have written to the console since the last call."""
+    return [entry["message"] for entry in driver.get_log("browser") if entry["level"] == "SEVERE"]
+
+
+def requests(driver):
+    """The addresses that were asked for since this was asked last."""
+    events = [json.loads(entry["message"])["message"] for entry in driver.get_log("performance")]
+    asked = [e["params"]["request"]["url"] for e in events if e["method"] == "Network.requestWillBeSent"]
+    return [url for url in asked if not url.startswith(("data:", "blob:", "chrome:"))]
+
 
 LIMIT = 300.0  # seconds
 OF_VISERS = "Unable to preventDefault inside passive event listener"  # error that viser's own page logs on every drag
@@ -22,7 +82,7 @@ class Page:
     def __init__(self, browser, address):
         self.browser = browser
         browser.get("about:blank")
-        chromium.complaints(browser), chromium.requests(browser)
+        complaints(browser), requests(browser)
         browser.get(address)
         self.until(self.is_settled)
 
@@ -39,7 +99,7 @@ class Page:
         )
 
     def complaints(self):
-        return [message for message in chromium.complaints(self.browser) if OF_VISERS not in message]
+        return [message for message in complaints(self.browser) if OF_VISERS not in message]
 
     def until(self, is_so):
         began = time.monotonic()
@@ -112,3 +172,13 @@ class Page:
             actions.pointer_action.move_to_location(*place).pause(pause)
         actions.pointer_action.pointer_up()
         actions.perform()
+
+
+LANDMARKS = """id,x,y,z,nx,ny,nz,note
+7,2,5,1,0,-1,0,by the door
+3,5,5,1,0,-1,0,
+9,0,1,3,1,0,0,
+4,3,5,5,0,-1,0,
+"""
+SETTINGS = (*SMALL[:2], "tag.edge=0.15", "objective.n=1", "objective.thold_p=0.1", "deployment=file")
+UNSAVED = f"{BEGIN}.csv"

@@ -7,24 +7,26 @@ has done that (`warm`), unless the start itself matters (`fresh`).
 import atexit
 import importlib
 import io
+import json
 import logging
 import os
 import signal
 import subprocess
 import sys
 import threading
+import time
 from contextlib import redirect_stderr, redirect_stdout
 from multiprocessing import forkserver, resource_tracker
 from pathlib import Path
 
-import composing  # noqa: F401 # commands in this process compose their configuration sooner
 import pytest
 from hydra.core.hydra_config import HydraConfig
 
 from pipelines.operations.signals import stop
 from pipelines.operations.sweeps.forks import Descriptor, context, run_module
+from support import composing  # noqa: F401 # commands in this process compose their configuration sooner
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 SMALL = ("room.spacing=1.5", "objective.thold_p=0.5", "validate=false", "picture=false")
 LIMIT = 120  # seconds that a test waits for a process
 WHOLE = 5 * LIMIT  # for one that runs to its end, and may compile before, on a machine that does other things
@@ -112,7 +114,7 @@ def ensure_warm():
     server = forkserver._forkserver
     with pytest.MonkeyPatch.context() as patch:  # where it finds its modules
         patch.setenv("PYTHONPATH", os.pathsep.join(map(str, (ROOT, ROOT / "tests"))))
-        context.set_forkserver_preload(["warm"])
+        context.set_forkserver_preload(["support.warm"])
         server.ensure_running()
     return server._forkserver_address
 
@@ -192,7 +194,7 @@ class Forked:
 def _run(module, arguments, folder, environ, ignoring, streams, leads, hears):
     """Do in the forked process what `python -m module` does."""
     atexit._clear()  # what the server would do at its end, such as removing a folder that others use, is not for this
-    assert "warm" in sys.modules, "the server could not import it"
+    assert "support.warm" in sys.modules, "the server could not import it"
     # What it starts comes from the server that it came from, where Python would start another.
     forkserver._forkserver.ensure_running = resource_tracker.ensure_running
     if leads:
@@ -210,3 +212,30 @@ def _run(module, arguments, folder, environ, ignoring, streams, leads, hears):
     finally:
         threading._shutdown()
         atexit._run_exitfuncs()
+
+
+SETTINGS = ("optimiser=ega", "deployment.count=40", "tracking.uri=sqlite:///store.db")
+ENDLESS = ("budget.evaluations=100000000", "checkpoint_seconds=0.2", "threads=1", "hydra.run.dir=run")
+
+
+def wait_for(path, process):
+    deadline = time.monotonic() + WHOLE
+    while not path.exists() and process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.02)
+
+
+def ended(process):
+    """Exit code, stdout and stderr of a process; there is no traceback among it."""
+    out, err = process.communicate(timeout=WHOLE)
+    assert "Traceback" not in err, err
+    return process.returncode, out, err
+
+
+def runs(cwd):
+    from mlflow import MlflowClient  # takes a second to import
+
+    return MlflowClient(tracking_uri=f"sqlite:///{cwd}/store.db").search_runs(["1"], order_by=["start_time"])
+
+
+def metrics_in(folder):
+    return json.loads((folder / "metrics.json").read_text())

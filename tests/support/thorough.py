@@ -10,7 +10,9 @@ import subprocess
 from functools import cache
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
+from hypothesis import settings
+
+ROOT = Path(__file__).resolve().parents[2]
 ALL = "all"
 ASKED = os.environ.get("LMD_THOROUGH", "")
 
@@ -41,3 +43,12 @@ def changes(revision):
             str(path.relative_to(ROOT)) for folder in ("lmd", "pipelines") for path in (ROOT / folder).rglob("*.py")
         ]
     return done.stdout.split()
+
+
+SHARE = float(os.environ.get("LMD_EXAMPLES", "0.3"))
+DEFAULT = 100  # number of examples of a test without its own
+
+
+def examples(number):
+    """Settings of a test with this number of examples; no deadline, as the first may wait for a compiler."""
+    return settings(max_examples=max(1, round(SHARE * number)), deadline=None)

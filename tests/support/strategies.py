@@ -12,6 +12,7 @@ from lmd.geometry.lens import Lens
 from lmd.scene import pdf
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment
+from lmd.scene.rig import Mount, Rig
 from lmd.scene.scene import Scene
 from lmd.scene.tag import FAMILIES, Tag
 from lmd.sight.models.fiducial import Fiducial
@@ -229,3 +230,56 @@ def scenes_with_boundary_landmarks(draw):
             normals.append(facing)
     normals = np.array(normals)
     return scene, Deployment(np.array(positions), normals / np.linalg.norm(normals, axis=1, keepdims=True))
+
+
+angles = st.one_of(st.sampled_from([0.0, math.pi / 2, math.pi]), st.floats(-math.pi, math.pi))
+translations = st.one_of(st.just((0.0, 0.0, 0.0)), st.just((0.0, 0.0, 0.2)), st.tuples(*[st.floats(-0.5, 0.5)] * 3))
+
+
+@st.composite
+def mounts(draw, kinds):
+    camera, translation = draw(st.sampled_from(kinds)), draw(translations)
+    if draw(st.booleans()):
+        return Mount(camera, translation, draw(angles), draw(angles), draw(angles))
+    quaternion = np.random.default_rng(draw(st.integers(0, 99))).normal(size=4)
+    return Mount(camera, translation, quaternion=quaternion / np.linalg.norm(quaternion))
+
+
+@st.composite
+def rigs(draw, any_camera=cameras()):  # noqa: B008
+    """Rigs of two or three cameras of two kinds: for another number of kinds much would be compiled anew."""
+    found = draw(st.lists(any_camera, min_size=2, max_size=2, unique=True))
+    each = tuple(draw(mounts([camera])) for camera in found)
+    return Rig(each + tuple(draw(st.lists(mounts(found), max_size=1))))
+
+
+@st.composite
+def rig_scenes_with_deployments(draw, fiducial=False, room=None):
+    # The reference looks from each place of each camera, of which there are as many as orientations.
+    room = draw(rooms(cells=2) if room is None else room)
+    seen = draw(fiducials() if fiducial else visibilities())
+    # Tags are seen through lenses that distort, where the test of the image takes long to compile: once.
+    rig = draw(rigs(distorted_cameras(BENT).filter(is_bent) if fiducial else cameras()))
+    few = pdfs_of(4)  # with rolls they are still more than a word of bits holds
+    scene = Scene(room, rig, draw(rolled_pdfs(few) if fiducial else pdfs), seen)
+    return scene, draw(deployments(room, most=8))
+
+
+def with_probabilities(scene, seed):
+    """The scene with probabilities that `seed` and a position decide; some orientations never occur somewhere."""
+    size = len(scene.pdf.weight)
+
+    def at(positions):
+        rows = []
+        for position in np.asarray(positions):
+            rng = np.random.default_rng([seed, *(np.abs(position) * 1e6).astype(np.uint64)])
+            row = rng.random(size) * (rng.random(size) < 0.7) + 1e-3 * (np.arange(size) == rng.integers(size))
+            rows.append(row / row.sum())
+        return np.array(rows)
+
+    return replace(scene, pdf=replace(scene.pdf, by_position=at, continuous=None, refine=None))
+
+
+plain_scenes = st.builds(with_probabilities, scenes(), seeds)
+tag_scenes = st.builds(with_probabilities, fiducial_scenes(cameras()), seeds)
+varied_scenes = st.one_of(plain_scenes, tag_scenes)

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import trimesh
 import yaml
-from occupancy_maps import KEYS, hall
 from PIL import Image
 
 from lmd.formats.calibrations import calibrated_camera
@@ -19,8 +18,9 @@ from lmd.formats.meshes import read_mesh
 from lmd.formats.plans import read_plan_room
 from lmd.formats.tag_maps import read_deployment
 from lmd.formats.trajectories import TrajectoryFile
+from support.rooms import KEYS, hall
 
-FILES = Path(__file__).with_name("formats") / "files"
+FILES = Path(__file__).parents[1] / "formats" / "files"
 TABLES, CALIBRATIONS = (yaml.safe_load((FILES / f"{name}.yaml").read_text()) for name in ("tables", "calibrations"))
 ARGUMENTS = ("name", "image_size", "distortion_model")  # of `calibrated_camera`, among the values of a calibration
 OBJ = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 1\nf 1 2 3\nf 1 3 4\nf 1 2 4\nf 2 3 4\n"

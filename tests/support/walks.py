@@ -1,5 +1,6 @@
 """Rooms with tags, walks through them with a camera whose corners have known errors, and surveys of these."""
 
+import cv2
 import numpy as np
 
 from lmd.adjust.intrinsics import Optics
@@ -11,7 +12,11 @@ from lmd.geometry.camera import Camera
 from lmd.geometry.projection import project
 from lmd.geometry.se3 import act, camera_pose, exp, inverse, log, pose_of, rigid_alignment
 from lmd.geometry.squares import CORNERS
+from lmd.render.imaging import Imaging
+from lmd.render.renderer import Renderer
+from lmd.render.room import TaggedRoom
 from lmd.scene.tag import Tag
+from lmd.space.cuboid import Cuboid
 from lmd.survey.knowledge import PriorKnowledge
 from lmd.survey.survey import survey
 
@@ -122,3 +127,27 @@ def square_of(found, true):
     tag = (first + 1) % len(true)
     off = log(inverse(true[tag]) @ true[first] @ found.poses.tags[tag])
     return off @ np.linalg.solve(found.covariances[tag], off)
+
+
+ROOM = Cuboid((5.0, 4.0, 2.5), (4.0, 3.0, 1.5), 1.0)
+
+
+def calibration(path, camera):
+    """Write the calibration of a camera as ROS does."""
+    (focal_u, focal_v), (u, v) = camera.focal_pixels, camera.principal_point
+    matrix = [focal_u, 0, u - 0.5, 0, focal_v, v - 0.5, 0, 0, 1]
+    path.write_text(
+        f"image_width: {camera.image_width:.0f}\nimage_height: {camera.image_height:.0f}\n"
+        f"camera_matrix: {{data: {[float(value) for value in matrix]}}}\n"
+        f"distortion_model: plumb_bob\ndistortion_coefficients: {{data: [0, 0, 0, 0, 0]}}\n"
+    )
+
+
+def photograph(folder, tags, ids, frames, camera=CAMERA, edge=EDGE, first=0, seed=0):
+    """Write a photograph from each of `frames` `(F, 4, 4)`, numbered from `first`."""
+    room = TaggedRoom(Tag(edge), ids, tags[:, :3, 3], tags[:, :3, 2], tags[:, :3, 1], ROOM.faces())
+    renderer = Renderer(camera, room, Imaging(psf_sigma=0.5, noise=2.0, texture=4.0))
+    folder.mkdir(exist_ok=True)
+    for number, pose in enumerate(frames, first):
+        image = renderer.frame(pose, np.random.default_rng([seed, number]))
+        cv2.imwrite(str(folder / f"{number:04d}.png"), image)

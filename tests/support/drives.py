@@ -1,15 +1,21 @@
-"""Drives down a corridor with tags on both walls, in which most images show one tag."""
+"""Drives: down a corridor with tags on both walls, and through the paper's room."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-import walks
 
 from lmd.core.checks import FloatArray
+from lmd.estimation.flights import Pace, RandomMotion
+from lmd.estimation.recording import Odometry
 from lmd.formats.detections import DetectedTags
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import camera_pose, exp, inverse, pose_of
 from lmd.geometry.trajectory import Trajectory
+from lmd.scene.deployment_sources import UniformDeployment
+from lmd.scene.tag import Tag
+from lmd.space.driven import DrivenRoom
+from support import walks
+from support.paper import paper_room, paper_scene
 
 CAMERA = Camera(4.0, 0.008, 0.008, (400.0, 300.0), 800, 600, 0.0)
 EDGE, WIDTH = 0.2, 2.4  # of tags and of the corridor, metres
@@ -96,3 +102,14 @@ def odometry(
     for motion in step @ exp(off):
         poses.append(poses[-1] @ motion)
     return Trajectory(driven.times, np.stack(poses))
+
+
+SCENE = replace(paper_scene(paper_room(spacing=2.0)), tag=Tag(0.15))
+PACE = Pace(speed=1.0, turn_rate=1.0, frame_rate=5.0)
+MOTION = RandomMotion(6.0, PACE)
+SLOW = Odometry(turn_noise=0.001, motion_noise=0.005)
+DEPLOYMENT = UniformDeployment(60).draw(SCENE.room, np.random.default_rng(0))
+
+
+def along(scene, drives):
+    return replace(scene, room=DrivenRoom(scene.room, drives.positions, drives.seconds))

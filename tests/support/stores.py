@@ -9,9 +9,13 @@ from functools import cache
 from pathlib import Path
 
 from filelock import FileLock
+from mlflow import MlflowClient
 from mlflow.store.db import utils
 from mlflow.version import VERSION
 from sqlalchemy import create_engine
+
+from pipelines.operations.tracking import MlflowTracker, RunStart
+from pipelines.operations.tracking.journal import this_process
 
 make_tables = utils._initialize_tables
 
@@ -19,7 +23,7 @@ make_tables = utils._initialize_tables
 @cache
 def tables():
     """A database with mlflow's tables and no runs, which one process makes for all and for the next time."""
-    root = Path(__file__).parents[1]
+    root = Path(__file__).parents[2]
     folder = root / ".pytest_cache" if os.access(root, os.W_OK) else Path(tempfile.mkdtemp())
     folder.mkdir(exist_ok=True)
     path = folder / f"mlflow_{VERSION}.db"
@@ -45,3 +49,15 @@ def _copy_tables(engine):
 
 utils._initialize_tables = _copy_tables
 utils._get_latest_schema_revision = cache(utils._get_latest_schema_revision)  # it loads all of mlflow's migrations
+
+ANOTHER = this_process()["process"].replace(" ", " 1", 1)  # a process that had the same number as this one
+
+
+def started(uri, run_id=None, folder=None, **values):
+    tracker = MlflowTracker(uri, "tests")
+    tracker.start(RunStart("a run", Path(folder or tempfile.mkdtemp(dir=".")), **values), run_id)
+    return tracker
+
+
+def stored(tracker):
+    return MlflowClient(tracking_uri=tracker.store.uri).get_run(tracker.run_id)
