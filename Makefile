@@ -14,8 +14,10 @@ export PYTHONDONTWRITEBYTECODE :=
 # uv where there is one, else pip; the same pins.
 UV := $(shell command -v uv 2>/dev/null)
 MAKE_VENV := $(if $(UV),$(UV) venv --quiet --seed --allow-existing --python $(PYTHON) $(VENV),$(PYTHON) -m venv $(VENV))
-INSTALL := $(if $(UV),$(UV) pip install --quiet --python $(BIN)/python,\
+# Without setuptools' warning about every editable install.
+INSTALL := PYTHONWARNINGS=ignore $(if $(UV),$(UV) pip install --quiet --python $(BIN)/python,\
   $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check) --constraint constraints.txt --editable
+EVERYTHING := '.[all,nevergrad,postgres,suite]'
 TIMED = began=$$(date +%s) && $(1) && echo "$(2) took $$(($$(date +%s) - began)) s"
 
 install: $(VENV)/installed  ## what the main job needs, compiled
@@ -35,7 +37,8 @@ $(VENV)/installed: $(VENV)/made
 
 $(VENV)/installed-all: $(VENV)/made
 	@echo "installing what all commands and the tests need, with $(if $(UV),uv,pip)"
-	@$(call TIMED,$(INSTALL) '.[dev]',installing)
+	@$(if $(UV),,$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt 'pip>=25.1')
+	@$(call TIMED,$(INSTALL) $(EVERYTHING) --group dev,installing)
 	@# Once, before many processes would do it at the same time: what Python compiles of all packages, and the main job.
 	@$(call TIMED,PYTHONPATH=.:tests $(BIN)/python -c 'import support.warm',compiling)
 	@touch $@

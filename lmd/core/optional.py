@@ -17,7 +17,7 @@ EXTRAS = {
     "gtsam": "estimators",
     "hydra_plugins.hydra_joblib_launcher": "sweeps",
     "hydra_plugins.hydra_submitit_launcher": "sweeps",
-    "nevergrad": "optimisers",
+    "nevergrad": "nevergrad",
     "pymoo": "optimisers",
     "rosbags": "bags",
 }

@@ -63,7 +63,7 @@ class Nevergrad(Wrapped):
         Raises:
             InputError: nevergrad has no optimiser of that name, or the optimiser refuses the options.
         """
-        optional("nevergrad", "optimisers")
+        optional("nevergrad", "nevergrad")
         from nevergrad.optimization import families, registry
 
         if self.name in registry and not self.options:

@@ -43,7 +43,7 @@ def _blocked(k, a, b, s, surface, at, edge, beside):  # type: ignore[no-untyped-
 
 
 @inner
-def _nearest_free(k, s, a, b, within, surface, at, pieces, start, stop, edge, lines, beside, found):  # type: ignore
+def _nearest_free(k, s, a, b, within, surface, at, pieces, start, stop, edge, lines, beside, found):  # type: ignore[no-untyped-def]
     """Write the free place for footprint k nearest to (a, b) on surface s to `found`; False if there is none.
 
     Each coordinate of the nearest place is either unchanged or on a candidate line: a border of a trapezoid along u or

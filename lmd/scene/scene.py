@@ -60,7 +60,7 @@ class Scene:
                 f"{name} has `covered` and no `sight`: derive it from lmd.scene.criteria.Covering.", "visibility"
             )
         seen = getattr(self.visibility, "tag", None)
-        object.__setattr__(self, "tag", self.tag or seen or Tag())
+        object.__setattr__(self, "tag", (seen or Tag()) if self.tag is None else self.tag)
         if seen is not None and seen != self.tag:
             raise InputError(f"tag is {self.tag}, but visibility is about {seen}.", "tag")
         if self.rig is not None:

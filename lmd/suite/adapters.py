@@ -42,8 +42,8 @@ def nevergrad_function(problem: BlackBox) -> Any:
     Raises:
         InputError: nevergrad is not installed.
     """
-    nevergrad = optional("nevergrad", "optimisers")
-    functions = optional("nevergrad.functions", "optimisers")
+    nevergrad = optional("nevergrad", "nevergrad")
+    functions = optional("nevergrad.functions", "nevergrad")
     genes = nevergrad.p.Array(init=problem.start(), lower=0.0, upper=1.0)
 
     def loss(x: FloatArray) -> float | list[float]:

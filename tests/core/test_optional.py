@@ -58,15 +58,15 @@ def test_a_package_that_is_missing_is_named_with_the_command_that_installs_it(hi
 
 
 @pytest.mark.parametrize(
-    ("package", "optimiser"),
-    [("pymoo", "pymoo_ga"), ("nevergrad", "nevergrad"), ("cma", "cma_es")],
+    ("package", "optimiser", "extra"),
+    [("pymoo", "pymoo_ga", "optimisers"), ("nevergrad", "nevergrad", "nevergrad"), ("cma", "cma_es", "optimisers")],
 )
-def test_an_optimiser_of_a_library_that_is_missing_says_so(hidden, package, optimiser):
+def test_an_optimiser_of_a_library_that_is_missing_says_so(hidden, package, optimiser, extra):
     for name in [name for name in sys.modules if name.partition(".")[0] == package]:
         hidden(name)
     hidden(package)
     node = composed("optimise", f"optimiser={optimiser}").optimiser
-    with pytest.raises(InputError, match=rf"^this needs the package {package}: .*\[optimisers\]'\.$"):
+    with pytest.raises(InputError, match=rf"^this needs the package {package}: .*\[{extra}\]'\.$"):
         instantiate(node, seed=0)
 
 
