@@ -199,7 +199,7 @@ def build_camera_problem(cfg: DictConfig) -> "tuple[CameraProblem, dict[Camera, 
     lenses = list(sources) or [instantiate(alone)]
     tags = build_problem(cfg)
     refuse_crowd(tags, "optimise varies=cameras")
-    space = made("cameras", MountSpace, {**given, "body": made("body", Body, body), "lenses": lenses})
+    space = made("cameras", {**given, "body": made("body", body, Body), "lenses": lenses}, MountSpace)
     start = camera_of(cfg.camera) if rig is not None else None
     with keyed("cameras", rig="camera.rig", boxes="body.boxes"):
         assert start is None or isinstance(start, Rig)

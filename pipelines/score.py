@@ -224,7 +224,7 @@ def mounting_of(cfg: DictConfig) -> "MountingError":
 
     given = cfg.deployment.mounting_error
     keys = OmegaConf.to_container(given, resolve=True) if OmegaConf.is_config(given) else {"position": given}
-    return made(MOUNTING, MountingError, keys)
+    return made(MOUNTING, keys, MountingError)
 
 
 def _studied(cfg: DictConfig, subject: _Subject, name: str) -> Iterator[Report]:

@@ -19,7 +19,7 @@ def size(cfg: DictConfig) -> Study:
     from lmd.space.parts import made
 
     given = OmegaConf.to_container(cfg.size) if OmegaConf.is_config(cfg.size) else {}
-    reading = made("size", Reading, given)
+    reading = made("size", given, Reading)
     (camera, *others), tag = camera_of(cfg.camera).cameras, instantiate(cfg.tag)
     criteria, _ = visibility_of(cfg.visibility)
     if others or not isinstance(criteria, Fiducial):

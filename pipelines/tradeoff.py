@@ -90,7 +90,7 @@ def _curves(cfg: DictConfig) -> "tuple[str | None, list[float], list[tuple[float
     limits = {key: cfg[name] for key, name in LIMITS.items() if cfg[name] is not None}
     if not limits:
         with keyed(count="counts"):
-            counts = sorted({landmark_count(count) for count in _listed("counts", cfg.counts)})
+            counts = sorted({landmark_count("count", count) for count in _listed("counts", cfg.counts)})
         if cfg.tag.get("edges") is not None:
             raise InputError(
                 "tag.edges is for tags of several sizes: give papers=[...] or budgets=[...] in place of counts; single "

@@ -87,7 +87,7 @@ def _space(cfg: DictConfig, problem: "Problem") -> "MountSpace | None":
     rig = problem.scene.camera
     if cfg.body is None or cfg.body.boxes is None or not isinstance(rig, Rig):
         return None
-    body, lenses = made("body", Body, OmegaConf.to_container(cfg.body)), tuple(dict.fromkeys(rig.cameras))
+    body, lenses = made("body", OmegaConf.to_container(cfg.body), Body), tuple(dict.fromkeys(rig.cameras))
     return MountSpace(body, lenses, len(rig.mounts), yaw=(-pi, pi), pitch=(-pi / 2, pi / 2), roll=(-pi, pi))
 
 

@@ -5,13 +5,13 @@ The frame is the body's frame of `lmd.scene.rig`: x forward, y to the left, z up
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from functools import cached_property, partial
+from typing import Annotated, Any
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, check_fields, choice, real, vector
-from lmd.space.parts import KeepOut, all_made, checked_names
+from lmd.core.checks import BoolArray, Checked, FloatArray, InputError, NotNegative, Point, Positive, Share
+from lmd.space.parts import KeepOut, all_made, check_surfaces, checked_names
 from lmd.space.surface import Surface, free_of
 
 FACES = ("front", "back", "left", "right", "top", "bottom")
@@ -20,7 +20,7 @@ NORMALS = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0,
 
 
 @dataclass(frozen=True)
-class Box:
+class Box(Checked):
     """Axis-aligned box of the body.
 
     Args:
@@ -32,13 +32,12 @@ class Box:
         InputError: the box is empty, or there is no such face.
     """
 
-    low: Sequence[float]
-    high: Sequence[float]
+    low: Point
+    high: Point
     faces: Sequence[str] = ("front", "back", "left", "right", "top")
     name: str = ""
 
-    def __post_init__(self) -> None:
-        check_fields(self, vector, "low", "high", size=3)
+    def _validate(self) -> None:
         if any(a >= b for a, b in zip(self.low, self.high, strict=True)):
             raise InputError(f"low = {list(self.low)} must be below high = {list(self.high)}.", "low")
         object.__setattr__(self, "faces", checked_names("faces", self.faces, FACES) if self.faces else ())
@@ -63,7 +62,7 @@ class Box:
 
 
 @dataclass(frozen=True)
-class Body:
+class Body(Checked):
     """Body of a robot that carries cameras.
 
     Args:
@@ -77,25 +76,19 @@ class Body:
         InputError: a value is out of range, no face may carry a camera, or two faces have one name.
     """
 
-    boxes: Sequence[Box | Mapping[str, Any]]
-    keep_out: Sequence[KeepOut | Mapping[str, Any]] = ()
-    margin: float = 0.02
-    standoff: float = 0.02
-    own_share: float = 0.0
+    boxes: Annotated[Sequence[Box | Mapping[str, Any]], partial(all_made, kind=Box)]
+    keep_out: Annotated[Sequence[KeepOut | Mapping[str, Any]], partial(all_made, kind=KeepOut)] = ()
+    margin: NotNegative = 0.02
+    standoff: Positive = 0.02
+    own_share: Share = 0.0
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "boxes", all_made("boxes", Box, self.boxes))
-        object.__setattr__(self, "keep_out", all_made("keep_out", KeepOut, self.keep_out))
-        object.__setattr__(self, "margin", real("margin", self.margin, low=0.0))
-        object.__setattr__(self, "standoff", real("standoff", self.standoff, above=0.0))
-        object.__setattr__(self, "own_share", real("own_share", self.own_share, low=0.0, high=1.0))
+    def _validate(self) -> None:
         names = [face.name for box in self._boxes for face in box.surfaces()]
         if not names:
             raise InputError("boxes must have a face that may carry cameras.", "boxes")
         if len(set(names)) < len(names):
             raise InputError("boxes must have a name each, or two faces have the same one.", "boxes")
-        for i, part in enumerate(self._keep_outs):
-            choice(f"keep_out[{i}].surface", part.surface, names)
+        check_surfaces(self._keep_outs, names)
         self.surfaces()
 
     @property

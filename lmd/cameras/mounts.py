@@ -7,12 +7,13 @@ evaluated.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
+from typing import Annotated
 
 import numpy as np
 
 from lmd.cameras.body import Body
-from lmd.core.checks import FloatArray, InputError, integer, real, vector
+from lmd.core.checks import Checked, FloatArray, InputError, NotNegative, integer, span
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import bearings
 from lmd.scene.rig import Mount, Rig
@@ -24,10 +25,11 @@ TURN_STEPS = 8  # number of equal steps in which a camera that sees too much of 
 GIVEN_TOLERANCE = 0.0016  # a given mount is refused if it deviates more from its encoding, metres and rad
 DRAWS_PER_CAMERA = 200  # greatest number of random mounts drawn for each camera
 QUARTER_TURN = math.pi / 2.0
+HALF_TURN = {"low": -math.pi - 0.01, "high": math.pi + 0.01}  # bounds of an angle, rad, with a margin for rounding
 
 
 @dataclass(frozen=True)
-class MountSpace:
+class MountSpace(Checked):
     """Search space: mounts of `count` cameras on the faces of a body, with limits on their angles.
 
     A camera that would see too much of the body (`Body.own_share`) is turned towards the normal of its face in steps.
@@ -48,21 +50,14 @@ class MountSpace:
 
     body: Body
     lenses: Sequence[Camera]
-    count: int = 2
-    yaw: Sequence[float] = (-QUARTER_TURN, QUARTER_TURN)
-    pitch: Sequence[float] = (-0.8, 0.8)
-    roll: Sequence[float] = (0.0, 0.0)
-    apart: float = 0.08
+    count: Annotated[int, partial(integer, low=1, high=64)] = 2
+    yaw: Annotated[Sequence[float], partial(span, **HALF_TURN)] = (-QUARTER_TURN, QUARTER_TURN)
+    pitch: Annotated[Sequence[float], partial(span, low=-QUARTER_TURN - 0.01, high=QUARTER_TURN + 0.01)] = (-0.8, 0.8)
+    roll: Annotated[Sequence[float], partial(span, **HALF_TURN)] = (0.0, 0.0)
+    apart: NotNegative = 0.08
     _rays: dict[Camera, FloatArray] = field(default_factory=dict, init=False, compare=False, repr=False)
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "count", integer("count", self.count, low=1, high=64))
-        object.__setattr__(self, "apart", real("apart", self.apart, low=0.0))
-        for name, most in (("yaw", math.pi), ("pitch", QUARTER_TURN), ("roll", math.pi)):
-            low, high = vector(name, getattr(self, name), 2, low=-most - 0.01, high=most + 0.01)
-            if low > high:
-                raise InputError(f"{name} must go from the lower to the higher, got {[low, high]}.", name)
-            object.__setattr__(self, name, (low, high))
+    def _validate(self) -> None:
         if not self.lenses:
             raise InputError("lenses must have at least one camera, got none.", "lenses")
 

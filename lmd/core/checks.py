@@ -5,8 +5,11 @@ import math
 import traceback
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import fields
+from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from types import NoneType, UnionType
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +17,7 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
+Item = TypeVar("Item")
 
 LARGEST = 1e12  # greatest magnitude of a number in input; products of greater numbers may overflow
 LARGEST_SEED = 2**128 - 1  # greatest seed, as numpy uses 128 bits
@@ -179,6 +183,48 @@ def vector(name: str, value: Any, size: int | None, **bounds: Any) -> tuple[floa
     return tuple(real(f"{name}[{i}]", entry, **bounds) for i, entry in enumerate(entries))
 
 
+def span(name: str, value: Any, *, point: bool = True, **bounds: float) -> tuple[float, float]:
+    """Return `value` as a range of two floats, each checked by `real`; `point` allows a range of one number.
+
+    Raises:
+        InputError: `value` has no two admissible numbers, or the first exceeds the second.
+    """
+    low, high = vector(name, value, 2, **bounds)
+    if low > high or (low == high and not point):
+        raise InputError(f"{name} must go from the lower to the higher, got {[low, high]}.", name)
+    return low, high
+
+
+def entries(name: str, value: Any, check: Callable[[str, Any], Item]) -> tuple[Item, ...]:
+    """Return the list `value` as a tuple of the results of `check`, which is called for each entry.
+
+    Raises:
+        InputError: `value` is no list, or `check` raises it.
+    """
+    if isinstance(value, str) or not isinstance(value, Sequence):
+        raise InputError(f"{name} must be a list, got {value!r}.", name)
+    return tuple(check(f"{name}[{i}]", entry) for i, entry in enumerate(value))
+
+
+def text(name: str, value: Any) -> str:
+    """Return `value` if it is a text with a character; raise `InputError` if not."""
+    if not isinstance(value, str) or not value.strip():
+        raise InputError(f"{name} must be a text, got {value!r}.", name)
+    return value
+
+
+# Types of fields of a `Checked` dataclass.
+Finite = Annotated[float, real]
+Positive = Annotated[float, partial(real, above=0.0)]
+NotNegative = Annotated[float, partial(real, low=0.0)]
+Share = Annotated[float, partial(real, low=0.0, high=1.0)]
+Count = Annotated[int, partial(integer, low=1)]
+Index = Annotated[int, partial(integer, low=0)]
+Switch = Annotated[bool, boolean]
+Pair = Annotated[tuple[float, ...], partial(vector, size=2)]
+Point = Annotated[tuple[float, ...], partial(vector, size=3)]
+
+
 def bounded(what: str, number: float, most: float, source: str, argument: str | None = None) -> None:
     """Raise `InputError` if a file or a setting asks for more than `most`; called before the work.
 
@@ -233,6 +279,44 @@ def returned(part: Any, method: str, value: Any, *shape: int | None, truth: bool
             f"({wanted}), got {array.dtype} of the shape {array.shape}."
         )
     return array
+
+
+@cache
+def _field_checks(kind: type) -> tuple[tuple[str, Callable[[str, Any], Any], bool], ...]:
+    """Fields of a dataclass with a check: name, check, and True if the field may be None."""
+    found = []
+    for field in fields(kind):
+        types = get_args(field.type) if get_origin(field.type) in (Union, UnionType) else (field.type,)
+        checks = [each.__metadata__[0] for each in types if get_origin(each) is Annotated]
+        found += [(field.name, check, NoneType in types) for check in checks]
+    return tuple(found)
+
+
+class Checked:
+    """Base of a frozen dataclass that checks its fields.
+
+    The type of a field names its check: a field of the type `Annotated[T, check]` becomes `check(name, value)`. A field
+    of the type `Annotated[T, check] | None` may be None too. Fields are checked in their order, and then `_validate`
+    checks what they must be together.
+
+    >>> @dataclass(frozen=True)
+    ... class Lamp(Checked):
+    ...     power: Positive
+    ...     colour: Annotated[str, partial(choice, options=("red", "white"))] = "white"
+    >>> Lamp(power=0)
+    Traceback (most recent call last):
+    lmd.core.checks.InputError: power must be greater than 0, got 0.
+    """
+
+    def __post_init__(self) -> None:
+        for name, check, optional in _field_checks(type(self)):  # type: ignore[arg-type] # a type has a hash
+            value = getattr(self, name)
+            if value is not None or not optional:
+                object.__setattr__(self, name, check(name, value))
+        self._validate()
+
+    def _validate(self) -> None:
+        """Raise `InputError` if the fields, each of which is right, are wrong together."""
 
 
 def check_fields(instance: Any, check: Callable[..., Any], *names: str, **bounds: Any) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import check_fields, real
+from lmd.core.checks import Checked, Positive
 from lmd.core.optional import optional
 from lmd.detection.images import pixels_of, wrong_size
 from lmd.formats.bags import COMPRESSED, IMAGE, Bag, Message
@@ -32,7 +32,7 @@ DEEP = ("mono16", "16UC1")  # encodings with two bytes for a grey level
 
 
 @dataclass(frozen=True)
-class BagImages:
+class BagImages(Checked):
     """Images of one topic, sampled at a rate; their names are the times in their headers, seconds.
 
     Raises:
@@ -43,11 +43,10 @@ class BagImages:
     """The bag."""
     topic: str
     """Topic of the images."""
-    rate: float
+    rate: Positive
     """Greatest number of images per second that are taken."""
 
-    def __post_init__(self) -> None:
-        check_fields(self, real, "rate", above=0.0)
+    def _validate(self) -> None:
         if not self._taken:
             raise self.bag.refused(f"has no message on {self.topic!r}")
 

@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, check_fields, real, said_of
+from lmd.core.checks import Checked, FloatArray, InputError, Positive, said_of
 from lmd.core.tables import read_numbers, read_table
 from lmd.detection.detectors import Detections, Detector
 from lmd.detection.evaluation import CORNER_TOLERANCE, corner_error, match
@@ -25,7 +25,7 @@ from lmd.scene.tag import Tag
 
 
 @dataclass(frozen=True)
-class BoardImages:
+class BoardImages(Checked):
     """Photographs of a board of tags; a `lmd.detection.tag_views.ViewSource`.
 
     Raises:
@@ -40,16 +40,15 @@ class BoardImages:
     poses: str | None = None
     """CSV with the columns image,x,y,z,qx,qy,qz,qw: name of each image, and pose of its camera (x right, y down, z the
     optical axis) in the board's frame. None to estimate poses from the detected corners of at least two tags."""
-    tolerance: float = CORNER_TOLERANCE
+    tolerance: Positive = CORNER_TOLERANCE
     """Largest distance between a detected corner and its projection, pixels."""
 
-    def __post_init__(self) -> None:
+    def _validate(self) -> None:
         if self.folder is None:
             raise InputError("folder is missing: a folder of images is needed.", "folder")
         _ = self.images  # raises an error for a folder without images
         if self.tags is None:
             raise InputError("tags is missing: a CSV of the tags on the board is needed.", "tags")
-        check_fields(self, real, "tolerance", above=0.0)
 
     def views(
         self, cameras: Sequence[Camera], tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator

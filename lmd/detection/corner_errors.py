@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, check_fields, real
+from lmd.core.checks import Checked, FloatArray, InputError, NotNegative
 
 # 90 % quantile of the standard normal distribution.
 NORMAL_QUANTILE_90 = 1.2815515655446004
@@ -18,7 +18,7 @@ LEAST_SHARE = 0.1
 
 
 @dataclass(frozen=True)
-class CornerErrors:
+class CornerErrors(Checked):
     """Log-normal distribution of the root mean square error of a tag's four corners, by pitch.
 
     Between the given pitches, log quantiles are interpolated linearly in the log pitch; beyond the given pitches,
@@ -37,19 +37,18 @@ class CornerErrors:
     inward: tuple[float, ...] = ()
     """Mean shift of a tag's edges towards its centre at these pitches, pixels, `(B,)`; included in the error; zeros if
     empty."""
-    inward_spread: float = 0.0
+    inward_spread: NotNegative = 0.0
     """Standard deviation of the shift `inward` over blurs and exposures, pixels; the shift is constant for one camera
     and light.
     """
 
-    def __post_init__(self) -> None:
+    def _validate(self) -> None:
         object.__setattr__(self, "inward", self.inward or (0.0,) * len(self.pitch))
         for name in ("median", "high", "inward"):
             if len(getattr(self, name)) != len(self.pitch):
                 raise InputError(
                     f"{name} = {getattr(self, name)} must have a value for each of {len(self.pitch)} pitches."
                 )
-        check_fields(self, real, "inward_spread", low=0.0)
 
     def _at(self, pitch: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviation of the logarithm of the error, shape of `pitch`."""

@@ -5,13 +5,13 @@ bottom-right, bottom-left of the upright tag (see `lmd.scene.tag`), independent 
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any, Protocol
+from functools import lru_cache, partial
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lmd.core.checks import FloatArray, InputError, check_fields, choice, integer, real
+from lmd.core.checks import Checked, FloatArray, InputError, choice, integer, real
 from lmd.core.optional import optional
 from lmd.detection.corner_errors import CORNER_ERRORS, CornerErrors
 from lmd.geometry.camera import PIXEL_CENTRE
@@ -68,8 +68,27 @@ class Detector(Protocol):
         """Errors of the corners, as measured."""
 
 
+def read_family(name: str, value: Any, table: str, other: str) -> str:
+    """Return the name that `FAMILIES` has for the family `value`, which a library reads.
+
+    Args:
+        name: name of the argument.
+        value: name of the family.
+        table: field of a family with its name in the library; empty if the library does not read the family.
+        other: the other library.
+
+    Raises:
+        InputError: the library does not read the family.
+    """
+    family, known = family_named(value), [name for name, kind in FAMILIES.items() if getattr(kind, table)]
+    if family in FAMILIES and family not in known:
+        reader = f"_target_={__name__}.{other.replace('U', 'u')}Detector"
+        raise InputError(f"{name} {family} is one of {other}'s, which only {reader} reads.", name)
+    return choice(name, family, known)
+
+
 @dataclass(frozen=True)
-class ArucoDetector:
+class ArucoDetector(Checked):
     """`cv2.aruco` with corners refined by `CORNER_REFINE_SUBPIX`.
 
     `CORNER_REFINE_APRILTAG` is not used: it counts pixels from the border, half a pixel off the rest of OpenCV.
@@ -78,20 +97,10 @@ class ArucoDetector:
         InputError: OpenCV lacks the family, or the preset is unknown.
     """
 
-    family: str = "36h11"
+    family: Annotated[str, partial(read_family, table="dictionary", other="AprilTag")] = "36h11"
     """One of `lmd.scene.families.FAMILIES` that OpenCV has."""
-    preset: str = "default"
+    preset: Annotated[str, partial(choice, options=tuple(ARUCO_PRESETS))] = "default"
     """Settings of `cv2.aruco`: `default`, or `fine` to detect smaller tags, too."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "family", family_named(self.family))
-        if self.family in FAMILIES and not FAMILIES[self.family].dictionary:
-            raise InputError(
-                f"family {self.family} is one of AprilTag's, which only _target_={__name__}.AprilTagDetector reads.",
-                "family",
-            )
-        choice("family", self.family, tuple(name for name, family in FAMILIES.items() if family.dictionary))
-        choice("preset", self.preset, tuple(ARUCO_PRESETS))
 
     @property
     def corner_errors(self) -> CornerErrors:
@@ -108,29 +117,19 @@ class ArucoDetector:
 
 
 @dataclass(frozen=True)
-class AprilTagDetector:
+class AprilTagDetector(Checked):
     """AprilTag 3 library, by `pyapriltags`.
 
     Raises:
         InputError: the library lacks the family, or a value is out of range.
     """
 
-    family: str = "36h11"
+    family: Annotated[str, partial(read_family, table="apriltag", other="ArUco")] = "36h11"
     """One of `lmd.scene.families.FAMILIES` that the library supports."""
-    quad_decimate: float = 1.0
+    quad_decimate: Annotated[float, partial(real, low=1.0)] = 1.0
     """Factor by which the image is downscaled for the detection of quadrilaterals."""
-    most_errors: int = 2
+    most_errors: Annotated[int, partial(integer, low=0, high=2)] = 2
     """Maximum number of corrected bits in a tag; the library corrects two."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "family", family_named(self.family))
-        if self.family in FAMILIES and not FAMILIES[self.family].apriltag:
-            raise InputError(
-                f"family {self.family} is one of ArUco's, which only _target_={__name__}.ArucoDetector reads.", "family"
-            )
-        choice("family", self.family, tuple(name for name, family in FAMILIES.items() if family.apriltag))
-        check_fields(self, real, "quad_decimate", low=1.0)
-        check_fields(self, integer, "most_errors", low=0, high=2)
 
     @property
     def corner_errors(self) -> CornerErrors:

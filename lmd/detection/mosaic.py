@@ -7,12 +7,14 @@ that gives the pitch. The mosaic has the image size of the camera, as the settin
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lmd.core.checks import FloatArray, InputError, check_fields, integer, vector
+from lmd.core.checks import Checked, FloatArray, InputError, integer, span
 from lmd.core.memory import check_memory
 from lmd.detection.detectors import Detections, Detector
 from lmd.detection.evaluation import CORNER_TOLERANCE, corner_error
@@ -30,54 +32,45 @@ TILE_EDGES = (64, 128, 256, 512)
 # Lower bound on the memory of a view, bytes.
 VIEW_BYTES = 1000
 CAMERA_POSE = np.eye(4)
+Factor = Annotated[tuple[float, float], partial(span, low=1e-3)]
 
 
 @dataclass(frozen=True)
-class ViewRanges:
+class ViewRanges(Checked):
     """Ranges of the parameters of random views; uniform, except log-uniform for sigma.
 
     Raises:
         InputError: a range is empty or out of bounds.
     """
 
-    pitch: tuple[float, float] = (0.5, 6.0)
+    pitch: Factor = (0.5, 6.0)
     """Pitch, pixels per module."""
-    incidence: tuple[float, float] = (0.0, math.radians(88.0))
+    incidence: Annotated[tuple[float, float], partial(span, low=0.0, high=math.pi / 2.0)] = (0.0, math.radians(88.0))
     """Angle between the normal of the tag and the direction to the camera, rad."""
-    sigma: tuple[float, float] = (0.4, 2.0)
+    sigma: Factor = (0.4, 2.0)
     """Standard deviation of the total blur, pixels."""
-    noise: tuple[float, float] = (1.0, 5.0)
+    noise: Factor = (1.0, 5.0)
     """Standard deviation of the noise, grey levels; one per image."""
-    texture: tuple[float, float] = (0.0, 10.0)
+    texture: Annotated[tuple[float, float], partial(span, low=0.0)] = (0.0, 10.0)
     """Standard deviation of the background, grey levels; one per image."""
-    exposure: tuple[float, float] = (0.5, 1.1)
+    exposure: Factor = (0.5, 1.1)
     """Exposure, a factor on the light; one per image."""
-
-    def __post_init__(self) -> None:
-        for name in self.__dataclass_fields__:
-            least = 0.0 if name in ("incidence", "texture") else 1e-3
-            most = math.pi / 2.0 if name == "incidence" else None
-            low, high = vector(name, getattr(self, name), 2, low=least, high=most)
-            if low > high:
-                raise InputError(f"{name} must be a range [low, high], got [{low:g}, {high:g}].", name)
-            object.__setattr__(self, name, (low, high))
 
 
 @dataclass(frozen=True)
-class Mosaics:
+class Mosaics(Checked):
     """Random views in rendered mosaics; a `lmd.detection.tag_views.ViewSource`.
 
     Raises:
         InputError: `count` is less than two.
     """
 
-    count: int = 6000
+    count: Annotated[int, partial(integer, low=2)] = 6000
     """Number of views."""
     sampling: ViewRanges = field(default_factory=ViewRanges)
     """Ranges of the views."""
 
-    def __post_init__(self) -> None:
-        check_fields(self, integer, "count", low=2)
+    def _validate(self) -> None:
         check_memory(VIEW_BYTES * self.count, f"count = {self.count} views", "count")
 
     @property

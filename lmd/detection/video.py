@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import InputError, bounded, check_fields, real
+from lmd.core.checks import Checked, InputError, Positive, bounded
 from lmd.core.files import read_bytes
 from lmd.core.optional import optional
 from lmd.detection.images import wrong_size
@@ -83,7 +83,7 @@ MOST_PIXELS = 10**8
 
 
 @dataclass(frozen=True)
-class Video:
+class Video(Checked):
     """Frames of a video, sampled at a rate; their names are their times, seconds.
 
     Raises:
@@ -92,13 +92,12 @@ class Video:
 
     path: str | Path
     """File of the video."""
-    rate: float
+    rate: Positive
     """Frames per second to take, at most the rate of the video."""
     argument: str = "path"
     """Argument with the path, for messages."""
 
-    def __post_init__(self) -> None:
-        check_fields(self, real, "rate", above=0.0)
+    def _validate(self) -> None:
         head = read_bytes(self.path, self.argument, first=FIRST)
         if container_of(head) is None:
             raise InputError(f"{self.argument}: {str(self.path)!r} {refusal(head)}", self.argument)

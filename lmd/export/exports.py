@@ -4,9 +4,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from lmd.core.checks import ONE_TURN, InputError, check_fields, choice, real
+from lmd.core.checks import ONE_TURN, Checked, InputError, choice, real
 from lmd.core.optional import optional
 from lmd.export.paper import PAPERS
 from lmd.export.plan import write_plan
@@ -60,7 +60,7 @@ def one_edge(edges: Sequence[float]) -> str:
 
 
 @dataclass(frozen=True)
-class Export:
+class Export(Checked):
     """Settings of the export of a deployment.
 
     Args:
@@ -74,19 +74,16 @@ class Export:
     """
 
     formats: tuple[str, ...]
-    paper: str
-    north: float | None = None
+    paper: Annotated[str, partial(choice, options=tuple(PAPERS))]
+    north: Annotated[float, partial(real, low=-ONE_TURN, high=ONE_TURN)] | None = None
     fitting: bool = False
 
-    def __post_init__(self) -> None:
+    def _validate(self) -> None:
         if not isinstance(self.formats, list | tuple):
             raise InputError(f"formats must be a list of {', '.join(all_formats())}, got {self.formats!r}.", "formats")
         for name in self.formats:
             choice("formats", name, tuple(all_formats()))
         object.__setattr__(self, "formats", tuple(self.formats))
-        choice("paper", self.paper, tuple(PAPERS))
-        if self.north is not None:
-            check_fields(self, real, "north", low=-ONE_TURN, high=ONE_TURN)
 
     def check(self, tag: Tag) -> None:
         """Raise `InputError` if tags like `tag` cannot be written in each of `formats`."""

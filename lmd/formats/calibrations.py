@@ -9,10 +9,10 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import Any, NamedTuple
+from functools import cached_property, partial
+from typing import Annotated, Any, NamedTuple
 
-from lmd.core.checks import FloatArray, InputError, check_fields, integer, real, said_of, vector
+from lmd.core.checks import Checked, Count, FloatArray, InputError, Pair, real, said_of, vector
 from lmd.formats.registry import read
 from lmd.formats.trees import File, Keys, arrays_of, tree_of
 from lmd.geometry.camera import PIXEL_CENTRE, Camera
@@ -33,7 +33,7 @@ OPTICS = ("focal_length", "aperture", "focus_distance", "image_circle")  # setti
 
 
 @dataclass(frozen=True)
-class Calibration:
+class Calibration(Checked):
     """Intrinsic calibration of a camera, in pixels.
 
     Args:
@@ -48,19 +48,16 @@ class Calibration:
         InputError: a value is out of range, or the lens model is unknown.
     """
 
-    image_width: int
-    image_height: int
-    focal_pixels: tuple[float, ...]
-    principal_point: tuple[float, ...]
+    image_width: Count
+    image_height: Count
+    focal_pixels: Annotated[tuple[float, ...], partial(vector, size=2, above=0.0)]
+    principal_point: Pair
     distortion: tuple[float, ...] = ()
     distortion_model: str = "plumb_bob"
     image_circle: float = math.inf
     note: str = field(default="", compare=False)
 
-    def __post_init__(self) -> None:
-        check_fields(self, integer, "image_width", "image_height", low=1)
-        check_fields(self, vector, "focal_pixels", size=2, above=0.0)
-        check_fields(self, vector, "principal_point", size=2)
+    def _validate(self) -> None:
         size = (self.image_width, self.image_height)
         if any(focal < SHORTEST * side for focal, side in zip(self.focal_pixels, size, strict=True)):
             told = " x ".join(f"{focal:.4g}" for focal in self.focal_pixels)

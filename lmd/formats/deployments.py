@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lmd.core.checks import InputError, boolean, said_of
+from lmd.core.checks import Checked, InputError, Switch, said_of
 from lmd.formats.placed_tag import axes_of
 from lmd.formats.tag_maps import read_deployment
 from lmd.scene.deployment import Deployment
@@ -14,7 +14,7 @@ from lmd.space.space import Space
 
 
 @dataclass(frozen=True)
-class FileDeployment(ExistingDeployment):
+class FileDeployment(Checked, ExistingDeployment):
     """Deployment from a CSV, written by `Deployment.to_csv` or by another program, or from a tag map.
 
     Args:
@@ -33,13 +33,12 @@ class FileDeployment(ExistingDeployment):
 
     path: str | None
     count: int | None = None
-    free: bool = False
+    free: Switch = False
     family: str | None = None
     axes: tuple[str, ...] | None = None
     columns: str | tuple[str, ...] | None = None
 
-    def __post_init__(self) -> None:
-        boolean("free", self.free)
+    def _validate(self) -> None:
         axes_of(self.axes)
 
     def draw(self, room: Space, rng: np.random.Generator, tag: Tag = POINT) -> Deployment:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from typing_extensions import override
 
-from lmd.core.checks import InputError, check_fields, file_path, real, vector
+from lmd.core.checks import Checked, InputError, NotNegative, Pair, Positive, file_path, real
 from lmd.formats.registry import read
 from lmd.formats.trees import File
 from lmd.space.parts import check_metres
@@ -35,37 +35,31 @@ class PlanFile(File):
 
 
 @dataclass(frozen=True)
-class Reading:
+class Reading(Checked):
     """Settings of a floor plan's file.
 
     Raises:
         InputError: a setting is refused.
     """
 
-    start: Sequence[float] | None = None
+    start: Pair | None = None
     """Point (x, y) of the file's frame in the room, metres; None for the largest region."""
-    tolerance: float = 0.1
+    tolerance: Positive = 0.1
     """Greatest distance of a wall from the contour in the file, metres."""
-    speck: float = 0.2
+    speck: NotNegative = 0.2
     """A group of cells of an occupancy grid that are not free counts as free if both its sides are shorter than this,
     metres.
     """
-    passage: float = 0.3
+    passage: NotNegative = 0.3
     """Least width of the parts of an occupancy grid's free region, metres; narrower parts are left out."""
     layers: Sequence[str] | None = None
     """Names of the layers of a drawing with walls; None for the layers whose names mean walls."""
     unit: str | None = None
     """Unit of a drawing, one of `lmd.space.parts.UNITS`; None for the unit that the drawing names."""
-    gap: float = 1.3
+    gap: NotNegative = 1.3
     """Widest gap between walls of a drawing that is closed, such as a door, metres."""
-    least_width: float = 0.4
+    least_width: NotNegative = 0.4
     """Least width of the free stretch of a wall that carries landmarks by default, metres."""
-
-    def __post_init__(self) -> None:
-        if self.start is not None:
-            object.__setattr__(self, "start", vector("start", self.start, 2))
-        check_fields(self, real, "tolerance", above=0.0)
-        check_fields(self, real, "speck", "passage", "gap", "least_width", low=0.0)
 
 
 def read_plan_room(

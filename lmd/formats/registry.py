@@ -10,16 +10,16 @@ import os
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from importlib.metadata import entry_points
 from itertools import chain
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import yaml
 
-from lmd.core.checks import InputError, choice
+from lmd.core.checks import Checked, InputError, choice
 from lmd.core.files import LARGEST_YAML, read_text
 from lmd.formats.trees import MISSING, File, entries, find, matches, plain
 from lmd.scene.families import FAMILIES as TAG_FAMILIES
@@ -72,10 +72,10 @@ OWN, ONE, NONE = "own", "one", "none"  # values of `Writer.edges`
 
 
 @dataclass(frozen=True)
-class Format:
+class Format(Checked):
     """Format that is read, written, or recognised and refused."""
 
-    family: str
+    family: Annotated[str, partial(choice, options=FAMILIES)]
     """One of `FAMILIES`."""
     name: str
     """Name of the program or the standard; for a written format, its name in `formats`."""
@@ -107,9 +107,6 @@ class Format:
     """Output of the format; None if the format is only read."""
     written: str = ""
     """Name of the output in `formats`; empty for `name`."""
-
-    def __post_init__(self) -> None:
-        choice("family", self.family, FAMILIES)
 
 
 def begins(mark: str) -> Callable[[File], bool]:

@@ -2,12 +2,12 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property
-from typing import Any
+from functools import cached_property, partial
+from typing import Annotated, Any
 
 import numpy as np
 
-from lmd.core.checks import ONE_TURN, FloatArray, InputError, choice, real, said_of, vector
+from lmd.core.checks import ONE_TURN, Checked, FloatArray, InputError, choice, real, said_of, vector
 from lmd.formats.pose_files import Rows, read_rows, steep
 from lmd.formats.rigs import read_mount
 from lmd.geometry.frames import roll_pitch_yaw
@@ -26,7 +26,7 @@ MISS, THIN = 0.05, 0.02
 
 
 @dataclass(frozen=True)
-class TrajectoryFile:
+class TrajectoryFile(Checked):
     """File of a trajectory, with the settings of its frames.
 
     Args:
@@ -50,15 +50,12 @@ class TrajectoryFile:
     """
 
     path: str | None
-    frame: str = "optical"
+    frame: Annotated[str, partial(choice, options=list(FRAMES))] = "optical"
     times: str | None = None
     rate: float | None = None
     align: Sequence[Any] | None = None
     mount: str | Mapping[str, Any] | Sequence[float] | None = None
     columns: str | Sequence[str] | None = None
-
-    def __post_init__(self) -> None:
-        choice("frame", self.frame, list(FRAMES))
 
     @cached_property
     def _read(self) -> tuple[Trajectory, Rows]:

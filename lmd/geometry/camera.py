@@ -2,12 +2,21 @@
 
 import math
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import NamedTuple
+from functools import cached_property, partial
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, check_fields, integer, real, vector
+from lmd.core.checks import (
+    Checked,
+    FloatArray,
+    InputError,
+    NotNegative,
+    Pair,
+    Positive,
+    integer,
+    real,
+)
 from lmd.geometry.lens import Lens, lens_of
 
 MM_PER_M = 1000.0
@@ -27,8 +36,16 @@ class FieldOfView(NamedTuple):
     bottom: float
 
 
+def pixels(name: str, value: Any) -> float:
+    """Return `value` as a side of an image, a whole number of pixels; raise `InputError` if it is none."""
+    return float(integer(name, value, low=1))
+
+
+Distance = Annotated[float, partial(real, above=0.0, infinite=True)]
+
+
 @dataclass(frozen=True)
-class Camera:
+class Camera(Checked):
     """Intrinsic parameters (Table I of the paper).
 
     Raises:
@@ -36,44 +53,38 @@ class Camera:
             beyond the focal length, the lens model is unknown, or the lens folds before it reaches the nearest border.
     """
 
-    focal_length: float
+    focal_length: Positive
     """Focal length f, mm."""
-    pixel_width: float
+    pixel_width: Positive
     """Pixel width s_u, mm per pixel."""
-    pixel_height: float
+    pixel_height: Positive
     """Pixel height s_v, mm per pixel."""
-    principal_point: tuple[float, float]
+    principal_point: Pair
     """Principal point (o_u, o_v), pixels from the left and top border."""
-    image_width: float
+    image_width: Annotated[float, pixels]
     """Image width w, whole pixels."""
-    image_height: float
+    image_height: Annotated[float, pixels]
     """Image height h, whole pixels."""
-    aperture: float
+    aperture: NotNegative
     """Effective diameter d_a of the aperture, mm; 0 for a pinhole or an unknown aperture, without defocus blur."""
-    focus_distance: float = math.inf
+    focus_distance: Distance = math.inf
     """Distance d_s of the plane in focus, mm; may be infinite."""
     distortion: tuple[float, ...] = ()
     """Coefficients of the lens in OpenCV's order; empty for a pinhole without distortion."""
     distortion_model: str = "plumb_bob"
     """Lens model: `plumb_bob`, `rational_polynomial` or `equidistant`, see `lmd.geometry.lens.Lens`."""
-    image_circle: float = math.inf
+    image_circle: Distance = math.inf
     """Diameter of the image circle of a distorting lens, pixels; infinite if the circle covers the sensor."""
     note: str = field(default="", compare=False, repr=False)
     """Remark for users on the origin of the values."""
 
-    def __post_init__(self) -> None:
-        check_fields(self, real, "focal_length", "pixel_width", "pixel_height", above=0.0)
-        check_fields(self, real, "aperture", low=0.0)
-        for name in ("image_width", "image_height"):
-            object.__setattr__(self, name, float(integer(name, getattr(self, name), low=1)))
-        check_fields(self, real, "focus_distance", above=0.0, infinite=True)
+    def _validate(self) -> None:
         if self.focus_distance <= self.focal_length:
             raise InputError(
                 f"focus_distance must exceed the focal length of {self.focal_length:g} mm, "
                 f"got {self.focus_distance:g}.",
                 "focus_distance",
             )
-        check_fields(self, vector, "principal_point", size=2)
         u, v = self.principal_point
         if not (0.0 < u < self.image_width and 0.0 < v < self.image_height):
             raise InputError(
@@ -90,7 +101,6 @@ class Camera:
                 f"{math.degrees(lens.fold):.3g} degrees off the axis, before it.",
                 "distortion",
             )
-        check_fields(self, real, "image_circle", above=0.0, infinite=True)
         if lens is None and self.image_circle < math.inf:
             raise InputError(
                 "image_circle needs the distortion of a lens: a pinhole's image has no end.", "image_circle"

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 from typing_extensions import override
 
-from lmd.core.checks import InputError, real
+from lmd.core.checks import Checked, InputError, Positive, real
 from lmd.objectives.base import Objective, selectable
 from lmd.optimisers.annealing import Annealing, Stage
 from lmd.optimisers.annealing.stage import changed
 from lmd.optimisers.selection import GRID_SPACING, Tags, candidates, select
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
-from lmd.scene.deployment_sources import POINT, landmark_count
+from lmd.scene.deployment_sources import POINT, LandmarkCount
 from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
@@ -57,7 +57,7 @@ class Greedy(Annealing):
 
 
 @dataclass(frozen=True)
-class GreedyDeployment:
+class GreedyDeployment(Checked):
     """Greedy selection as a start for any optimiser, or as a deployment to score (`deployment=greedy`).
 
     The cost of the selection is not charged to the budget of the optimiser that starts from it.
@@ -74,17 +74,13 @@ class GreedyDeployment:
         InputError: a value is out of range.
     """
 
-    count: int
+    count: LandmarkCount
     scene: Scene
     objective: Objective
-    spacing: float = GRID_SPACING
+    spacing: Positive = GRID_SPACING
     threads: int | None = None
     fixed: Deployment | None = None
     varies = False
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "count", landmark_count(self.count))
-        real("spacing", self.spacing, above=0.0)
 
     @cached_property
     def _deployment(self) -> Deployment:

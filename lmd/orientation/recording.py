@@ -1,8 +1,9 @@
 """Recordings of the yaw and pitch of a camera, from a CSV or simulated, and their samples at random intervals."""
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -10,7 +11,7 @@ from scipy.signal import correlate
 from scipy.spatial.transform import Rotation
 from scipy.stats import norm, truncnorm, vonmises
 
-from lmd.core.checks import FloatArray, InputError, radians, real, seconds
+from lmd.core.checks import Checked, Finite, FloatArray, InputError, NotNegative, Positive, radians, real, seconds
 from lmd.core.memory import check_memory
 from lmd.core.tables import read_table
 from lmd.formats.columns import OWN_ANGLES
@@ -147,7 +148,7 @@ class FileRecording:
 
 
 @dataclass(frozen=True)
-class SimulatedRecording:
+class SimulatedRecording(Checked):
     """Simulated smooth random motion; at any time the yaw is von Mises and the pitch truncated normal distributed.
 
     z_1 and z_2 are stationary Gaussian processes with the autocorrelation exp(-t^2 / (2 tau^2)). The phase phi has a
@@ -170,27 +171,20 @@ class SimulatedRecording:
         InputError: a value is out of range.
     """
 
-    duration: float = 1800.0
-    rate: float = 20.0
-    correlation_time: float = 1.0
-    yaw_mean: float = 0.0
-    yaw_concentration: float = 0.0
-    pitch_mean: float = 0.0
-    pitch_std: float = 0.1
-    coupling: float = 0.0
+    duration: Finite = 1800.0
+    rate: Positive = 20.0
+    correlation_time: Positive = 1.0
+    yaw_mean: Finite = 0.0
+    yaw_concentration: NotNegative = 0.0
+    pitch_mean: Annotated[float, partial(real, low=-np.pi / 2, high=np.pi / 2)] = 0.0
+    pitch_std: NotNegative = 0.1
+    coupling: Annotated[float, partial(real, low=-1.0, high=1.0)] = 0.0
 
-    def __post_init__(self) -> None:
-        real("rate", self.rate, above=0.0)
+    def _validate(self) -> None:
         real("duration", self.duration, low=2.0 / self.rate)
         records = self.duration * self.rate
         made = f"duration = {self.duration:g} s makes {records:.4g} records, which"
         check_memory(RECORD_BYTES * records, made, "duration")
-        real("correlation_time", self.correlation_time, above=0.0)
-        real("yaw_mean", self.yaw_mean)
-        real("yaw_concentration", self.yaw_concentration, low=0.0)
-        real("pitch_mean", self.pitch_mean, low=-np.pi / 2, high=np.pi / 2)
-        real("pitch_std", self.pitch_std, low=0.0)
-        real("coupling", self.coupling, low=-1.0, high=1.0)
 
     def record(self, rng: np.random.Generator) -> OrientationRecording:
         """See `RecordingSource.record`."""

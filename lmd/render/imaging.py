@@ -2,61 +2,67 @@
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lmd.core.checks import FloatArray, InputError, boolean, check_fields, integer, real
+from lmd.core.checks import (
+    Checked,
+    FloatArray,
+    Index,
+    InputError,
+    NotNegative,
+    Positive,
+    Switch,
+    integer,
+    real,
+)
 from lmd.core.optional import optional
 
 UInt8Array = NDArray[np.uint8]
 Float32Array = NDArray[np.float32]
 GREY_LEVELS = 255.0
+Grey = Annotated[float, partial(real, low=0.0, high=GREY_LEVELS)]
 
 
 @dataclass(frozen=True)
-class Imaging:
+class Imaging(Checked):
     """Settings of an 8-bit image. Brightness of surfaces is given as grey levels at exposure 1 and gamma 1.
 
     Raises:
         InputError: a value is out of range.
     """
 
-    psf_sigma: float = 0.5
+    psf_sigma: NotNegative = 0.5
     """Standard deviation of the point spread function in focus, pixels."""
-    defocus: bool = True
+    defocus: Switch = True
     """True to add the blur of a thin lens with the camera's aperture and focus distance."""
-    motion_blur: float = 0.0
+    motion_blur: NotNegative = 0.0
     """Length of the motion blur at the image centre, by a rotation in a random direction, pixels."""
-    noise: float = 2.0
+    noise: NotNegative = 2.0
     """Standard deviation of the noise of a pixel, grey levels."""
-    exposure: float = 1.0
+    exposure: Positive = 1.0
     """Exposure, a factor on the light."""
-    gamma: float = 1.0
+    gamma: Positive = 1.0
     """Exponent in grey = 255 (light / 255)^(1 / gamma)."""
-    white: float = 220.0
+    white: Grey = 220.0
     """White of a tag, grey levels."""
-    black: float = 25.0
+    black: Grey = 25.0
     """Black of a tag, grey levels."""
-    wall: float = 150.0
+    wall: Grey = 150.0
     """Mean brightness of surfaces, grey levels; shading depends on the normal, see `shade`."""
-    texture: float = 0.0
+    texture: NotNegative = 0.0
     """Standard deviation of the pattern on surfaces, grey levels; 0 for plain surfaces."""
-    texture_seed: int = 0
+    texture_seed: Index = 0
     """Seed of the pattern, which is constant over frames."""
-    supersampling: int = 4
+    supersampling: Annotated[int, partial(integer, low=1, high=16)] = 4
     """Samples of a tag along each axis of a pixel."""
 
-    def __post_init__(self) -> None:
-        check_fields(self, real, "psf_sigma", "motion_blur", "noise", "texture", low=0.0)
-        check_fields(self, real, "exposure", "gamma", above=0.0)
-        check_fields(self, real, "white", "black", "wall", low=0.0, high=GREY_LEVELS)
+    def _validate(self) -> None:
         if self.white <= self.black:
             raise InputError(f"white must exceed black = {self.black:g}, got {self.white:g}.", "white")
-        boolean("defocus", self.defocus)
-        check_fields(self, integer, "texture_seed", low=0)
-        check_fields(self, integer, "supersampling", low=1, high=16)
 
     def develop(self, light: Float32Array, rng: np.random.Generator) -> UInt8Array:
         """Convert `light` `(h, w)`, grey levels, to an 8-bit image, with noise drawn from `rng`."""

@@ -1,11 +1,12 @@
 """Sources of deployments: random, uniform, existing (read from a file), or given."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from functools import partial
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, IntArray, choice, integer
+from lmd.core.checks import Checked, FloatArray, IntArray, choice, integer
 from lmd.core.memory import check_memory
 from lmd.scene.deployment import Deployment
 from lmd.scene.tag import Tag
@@ -34,26 +35,26 @@ class DeploymentSource(Protocol):
         """
 
 
-def landmark_count(value: int) -> int:
+def landmark_count(name: str, value: Any) -> int:
     """Check K, the number of landmarks of a source.
 
     Raises:
         InputError: the value is no positive whole number, or the landmarks would not fit into memory.
     """
-    count = integer("count", value, low=1)
-    check_memory(count * LANDMARK_BYTES, f"count = {count} landmarks", "count")
+    count = integer(name, value, low=1)
+    check_memory(count * LANDMARK_BYTES, f"{name} = {count} landmarks", name)
     return count
 
 
+LandmarkCount = Annotated[int, landmark_count]
+
+
 @dataclass(frozen=True)
-class RandomDeployment:
+class RandomDeployment(Checked):
     """Landmarks flush on the walls, each wall with a probability proportional to its area."""
 
-    count: int
+    count: LandmarkCount
     varies = True
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "count", landmark_count(self.count))
 
     def draw(self, room: Space, rng: np.random.Generator, tag: Tag = POINT) -> Deployment:
         """See `DeploymentSource.draw`."""
@@ -65,7 +66,7 @@ class RandomDeployment:
 
 
 @dataclass(frozen=True)
-class UniformDeployment:
+class UniformDeployment(Checked):
     """Landmarks at the centres of a regular grid on each wall, flush.
 
     Args:
@@ -74,13 +75,9 @@ class UniformDeployment:
             wall); `by_area` for numbers in proportion to area.
     """
 
-    count: int
-    layout: str = "per_wall"
+    count: LandmarkCount
+    layout: Annotated[str, partial(choice, options=("per_wall", "by_area"))] = "per_wall"
     varies = False
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "count", landmark_count(self.count))
-        choice("layout", self.layout, ("per_wall", "by_area"))
 
     def draw(self, room: Space, rng: np.random.Generator, tag: Tag = POINT) -> Deployment:
         """See `DeploymentSource.draw`; the result is deterministic."""

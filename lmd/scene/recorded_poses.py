@@ -8,11 +8,21 @@ The recording is cut into blocks of time. Every `held_out`-th block is held out 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
+from typing import Annotated
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, check_fields, integer, real
+from lmd.core.checks import (
+    BoolArray,
+    Checked,
+    Count,
+    FloatArray,
+    InputError,
+    IntArray,
+    Positive,
+    integer,
+)
 from lmd.geometry.trajectory import Trajectory
 from lmd.scene.by_position import pdf_by_position
 from lmd.scene.pdf import OrientationPdf
@@ -42,7 +52,7 @@ class Records:
 
 
 @dataclass(frozen=True)
-class RecordedPoses:
+class RecordedPoses(Checked):
     """Recording with the settings of its positions, its orientation PDF and its validation.
 
     Args:
@@ -62,25 +72,21 @@ class RecordedPoses:
 
     trajectory: Trajectory
     spacing: float | Sequence[float]
-    bandwidth: float
-    direction_bandwidth: float
-    divisions: int
-    held_out: int | None
-    block: float
+    bandwidth: Positive
+    direction_bandwidth: Positive
+    divisions: Count
+    held_out: Annotated[int, partial(integer, low=2)] | None
+    block: Positive
     path: str | None = None
     note: str = ""
 
-    def __post_init__(self) -> None:
-        check_fields(self, real, "bandwidth", "direction_bandwidth", "block", above=0.0)
-        check_fields(self, integer, "divisions", low=1)
-        if self.held_out is not None:
-            check_fields(self, integer, "held_out", low=2)
-            if not len(self.kept_back):
-                raise InputError(
-                    f"held_out = {self.held_out}: no pose of {self.path} lies in a block to be held out, the first of "
-                    f"which begins after {(self.held_out - 1) * self.block:g} s.",
-                    "held_out",
-                )
+    def _validate(self) -> None:
+        if self.held_out is not None and not len(self.kept_back):
+            raise InputError(
+                f"held_out = {self.held_out}: no pose of {self.path} lies in a block to be held out, the first of "
+                f"which begins after {(self.held_out - 1) * self.block:g} s.",
+                "held_out",
+            )
 
     @cached_property
     def _records(self) -> Records:

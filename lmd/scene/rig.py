@@ -8,11 +8,11 @@ Ry(pitch) Rx(roll), right-handed about the body's axes. A positive yaw turns to 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import ONE_TURN, FloatArray, InputError, check_fields, real, vector
+from lmd.core.checks import ONE_TURN, Checked, FloatArray, InputError, Point, real, vector
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import QUATERNION_TOLERANCE, inverse, pose_of
 
@@ -23,8 +23,23 @@ SAME_PLACE_DECIMALS = 12
 OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
+def angle(name: str, value: Any) -> float:
+    """Return `value` as an angle in radians; raise `InputError` if it exceeds one turn, as degrees do."""
+    if abs(number := real(name, value)) > ONE_TURN:
+        raise InputError(f"{name} must be in radians, at most one turn from zero, got {number:g}.", name)
+    return number
+
+
+def quaternion_of(name: str, value: Any) -> tuple[float, ...]:
+    """Return `value` as a unit quaternion x, y, z, w; raise `InputError` if it has another length."""
+    quaternion = vector(name, value, 4)
+    if abs((length := float(np.linalg.norm(quaternion))) - 1.0) > QUATERNION_TOLERANCE:
+        raise InputError(f"{name} must have length 1, {list(quaternion)} has {length:g}.", name)
+    return quaternion
+
+
 @dataclass(frozen=True)
-class Mount:
+class Mount(Checked):
     """Camera of a rig with its pose on the body.
 
     Args:
@@ -39,27 +54,15 @@ class Mount:
     """
 
     camera: Camera
-    translation: tuple[float, ...] = (0.0, 0.0, 0.0)
-    yaw: float = 0.0
-    pitch: float = 0.0
-    roll: float = 0.0
-    quaternion: tuple[float, ...] | None = None
+    translation: Point = (0.0, 0.0, 0.0)
+    yaw: Annotated[float, angle] = 0.0
+    pitch: Annotated[float, angle] = 0.0
+    roll: Annotated[float, angle] = 0.0
+    quaternion: Annotated[tuple[float, ...], quaternion_of] | None = None
 
-    def __post_init__(self) -> None:
-        check_fields(self, vector, "translation", size=3)
-        for name in ANGLES:
-            angle = real(name, getattr(self, name))
-            if abs(angle) > ONE_TURN:
-                raise InputError(f"{name} must be in radians, at most one turn from zero, got {angle:g}.", name)
-            object.__setattr__(self, name, angle)
-        if self.quaternion is None:
-            return
-        quaternion = vector("quaternion", self.quaternion, 4)
-        if abs((length := float(np.linalg.norm(quaternion))) - 1.0) > QUATERNION_TOLERANCE:
-            raise InputError(f"quaternion must have length 1, {list(quaternion)} has {length:g}.", "quaternion")
-        if any(getattr(self, name) for name in ANGLES):
+    def _validate(self) -> None:
+        if self.quaternion is not None and any(getattr(self, name) for name in ANGLES):
             raise InputError("quaternion must not come with yaw, pitch or roll: it says them already.", "quaternion")
-        object.__setattr__(self, "quaternion", quaternion)
 
     @cached_property
     def rotation(self) -> FloatArray:

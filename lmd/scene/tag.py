@@ -5,15 +5,48 @@ white margin, the quiet zone.
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Annotated, Any
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, check_fields, choice, integer, real, vector
+from lmd.core.checks import (
+    BoolArray,
+    Checked,
+    FloatArray,
+    InputError,
+    IntArray,
+    NotNegative,
+    Positive,
+    choice,
+    integer,
+    real,
+    vector,
+)
 from lmd.scene.families import FAMILIES, Family, family_named, picture
 
 
+def edge_or_point(name: str, value: Any) -> float | None:
+    """Return `value` as the edge of a tag, metres; None for a point. Raise `InputError` if it is no such number."""
+    if value is not None and real(name, value) < 0.0:
+        raise InputError(
+            f"{name} must be positive, in metres, or null for landmarks that are points, got {value!r}.", name
+        )
+    return float(value) if value else None
+
+
+def known_family(name: str, value: Any) -> str:
+    """Return the name that `FAMILIES` has for the family `value`; raise `InputError` if there is none."""
+    return choice(name, family_named(value), tuple(FAMILIES))
+
+
+def tag_counts(name: str, value: Any) -> tuple[int, ...]:
+    """Return `value` as numbers of tags; raise `InputError` if one is no whole number."""
+    return tuple(integer(name, count, low=0) for count in value)
+
+
 @dataclass(frozen=True)
-class Tag:
+class Tag(Checked):
     """Tag at the landmarks of a deployment; without an edge, landmarks are points.
 
     Args:
@@ -37,51 +70,30 @@ class Tag:
             costs or with paper.
     """
 
-    edge: float | None = None
-    family: str = "36h11"
-    quiet_zone: float = 1.0
-    edges: tuple[float, ...] | None = None
-    counts: tuple[int, ...] | None = None
-    paper: float | None = None
-    costs: tuple[float, ...] | None = None
-    budget: float | None = None
+    edge: Annotated[float | None, edge_or_point] = None
+    family: Annotated[str, known_family] = "36h11"
+    quiet_zone: NotNegative = 1.0
+    edges: Annotated[tuple[float, ...], partial(vector, size=None, above=0.0)] | None = None
+    counts: Annotated[tuple[int, ...], tag_counts] | None = None
+    paper: Positive | None = None
+    costs: Annotated[tuple[float, ...], partial(vector, size=None, above=0.0)] | None = None
+    budget: Positive | None = None
 
-    def __post_init__(self) -> None:
-        if self.edge is not None and real("edge", self.edge) < 0.0:
-            raise InputError(
-                f"edge must be positive, in metres, or null for landmarks that are points, got {self.edge!r}.",
-                "edge",
-            )
-        object.__setattr__(self, "edge", float(self.edge) if self.edge else None)
-        object.__setattr__(self, "family", family_named(self.family))
-        choice("family", self.family, tuple(FAMILIES))
-        check_fields(self, real, "quiet_zone", low=0.0)
-        if self.edges is not None:
-            edges = vector("edges", self.edges, None, above=0.0)
-            if len(set(edges)) < len(edges):
-                raise InputError(f"edges must be different, got {list(edges)}.", "edges")
-            object.__setattr__(self, "edges", edges)
-            object.__setattr__(self, "edge", self.edge or max(edges))
-        if self.counts is not None:
-            counts = tuple(integer("counts", count, low=0) for count in self.counts)
-            if len(counts) != len(self.edges or ()) or not any(counts):
-                raise InputError(
-                    f"counts = {list(counts)} must say how many tags have each of edges = {list(self.edges or ())}.",
-                    "counts",
-                )
-            object.__setattr__(self, "counts", counts)
-        if self.paper is not None and (real("paper", self.paper, above=0.0) and self.edges is None):
-            raise InputError(
-                f"paper = {self.paper:g} square metres needs edges: the sizes that it may go into.", "paper"
-            )
-        if self.costs is not None:
-            costs = vector("costs", self.costs, None, above=0.0)
-            if len(costs) != len(self.edges or ()):
-                raise InputError(
-                    f"costs = {list(costs)} must be one for each of edges = {list(self.edges or ())}.", "costs"
-                )
-            object.__setattr__(self, "costs", costs)
-        if self.budget is not None and (real("budget", self.budget, above=0.0) and self.costs is None):
+    def _validate(self) -> None:
+        sizes = list(self.edges or ())
+        if sizes:
+            if len(set(sizes)) < len(sizes):
+                raise InputError(f"edges must be different, got {sizes}.", "edges")
+            object.__setattr__(self, "edge", self.edge or max(sizes))
+        if self.counts is not None and (len(self.counts) != len(sizes) or not any(self.counts)):
+            told = f"counts = {list(self.counts)} must say how many tags have each of edges = {sizes}."
+            raise InputError(told, "counts")
+        if self.paper is not None and not sizes:
+            told = f"paper = {self.paper:g} square metres needs edges: the sizes that it may go into."
+            raise InputError(told, "paper")
+        if self.costs is not None and len(self.costs) != len(sizes):
+            raise InputError(f"costs = {list(self.costs)} must be one for each of edges = {sizes}.", "costs")
+        if self.budget is not None and self.costs is None:
             raise InputError(f"budget = {self.budget:g} needs costs: what a tag of each of edges costs.", "budget")
         if self.budget is not None and self.paper is not None:
             raise InputError(

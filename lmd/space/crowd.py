@@ -13,21 +13,24 @@ The camera is never inside a cylinder: a cylinder closer to the camera than the 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Annotated, Any
 
 import numpy as np
 
 from lmd.core.checks import (
     BoolArray,
+    Checked,
+    Count,
     FloatArray,
+    Index,
     InputError,
     IntArray,
+    NotNegative,
     bounded,
-    check_fields,
     choice,
-    integer,
     real,
-    vector,
+    span,
 )
 from lmd.core.memory import check_memory
 from lmd.core.worst import worst_of
@@ -46,44 +49,52 @@ DIRECTIONS, HEIGHTS = 16, (0.01, 0.25, 0.5, 0.75, 0.99)
 MOST_STATES = 200_000
 
 
+def number_or_span(name: str, value: Any) -> float | tuple[float, float]:
+    """Return `value` as a positive length, or the least and the greatest; raise `InputError` for another value."""
+    if not isinstance(value, Sequence) or isinstance(value, str):
+        return real(name, value, above=0.0)
+    return span(name, value, above=0.0)
+
+
+def polygons(name: str, value: Any) -> tuple[Any, ...]:
+    """Return `value`, a polygon or several, as polygons; raise `InputError` for another value."""
+    if not isinstance(value, Sequence) or isinstance(value, str) or not len(value):
+        raise InputError(f"{name} must be a polygon [[x, y], ...] or several, got {value!r}.", name)
+    first = value[0]
+    if isinstance(first, Sequence) and len(first) > 0 and isinstance(first[0], Sequence):
+        return tuple(checked_ring(f"{name}[{i}]", ring, either_way=True) for i, ring in enumerate(value))
+    return (checked_ring(name, value, either_way=True),)
+
+
 @dataclass(frozen=True)
-class Crowd:
+class Crowd(Checked):
     """Cylinders that walk in a room.
 
     Raises:
         InputError: a value is out of range.
     """
 
-    number: int
+    number: Count
     """Cylinders in each state."""
-    radius: float | tuple[float, float] = 0.25
+    radius: Annotated[float | tuple[float, float], number_or_span] = 0.25
     """Radius, metres: a number, or the least and the greatest of a uniform distribution."""
-    height: float | tuple[float, float] = 1.75
+    height: Annotated[float | tuple[float, float], number_or_span] = 1.75
     """Height above the floor, metres, as `radius`."""
-    walk: Any = None
+    walk: Annotated[Any, polygons] | None = None
     """Polygon `[[x, y], ...]` or several in which the axes stand, metres; None for the whole free floor."""
-    clearance: float = 0.3
+    clearance: NotNegative = 0.3
     """Least distance of a cylinder from the camera, metres; a closer cylinder is left out."""
-    states: int = 20
+    states: Count = 20
     """Number S of states."""
-    fitness: str = "mean"
+    fitness: Annotated[str, partial(choice, options=FITNESS)] = "mean"
     """Fitness of all states: `mean`, or `worst` for the mean over the `worst` share of the states."""
-    worst: float = 0.05
+    worst: Annotated[float, partial(real, above=0.0, high=1.0)] = 0.05
     """Share of the states that are the worst, rounded up to whole states."""
-    seed: int = 0
+    seed: Index = 0
     """Seed of the states."""
 
-    def __post_init__(self) -> None:
-        check_fields(self, integer, "number", "states", low=1)
+    def _validate(self) -> None:
         bounded("states, which take 5 kB each", self.states, MOST_STATES, "crowd", "states")
-        check_fields(self, integer, "seed", low=0)
-        for name in ("radius", "height"):
-            object.__setattr__(self, name, _span(name, getattr(self, name)))
-        check_fields(self, real, "clearance", low=0.0)
-        check_fields(self, real, "worst", above=0.0, high=1.0)
-        choice("fitness", self.fitness, FITNESS)
-        if self.walk is not None:
-            object.__setattr__(self, "walk", _polygons(self.walk))
 
     def drawn(self, room: Space, rng: np.random.Generator | None = None) -> "CrowdStates":
         """Draw the states, from `seed` unless there is a generator.
@@ -157,27 +168,6 @@ def _crosses(cylinder: FloatArray, position: FloatArray, points: FloatArray) -> 
         entered = np.where(level, entered, np.maximum(entered, np.minimum(below, above)))
         left = np.where(level, left, np.minimum(left, np.maximum(below, above)))
     return np.asarray(inside & (entered < left))
-
-
-def _span(name: str, value: Any) -> float | tuple[float, float]:
-    """Check a positive length, or the least and the greatest of two."""
-    if not isinstance(value, Sequence) or isinstance(value, str):
-        return real(name, value, above=0.0)
-    least, most = vector(name, value, 2, above=0.0)
-    if least > most:
-        raise InputError(f"{name} must not fall from {least:g} to {most:g}.", name)
-    return least, most
-
-
-def _polygons(value: Any) -> tuple[Any, ...]:
-    """Check a polygon, or several."""
-    if not isinstance(value, Sequence) or isinstance(value, str) or not len(value):
-        raise InputError(f"walk must be a polygon [[x, y], ...] or several, got {value!r}.", "walk")
-    first = value[0]
-    several = isinstance(first, Sequence) and len(first) > 0 and isinstance(first[0], Sequence)
-    rings = value if several else [value]
-    names = [f"walk[{i}]" for i in range(len(rings))] if several else ["walk"]
-    return tuple(checked_ring(name, ring, either_way=True) for name, ring in zip(names, rings, strict=True))
 
 
 def _draw(crowd: Crowd, room: Space, rng: np.random.Generator) -> FloatArray:

@@ -2,17 +2,19 @@
 
 import itertools
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
+from typing import Annotated
 
 import numpy as np
 from typing_extensions import override
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, check_fields, choice, vector
-from lmd.space.gridded import KINDS, Gridded, checked_spacing, grid_counts, kronecker
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, choice, vector
+from lmd.space.gridded import Gridded, GridKind, checked_spacing, grid_counts, kronecker
 from lmd.space.parts import box_surfaces
 from lmd.space.relevance import Relevance
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, SurfaceArrays
 
+Size = Annotated[tuple[float, float, float], partial(vector, size=3, above=0.0)]
 WALLS = ("x_min", "x_max", "y_min", "y_max", "floor", "ceiling")
 
 
@@ -25,25 +27,23 @@ class Cuboid(Gridded):
             positions would not fit into memory.
     """
 
-    size: tuple[float, float, float]
+    size: Size
     """Inner length, width and height along x, y, z, metres."""
-    reachable_size: tuple[float, float, float]
+    reachable_size: Size
     """Size of the reachable box, centred in the room, metres."""
     spacing: float | tuple[float, float, float]
     """Largest distance between neighbouring positions, metres: one number or one per axis."""
-    positions: str = "cells"
+    positions: GridKind = "cells"
     """`cells` for the centres of the grid cells, `vertices` for the vertices."""
     walls: tuple[str, ...] = WALLS
     """Names of the walls that may carry landmarks."""
     relevance: Relevance = field(default_factory=Relevance)
     """Rel(p), weights of the positions."""
 
-    def __post_init__(self) -> None:
-        check_fields(self, vector, "size", "reachable_size", size=3, above=0.0)
+    def _validate(self) -> None:
         size, reachable = self.size, self.reachable_size
         if any(inner > outer for inner, outer in zip(reachable, size, strict=True)):
             raise InputError(f"reachable_size = {list(reachable)} exceeds size = {list(size)}.", "reachable_size")
-        choice("positions", self.positions, KINDS)
         walls = self.walls if isinstance(self.walls, list | tuple) else ()
         for name in walls:
             choice("walls", name, WALLS)

@@ -2,16 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from functools import cached_property, partial
+from typing import Annotated, Any
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, real
+from lmd.core.checks import BoolArray, Checked, FloatArray, InputError, NotNegative, Positive, entries, span
 from lmd.space.allowed import polygons
 from lmd.space.blockers import Blockers
 from lmd.space.fixture import Fixture
-from lmd.space.parts import FACES, Obstacle, all_keep_outs, all_made, check_metres, checked_band, checked_names
+from lmd.space.parts import FACES, KeepOut, Obstacle, all_made, check_metres, check_surfaces, checked_names
 from lmd.space.polygon import checked_ring, edges, on_hull, planes, upright_bodies
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, free_of
 
@@ -20,7 +20,7 @@ FREE_BEFORE_M = 1e-3
 
 
 @dataclass(frozen=True)
-class FloorPlan:
+class FloorPlan(Checked):
     """Room with upright walls over a simple polygon, with pillars, furniture, doors and windows.
 
     Raises:
@@ -28,44 +28,33 @@ class FloorPlan:
             unknown, or a surface has no allowed region.
     """
 
-    outline: Sequence[Sequence[float]]
+    outline: Annotated[Sequence[Sequence[float]], checked_ring]
     """Vertices [x, y], counter-clockwise, metres. The wall from vertex i to the next is `wall_<i>`."""
-    height: float
+    height: Positive
     """Height of the ceiling above the floor, metres."""
-    holes: Sequence[Sequence[Sequence[float]]] = ()
+    holes: Annotated[Sequence[Sequence[Sequence[float]]], partial(entries, check=checked_ring)] = ()
     """Pillars from floor to ceiling, polygons like the outline; their walls are `hole_<i>_wall_<j>`."""
-    obstacles: Sequence[Any] = ()
+    obstacles: Annotated[Sequence[Any], partial(all_made, kind=Obstacle)] = ()
     """`Obstacle`s, or mappings of their arguments; their faces are `obstacle_<i>_<face>`."""
     surfaces: Sequence[str] | None = None
     """Walls, `floor` and `ceiling` that may carry landmarks, in addition to the `faces` of obstacles; None for all."""
-    keep_out: Sequence[Any] = ()
+    keep_out: Annotated[Sequence[Any], partial(all_made, kind=KeepOut)] = ()
     """`KeepOut`s, or mappings of their arguments."""
-    band: Sequence[float] | None = None
+    band: Annotated[Sequence[float], partial(span, point=False)] | None = None
     """Lowest and highest z of landmarks on upright surfaces, metres; None for all heights."""
-    margin: float = 0.0
+    margin: NotNegative = 0.0
     """Distance of landmarks from the edges of a surface along its u and v, metres."""
     path: str | None = None
     """Path of the file that the plan was read from."""
     note: str = ""
     """Remark on the file that the plan was read from, a sentence; may be empty."""
 
-    def __post_init__(self) -> None:
-        if isinstance(self.holes, str) or not isinstance(self.holes, Sequence):
-            raise InputError(f"holes must be a list of polygons, got {self.holes!r}.", "holes")
-        outline, height = checked_ring("outline", self.outline), real("height", self.height, above=0.0)
+    def _validate(self) -> None:
         hint = "it is in metres, a thousandth of millimetres"
-        check_metres([*np.ptp(np.array(outline), axis=0), height], "outline makes", hint, "outline")
-        checked = {
-            "outline": outline,
-            "height": height,
-            "holes": tuple(checked_ring(f"holes[{i}]", hole) for i, hole in enumerate(self.holes)),
-            "obstacles": all_made("obstacles", Obstacle, self.obstacles),
-            "margin": real("margin", self.margin, low=0.0),
-        }
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
-        object.__setattr__(self, "keep_out", all_keep_outs(self.keep_out, list(self._faces)))
-        object.__setattr__(self, "band", checked_band(self.band, low=0.0, high=self.height))
+        check_metres([*np.ptp(np.array(self.outline), axis=0), self.height], "outline makes", hint, "outline")
+        check_surfaces(self.keep_out, list(self._faces))
+        if self.band is not None:
+            span("band", self.band, low=0.0, high=self.height)
         self._check_parts()
         if self.surfaces is not None:
             built = [name for name in self._faces if not name.startswith("obstacle_")]

@@ -4,12 +4,12 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from functools import cached_property
-from typing import Any, ClassVar, Self
+from functools import cached_property, partial
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, bounded, real, vector
+from lmd.core.checks import BoolArray, Checked, FloatArray, InputError, IntArray, bounded, choice, real, vector
 from lmd.core.memory import check_memory
 from lmd.space.blockers import Blockers
 from lmd.space.fixture import Fixture
@@ -23,6 +23,9 @@ MOST_POSITIONS, POSITION_BYTES = 20_000_000, 256
 # Inverse powers of the root of x^4 = x + 1, the golden ratio of three dimensions (Roberts, 2018). With other irrational
 # steps, such as square roots, some shapes were sampled worse than by independent points.
 KRONECKER_STEPS = 1.2207440846057596 ** -np.arange(1.0, 4.0)
+
+
+GridKind = Annotated[str, partial(choice, options=KINDS)]
 
 
 def checked_spacing(value: Any, size: Sequence[float]) -> float | tuple[float, ...]:
@@ -119,7 +122,7 @@ def clear_of(blockers: Blockers | Triangles | None, starts: FloatArray, ends: Fl
     return blockers.clear(starts, ends)
 
 
-class Gridded(ABC):
+class Gridded(Checked, ABC):
     """Base of rooms with a grid; a subclass is a frozen dataclass with the fields below."""
 
     reachable: Any

@@ -1,16 +1,16 @@
 """Room from a mesh with a reachable volume."""
 
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any, ClassVar
+from functools import cached_property, partial
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from typing_extensions import override
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, choice
+from lmd.core.checks import BoolArray, FloatArray, InputError
 from lmd.space.cuboid import box_edges
 from lmd.space.fixture import Fixture
-from lmd.space.gridded import KINDS, Gridded
+from lmd.space.gridded import Gridded, GridKind
 from lmd.space.parts import FreeVolume, made
 from lmd.space.relevance import Relevance
 from lmd.space.scan import Scan
@@ -32,20 +32,18 @@ class MeshRoom(Gridded):
 
     scan: Scan
     """Mesh."""
-    reachable: Any
+    reachable: Annotated[FreeVolume, partial(made, kind=FreeVolume)]
     """`FreeVolume`, or a mapping of its arguments."""
     spacing: Any
     """Largest distance between neighbouring positions, metres: one number or one per axis."""
-    positions: str = "cells"
+    positions: GridKind = "cells"
     """`cells` for the centres of the grid cells, `vertices` for the vertices."""
     relevance: Relevance = field(default_factory=Relevance)
     """Rel(p), weights of the positions."""
     kind: ClassVar[str] = "room from a mesh"
     digits: ClassVar[int] = 4
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "reachable", made("reachable", FreeVolume, self.reachable))
-        choice("positions", self.positions, KINDS)
+    def _validate(self) -> None:
         (low, high), (lowest, highest) = self.box, self.bounds()
         name = "reachable.height" if self.reachable.low is None else "reachable.low"
         if (
@@ -72,6 +70,7 @@ class MeshRoom(Gridded):
         if self.reachable.low is not None:
             return np.array(self.reachable.low), np.array(self.reachable.high)
         (low, high), clearance = self.scan.bounds, self.reachable.clearance
+        assert self.reachable.height is not None
         bottom, top = self.reachable.height
         return np.append(low[:2] + clearance, bottom), np.append(high[:2] - clearance, top)
 

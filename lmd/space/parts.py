@@ -2,11 +2,22 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from functools import partial
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, check_fields, choice, real, vector
+from lmd.core.checks import (
+    Checked,
+    FloatArray,
+    InputError,
+    NotNegative,
+    Point,
+    choice,
+    entries,
+    span,
+    text,
+)
 from lmd.space.blockers import Body
 from lmd.space.polygon import checked_ring
 from lmd.space.surface import Surface
@@ -18,6 +29,7 @@ FACES = ("x_min", "x_max", "y_min", "y_max", "bottom", "top")
 # Bounds on the longest side of a room, and upper bound on its shortest side, metres; beyond them the unit is wrong.
 SHORTEST, LONGEST, FLATTEST = 0.3, 1000.0, 200.0
 
+Span = Annotated[Sequence[float], span]
 T = TypeVar("T")
 
 
@@ -58,32 +70,25 @@ def box_surfaces(low: FloatArray, high: FloatArray, names: Sequence[str], inward
 
 
 @dataclass(frozen=True)
-class Obstacle:
+class Obstacle(Checked):
     """Box with sides along x, y and z, such as a rack, that blocks lines of sight and excludes the camera.
 
     Raises:
         InputError: the box is empty, or a face is unknown.
     """
 
-    low: Sequence[float]
+    low: Point
     """Lower corner, world frame, metres."""
-    high: Sequence[float]
+    high: Point
     """Upper corner, world frame, metres."""
-    faces: Sequence[str] = ()
+    faces: Annotated[Sequence[str], partial(entries, check=partial(choice, options=FACES))] = ()
     """Faces of `FACES` that may carry landmarks."""
-    name: str | None = None
+    name: Annotated[str, text] | None = None
     """Name on drawings, such as `rack`."""
 
-    def __post_init__(self) -> None:
-        check_fields(self, vector, "low", "high", size=3)
+    def _validate(self) -> None:
         if any(a >= b for a, b in zip(self.low, self.high, strict=True)):
             raise InputError(f"low = {list(self.low)} must be below high = {list(self.high)} along x, y and z.", "low")
-        if isinstance(self.faces, str) or not isinstance(self.faces, Sequence):
-            raise InputError(f"faces must be a list, got {self.faces!r}.", "faces")
-        for i, face in enumerate(self.faces):
-            choice(f"faces[{i}]", face, FACES)
-        check_name(self.name)
-        object.__setattr__(self, "faces", tuple(self.faces))
 
     @property
     def body(self) -> Body:
@@ -102,35 +107,22 @@ class Obstacle:
         return np.stack(np.meshgrid(*zip(self.low, self.high, strict=True), indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def check_name(name: Any) -> None:
-    """Raise `InputError` if the name of a part is neither text nor None."""
-    if name is not None and (not isinstance(name, str) or not name.strip()):
-        raise InputError(f"name must be a text, got {name!r}.", "name")
-
-
 @dataclass(frozen=True)
-class Reachable:
+class Reachable(Checked):
     """Reachable volume of a floor plan.
 
     Raises:
         InputError: the heights are in the wrong order, or the clearance is negative.
     """
 
-    height: Sequence[float]
+    height: Span
     """Lowest and highest z of the camera, metres."""
-    clearance: float = 0.0
+    clearance: NotNegative = 0.0
     """Least distance from the planes of walls, holes and obstacles, metres."""
-
-    def __post_init__(self) -> None:
-        low, high = vector("height", self.height, 2)
-        if low > high:
-            raise InputError(f"height must go from the lowest to the highest, got {[low, high]}.", "height")
-        object.__setattr__(self, "height", (low, high))
-        check_fields(self, real, "clearance", low=0.0)
 
 
 @dataclass(frozen=True)
-class FreeVolume:
+class FreeVolume(Checked):
     """Reachable volume of a mesh: between two heights or in a box, with a clearance from triangles.
 
     Raises:
@@ -138,28 +130,23 @@ class FreeVolume:
             is negative.
     """
 
-    height: Sequence[float] | None = None
+    height: Span | None = None
     """Lowest and highest z of the camera, metres."""
-    low: Sequence[float] | None = None
+    low: Point | None = None
     """Lower corner of a box, metres, instead of `height`."""
-    high: Sequence[float] | None = None
+    high: Point | None = None
     """Upper corner of the box, metres."""
-    clearance: float = 0.0
+    clearance: NotNegative = 0.0
     """Least distance from all triangles except floor and ceiling, metres."""
 
-    def __post_init__(self) -> None:
+    def _validate(self) -> None:
         if (self.height is None) == (self.low is None) or (self.low is None) != (self.high is None):
             raise InputError("height, or low and high in its place, must be given.", "height")
-        check_fields(self, real, "clearance", low=0.0)
-        if self.height is not None:
-            object.__setattr__(self, "height", Reachable(self.height).height)
-            return
-        check_fields(self, vector, "low", "high", size=3)
         if self.low and self.high and any(a > b for a, b in zip(self.low, self.high, strict=True)):
             raise InputError(f"low = {list(self.low)} exceeds high = {list(self.high)}.", "low")
 
 
-def made(name: str, kind: type[T], value: Any) -> T:
+def made(name: str, value: Any, kind: type[T]) -> T:
     """Make a part from its value in a configuration: the part itself, or a mapping of its arguments.
 
     Raises:
@@ -181,25 +168,9 @@ def made(name: str, kind: type[T], value: Any) -> T:
         raise error.within(name) from None
 
 
-def all_made(name: str, kind: type[T], values: Any) -> tuple[T, ...]:
+def all_made(name: str, value: Any, kind: type[T]) -> tuple[T, ...]:
     """Make parts from a list of values in a configuration, see `made`."""
-    if isinstance(values, str | Mapping) or not isinstance(values, Sequence):
-        raise InputError(f"{name} must be a list, got {values!r}.", name)
-    return tuple(made(f"{name}[{i}]", kind, value) for i, value in enumerate(values))
-
-
-def checked_band(value: Any, **bounds: float) -> tuple[float, ...] | None:
-    """Check the lowest and highest z of landmarks, metres; None for all heights.
-
-    Raises:
-        InputError: the band is empty or exceeds `bounds`.
-    """
-    if value is None:
-        return None
-    low, high = vector("band", value, 2, **bounds)
-    if low >= high:
-        raise InputError(f"band must go from the lowest to the highest z, got {[low, high]}.", "band")
-    return low, high
+    return entries(name, value, partial(made, kind=kind))
 
 
 def checked_names(name: str, value: Any, known: Sequence[str]) -> tuple[str, ...]:
@@ -221,7 +192,7 @@ BEYOND_SURFACE_M = 0.05
 
 
 @dataclass(frozen=True)
-class KeepOut:
+class KeepOut(Checked):
     """Part of a surface without landmarks, such as a door, a window or a screen.
 
     Left and below are as seen by a viewer in front of a wall with z up, or in front of floor or ceiling with y up.
@@ -232,27 +203,18 @@ class KeepOut:
 
     surface: str
     """Name of the surface."""
-    from_left: Sequence[float] | None = None
+    from_left: Annotated[Sequence[float], partial(span, point=False)] | None = None
     """Start and end from the left edge of the surface, metres."""
-    from_below: Sequence[float] | None = None
+    from_below: Annotated[Sequence[float], partial(span, point=False)] | None = None
     """Start and end from the lower edge of the surface, metres."""
-    corners: Sequence[Sequence[float]] | None = None
+    corners: Annotated[Sequence[Sequence[float]], partial(checked_ring, either_way=True)] | None = None
     """Vertices [from left, from below], metres, instead of both spans."""
-    name: str | None = None
+    name: Annotated[str, text] | None = None
     """Name on drawings, such as `door`."""
 
-    def __post_init__(self) -> None:
+    def _validate(self) -> None:
         if (self.corners is None) == (self.from_left is None) or (self.from_left is None) != (self.from_below is None):
             raise InputError("from_left and from_below, or corners in their place, must be given.", "from_left")
-        check_name(self.name)
-        if self.corners is not None:
-            check_fields(self, checked_ring, "corners", either_way=True)
-            return
-        for name, span in (("from_left", self.from_left), ("from_below", self.from_below)):
-            start, stop = vector(name, span, 2)
-            if start >= stop:
-                raise InputError(f"{name} must go from the lower to the higher, got {[start, stop]}.", name)
-            object.__setattr__(self, name, (start, stop))
 
     def check_on(self, name: str, extent: tuple[float, float]) -> None:
         """Raise `InputError` if the keep-out reaches beyond its surface.
@@ -286,17 +248,7 @@ class KeepOut:
         return shapely.Polygon(face.from_left_and_below(self.ring))
 
 
-def all_keep_outs(values: Any, faces: Sequence[str]) -> tuple[KeepOut, ...]:
-    """Make keep-outs from values in a configuration.
-
-    Args:
-        values: list of `KeepOut`s or mappings of their arguments.
-        faces: names of the surfaces.
-
-    Raises:
-        InputError: a value is no keep-out, or its surface is unknown.
-    """
-    parts = all_made("keep_out", KeepOut, values)
+def check_surfaces(parts: Sequence[KeepOut], faces: Sequence[str]) -> None:
+    """Raise `InputError` if the surface of a keep-out is not one of `faces`."""
     for i, part in enumerate(parts):
         choice(f"keep_out[{i}].surface", part.surface, faces)
-    return parts

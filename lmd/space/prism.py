@@ -2,18 +2,18 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any, ClassVar
+from functools import cached_property, partial
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from typing_extensions import override
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, choice
+from lmd.core.checks import BoolArray, FloatArray, InputError
 from lmd.space.blockers import Blockers
 from lmd.space.cuboid import box_edges
 from lmd.space.fixture import Fixture
 from lmd.space.floor_plan import FloorPlan
-from lmd.space.gridded import KINDS, Gridded, clear_of
+from lmd.space.gridded import Gridded, GridKind, clear_of
 from lmd.space.parts import Reachable, made
 from lmd.space.polygon import edges
 from lmd.space.relevance import Relevance
@@ -34,19 +34,17 @@ class Prism(Gridded):
 
     plan: FloorPlan
     """Floor plan."""
-    reachable: Reachable
+    reachable: Annotated[Reachable, partial(made, kind=Reachable)]
     """Reachable volume, or a mapping of its arguments."""
     spacing: float | Sequence[float]
     """Largest distance between neighbouring positions, metres: one number or one per axis."""
-    positions: str = "cells"
+    positions: GridKind = "cells"
     """`cells` for the centres of the grid cells, `vertices` for the vertices."""
     relevance: Relevance = field(default_factory=Relevance)
     """Rel(p), weights of the positions."""
     kind: ClassVar[str] = "room over a floor plan"
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "reachable", made("reachable", Reachable, self.reachable))
-        choice("positions", self.positions, KINDS)
+    def _validate(self) -> None:
         low, high = self.box
         if low[2] < 0.0 or high[2] > self.plan.height:
             raise InputError(

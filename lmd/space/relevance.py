@@ -6,7 +6,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, real, vector
+from lmd.core.checks import Checked, FloatArray, InputError, NotNegative, real, vector
 from lmd.core.tables import read_numbers
 
 # Largest distance between a position and its row in a file of weights, and tolerance of regions, metres.
@@ -21,14 +21,14 @@ class Weighing(Protocol):
 
 
 @dataclass(frozen=True)
-class Relevance:
+class Relevance(Checked):
     """Weights of the positions of the reachable area (Rel in Eq. H of the paper).
 
     Raises:
         InputError: a weight is negative, a region is malformed, or both regions and a file are given.
     """
 
-    background: float = 1.0
+    background: NotNegative = 1.0
     """Weight of positions in no region."""
     regions: Sequence[Mapping[str, Any]] = ()
     """Closed boxes `{low: [x, y, z], high: [x, y, z], weight: w}`, metres, world frame; later regions override earlier
@@ -36,8 +36,7 @@ class Relevance:
     path: str | None = None
     """CSV with columns `x,y,z,weight` for every position of the grid, instead of background and regions."""
 
-    def __post_init__(self) -> None:
-        real("background", self.background, low=0.0)
+    def _validate(self) -> None:
         if self.path is not None and self.regions:
             raise InputError(f"path = {self.path!r} cannot be given beside regions.", "path")
         if isinstance(self.regions, str) or not isinstance(self.regions, Sequence):

@@ -2,18 +2,27 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from functools import cached_property, partial
+from typing import Annotated, Any
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, check_fields, real
+from lmd.core.checks import (
+    BoolArray,
+    Checked,
+    FloatArray,
+    InputError,
+    IntArray,
+    NotNegative,
+    Positive,
+    span,
+)
 from lmd.space.allowed import eroded, polygons, spread, trapezoids
 from lmd.space.fixture import Fixture
 from lmd.space.gravity import LEVEL_NORMAL_Z, STOREY, doubt_of
 from lmd.space.interior import Interior
 from lmd.space.mesh import Mesh
-from lmd.space.parts import KeepOut, all_keep_outs, checked_band, checked_names
+from lmd.space.parts import KeepOut, all_made, check_surfaces, checked_names
 from lmd.space.patches import UNEVEN, areas_of, flat_parts, grown, plane_of, standing_on, surface_of
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, free_of
 from lmd.space.triangles import Triangles, unit_normals
@@ -32,7 +41,7 @@ CREASE, MOST_EDGES = 0.35, 5000
 
 
 @dataclass(frozen=True)
-class Scan:
+class Scan(Checked):
     """Room from a triangle mesh, such as a scan or a CAD model, in the coordinates of the file rotated to z up.
 
     Its surfaces are planar patches: adjacent coplanar triangles of one object into which a square of `least_area` fits.
@@ -46,21 +55,18 @@ class Scan:
 
     mesh: Mesh
     """Triangles, z up; `lmd.formats.meshes.read_mesh` reads them from a file."""
-    least_area: float = 0.1
+    least_area: Positive = 0.1
     """Area of an upright square that must fit on a patch, square metres."""
     surfaces: Sequence[str] | None = None
     """Names of the patches that may carry landmarks; None for all."""
-    keep_out: Sequence[Any] = ()
+    keep_out: Annotated[Sequence[Any], partial(all_made, kind=KeepOut)] = ()
     """`KeepOut`s, or mappings of their arguments, measured from the rectangle around the patch."""
-    band: Sequence[float] | None = None
+    band: Annotated[Sequence[float], partial(span, point=False)] | None = None
     """Lowest and highest z of landmarks on upright patches, metres; None for all heights."""
-    margin: float = 0.0
+    margin: NotNegative = 0.0
     """Distance of landmarks from the edges of a patch along its u and v, metres."""
 
-    def __post_init__(self) -> None:
-        check_fields(self, real, "least_area", above=0.0)
-        object.__setattr__(self, "band", checked_band(self.band))
-        check_fields(self, real, "margin", low=0.0)
+    def _validate(self) -> None:
         if not self._patches:
             raise InputError(
                 f"least_area = {self.least_area:g} m2 is more than any planar patch of {self.mesh.path!r} has.",
@@ -70,7 +76,7 @@ class Scan:
             raise InputError(f"up must be given for {self.mesh.path!r}: {doubt}", "up")
         if self.surfaces is not None:
             object.__setattr__(self, "surfaces", checked_names("surfaces", self.surfaces, list(self._patches)))
-        object.__setattr__(self, "keep_out", all_keep_outs(self.keep_out, list(self._patches)))
+        check_surfaces(self.keep_out, list(self._patches))
         for i, part in enumerate(self.keep_out):
             corners = self._corners[self._patches[part.surface]]
             part.check_on(f"keep_out[{i}]", surface_of("", corners, plane_of(corners)[0]).extent)

@@ -99,7 +99,7 @@ def test_an_image_without_tags():
         (lambda: AprilTagDetector("36h12"), "family must be one of 36h11, 25h9, 16h5, 41h12, .*, got '36h12'"),
         (lambda: AprilTagDetector(quad_decimate=0.5), "quad_decimate must be at least 1"),
         (lambda: Detections(np.arange(2), np.zeros((1, 4, 2))), r"corners must have the shape \(M, 4, 2\)"),
-        (lambda: ViewRanges(pitch=(3.0, 2.0)), r"pitch must be a range \[low, high\], got \[3, 2\]"),
+        (lambda: ViewRanges(pitch=(3.0, 2.0)), r"pitch must go from the lower to the higher, got \[3.0, 2.0\]"),
     ],
 )
 def test_bad_input_gets_a_sentence(make, sentence):

@@ -42,7 +42,7 @@ def test_they_walk_where_they_are_told():
     [
         ({"number": 0}, "number"),
         ({"number": 3, "radius": -1.0}, "radius"),
-        ({"number": 3, "radius": [0.4, 0.2]}, "radius must not fall from 0.4 to 0.2"),
+        ({"number": 3, "radius": [0.4, 0.2]}, "radius must go from the lower to the higher"),
         ({"number": 3, "height": "tall"}, "height"),
         ({"number": 3, "walk": [[0, 0], [1, 1]]}, "walk must list at least 3 vertices"),
         ({"number": 3, "walk": 3}, "walk must be a polygon"),

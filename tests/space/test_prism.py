@@ -235,7 +235,7 @@ def test_random_landmarks_are_uniform_over_slanting_regions():
          r"nowhere on wall_1 may anything hang"),
         ({"outline": [[0, 0], [6000, 0], [6000, 4000]], "height": 2500},
          r"^outline makes a room of 6000 x 4000 x 2500 m; it is in metres, a thousandth of millimetres\.$"),
-        ({"band": [2, 1]}, r"^band must go from the lowest"),
+        ({"band": [2, 1]}, r"^band must go from the lower"),
         ({"margin": 1.0}, r"nowhere on wall_1 may anything hang"),
         ({"surfaces": ["x_min"]}, r"^surfaces must be one of wall_0, "),
         ({"surfaces": []}, r"^surfaces must list at least one surface"),
