@@ -167,38 +167,6 @@ def test_a_normal_printed_with_few_decimals_is_made_unit(write):
 
 
 @pytest.mark.parametrize(
-    ("text", "named"),
-    [
-        (HEADER + "0,8,1,1,1,0,0\n", r"landmark 0 at \(8, 1, 1\) lies outside the room of 7\.5 x 5 x 6 m"),
-        (HEADER + "0,1,1,0,0,0,1\n1,1,1,-0.1,0,0,1\n", r"landmark 1 at \(1, 1, -0\.1\) lies outside"),
-        (HEADER + "0,1,1,0,0,0,2\n", "landmark 0: the normal must have length 1, it has 2"),
-        (HEADER + "0,1,1,0,0,0,0\n", "landmark 0: the normal must have length 1, it has 0"),
-        (HEADER + "0,nan,1,0,0,0,1\n", "line 2: x is 'nan', not a finite number"),
-        (HEADER + "0,1,1,0,0,0,inf\n", "line 2: nz is 'inf', not a finite number"),
-        (HEADER + "0,1,1,0,0,0,up\n", "line 2: nz is 'up', not a number"),
-        (HEADER + "0,1,1,0,0,0\n", "line 2 has 6 values, and the columns are id,x,y,z"),
-        ("", "is empty; expected the columns id,x,y,z"),
-        (HEADER, "header but no rows"),
-        ("x,y,z,nx,ny,nz,x\n1,1,0,0,0,1,1\n", "names the column 'x' twice"),
-        (HEADER + "4,1,1,0,0,0,1\n4,2,1,0,0,0,1\n", "id 4 belongs to 2 landmarks; ids must be different"),
-        (HEADER + "-1,1,1,0,0,0,1\n", "line 2: id must be a whole number from 0 to .*, got -1"),
-        (HEADER + "1.5,1,1,0,0,0,1\n", "line 2: id must be a whole number from 0 to .*, got 1.5"),
-        (HEADER + "1e30,1,1,0,0,0,1\n", r"line 2: id must be a whole number from 0 to .*, got 1e\+30"),
-        (HEADER + "left,1,1,0,0,0,1\n", "line 2: id is 'left', not a number"),
-        ("id,x,y,z,nx,ny\n1,1,1,0,0,0\n", "lacks the column 'nz'"),
-    ],
-)
-def test_a_bad_csv_is_refused_with_its_name_and_the_value(write, text, named):
-    with pytest.raises(InputError, match=rf"landmarks\.csv.*{named}"):
-        FileDeployment(write(text, "landmarks.csv")).draw(paper_room(), np.random.default_rng(0))
-
-
-def test_a_row_longer_than_the_header_is_refused(write):
-    with pytest.raises(InputError, match=r"landmarks\.csv"):
-        Deployment.from_csv(write("x,y,z,nx,ny,nz\n0,1,2,0,1,0,0\n1,1,2,1,0,0,0\n", "landmarks.csv"))
-
-
-@pytest.mark.parametrize(
     ("row", "fault"),
     [
         ("7,4,1,-1,0,0", r"1 at \(7, 4, 1\) hangs in mid-air, 0\.5 m from the nearest surface .*, x_max \(2 of 3 land"),
@@ -228,46 +196,6 @@ def test_landmarks_may_be_measured_by_hand(write):
 def test_a_tilted_landmark_hangs(write):
     path = write(HEADER + "0,1,1,0,0.6,0,0.8\n", "landmarks.csv")
     assert len(FileDeployment(path).draw(paper_room(), np.random.default_rng(0))) == 1
-
-
-def test_a_file_with_another_count_is_refused(write):
-    path = write(HEADER + "0,1,1,0,0,0,1\n", "landmarks.csv")
-    with pytest.raises(InputError, match=r"^count = 90, but .*landmarks\.csv has 1 landmarks"):
-        FileDeployment(path, 90).draw(paper_room(), np.random.default_rng(0))
-
-
-def test_a_deployment_from_a_file_needs_one(tmp_path):
-    with pytest.raises(InputError, match=r"path is missing"):
-        FileDeployment(None).draw(paper_room(), np.random.default_rng(0))
-    with pytest.raises(InputError, match=r"path: there is no file .*nowhere\.csv"):
-        FileDeployment(str(tmp_path / "nowhere.csv")).draw(paper_room(), np.random.default_rng(0))
-
-
-@pytest.mark.parametrize(
-    ("positions", "normals", "named"),
-    [
-        (np.zeros((2, 3)), np.tile(X, (3, 1)), "2 positions but 3 normals"),
-        (np.zeros((0, 3)), np.zeros((0, 3)), r"K >= 1, got \(0, 3\)"),
-        (np.zeros(3), X, r"got \(3,\)"),
-        (np.full((1, 3), math.nan), X[None], "positions have a value that is not finite"),
-        (np.zeros((2, 3)), [X, 1.01 * X], "landmark 1: the normal must have length 1, it has 1.01"),
-    ],
-)
-def test_what_is_no_deployment_is_refused(positions, normals, named):
-    with pytest.raises(InputError, match=named):
-        Deployment(positions, normals)
-
-
-@pytest.mark.parametrize("source", [RandomDeployment, UniformDeployment])
-@pytest.mark.parametrize("count", [0, -1, 2.5, "90", None, True])
-def test_the_count_must_be_a_positive_whole_number(source, count):
-    with pytest.raises(InputError, match=rf"count .*{count!r}"):
-        source(count)
-
-
-def test_an_unknown_layout_is_refused():
-    with pytest.raises(InputError, match=r"layout must be one of per_wall, by_area, got 'spiral'"):
-        UniformDeployment(90, layout="spiral")
 
 
 def test_ups_are_written_for_tags_and_are_upright_where_nothing_else_was_read(tmp_path):

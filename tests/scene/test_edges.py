@@ -49,21 +49,6 @@ def test_a_file_says_the_edges_and_is_written_again(path, tmp_path):
     assert_array_equal((found[[1]] + found).edges, [np.nan, 0.2, np.nan, 0.06])
 
 
-@pytest.mark.parametrize(
-    ("edge", "sentence"),
-    [
-        ("0", "edge must be positive metres, landmark 4 has 0"),
-        ("-0.1", "edge must be positive metres, landmark 4 has -0.1"),
-        ("inf", "edge must be positive metres, landmark 4 has inf"),
-        ("10 cm", "edge must be positive metres: could not convert string to float: '10 cm'"),
-    ],
-)
-def test_what_is_no_edge_is_refused(path, edge, sentence):
-    path.write_text(FILE.replace("0.2,large", f"{edge},large"))
-    with pytest.raises(InputError, match=sentence):
-        Deployment.from_csv(path)
-
-
 def test_placed_tags_have_the_edges_in_turn_and_those_of_a_file_their_own(path):
     several = replace(TAG, edges=(0.3, 0.05))
     footprints, rng = Footprints(ROOM, several), np.random.default_rng(0)
@@ -90,20 +75,6 @@ def test_a_paper_hangs_where_its_own_size_has_room(path):
     path.write_text(FILE.replace("0,2,1,1", "0,1.15,1,1"))
     with pytest.raises(InputError, match=r"overlap: their papers are 0\.125 and 0\.25 m wide, .* 0\.15 m apart"):
         Footprints(ROOM, TAG).draw(FileDeployment(path), None)
-
-
-@pytest.mark.parametrize(
-    ("edges", "sentence"),
-    [
-        ([], r"edges must be a list of numbers, got \[\]"),
-        (0.1, "edges must be a list of numbers, got 0.1"),
-        ([0.1, 0.0], r"edges\[1\] must be greater than 0"),
-        ([0.1, 0.1], r"edges must be different, got \[0.1, 0.1\]"),
-    ],
-)
-def test_bad_sizes_get_a_sentence(edges, sentence):
-    with pytest.raises(InputError, match=sentence):
-        Tag(0.1, edges=edges)
 
 
 def test_without_an_edge_it_is_the_largest():

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from support.processes import ROOT
 
-from lmd.core.checks import InputError
 from lmd.scene.families import FAMILIES, dictionary, family_named, picture
 from lmd.scene.tag import Tag
 
@@ -57,11 +56,6 @@ def test_a_picture_has_a_black_border_and_something_inside(name):
 def test_an_apriltag_hangs_as_in_apriltags_own_picture():
     # The first row inside the border of its tag 0; OpenCV has it, backwards, as the last.
     assert "".join(".#"[not white] for white in picture("36h11", 0)[1]) == "#..#.#.#"
-
-
-def test_a_family_has_no_further_tags():
-    with pytest.raises(InputError, match=r"tag id must be in \[0, 34\], got 35"):
-        picture("25h9", 35)
 
 
 @pytest.mark.parametrize(

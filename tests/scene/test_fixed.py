@@ -86,12 +86,6 @@ def test_what_cannot_be_is_refused_in_a_sentence(tmp_path, fixed, start, message
         problem(FileDeployment(tmp_path / start) if start else None, fixed=hangs)
 
 
-def test_papers_that_overlap_already_are_refused():
-    hangs = Deployment([[0.0, 2.0, 3.0], [0.0, 2.2, 3.0]], [[1.0, 0.0, 0.0]] * 2)
-    with pytest.raises(InputError, match=r"^fixed: landmarks 0 and 1 on x_min overlap"):
-        problem(fixed=hangs, tag=TAG)
-
-
 @pytest.mark.parametrize(("tag", "optimiser"), [(None, "ega"), (Tag(0.1), "ega"), (None, "greedy")])
 def test_on_a_floor_plan_they_stay_where_they_are_and_out_of_doors(tag, optimiser):
     scene = replace(problem().scene, room=lab(), tag=tag)

@@ -73,12 +73,6 @@ def test_a_tag_has_the_number_of_its_landmark(path):
         Tag(0.1, "16h5").check_ids(np.array([2, 40]))
 
 
-def test_faults_name_the_landmark_by_its_id(write):
-    lost = write("id,x,y,z,nx,ny,nz\n7,0,1,1,1,0,0\n3,0,9,1,1,0,0\n")
-    with pytest.raises(InputError, match=r"landmark 3 at \(0, 9, 1\) lies outside"):
-        FileDeployment(lost).draw(paper_room(), np.random.default_rng(0))
-
-
 def test_as_many_ids_as_landmarks():
     with pytest.raises(InputError, match="a deployment has 2 positions but 1 ids"):
         Deployment(np.zeros((2, 3)), np.tile([1.0, 0.0, 0.0], (2, 1)), labels=Labels(np.array([4])))

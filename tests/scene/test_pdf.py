@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from support.strategies import pdfs
 
-from lmd.core.checks import InputError
 from lmd.geometry.frames import optical_axis, rotation
 from lmd.scene import pdf
 from lmd.sight import reference
@@ -112,87 +111,11 @@ def test_a_pdf_cannot_be_changed_from_outside():
         orientations.weight[0] = 1.0
 
 
-@pytest.mark.parametrize(
-    ("yaw", "pitch", "weight", "named"),
-    [
-        ([0, 1], [0, 0], [0.5, 0.4], "must sum to 1, they sum to 0.9"),
-        ([0, 1], [0, 0], [1.5, -0.5], "negative weight, -0.5"),
-        ([0, 1], [0, 1.6], [0.5, 0.5], "pitch must be in .* got 1.6"),
-        ([0, math.nan], [0, 0], [0.5, 0.5], "not finite"),
-        ([0, 1], [0], [0.5, 0.5], "equal length"),
-        ([], [], [], "non-empty"),
-    ],
-)
-def test_what_is_no_pdf_is_refused(yaw, pitch, weight, named):
-    with pytest.raises(InputError, match=f"^mine.*{named}"):
-        pdf.OrientationPdf(yaw, pitch, weight, "mine")
-
-
-@pytest.mark.parametrize("build", BUILDERS)
-@pytest.mark.parametrize("divisions", [0, -3, 1.5, "12", True, None])
-def test_divisions_must_be_a_positive_whole_number(build, divisions):
-    with pytest.raises(InputError, match=rf"^divisions .*{divisions!r}"):
-        build(divisions)
-
-
-@pytest.mark.parametrize("pitch", [1.6, -2.0, math.nan, "level"])
-def test_level_flight_refuses_a_pitch_beyond_the_poles(pitch):
-    with pytest.raises(InputError, match=rf"^pitch .*{pitch!r}"):
-        pdf.level_flight(12, pitch)
-
-
 def test_a_csv_is_read_by_column_name(write):
     orientations = pdf.from_csv(write("weight, pitch, yaw\n0.25,0.1,1\n0.75,-0.1,2\n"))
     assert orientations.yaw.tolist() == [1.0, 2.0]
     assert orientations.pitch.tolist() == [0.1, -0.1]
     assert orientations.weight.tolist() == [0.25, 0.75]
-
-
-@pytest.mark.parametrize(
-    ("text", "named"),
-    [
-        ("yaw,pitch,weight\n0,0,0.5\n1,0,0.4\n", "must sum to 1, they sum to 0.9"),
-        ("yaw,pitch,tilt,weight\n0,0,0,1\n", "unknown column 'tilt'"),
-        ("yaw,weight\n0,1\n", "lacks the column 'pitch'"),
-        ("0,0,1\n", "has no header: its first line, '0,0,1', must name the columns"),
-        ("", "is empty"),
-        ("\n\n", "is empty"),
-        ("yaw,pitch,weight\n", "header but no rows"),
-        ("yaw,pitch,weight\n0,0,0.5\nnan,0,0.5\n", "line 3: yaw is 'nan', not a finite number"),
-        ("yaw,pitch,weight\n0,-inf,1\n", "line 2: pitch is '-inf', not a finite number"),
-        ("yaw,pitch,weight\n0,up,1\n", "line 2: pitch is 'up', not a number"),
-        ("yaw,pitch,weight\n0,,1\n", "line 2: pitch is '', not a number"),
-        ("yaw,pitch,weight\n0,1\n", "line 2 has 2 values"),
-        ("yaw,pitch,weight\n0,0,1.5\n1,0,-0.5\n", "negative weight, -0.5"),
-        ("yaw,pitch,weight\n0,90,1\n", "pitch = 90 looks like degrees; angles are in radians"),
-        ("yaw,pitch,weight\n0,0,0.5\n180,0,0.5\n", "yaw = 180 looks like degrees; angles are in radians"),
-        ("yaw,pitch,weight\n0,2,1\n", "pitch must be in .* got 2"),
-    ],
-)
-def test_a_bad_csv_is_refused_with_its_name_and_the_value(write, text, named):
-    with pytest.raises(InputError, match=rf"samples\.csv.*{named}"):
-        pdf.from_csv(write(text, "samples.csv"))
-
-
-def test_a_row_longer_than_the_header_is_refused(write):
-    with pytest.raises(InputError, match=r"samples\.csv"):
-        pdf.from_csv(write("yaw,pitch,weight\n0,0,0.5,7\n1,0,0.5,7\n", "samples.csv"))
-
-
-def test_a_missing_file_is_refused_by_name(tmp_path):
-    with pytest.raises(InputError, match=r"^path: there is no file .*nowhere\.csv"):
-        pdf.from_csv(str(tmp_path / "nowhere.csv"))
-    with pytest.raises(InputError, match=r"^path: .*cannot be read: it is a directory"):
-        pdf.from_csv(str(tmp_path))
-    with pytest.raises(InputError, match=r"^path is missing"):
-        pdf.from_csv(None)
-
-
-def test_a_binary_file_is_refused_by_name(tmp_path):
-    path = tmp_path / "photo.csv"
-    path.write_bytes(b"\x89PNG\xff\xfe\x00")
-    with pytest.raises(InputError, match=r"photo\.csv"):
-        pdf.from_csv(str(path))
 
 
 def test_roll_tells_orientations_apart_only_where_it_is_asked_for(tmp_path):
@@ -247,22 +170,6 @@ def test_rolls_are_drawn_as_often_as_said_and_with_any_axis(build):
     assert abs(np.corrcoef(yaw, roll)[0, 1]) < 0.05
     same = build(4).draw(4000, np.random.default_rng(0))
     np.testing.assert_array_equal((yaw, pitch), same[:2])
-
-
-@pytest.mark.parametrize(
-    ("roll", "message"),
-    [
-        ([], r"^roll must be a number or a list of \[angle, probability\], got \[\]"),
-        ([0.1, 0.2], r"^roll must be a number or a list of \[angle, probability\], got \[0\.1, 0\.2\]"),
-        ("level", r"^roll must be a number or a list"),
-        ([[0.0, 0.5], [0.1, 0.4]], r"^roll: the probabilities must sum to 1, they sum to 0\.9\."),
-        ([[0.0, 1.5], [0.1, -0.5]], r"^roll must be in \[0, 1\], got 1\.5"),
-        ([["left", 1.0]], r"^roll must be a number, got 'left'"),
-    ],
-)
-def test_rolls_that_are_no_distribution_are_refused(roll, message):
-    with pytest.raises(InputError, match=message):
-        pdf.grid_with_ends(4, roll=roll)
 
 
 def test_of_the_yaw_alone_so_many_are_drawn_as_are_as_exact():

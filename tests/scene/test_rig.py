@@ -244,44 +244,6 @@ def test_cameras_on_an_imu_are_a_rig_too(text, write):
         assert_allclose(by_imu.rotation, chained.rotation, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("text", "keys", "message"),
-    [
-        (CHAIN, {"jaw": 1.0}, "^rig has no key 'jaw', only path, translation, yaw"),
-        (CHAIN, {"yaw": "left"}, r"^rig\.yaw must be a number"),
-        (CHAIN.replace("T_cn_cnm1", "T"), {}, r"^rig\.path: .* has no T_cam_imu .* how they sit to each"),
-        (CHAIN.replace("[1, 0, 0, 0], [0, 0, 0, 1]]}", "[3]]}"), {}, r"^rig\.path: .*: the pose of the camera cannot"),
-        (CHAIN.replace("[600, 600, 320", "[-1, 600, 320"), {}, r"focal_pixels\[0\] must be greater than 0"),
-    ],
-)
-def test_a_chain_that_is_none_is_refused(text, keys, message, write):
-    with pytest.raises(InputError, match=message):
-        rig_of({"path": write(text, "chain.yaml"), **keys})
-
-
-@pytest.mark.parametrize(
-    ("mounts", "message"),
-    [
-        ([], "rig must have at least one camera, got an empty list"),
-        ({"yaw": 0.0}, "rig must be a list of cameras"),
-        ([3], r"rig\[0\] must have keys such as translation and yaw, got 3"),
-        ([{}, {"jaw": 0.0}], r"rig\[1\] has no key 'jaw', only translation, yaw"),
-        ([{"translation": [0.0, math.nan, 0.0]}], r"rig\[0\]\.translation\[1\] must be finite, got nan"),
-        ([{"translation": [0.0, 0.0]}], r"rig\[0\]\.translation must be a list of 3 numbers"),
-        ([{"yaw": "left"}], r"rig\[0\]\.yaw must be a number, got 'left'"),
-        ([{"yaw": 180.0}], r"rig\[0\]\.yaw must be in radians, at most one turn from zero, got 180"),
-        ([{"quaternion": [0, 0, 0, 2]}], r"rig\[0\]\.quaternion must have length 1, .* has 2"),
-        ([{"quaternion": [0, 0, 0, 1], "yaw": 1.0}], r"rig\[0\]\.quaternion must not come with yaw"),
-        ([{"camera": "missing.yaml"}], r"rig\[0\]\.camera\.path: there is no file 'missing.yaml'"),
-        ([{"camera": {"file": "a.yaml"}}], r"rig\[0\]\.camera has no key 'file', only path"),
-        ([{"camera": 3}], r"rig\[0\]\.camera must be a calibration file"),
-    ],
-)
-def test_bad_rigs_are_refused_in_a_sentence(mounts, message):
-    with pytest.raises(InputError, match=message):
-        rig_of(mounts, CAMERA)
-
-
 def test_a_camera_that_leaves_the_room_between_the_positions_of_the_grid_is_refused():
     room = Cuboid((4.0, 4.0, 4.0), (3.6, 3.6, 3.6), 0.9)  # the grid keeps 0.65 m from the walls, the body 0.2 m
     scene = scene_with(Mount(CAMERA, (0.5, 0.0, 0.0)), room=room)

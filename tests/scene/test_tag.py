@@ -28,20 +28,6 @@ def test_a_point_has_no_size(edge):
         _ = tag.paper_edge
 
 
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        ({"edge": -0.1}, "edge must be positive, in metres, or null for landmarks that are points, got -0.1"),
-        ({"edge": float("nan")}, "edge must be finite"),
-        ({"edge": 0.1, "family": "36h12"}, "family must be one of 36h11, 25h9"),
-        ({"edge": 0.1, "quiet_zone": -1.0}, "quiet_zone must be at least 0, got -1.0"),
-    ],
-)
-def test_bad_input_gets_a_sentence(arguments, sentence):
-    with pytest.raises(InputError, match=sentence):
-        Tag(**arguments)
-
-
 def test_a_family_may_have_too_few_tags():
     Tag(0.1, "25h9").check_ids(np.arange(35))
     with pytest.raises(InputError, match="family 25h9 has 35 different tags, too few for 36"):
