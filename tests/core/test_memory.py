@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from support.paper import paper_room, paper_scene
+from support.paper import paper_scene
 
 from lmd.core import memory
 from lmd.core.checks import InputError
 from lmd.core.memory import check_memory, free_memory
-from lmd.estimation.flights import Pace, RandomMotion
 from lmd.incremental.coverage_field import coverage_field
 from lmd.objectives.coverage import CappedCount, Coverage
 from lmd.objectives.localisation import Localisation
@@ -15,10 +14,8 @@ from lmd.objectives.localisation.evaluation import localised_views
 from lmd.optimisers.ega import EGA
 from lmd.optimisers.ledger import Budget
 from lmd.problem import Problem
-from lmd.scene import pdf
-from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
+from lmd.scene.deployment_sources import RandomDeployment
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.poses import candidate_poses
 
 MIB = 2**20
 SCENE = paper_scene()
@@ -62,44 +59,10 @@ def test_both_figures_are_named(machine):
     assert told.value.argument == "count"
 
 
-@pytest.mark.parametrize("spacing", [1e-3, 1e-300, [0.5, 1e-12, 0.5]])
-def test_a_room_with_too_many_positions_is_refused(spacing):
-    with pytest.raises(InputError, match=r"^spacing = .* positions, which would take \S+ GiB of memory"):
-        paper_room(spacing=spacing)
-
-
-@pytest.mark.parametrize("source", [RandomDeployment, UniformDeployment])
-def test_too_many_landmarks_are_refused_before_they_are_drawn(source):
-    with pytest.raises(InputError, match=r"^count = 1000000000000 landmarks would take 3\.725e\+05 GiB"):
-        source(10**12)
-
-
-@pytest.mark.parametrize("make", [pdf.grid_with_ends, pdf.grid_of_cells, pdf.solid_angle])
-def test_too_many_orientations_are_refused(make):
-    with pytest.raises(InputError, match=r"^divisions = 1000000 makes 2e\+12 orientations, which would take"):
-        make(10**6)
-
-
-def test_a_flight_that_takes_years_is_refused():
-    with pytest.raises(InputError, match=r"^duration = 1e\+12 s makes 2e\+13 frames, which would take"):
-        RandomMotion(1e12, Pace(1.0, 1.0, 20.0))
-
-
-def test_a_flight_that_nobody_could_film_is_refused():
-    motion = RandomMotion(30.0, Pace(1e9, 1e9, 20.0))
-    with pytest.raises(InputError, match=r"^pace\.speed = 1e\+09 m/s .* is 100 waypoints and more between two frames"):
-        motion.draw(SCENE, np.random.default_rng(0))
-
-
 def test_a_population_that_does_not_fit_is_refused_before_it_is_drawn():
     problem = Problem(SCENE, Coverage(2, 0.5), RandomDeployment(90))
     with pytest.raises(InputError, match=r"^optimiser: 1000000000 candidates of 180 genes at a time would take"):
         EGA(population=10**9).run(problem, Budget(10))
-
-
-def test_a_grid_of_too_many_poses_is_refused():
-    with pytest.raises(InputError, match=r"^spacing = 1e-06 makes 3e\+13 poses, which would take"):
-        candidate_poses(paper_room(), 1e-6)
 
 
 def test_what_the_evaluator_keeps_of_every_view_is_estimated_before(machine):

@@ -87,27 +87,6 @@ def test_an_image_without_tags():
 
 
 @pytest.mark.parametrize(
-    ("make", "sentence"),
-    [
-        (lambda: ArucoDetector("36h12"), "family must be one of 36h11"),
-        (lambda: ArucoDetector(preset="best"), "preset must be one of default, fine, got 'best'"),
-        (
-            lambda: AprilTagDetector("4x4_50"),
-            r"one of ArUco's, which only _target_=lmd\.detection\.detectors\.ArucoDetector reads",
-        ),
-        (lambda: ArucoDetector("41h12"), r"one of AprilTag's, which only _target_=lmd\..*\.AprilTagDetector reads"),
-        (lambda: AprilTagDetector("36h12"), "family must be one of 36h11, 25h9, 16h5, 41h12, .*, got '36h12'"),
-        (lambda: AprilTagDetector(quad_decimate=0.5), "quad_decimate must be at least 1"),
-        (lambda: Detections(np.arange(2), np.zeros((1, 4, 2))), r"corners must have the shape \(M, 4, 2\)"),
-        (lambda: ViewRanges(pitch=(3.0, 2.0)), r"pitch must go from the lower to the higher, got \[3.0, 2.0\]"),
-    ],
-)
-def test_bad_input_gets_a_sentence(make, sentence):
-    with pytest.raises(InputError, match=sentence):
-        make()
-
-
-@pytest.mark.parametrize(
     "lens",
     [
         {"distortion": (-0.2, 0.05, 0.001, 0.002)},

@@ -77,11 +77,6 @@ def test_limits_fitted_to_a_survey_are_those_of_its_detector(folder):
     assert "# 90 % intervals: pitch " in text
 
 
-def test_a_folder_that_is_no_survey_is_refused(tmp_path):
-    with pytest.raises(InputError, match=r"^folder: .* is no survey: it holds no in_view\.csv\.$"):
-        SurveyedViews(str(tmp_path))
-
-
 def test_a_survey_of_more_cameras_is_refused(folder):
     folder, cameras = folder
     with pytest.raises(

@@ -127,19 +127,6 @@ def test_a_map_as_mounted_leaves_the_noise_alone():
     assert found.views.position_mounted.median() < 0.5 * found.views.position_planned.median()
 
 
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"position": -1.0}, "position must be at least 0, got -1.0."),
-        ({"tilt": 5.0}, r"tilt must be in \[0, 1.5708\], got 5.0."),
-        ({"draws": 0}, "draws must be at least 1, got 0."),
-    ],
-)
-def test_what_cannot_be_is_refused(changed, message):
-    with pytest.raises(InputError, match=message):
-        off_by(**changed)
-
-
 def measured_file(tmp_path, plan, order=slice(None)):
     path = tmp_path / "measured.csv"
     plan[order].to_csv(path)

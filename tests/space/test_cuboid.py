@@ -8,7 +8,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from support.paper import SIDE_WALLS, experiment_room, paper_room
 from support.strategies import rooms
 
-from lmd.core.checks import InputError
 from lmd.space.cuboid import WALLS, Cuboid
 from lmd.space.relevance import Relevance
 
@@ -112,31 +111,6 @@ def test_a_micrometre_outside_is_still_inside():
     assert inside.tolist() == [True, True, True, False, False]
 
 
-@pytest.mark.parametrize(
-    ("change", "named"),
-    [
-        ({"size": (7.5, 5.0)}, r"^size .*\[7\.5, 5\.0\]"),
-        ({"size": (7.5, 5.0, 0.0)}, r"^size\[2\] .*0\.0"),
-        ({"size": (7.5, math.nan, 6.0)}, r"^size\[1\] .*nan"),
-        ({"size": "big"}, r"^size .*'big'"),
-        ({"reachable_size": (6.0, 5.1, 4.5)}, r"^reachable_size = \[6\.0, 5\.1, 4\.5\] exceeds size"),
-        ({"reachable_size": (6.0, -1.0, 4.5)}, r"^reachable_size\[1\] .*-1\.0"),
-        ({"spacing": 0.0}, r"^spacing .*0\.0"),
-        ({"spacing": math.inf}, r"^spacing .*inf"),
-        ({"spacing": (0.5, 0.5)}, r"^spacing .*\[0\.5, 0\.5\]"),
-        ({"positions": "corners"}, r"^positions must be one of cells, vertices, got 'corners'"),
-        ({"walls": ()}, r"^walls .*\(\)"),
-        ({"walls": [["floor"]]}, r"^walls must be one of .*got \['floor'\]"),
-        ({"walls": "floor"}, r"^walls .*'floor'"),
-        ({"walls": ("floor", "floor")}, r"^walls .*each once"),
-        ({"walls": ("floor", "roof")}, r"^walls .*'roof'"),
-    ],
-)
-def test_a_bad_room_is_refused_by_name(change, named):
-    with pytest.raises(InputError, match=named):
-        paper_room(**change)
-
-
 UPPER_HALF = {"low": [0, 0, 3.0], "high": [7.5, 5, 6], "weight": 3}
 
 
@@ -168,51 +142,3 @@ def test_a_file_weighs_every_position_in_any_row_order(write):
     rows = [f"{x!r},{y!r},{z!r},{w}" for (x, y, z), w in zip(grid.tolist(), expected, strict=True)]
     relevance = Relevance(path=write("\n".join(["x,y,z,weight", *reversed(rows)])))
     assert_array_equal(relevance.weights(grid), expected)
-
-
-@pytest.mark.parametrize(
-    ("change", "named"),
-    [
-        ({"background": -1.0}, r"^background .*-1\.0"),
-        ({"background": math.nan}, r"^background .*nan"),
-        ({"regions": [{"low": [0, 0, 0], "weight": 1}]}, r"regions\[0\] must have the keys low, high and weight"),
-        ({"regions": [UPPER_HALF, UPPER_HALF | {"weight": -2}]}, r"regions\[1\]\.weight .*-2"),
-        ({"regions": [UPPER_HALF | {"low": [0, 0]}]}, r"regions\[0\]\.low .*\[0, 0\]"),
-        ({"regions": [UPPER_HALF | {"low": [8, 0, 0]}]}, r"regions\[0\] is empty"),
-        ({"regions": "all"}, r"^regions must be a list, got 'all'"),
-        ({"regions": 5}, r"^regions must be a list, got 5"),
-        ({"regions": [UPPER_HALF], "path": "w.csv"}, r"^path = 'w\.csv' cannot be given beside regions"),
-    ],
-)
-def test_a_bad_relevance_is_refused_by_name(change, named):
-    with pytest.raises(InputError, match=named):
-        Relevance(**change)
-
-
-@pytest.mark.parametrize(
-    ("text", "named"),
-    [
-        ("x,y,z,weight\n1,1,1,-3", r"table\.csv has a negative weight, -3"),
-        ("x,y,z,weight\n1,1,2,1", r"table\.csv has no weight for the position \(1, 1, 1\)"),
-        ("x,y,z,weight\n1,1,1,0", r"every position the weight 0"),
-        ("x,y,z\n1,1,1", r"table\.csv lacks the column 'weight'"),
-    ],
-)
-def test_a_bad_relevance_file_is_refused_by_name(write, text, named):
-    with pytest.raises(InputError, match=named):
-        Relevance(path=write(text)).weights(np.ones((1, 3)))
-
-
-@pytest.mark.parametrize("low", [[20.0, 20.0, 20.0], [0.0, 0.0, 0.0]])  # out of the room, and between its positions
-def test_a_region_without_a_position_is_refused(low):
-    empty = {"low": low, "high": [value + 0.5 for value in low], "weight": 2}
-    message = (
-        r"^regions\[1\] from .* to .* holds no position; they are from \[1\.0, 1\.0, 1\.0\] to \[6\.5, 4\.0, 5\.0\]"
-    )
-    with pytest.raises(InputError, match=message):
-        Relevance(regions=[UPPER_HALF, empty]).weights(paper_room().grid())
-
-
-def test_an_irrelevant_room_is_refused():
-    with pytest.raises(InputError, match="every position the weight 0"):
-        Relevance(background=0.0).weights(np.ones((2, 3)))

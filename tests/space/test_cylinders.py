@@ -1,13 +1,11 @@
 """Crowds: where cylinders stand, and which lines of sight they block by geometry that shares no code with ours."""
 
 import numpy as np
-import pytest
 import shapely
 import trimesh
 from numpy.testing import assert_array_equal
 from support.rooms import lab
 
-from lmd.core.checks import InputError
 from lmd.core.worst import worst_mean
 from lmd.space.crowd import RADIUS, TOP, Crowd, CrowdStates, X, Y
 from lmd.space.cuboid import Cuboid
@@ -35,25 +33,6 @@ def test_they_walk_where_they_are_told():
         people = Crowd(2, walk=walk, states=20).drawn(ROOM).people
         ground = shapely.union_all([shapely.Polygon(ring) for ring in polygons])
         assert shapely.covers(ground, shapely.points(people[..., X], people[..., Y])).all()
-
-
-@pytest.mark.parametrize(
-    ("settings", "said"),
-    [
-        ({"number": 0}, "number"),
-        ({"number": 3, "radius": -1.0}, "radius"),
-        ({"number": 3, "radius": [0.4, 0.2]}, "radius must go from the lower to the higher"),
-        ({"number": 3, "height": "tall"}, "height"),
-        ({"number": 3, "walk": [[0, 0], [1, 1]]}, "walk must list at least 3 vertices"),
-        ({"number": 3, "walk": 3}, "walk must be a polygon"),
-        ({"number": 3, "fitness": "median"}, "fitness"),
-        ({"number": 3, "walk": [[7, 0], [8, 0], [8, 1]]}, "number = 3 cylinders find no free floor"),
-        ({"number": 90, "radius": 0.5, "states": 1}, "number = 90 cylinders find no free floor"),
-    ],
-)
-def test_what_makes_no_sense_is_refused(settings, said):
-    with pytest.raises(InputError, match=said):
-        Crowd(**settings).drawn(ROOM)
 
 
 def test_the_worst_share_of_the_states_is_rounded_up_to_whole_states():

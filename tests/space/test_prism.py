@@ -7,7 +7,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from support.rooms import DOOR, L_SHAPE, PILLAR, RACK, hangs_properly, lab, plan_of, prisms, star
 from support.thorough import examples
 
-from lmd.core.checks import InputError
 from lmd.optimisers.encoding import make_encoding
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
@@ -16,7 +15,7 @@ from lmd.scene.tag import Tag
 from lmd.sight.poses import candidate_poses, wall_cells
 from lmd.space.floor_plan import FloorPlan
 from lmd.space.parts import Reachable
-from lmd.space.prism import Prism, from_floor_plan
+from lmd.space.prism import Prism
 
 GROUND = shapely.Polygon(L_SHAPE, [PILLAR]).difference(shapely.box(0, 3, 0.5, 4))
 seeds = st.integers(0, 2**32 - 1)
@@ -122,15 +121,6 @@ def test_what_is_in_the_room_is_in_the_polygon_also_beyond_its_hull(seed):
     np.testing.assert_array_equal(inside[sure], shapely.contains_xy(polygon, *points[sure].T))
 
 
-def test_positions_without_volume_around_them_are_refused_when_more_are_drawn():
-    plan = FloorPlan([[0, 0], [6, 0], [6, 2], [2, 2], [2, 4], [0, 4]], 2.5)
-    room = Prism(plan, Reachable((0.5, 1.5), 1.0), 0.5, "vertices")
-    with pytest.raises(
-        InputError, match=r"reachable\.clearance = 1 leaves positions of the grid, but next to no volume"
-    ):
-        room.sample(10, np.random.default_rng(0))
-
-
 def test_no_tag_hangs_on_a_face_where_a_pillar_stands_before_it():
     box = {"low": [0.5, 2.0, 0.0], "high": [4.0, 2.5, 1.8], "faces": ["y_min"]}
     pillar = [[1, 1], [2, 1], [2, 2], [1, 2]]
@@ -209,62 +199,3 @@ def test_random_landmarks_are_uniform_over_slanting_regions():
     assert_allclose(points[:, :2].mean(axis=0), 4.0 / 3.0, atol=0.03)
     for share, side in ((0.25, 2.0), (0.5, 4.0 * np.sqrt(0.5))):  # of a triangle alike
         assert (points[:, 0] + points[:, 1] < side).mean() == pytest.approx(share, abs=0.01)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"outline": [[0, 0], [6, 4], [6, 0], [0, 4]]}, r"^outline crosses or touches itself at \(3, 2\)\.$"),
-        ({"outline": L_SHAPE[::-1]}, r"^outline must run counter-clockwise, .* but it runs clockwise\.$"),
-        ({"outline": [[0, 0], [6, 0]]}, r"^outline must list at least 3 vertices"),
-        ({"outline": [[0, 0], [6, 0], [6, 0], [0, 4]]}, r"^outline\[2\] repeats the vertex before it, \[6\.0, 0\.0\]"),
-        ({"height": 0}, r"^height must be greater than 0"),
-        ({"holes": [PILLAR[::-1]]}, r"^holes\[0\] must run counter-clockwise"),
-        ({"holes": [[[5, 3], [5.5, 3], [5, 3.5]]]}, r"^holes\[0\] is not inside the outline\.$"),
-        ({"holes": [PILLAR, PILLAR]}, r"^holes\[1\] meets another hole\.$"),
-        ({"obstacles": [{"low": [4, 3, 0], "high": [5, 4, 1]}]}, r"^obstacles\[0\] from .* is not inside the room\.$"),
-        ({"obstacles": [{"low": [1, 3, 0], "high": [0, 4, 1]}]}, r"^obstacles\[0\]\.low = .* must be below high"),
-        ({"obstacles": [{"low": [1, 3, 0]}]}, r"^obstacles\[0\] lacks a key"),
-        ({"obstacles": [{**RACK, "faces": ["y_max"]}]}, r"^obstacles\[0\]\.faces: y_max stands against"),
-        ({"keep_out": [{**DOOR, "surface": "wall_9"}]}, r"^keep_out\[0\]\.surface must be one of wall_0, .*'wall_9'"),
-        ({"keep_out": [{**DOOR, "surface": "wall_1", "from_left": [1.2, 2.1]}]},
-         r"^keep_out\[0\] reaches 0\.1 m beyond wall_1, which is 2 x 2\.5 m\.$"),
-        ({"keep_out": [{"surface": "floor", "from_left": [5, 6], "from_below": [3, 4]}]},
-         r"^keep_out\[0\] lies beside floor"),
-        ({"keep_out": [{"surface": "wall_1", "from_left": [0, 2], "from_below": [0, 2.5]}]},
-         r"nowhere on wall_1 may anything hang"),
-        ({"outline": [[0, 0], [6000, 0], [6000, 4000]], "height": 2500},
-         r"^outline makes a room of 6000 x 4000 x 2500 m; it is in metres, a thousandth of millimetres\.$"),
-        ({"band": [2, 1]}, r"^band must go from the lower"),
-        ({"margin": 1.0}, r"nowhere on wall_1 may anything hang"),
-        ({"surfaces": ["x_min"]}, r"^surfaces must be one of wall_0, "),
-        ({"surfaces": []}, r"^surfaces must list at least one surface"),
-        ({"reachable": {"height": [1, 3]}}, r"^reachable\.height = .* leaves the room, which is 2\.5 m high"),
-        ({"reachable": {"height": [1, 2], "clearance": 1.6}}, r"^reachable\.height = .* hold no position of the grid"),
-        ({"reachable": {"height": [1, 2], "clearance": 5}}, r"^reachable\.clearance = 5 leaves nothing"),
-        ({"reachable": {"tall": 1}}, r"^reachable key must be one of height, clearance, got 'tall'"),
-        (
-            {"obstacles": [{"low": [0, 0, 0], "high": [6, 2, 2.5]}, {"low": [0, 2, 0], "high": [3, 4, 2.5]}],
-             "surfaces": ["ceiling"], "keep_out": []},
-            r"^surfaces: nowhere on ceiling|hold no position",
-        ),
-    ],
-)  # fmt: skip
-def test_bad_input_gets_one_sentence(change, message):
-    given = {"outline": L_SHAPE, "height": 2.5, "reachable": {"height": [0.5, 1.5], "clearance": 0.3}, "spacing": 0.5}
-    with pytest.raises(InputError, match=message) as refused:
-        from_floor_plan(**{**given, **change})
-    assert "\n" not in str(refused.value)
-
-
-def test_landmarks_where_none_may_hang_are_refused_by_their_id():
-    room = lab()
-    for place, normal, said in [
-        ([5, 0, 1], [0, 1, 0], r"landmark 0 at \(5, 0, 1\) hangs on wall_0 where none may hang"),
-        ([2, 0, 2.4], [0, 1, 0], r"landmark 0 at \(2, 0, 2.4\) hangs on wall_0 where none may hang"),
-        ([1, 1, 1], [0, 1, 0], r"landmark 0 at \(1, 1, 1\) hangs in mid-air"),
-        ([0.25, 3.5, 1], [1, 0, 0], r"landmark 0 at \(0.25, 3.5, 1\) lies outside the room over a floor plan"),
-        ([5, 3, 1], [1, 0, 0], r"landmark 0 at \(5, 3, 1\) lies outside the room over a floor plan of 6 x 4 x 2.5 m"),
-    ]:
-        with pytest.raises(InputError, match=said):
-            Deployment(np.array([place], dtype=float), np.array([normal], dtype=float)).movable(room)
