@@ -1,0 +1,60 @@
+"""The criterion of `near`, compiled."""
+
+import math
+from typing import Any, NamedTuple
+
+from lmd.geometry.camera import Camera
+from lmd.scene.criteria import TOLERANCE, from_position, hide, in_cone, in_image, in_view
+from near import COSINE, Near
+
+
+class NearSight(NamedTuple):
+    """The criterion for one camera: its range, metres; the rest is what `Sight` asks for."""
+
+    range: float
+    outer_cosine: float = COSINE - TOLERANCE
+    inset: float = 0.0
+    reach: float = -1.0
+    tabulated: bool = False
+
+    def unhidden(self) -> "NearSight":
+        """The same, as nobody hides anybody."""
+        return self
+
+    def among(self, *_: Any) -> "NearSight":
+        """The same, too."""
+        return self
+
+    def shrunk(self, size: float) -> "NearSight":
+        """The same, too."""
+        return self
+
+
+class CompiledNear(Near):
+    """`Near` with its compiled half."""
+
+    def sight(self, camera: Camera) -> NearSight:
+        """The criterion compiled for a camera."""
+        return NearSight(self.range)
+
+
+@from_position.register(NearSight)
+def _from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untyped-def]
+    nearest = math.sqrt(x * x + y * y + z * z) - slack
+    facing = nx * x + ny * y + nz * z < 0.0  # the same for all of a wall
+    return (nearest <= sight.range) & facing, COSINE * nearest - slack, math.inf, -math.inf
+
+
+@in_image.register(NearSight)
+def _in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
+    return ax * x + ay * y + az * z >= low
+
+
+@in_view.register(NearSight)
+def _in_view(sight, x, y, z, sine, cosine, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
+    return in_cone(COSINE + (TOLERANCE if sine > 0.0 else -TOLERANCE), x, y, z, sine, cosine, ax, ay, az)
+
+
+@hide.register(NearSight)
+def _hide(sight, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type: ignore[no-untyped-def]
+    return False, False
