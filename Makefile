@@ -78,10 +78,8 @@ ui: install  ## browse the runs at http://127.0.0.1:5000
 notebooks: install-all  ## run the notebooks and keep what they show
 	$(BIN)/python notebooks/store.py
 
-figures: install  ## the picture in the README
-	rm -rf outputs/figures
-	$(BIN)/python -m pipelines.optimise seed=0 tracking=none hydra.run.dir=outputs/figures
-	cp outputs/figures/scene.png docs/images/optimised.png
+figures: install-all  ## the picture in the README
+	$(BIN)/python benchmarks/front_page.py
 
 EXPERIMENT := outputs/paper_experiment
 WITH_PDF := experiment=paper_experiment pdf=samples pdf.path=$(EXPERIMENT)/pdf/pdf.csv

@@ -92,7 +92,7 @@ def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
     if not hasattr(objective, "n") and callable(objective):  # an objective along drives through the scene
         with keyed("objective"):
             objective, scene = objective(scene)
-    check_members("objective", objective, Objective, "docs/api/objectives.md")
+    check_members("objective", objective, Objective, "docs/extend.md")
     names = partial(keyed, "deployment", count=count, counts="tag.counts", family="tag.family")
     with names():
         fixed = fixed_of(cfg.deployment, scene.tag.own_family)
@@ -159,8 +159,8 @@ def _scene(cfg: DictConfig) -> "Scene":
     tag, camera = instantiate(cfg.tag), camera_of(cfg.camera)
     visibility, crowd = visibility_of(cfg.visibility)
     room, pdf, recorded = _poses(cfg.room, cfg.pdf, cfg.get("poses"))
-    check_members("room", room, Space, "docs/api/space.md")
-    check_members("visibility", visibility, Criteria, "docs/api/scene.md")
+    check_members("room", room, Space, "docs/extend.md")
+    check_members("visibility", visibility, Criteria, "docs/extend.md")
     with keyed("visibility.crowd"):
         states = None if crowd is None else crowd.drawn(room)
     with keyed(crowd="visibility.crowd"):

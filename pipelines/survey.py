@@ -120,7 +120,7 @@ def _scene(cfg: DictConfig, room: "Space | None", camera: "Camera | Rig", tag: "
         raise InputError("audit needs a visibility model of tags: visibility=fiducial.")
     visibility, _ = visibility_of(cfg.visibility)  # a crowd of the plan is not that of the photographs
     metre = (1.0, 1.0, 1.0)
-    check_members("visibility", visibility, Criteria, "docs/api/scene.md")
+    check_members("visibility", visibility, Criteria, "docs/extend.md")
     anywhere = Cuboid(metre, reachable_size=metre, spacing=1.0) if room is None else room
     return Scene(anywhere, camera, solid_angle(1), visibility, tag)  # the audit uses the orientations of the frames
 

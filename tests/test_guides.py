@@ -1,10 +1,11 @@
-"""The examples of CONTRIBUTING.md: they are in style, have types, keep their contracts, and run."""
+"""The folder `examples` and docs/extend.md: examples are in style, have types, keep their contracts, and run."""
 
 import importlib.util
 import json
 import math
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -58,10 +59,11 @@ from pipelines.building import build_optimiser, build_problem
 pytestmark = [pytest.mark.slow, pytest.mark.long]  # what is made for classes from elsewhere is compiled anew each time
 
 ROOT = Path(__file__).parents[1]
-GUIDES = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
-COMPILED = "CONTRIBUTING.md", "lmd/incremental", "lmd/scene/criteria.py", "lmd/sight", "tests/contracts"
-BLOCKS = re.findall(r"```(?:python|yaml|toml)\n(.*?)```", GUIDES, re.DOTALL)
-FILES = {text[2 : text.index("\n")]: text for text in BLOCKS if text.startswith("# ")}
+GUIDE = (ROOT / "docs" / "extend.md").read_text(encoding="utf-8")
+EXAMPLES = ROOT / "examples"
+COMPILED = "examples", "lmd/incremental", "lmd/scene/criteria.py", "lmd/sight", "tests/contracts"
+BLOCKS = re.findall(r"```(?:python|toml)\n(.*?)```", GUIDE, re.DOTALL)
+MODULES = sorted(path.name for path in EXAMPLES.glob("*.py"))
 
 
 def block(start):
@@ -69,16 +71,11 @@ def block(start):
     return text
 
 
-MODULES = sorted(name for name in FILES if name.endswith(".py"))
-
-
 @pytest.fixture(scope="module")
 def guides(tmp_path_factory):
-    """The folder of the examples, on the import path of Python."""
-    folder = tmp_path_factory.mktemp("guides")
-    for name, text in FILES.items():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_text(text)
+    """A copy of the folder of the examples, on the import path of Python."""
+    folder = tmp_path_factory.mktemp("guides") / "examples"
+    shutil.copytree(EXAMPLES, folder, ignore=shutil.ignore_patterns("__pycache__", "outputs"))
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(folder)
         yield folder
@@ -88,20 +85,14 @@ def of(name):
     return importlib.import_module(name)
 
 
-def test_the_guides_have_an_example_of_each_part():
-    assert {Path(name).stem for name in MODULES} == {
-        "near", "near_sight", "seen", "rotunda", "climbing", "theirs", "reckoning", "frames",
-        "darkness"
-    }  # fmt: skip
+def test_the_guide_shows_every_example():
+    shown = set(re.findall(r'--8<-- "examples/(.*)"', GUIDE))
+    assert {name for name in shown if name.endswith(".py")} == {*MODULES} - {"tune.py"}
+    assert all((EXAMPLES / name).exists() for name in shown)
+    assert '--8<-- "examples/tune.py"' in (ROOT / "docs" / "servers.md").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("line", [["ruff", "check"], ["ruff", "format", "--check"]])
-def test_the_examples_are_in_style(guides, line):
-    config = ["--config", str(ROOT / "pyproject.toml"), "--config", 'lint.per-file-ignores={"*"=["ARG001"]}']
-    check([sys.executable, "-m", *line, *(config if line[1] == "check" else config[:2]), *MODULES], guides)
-
-
-@pytest.mark.thorough("CONTRIBUTING.md", "lmd", "pipelines", "pyproject.toml")
+@pytest.mark.thorough("examples", "lmd", "pipelines", "pyproject.toml")
 def test_the_examples_have_types(guides):
     """10 s of processor time where mypy has not read `lmd` before."""
     cache = ["--cache-dir", str(ROOT / ".mypy_cache"), "--config-file", str(ROOT / "pyproject.toml")]
@@ -193,6 +184,12 @@ def test_the_optimisers_keep_their_contract(guides, tmp_path, name):
     check_optimiser(getattr(of(module), kind), problem, tmp_path)
 
 
+def test_optuna_searches_parameters_of_an_optimiser(guides):
+    found = of("tune").tuned(trials=3, evaluations=60)
+    assert len(found.trials) == 3
+    assert 0.0 < found.best_value < 0.4
+
+
 def test_the_estimator_keeps_its_contract(guides):
     check_estimator(of("reckoning").DeadReckoning())
 
@@ -218,7 +215,7 @@ def test_the_format_keeps_its_contract(tmp_path):
 def test_the_row_of_a_format_is_found_on_the_search_path(guides, monkeypatch):
     keys = {"kind": "brown", "f": [600.0, 610.0], "c": [320, 240], "k": [-0.2, 0.05, 0.001, -0.002]}
     (guides / "acme.json").write_text(json.dumps({"acme": {"pixels": [640, 480], "lens": keys}}))
-    line = next(line for line in GUIDES.splitlines() if "camera.path=acme.json" in line)
+    line = next(line for line in GUIDE.splitlines() if "camera.path=acme.json" in line)
     more = "room=lab deployment=uniform deployment.count=3 localisation=false losses=false tracking=none room.spacing=2"
     assert "field of view" in check(["bash", "-c", f"{line} {more}".replace("python", sys.executable)], guides)
     monkeypatch.setenv("LMD_FORMATS", str(guides / "mine" / "file_formats"))
@@ -228,7 +225,7 @@ def test_the_row_of_a_format_is_found_on_the_search_path(guides, monkeypatch):
 
 
 def test_the_study_is_one_short_file(guides):
-    assert len(FILES["darkness.py"].splitlines()) <= 60
+    assert len((EXAMPLES / "darkness.py").read_text().splitlines()) <= 60
     settings = ["room.spacing=1.5", "deployment=random", "tracking=none", "darkness.level=0.3", "hydra.run.dir=dark"]
     told = check([sys.executable, "darkness.py", *settings], guides)
     assert re.search(r"^dark +\d+\.\d% of the positions see less than 0\.3$", told, re.MULTILINE)
@@ -262,7 +259,7 @@ def test_the_parts_are_choices_on_the_command_line(guides, visibility, kind):
     assert [type(part).__name__ for part in (p.scene.visibility, p.objective, p.scene.room)] == [
         kind, "MeanSeen", "Rotunda"
     ]  # fmt: skip
-    text = yaml.safe_load(FILES["mine/estimator/reckoning.yaml"])
+    text = yaml.safe_load((EXAMPLES / "mine/estimator/reckoning.yaml").read_text())
     assert text["reckoning"]["_target_"] == "reckoning.DeadReckoning"
     assert list(composed(guides, "studies=[observe]", "estimator=[reckoning,iekf]", app="evaluate").estimator) == [
         "reckoning",

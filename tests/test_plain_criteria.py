@@ -199,7 +199,7 @@ def test_it_is_said_once_that_there_is_no_compiled_half(capsys):
     assert told.out == ""
     (line,) = told.err.splitlines()
     assert line.startswith("note: Plain has no compiled half, so its NumPy decides: an evaluation takes some 100 times")
-    assert line.endswith('; see CONTRIBUTING.md, "Compile a criterion"')
+    assert line.endswith('; see docs/extend.md, "Compile a criterion"')
 
 
 def test_bounds_say_that_they_need_the_compiled_half():

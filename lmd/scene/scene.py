@@ -208,7 +208,7 @@ class Scene:
         if not self.is_compiled:
             name = type(self.visibility).__name__
             raise InputError(
-                f"{what} needs the compiled half of {name}, which has none: give it `sight`, see CONTRIBUTING.md, "
+                f"{what} needs the compiled half of {name}, which has none: give it `sight`, see docs/extend.md, "
                 '"Compile a criterion".'
             )
 

@@ -98,7 +98,7 @@ def counts(scene: Scene, deployment: Deployment) -> IntArray:
 def _warn_uncompiled(name: str) -> None:
     """Print once per process that the visibility model with this name has no compiled half."""
     slow = "an evaluation takes some 100 times as long, a move of annealing some 1000 times"
-    cure = 'see CONTRIBUTING.md, "Compile a criterion"'
+    cure = 'see docs/extend.md, "Compile a criterion"'
     print(f"note: {name} has no compiled half, so its NumPy decides: {slow}; {cure}", file=sys.stderr)
 
 

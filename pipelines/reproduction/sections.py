@@ -177,17 +177,16 @@ def _typical(jobs: pd.DataFrame) -> str:
 
 
 def _beside_head() -> list[str]:
-    columns = [f"{name}: {what}" for name in INDICES.values() for what in ("paper", "here", "difference")]
+    columns = [f"{name}: {what}" for name in INDICES.values() for what in ("paper", "here")]
     return ["runs", *columns, "qualified ratio off the grid: here"]
 
 
 def _beside(printed: Printed, jobs: pd.DataFrame) -> list[str]:
-    """Cells of a row: printed figures and medians of runs, per cent, and the differences in percentage points."""
+    """Cells of a row: printed figures and medians of runs, per cent."""
     cells = [f"{len(jobs)}"]
     for index in INDICES:
         paper, values = getattr(printed, index), jobs[f"metrics.{index}"]
-        here = _spread(values) if index == "qualified_ratio" else _percent(values.median())
-        cells += [f"{paper:.2%}", here, f"{100.0 * (values.median() - paper):+.2f}" if len(jobs) else NO_VALUE]
+        cells += [f"{paper:.2%}", _spread(values) if index == "qualified_ratio" else _percent(values.median())]
     return [*cells, _percent(jobs[GRID_FREE].median())]
 
 

@@ -146,19 +146,19 @@ def test_a_report_is_markdown_and_pictures(reported):
 
 def test_table_2_has_the_median_and_the_range_of_the_newest_sweep_beside_what_was_printed(markdown):
     (row,) = rows(markdown, ["EGA"])
-    assert row[:4] == ["3", "81.88%", "50.00% (40.00% to 60.00%)", "-31.88"]
-    assert row[4:] == ["75.00%", "60.00%", "-15.00", "91.69%", "90.00%", "-1.69", "–"]
-    assert rows(markdown, ["SGA"])[0][:4] == ["1", "53.44%", "30.00%", "-23.44"]
-    assert rows(markdown, ["uniform"])[0][:4] == ["1", "43.92%", "20.00%", "-23.92"]
-    assert rows(markdown, ["initial"])[0][:4] == ["1", "11.11%", "10.00%", "-1.11"]
+    assert row[:3] == ["3", "81.88%", "50.00% (40.00% to 60.00%)"]
+    assert row[3:] == ["75.00%", "60.00%", "91.69%", "90.00%", "–"]
+    assert rows(markdown, ["SGA"])[0][:3] == ["1", "53.44%", "30.00%"]
+    assert rows(markdown, ["uniform"])[0][:3] == ["1", "43.92%", "20.00%"]
+    assert rows(markdown, ["initial"])[0][:3] == ["1", "11.11%", "10.00%"]
 
 
 def test_table_3_sets_each_pair_beside_its_own(markdown):
     table, own = rows(markdown, ["3", "0.65"])
-    assert table[:4] == ["1", "37.04%", "36.50%", "-0.54"]
+    assert table[:3] == ["1", "37.04%", "36.50%"]
     assert own == ["37.04%", "36.50%", "46.50%"]
     without, own = rows(markdown, ["4", "0.80"])
-    assert without[:4] == ["0", "0.00%", "–", "–"]
+    assert without[:3] == ["0", "0.00%", "–"]
     assert own == ["0.00%", "–", "–"]
 
 
@@ -183,9 +183,9 @@ def test_every_section_says_which_command_made_its_runs(markdown):
 def test_a_chosen_sweep_is_reported_without_what_failed_and_the_rest_names_its_commands(reported, tmp_path):
     _, store, ids = reported
     markdown = write_report(tmp_path / "chosen", store, f"sweeps=[{ids['old']}]")
-    assert rows(markdown, ["EGA"])[0][:4] == ["1", "81.88%", "75.00%", "-6.88"]
+    assert rows(markdown, ["EGA"])[0][:3] == ["1", "81.88%", "75.00%"]
     assert "1 of 2 runs of" in markdown
-    assert rows(markdown, ["SGA"])[0][:4] == ["0", "53.44%", "–", "–"]
+    assert rows(markdown, ["SGA"])[0][:3] == ["0", "53.44%", "–"]
     for sweep, (command, more) in COMMANDS.items():
         assert (ROOT / "conf" / "experiment" / f"{sweep}.yaml").is_file()
         line = f"python -m pipelines.{command} experiment={sweep}{more}"
