@@ -15,13 +15,13 @@ from matplotlib.patches import Rectangle
 
 from lmd.evaluation.validation import validation_metrics
 from lmd.optimisers.ledger import Budget
+from lmd.pipelines import compose
+from lmd.pipelines.building import build_optimiser, build_problem
 from lmd.plot import common
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import UniformDeployment
 from lmd.scene.families import picture
-from lmd.pipelines import compose
-from lmd.pipelines.building import build_optimiser, build_problem
 
 FILE = Path(__file__).resolve().parents[1] / "docs" / "images" / "even_and_optimised.png"
 SIZE, STEP = 0.2, 0.23  # edge of a drawn tag, and distance of those above each other, metres
