@@ -22,8 +22,7 @@ from hydra import compose, initialize_config_dir
 
 from lmd.cameras.problem import CameraProblem
 from lmd.core.checks import BoolArray, FloatArray
-from lmd.detection.detectors import AprilTagDetector
-from lmd.detection.evaluation import shares_of_frames
+from lmd.detection.detectors import AprilTagDetector, shares_of_frames
 from lmd.detection.frames import detect_in_frames, draw_poses, tagged_room
 from lmd.evaluation.validation import Sample, sampled_values
 from lmd.formats.rigs import read_mounts, rig_of

@@ -21,8 +21,7 @@ from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.core.tables import write_table
 from lmd.detection.calibration import fit
 from lmd.detection.corner_errors import CORNER_ERRORS
-from lmd.detection.detectors import AprilTagDetector
-from lmd.detection.evaluation import corner_error, precision_recall
+from lmd.detection.detectors import AprilTagDetector, corner_error, precision_recall
 from lmd.detection.tag_views import FILE, SurveyedViews
 from lmd.evaluation.audit import IN_A_ROW, Audit, audited, in_the_open, view_columns
 from lmd.evaluation.verdicts import verdicts

@@ -27,7 +27,7 @@ from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
 from lmd.scene.deployment import Deployment, poses_of
-from lmd.scene.surveyed import Surveyed
+from lmd.scene.labels import Surveyed
 
 if TYPE_CHECKING:
     from lmd.geometry.camera import Camera

@@ -23,8 +23,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from lmd.core.checks import InputError as InputError
-    from lmd.formats.deployments import FileDeployment as FileDeployment
     from lmd.formats.meshes import read_mesh as read_mesh
+    from lmd.formats.tag_maps import FileDeployment as FileDeployment
     from lmd.geometry.camera import Camera as Camera
     from lmd.objectives.coverage import Coverage as Coverage
     from lmd.objectives.localisation import Localisation as Localisation
@@ -63,7 +63,7 @@ _HOMES = {
     "Cuboid": "lmd.space.cuboid",
     "Deployment": "lmd.scene.deployment",
     "Fiducial": "lmd.sight.models.fiducial",
-    "FileDeployment": "lmd.formats.deployments",
+    "FileDeployment": "lmd.formats.tag_maps",
     "FloorPlan": "lmd.space.floor_plan",
     "InputError": "lmd.core.checks",
     "MeshRoom": "lmd.space.mesh_room",

@@ -38,7 +38,6 @@ def calibrate(cfg: DictConfig) -> Study:
     def run(_: object) -> Report:
         import numpy as np
 
-        from lmd.detection.board import BoardImages
         from lmd.detection.calibration import (
             DetectorCalibration,
             fit,
@@ -47,6 +46,7 @@ def calibrate(cfg: DictConfig) -> Study:
             limits_markdown,
             predicted_in_frames,
         )
+        from lmd.detection.tag_views import BoardImages
         from lmd.evaluation.detected import sightings
         from lmd.plot.detection_figures import save_limits_figure
 

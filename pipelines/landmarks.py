@@ -37,7 +37,7 @@ def fixed_of(node: DictConfig, family: str | None) -> "Deployment | None":
     import numpy as np
 
     from lmd.formats.tag_maps import read_deployment
-    from lmd.scene.fixed import COLUMN
+    from lmd.scene.footprints import COLUMN
 
     found = read_deployment(path, "fixed", family, **table_in(node))
     note(found.note)

@@ -109,7 +109,7 @@ def _load(reader: "MlflowReader", run_id: str, trust: Trust) -> "tuple[Problem, 
     parts = trust.parts(found, f"{source}: config.yaml", (*GROUPS, "encoding"))
     landmarks = reader.artifact(run_id, "landmarks.csv")
     # The result replaces the start; it is `free` of checks, as the run accepted it.
-    deployment = {"_target_": "lmd.formats.deployments.FileDeployment", "path": str(landmarks), "free": True}
+    deployment = {"_target_": "lmd.formats.tag_maps.FileDeployment", "path": str(landmarks), "free": True}
     try:
         problem = build_problem(OmegaConf.create({**parts, "deployment": deployment, "seed": 0, "threads": None}))
     except OmegaConfBaseException as error:

@@ -13,8 +13,7 @@ def size(cfg: DictConfig) -> Study:
     """Study of the range of each size of the configured tag for the configured camera."""
     from lmd.core.checks import InputError
     from lmd.evaluation.reach import Reading, reach_text
-    from lmd.export.layout import largest_whole
-    from lmd.export.paper import PAPERS
+    from lmd.export.paper import PAPERS, largest_whole
     from lmd.sight.models.fiducial import Fiducial
     from lmd.space.parts import made
 

@@ -12,7 +12,7 @@ from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.sight import reference
-from lmd.space.relevance import Relevance
+from lmd.space.space import Relevance
 
 
 def coarse_scene(**room):

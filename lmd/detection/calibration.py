@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lmd.core.checks import BoolArray, FloatArray, InputError
 from lmd.core.words import escaped, markdown_table
-from lmd.detection.evaluation import TAG_NUMBERS, Matches, agreement, precision_recall, shares_of_frames
+from lmd.detection.detectors import TAG_NUMBERS, Matches, agreement, precision_recall, shares_of_frames
 from lmd.detection.frames import overlapping, qualities
 from lmd.detection.tag_views import Placed, TagViews
 from lmd.render.renderer import Renderer

@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray
-from lmd.detection.detectors import Detector
-from lmd.detection.evaluation import Matches, match
-from lmd.detection.quality import apparent_edge, incidence, pitch
+from lmd.detection.corner_errors import apparent_edge, incidence, pitch
+from lmd.detection.detectors import Detector, Matches, match
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import blur_sigma, to_camera
 from lmd.geometry.se3 import camera_pose, exp

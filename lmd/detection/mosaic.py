@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from lmd.core.checks import Checked, FloatArray, InputError, integer, span
 from lmd.core.memory import check_memory
-from lmd.detection.detectors import Detections, Detector
-from lmd.detection.evaluation import CORNER_TOLERANCE, corner_error
-from lmd.detection.quality import apparent_edge, incidence, pitch
+from lmd.detection.corner_errors import apparent_edge, incidence, pitch
+from lmd.detection.detectors import CORNER_TOLERANCE, Detections, Detector, corner_error
 from lmd.detection.tag_views import TagViews, only
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import image_size, intrinsics, project

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.core.words import escaped, markdown_table
-from lmd.detection.evaluation import (
+from lmd.detection.corner_errors import incidence, pitch
+from lmd.detection.detectors import (
     TAG_NUMBERS,
     Matches,
     agreement,
@@ -21,7 +22,6 @@ from lmd.detection.evaluation import (
     shares_of_frames,
 )
 from lmd.detection.frames import overlapping
-from lmd.detection.quality import incidence, pitch
 from lmd.geometry.pose import body_from_corners, pose_error
 from lmd.render.renderer import Renderer
 

@@ -12,8 +12,7 @@ from lmd.estimation.recording import Odometry
 from lmd.geometry.trajectory import Trajectory
 from lmd.objectives.filtered import Drives, Filtered
 from lmd.scene.scene import Scene
-from lmd.space.changed import RecordedRoom
-from lmd.space.driven import DrivenRoom
+from lmd.space.changed import DrivenRoom, RecordedRoom
 
 DRIVES_STREAM = 0x647269  # separates the random numbers of drives from other uses of a seed
 FRAME_BYTES = 1000  # memory of a frame of a drive

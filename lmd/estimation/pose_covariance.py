@@ -30,8 +30,7 @@ import numpy as np
 from scipy.sparse import bsr_array
 
 from lmd.core.checks import BoolArray, FloatArray, IntArray
-from lmd.detection.corner_errors import MODES, CornerErrors, MeasuredCorners, inward
-from lmd.detection.quality import incidence, pitch
+from lmd.detection.corner_errors import MODES, CornerErrors, MeasuredCorners, incidence, inward, pitch
 from lmd.estimation.cramer_rao import determines_pose, image_jacobians
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import project, slope, to_camera
@@ -211,7 +210,7 @@ def _by_map(
 def _pitch_and_incidence(
     camera: Camera, poses: FloatArray, centres: FloatArray, normals: FloatArray, tag: Tag, edges: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """`lmd.detection.quality` of tag m in a camera at pose m: pitch and incidence angle, `(M,)` each."""
+    """`lmd.detection.corner_errors` of tag m in a camera at pose m: pitch and incidence angle, `(M,)` each."""
     seen = to_camera(poses, centres[:, None])[:, 0]
     turned = (normals[:, None, :] @ poses[:, :3, :3])[:, 0]
     where = np.eye(4), seen, turned

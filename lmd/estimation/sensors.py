@@ -8,8 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from lmd.core.checks import BoolArray, FloatArray, check_fields, choice, real
 from lmd.core.optional import optional
-from lmd.detection.corner_errors import CORNER_ERRORS
-from lmd.detection.quality import pitch
+from lmd.detection.corner_errors import CORNER_ERRORS, pitch
 from lmd.estimation.recording import Each, Flight, Look, Observation, Sensor, check_images, merged
 from lmd.geometry.camera import Camera
 from lmd.geometry.lens import EQUIDISTANT

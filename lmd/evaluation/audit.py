@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from lmd.adjust.corners import squared_errors
 from lmd.core.checks import BoolArray, FloatArray, IntArray
-from lmd.detection.evaluation import CORNER_TOLERANCE, Matches, precision_recall
+from lmd.detection.detectors import CORNER_TOLERANCE, Matches, precision_recall
 from lmd.detection.frames import overlapping, qualities, tagged_room
 from lmd.detection.predictions import PITCHES, CameraPrediction, Prediction, by_incidence, by_pitch, by_place, by_tag
 from lmd.detection.tag_views import CAMERA, COLUMNS, FRAME

@@ -10,7 +10,7 @@ import numpy as np
 
 from lmd.core.checks import FloatArray
 from lmd.core.memory import check_memory
-from lmd.detection.evaluation import Matches
+from lmd.detection.detectors import Matches
 from lmd.detection.frames import detect_in_frames, draw_crowd, draw_poses, nudged, tagged_room
 from lmd.detection.predictions import CameraPrediction, Prediction, by_pitch, by_tag, figures, repeatability
 from lmd.evaluation.verdicts import verdicts

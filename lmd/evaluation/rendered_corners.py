@@ -5,10 +5,9 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from lmd.core.checks import InputError
-from lmd.detection.corner_errors import MeasuredCorners
+from lmd.detection.corner_errors import MeasuredCorners, incidence, pitch
 from lmd.detection.detectors import AprilTagDetector, ArucoDetector, Detector
 from lmd.detection.frames import detect_in_frames, draw_poses, tagged_room
-from lmd.detection.quality import incidence, pitch
 from lmd.geometry.projection import image_size, project
 from lmd.geometry.se3 import axis_and_right
 from lmd.geometry.squares import corners

@@ -14,8 +14,26 @@ from typing import Any
 import numpy as np
 
 from lmd.core.optional import optional
-from lmd.export.layout import FOOTER, LABEL, LABEL_GAP, MARGIN, MARK, MARK_GAP, STRIP, Pieces, Whole, label_size, layout
-from lmd.export.paper import GREY, PAPERS, begin_page, document, up_arrow, width_of, write_text
+from lmd.export.paper import (
+    FOOTER,
+    GREY,
+    LABEL,
+    LABEL_GAP,
+    MARGIN,
+    MARK,
+    MARK_GAP,
+    PAPERS,
+    STRIP,
+    Pieces,
+    Whole,
+    begin_page,
+    document,
+    label_size,
+    layout,
+    up_arrow,
+    width_of,
+    write_text,
+)
 from lmd.formats.tag_map import TagMap
 from lmd.geometry.camera import MM_PER_M
 from lmd.scene.tag import Tag

@@ -17,8 +17,7 @@ from lmd.core.tables import COMMENT, Table, csv_rows, is_number, numbered_lines
 from lmd.formats.placed_tag import TAG_WORDS, tag_named
 from lmd.geometry.se3 import ROW
 from lmd.scene.deployment import COLUMNS
-from lmd.scene.edges import EDGE
-from lmd.scene.labels import ID
+from lmd.scene.labels import EDGE, ID
 
 POSES, TAGS = "poses", "tags"  # kinds of tables
 TIME, FAMILY, POSITION, QUATERNION, NORMAL = "time", "family", ROW[:3], ROW[3:], COLUMNS[3:]

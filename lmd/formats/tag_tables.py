@@ -49,9 +49,8 @@ from lmd.formats.placed_tag import (
 )
 from lmd.formats.trees import File, Keys
 from lmd.scene.deployment import Deployment
-from lmd.scene.edges import EDGE, edge_column
 from lmd.scene.families import family_named
-from lmd.scene.labels import ID, Labels
+from lmd.scene.labels import EDGE, ID, Labels, edge_column
 
 PRIORS = re.compile(r"^[ \t]*Marker[\\/]Priors\s*=(.*)$", re.MULTILINE)
 SETTING = r"^[ \t]*Marker[\\/]{}\s*=\s*\"?(\S+?)\"?\s*$"  # line of RTAB-Map's configuration

@@ -10,11 +10,11 @@ from collections.abc import Mapping
 import numpy as np
 
 from lmd.core.checks import FloatArray, IntArray
-from lmd.core.worst import worst_mean, worst_of
 from lmd.incremental.field import Field, Target, in_order
 from lmd.incremental.worst_groups import WorstGroups
 from lmd.objectives.base import Objective, incremental
 from lmd.sight.evaluator import Evaluator
+from lmd.space.crowd import worst_mean, worst_of
 
 WORST = "worst_crowd_"  # prefix of the figures of the worst states
 

@@ -1,6 +1,6 @@
 """Simulated annealing of the cameras of a rig, one camera after the other.
 
-Only the moved camera is evaluated (`lmd.cameras.views`), so a sweep over all cameras costs one evaluation. A move
+Only the moved camera is evaluated (`lmd.cameras.problem`), so a sweep over all cameras costs one evaluation. A move
 changes some genes of a camera by a random step, whose size shrinks during the run, or draws the camera anew.
 """
 

@@ -1,12 +1,19 @@
-"""Actions: requests from browsers and threads in a queue, which one thread runs in order."""
+"""Requests from browsers: who may connect, and the actions that one thread runs in order."""
 
+import hmac
 import logging
-from collections.abc import Callable
+import re
+import secrets
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
+from http import HTTPStatus
 from queue import Empty, SimpleQueue
 from typing import Any
 
 from lmd.core.checks import InputError
+from lmd.core.optional import optional
 
 _LOG = logging.getLogger(__name__)
 
@@ -59,3 +66,67 @@ def call_in_order(register: Callable[[Any], object], answer: Callable[[Any], Non
         answer(event)
 
     register(call)
+
+
+HOST = "127.0.0.1"  # listening address, which other machines cannot reach
+LOCAL_ADDRESS = re.compile(r"(127\.0\.0\.1|localhost)(:\d+)?")  # any port, as the port may be forwarded
+TOKEN_BYTES = 18
+
+Answer = Callable[[Any, Any], Any]
+
+
+class Access:
+    """Check of requests: a request is refused, or forwarded without the token."""
+
+    def __init__(self) -> None:
+        self._path = f"/{secrets.token_urlsafe(TOKEN_BYTES)}"
+        self._is_asked = False
+
+    def address(self, port: int) -> str:
+        """The only address that is allowed."""
+        return f"http://{HOST}:{port}{self._path}/"
+
+    @contextmanager
+    def checking(self) -> Iterator[None]:
+        """Check all requests to a server of viser that starts within this context.
+
+        Raises:
+            InputError: the server has no hook for checking requests.
+        """
+        server = optional("websockets.asyncio.server", "view")
+        serve = server.serve
+
+        def checked(*arguments: Any, process_request: Answer, **options: Any) -> Any:
+            self._is_asked = True
+            return serve(*arguments, process_request=partial(self._answer, process_request), **options)
+
+        server.serve = checked  # viser has no option for such a check
+        try:
+            yield
+        finally:
+            server.serve = serve
+        if not self._is_asked:
+            raise InputError("this version of viser cannot be kept from talking to every web page; 1.1.1 can.")
+
+    def _answer(self, hand_on: Answer, connection: Any, request: Any) -> Any:
+        """Refuse or forward a request; the function `process_request` of the server."""
+        path = self._inner_path(request.path)
+        if path is None:
+            return connection.respond(HTTPStatus.FORBIDDEN, "This is not the address that the planner has printed.\n")
+        if not _is_from_here(request.headers):
+            return connection.respond(HTTPStatus.FORBIDDEN, "The planner talks to no page but its own.\n")
+        return hand_on(connection, replace(request, path=path))
+
+    def _inner_path(self, path: str) -> str | None:
+        """Path without the token; None if the token is missing or wrong."""
+        end = len(self._path)
+        is_known = hmac.compare_digest(path[:end].encode(errors="replace"), self._path.encode())
+        return (path[end:] or "/") if is_known else None
+
+
+def _is_from_here(headers: Any) -> bool:
+    """True if a request names this machine and, for a websocket, was sent by a page of this machine."""
+    hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
+    if len(hosts) != 1 or not LOCAL_ADDRESS.fullmatch(hosts[0]):
+        return False
+    return "Upgrade" not in headers or origins == [f"http://{hosts[0]}"]

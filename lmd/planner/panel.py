@@ -13,10 +13,9 @@ from lmd.core.compiled import is_compiling
 from lmd.geometry.frames import roll_pitch_yaw
 from lmd.optimisers.ledger import Budget
 from lmd.planner.actions import call_in_order
-from lmd.planner.colours import FREE, GAINS, PINNED, SEEN, SELECTED, UNKNOWN, VALUES, Rgb, mapped
 from lmd.planner.figures import Additions
-from lmd.planner.plan import MeasuredPlace
-from lmd.planner.tag_search import SearchProgress
+from lmd.planner.plan import MeasuredPlace, SearchProgress
+from lmd.planner.viewing import FREE, GAINS, PINNED, SEEN, SELECTED, UNKNOWN, VALUES, Rgb, mapped
 from lmd.render.imaging import UInt8Array
 
 # Gains that surfaces can show: name in the panel, and field of `Additions`.

@@ -8,7 +8,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
-from lmd.planner.colours import (
+from lmd.planner.figures import candidate_cells
+from lmd.planner.plan import Plan
+from lmd.planner.viewing import (
     FREE,
     GAINS,
     MEASURED,
@@ -19,13 +21,11 @@ from lmd.planner.colours import (
     UNKNOWN,
     VALUES,
     WALL,
+    Framing,
     alike,
     mapped,
     rgb,
 )
-from lmd.planner.figures import candidate_cells
-from lmd.planner.plan import Plan
-from lmd.planner.viewing import Framing
 from lmd.plot import common
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment

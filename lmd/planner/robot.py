@@ -12,9 +12,8 @@ from lmd.geometry.camera import Camera
 from lmd.geometry.projection import view_edges
 from lmd.geometry.se3 import pose_of
 from lmd.planner.actions import ActionQueue, call_in_order
-from lmd.planner.colours import BODY, SEEN
 from lmd.planner.session import PlanningSession
-from lmd.planner.viewing import framed
+from lmd.planner.viewing import BODY, SEEN, framed
 from lmd.scene.rig import OPTICAL, Mount, Rig
 
 NONE, CAMERA = "none", "camera {}"  # texts of the choices of the camera to move

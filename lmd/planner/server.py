@@ -19,16 +19,14 @@ from lmd.core.checks import InputError
 from lmd.core.optional import optional
 from lmd.optimisers.base import Optimiser
 from lmd.optimisers.ledger import Budget
-from lmd.planner.access import HOST, Access
-from lmd.planner.actions import ActionQueue, call_in_order
+from lmd.planner.actions import HOST, Access, ActionQueue, call_in_order
 from lmd.planner.background import Background
-from lmd.planner.colours import span_of
 from lmd.planner.panel import DELETE, UNDO, PlannerPanel
 from lmd.planner.picture import MOST_CAPTIONS, RoomPicture
 from lmd.planner.plan import Plan
 from lmd.planner.robot import robot_of
 from lmd.planner.session import PlanningSession
-from lmd.planner.viewing import pointed_at, seen_by
+from lmd.planner.viewing import pointed_at, seen_by, span_of
 from lmd.scene.deployment import Deployment
 from lmd.space.surface import SurfaceArrays
 
@@ -36,7 +34,7 @@ IDLE_SECONDS = 0.5  # time without an action after which background work begins,
 
 
 class Planner:
-    """Server of a session for browsers on this machine, at an address that is new at each start (`lmd.planner.access`).
+    """Server of a session for browsers on this machine, at a new address at each start (`lmd.planner.actions`).
 
     Args:
         session: session to serve.

@@ -15,8 +15,7 @@ from lmd.core.checks import BoolArray, FloatArray, InputError
 from lmd.optimisers.base import Optimiser
 from lmd.optimisers.ledger import Budget
 from lmd.planner.figures import Values, additions
-from lmd.planner.plan import Plan
-from lmd.planner.tag_search import TagSearch
+from lmd.planner.plan import Plan, TagSearch
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import GivenDeployment

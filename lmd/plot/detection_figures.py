@@ -11,7 +11,7 @@ import pandas as pd
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.core.optional import optional
 from lmd.detection.calibration import DetectorCalibration, predicted_views
-from lmd.detection.evaluation import TAG_NUMBERS
+from lmd.detection.detectors import TAG_NUMBERS
 from lmd.detection.predictions import PLACES
 from lmd.plot.common import literal, new_figure, set_ticks, shrink
 from lmd.render.imaging import UInt8Array

@@ -10,9 +10,7 @@ from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, said_of
 from lmd.core.tables import Table, read_table, write_table
 from lmd.geometry.se3 import pose_of
 from lmd.geometry.squares import upright
-from lmd.scene.edges import EDGE, checked_edges, edge_column
-from lmd.scene.labels import ID, Labels
-from lmd.scene.surveyed import Surveyed, in_plane
+from lmd.scene.labels import EDGE, ID, Labels, Surveyed, checked_edges, edge_column, in_plane
 from lmd.scene.tag import Tag
 from lmd.space.space import Space
 from lmd.space.surface import FILE_TOLERANCE, PLACEMENT_TOLERANCE, SurfaceArrays

@@ -1,11 +1,12 @@
-"""Ids and further columns of the landmarks of a file, kept from input to output."""
+"""Values of the landmarks of a file, kept from input to output: ids, further columns, edges, and measured places."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, InputError, IntArray, said_of
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, said_of
 from lmd.core.tables import Table
 
 ID = "id"
@@ -73,3 +74,102 @@ class Labels:
         """Labels of the landmarks selected by `chosen`."""
         columns = {name: np.array(texts, dtype=object)[chosen].tolist() for name, texts in self.columns.items()}
         return Labels(self.ids[chosen], columns)
+
+
+LARGEST_EDGE = 10.0  # largest edge in a file, metres; larger numbers are assumed to be millimetres and refused
+EDGE = "edge"  # column with the edge of each tag, metres; an empty cell means the edge of the scene's tag
+
+
+def checked_edges(edges: FloatArray | None, ids: IntArray) -> FloatArray:
+    """Check the edges of K tags, metres, `(K,)`; NaN for tags without their own edge.
+
+    Args:
+        edges: edges, metres, `(K,)`; None if no tag has its own edge.
+        ids: ids of the tags, `(K,)`.
+
+    Raises:
+        InputError: the numbers of edges and `ids` differ, or an edge is not positive.
+    """
+    edges = np.full(ids.shape, np.nan) if edges is None else np.array(edges, dtype=np.float64)
+    if edges.shape != ids.shape:
+        raise InputError(f"deployment edges must have the shape ({len(ids)},), got {edges.shape}.")
+    if (wrong := np.flatnonzero((edges <= 0.0) | np.isinf(edges))).size:
+        raise InputError(f"{EDGE} must be positive metres, landmark {ids[wrong[0]]} has {edges[wrong[0]]:g}.")
+    edges.flags.writeable = False
+    return edges
+
+
+def edge_column(table: Table) -> FloatArray:
+    """Column `EDGE` of a file, metres, `(K,)`; NaN for empty cells or without the column.
+
+    Raises:
+        InputError: an edge is no number, or exceeds `LARGEST_EDGE`.
+    """
+    if EDGE not in table:
+        return np.full(len(table.lines), np.nan)
+    try:
+        edges = np.array([float(text or "nan") for text in table.texts[EDGE]])
+    except ValueError as error:
+        raise InputError(f"{table.path}: {EDGE} must be positive metres: {error}.") from None
+    if (wrong := np.flatnonzero((edges > LARGEST_EDGE) & np.isfinite(edges))).size:
+        place = f"{table.path} line {table.lines[wrong[0]]}"
+        raise InputError(f"{place}: {EDGE} = {edges[wrong[0]]:g} looks like millimetres; edges are in metres.")
+    return edges
+
+
+# `UP_TOLERANCE`: largest length of the difference between an up and the upright up that counts as upright. `IN_PLANE`:
+# largest deviation of an up in a file from unit length and from the plane of its tag.
+UP_TOLERANCE, IN_PLANE = 1e-3, 1e-2
+
+
+@dataclass(frozen=True)
+class Surveyed:
+    """Measurements of K landmarks; a measurement is ignored once its landmark is moved.
+
+    Args:
+        positions: corrected positions, on or in front of the surfaces, world frame, metres, `(K, 3)`.
+        places: measured positions, such as slightly behind a wall, world frame, metres, `(K, 3)`.
+        ups: unit vectors in the planes of the tags to their upper edges, world frame, `(K, 3)`.
+    """
+
+    positions: FloatArray
+    places: FloatArray
+    ups: FloatArray
+
+    def __getitem__(self, chosen: slice | IntArray | BoolArray) -> "Surveyed":
+        """Measurements of the landmarks selected by `chosen`."""
+        return Surveyed(self.positions[chosen], self.places[chosen], self.ups[chosen])
+
+    def places_of(self, positions: FloatArray) -> FloatArray:
+        """Measured positions of landmarks at `positions`, `(K, 3)` each, metres; for moved landmarks, `positions`."""
+        return np.where(self._stays(positions), self.places, positions)
+
+    def ups_of(self, positions: FloatArray, upright: FloatArray) -> FloatArray:
+        """Measured ups of landmarks at `positions`, `(K, 3)` each; for moved landmarks, the `upright` ups."""
+        return np.where(self._stays(positions), self.ups, upright)
+
+    def _stays(self, positions: FloatArray) -> BoolArray:
+        return np.asarray((positions == self.positions).all(axis=1, keepdims=True))
+
+
+def in_plane(
+    path: str | Path, ids: IntArray, normals: FloatArray, upright: FloatArray, ups: FloatArray
+) -> FloatArray | None:
+    """Project a file's up vectors `(K, 3)` to the planes of their tags; None if all equal `upright` `(K, 3)`.
+
+    Raises:
+        InputError: an up is no unit vector in the plane of its tag.
+    """
+    leaning = (ups * normals).sum(axis=1, keepdims=True)
+    off = np.maximum(np.abs(leaning[:, 0]), np.abs(np.linalg.norm(ups, axis=1) - 1.0))
+    if (wrong := np.flatnonzero(off > IN_PLANE)).size:
+        up, normal = (", ".join(f"{value:.4g}" for value in v[wrong[0]]) for v in (ups, normals))
+        raise InputError(
+            f"{path}: the up of landmark {ids[wrong[0]]}, ({up}), is no unit vector in the plane of its tag, whose "
+            f"normal is ({normal})."
+        )
+    level = np.linalg.norm(ups - upright, axis=1, keepdims=True) <= UP_TOLERANCE
+    if level.all():
+        return None
+    flat = ups - leaning * normals
+    return np.where(level, upright, flat / np.linalg.norm(flat, axis=1, keepdims=True))

@@ -1,20 +1,13 @@
-"""Convex bodies that block lines of sight, each the intersection of half-spaces.
-
-The points of the line from p to q are p + t (q - p), 0 <= t <= 1. The height h of a point above a plane is linear in t
-and zero at t0 = h(p) / (h(p) - h(q)). The line is behind the plane for t > t0 if h(p) >= 0 > h(q), and for t < t0 if
-h(p) < 0 <= h(q). A body blocks the line if some t is behind all its planes.
-
-A body is an open set, smaller by `PLACEMENT_TOLERANCE` than the obstacle. So a line along a face or through an edge or
-corner is clear, and a body does not hide landmarks on its faces. A non-convex obstacle consists of several bodies,
-which overlap by `OVERLAP_M` so that no line passes between them.
+"""Convex bodies that block lines of sight, each the intersection of half-spaces; and polygons of a floor plan, outside
+which upright bodies stand.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray
+from lmd.core.checks import BoolArray, FloatArray, InputError, vector
 from lmd.space.surface import PLACEMENT_TOLERANCE
 
 # Overlap of adjacent bodies, metres: more than rounding errors, and too little to protrude at a corner.
@@ -77,3 +70,102 @@ class Blockers(NamedTuple):
         bodies = self.first[:-1]
         entered = np.maximum.reduceat(enters, bodies, axis=-1)
         return np.asarray((entered >= np.minimum.reduceat(leaves, bodies, axis=-1)).all(axis=-1))
+
+
+# Edges closer than this coincide, metres.
+SAME_EDGE = 1e-9
+
+Ring = tuple[tuple[float, ...], ...]
+
+
+def checked_ring(name: str, value: Any, either_way: bool = False) -> Ring:
+    """Check the vertices of a simple polygon, metres, counter-clockwise unless `either_way`.
+
+    Raises:
+        InputError: the value is no polygon, or the polygon crosses or touches itself or runs clockwise.
+    """
+    import shapely
+
+    if isinstance(value, str) or not isinstance(value, Sequence) or len(value) < 3:
+        raise InputError(f"{name} must list at least 3 vertices [x, y], got {value!r}.", name)
+    ring = tuple(vector(f"{name}[{i}]", vertex, 2) for i, vertex in enumerate(value))
+    for i, vertex in enumerate(ring):
+        if vertex == ring[i - 1]:
+            raise InputError(f"{name}[{i}] repeats the vertex before it, {list(vertex)}.", name)
+    polygon = shapely.Polygon(ring)
+    if not polygon.is_valid:
+        place = shapely.is_valid_reason(polygon).partition("[")[2].rstrip("]")
+        raise InputError(f"{name} crosses or touches itself at ({', '.join(place.split())}).", name)
+    if not either_way and not polygon.exterior.is_ccw:
+        raise InputError(f"{name} must run counter-clockwise, seen from above, but it runs clockwise.", name)
+    return ring
+
+
+def edges(ring: Sequence[Sequence[float]] | FloatArray) -> FloatArray:
+    """Edges from each vertex to the next, `(N, 2, 2)`."""
+    vertices = np.asarray(ring, dtype=np.float64)
+    return np.stack([vertices, np.roll(vertices, -1, axis=0)], axis=1)
+
+
+def planes(edge: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Lines n . x = d of edges `(N, 2, 2)`: unit normals n to the right `(N, 2)`, and offsets d, metres, `(N,)`.
+
+    The normals point outwards if the edges run counter-clockwise.
+    """
+    way = edge[:, 1] - edge[:, 0]
+    way = way / np.linalg.norm(way, axis=1, keepdims=True)
+    normals = np.stack([way[:, 1], 0.0 - way[:, 0]], axis=1)
+    return normals, np.asarray((normals * edge[:, 0]).sum(axis=1))
+
+
+def on_hull(polygon: Any) -> Any:
+    """Mask of the edges of a polygon's outer ring that lie on its convex hull, `(N,)`."""
+    import shapely
+
+    middles = shapely.points(edges(polygon.exterior.coords[:-1]).mean(axis=1))
+    return shapely.distance(polygon.convex_hull.exterior, middles) <= SAME_EDGE
+
+
+def upright_bodies(polygon: Any) -> list[Body]:
+    """Upright bodies of unlimited height that fill the holes of a polygon, and its convex hull outside the polygon.
+
+    Sides on the hull are left out, as no line between two points of the polygon crosses them.
+    """
+    import shapely
+
+    hull, walls = polygon.convex_hull, polygon.boundary
+    bodies = []
+    for part in shapely.get_parts(hull.difference(polygon)):
+        for piece in [] if part.is_empty else _convex_pieces(part):
+            edge = edges(shapely.orient_polygons(piece).exterior.coords[:-1])
+            middles = shapely.points(edge.mean(axis=1))
+            solid = shapely.distance(walls, middles) <= SAME_EDGE
+            crossed = solid | (shapely.distance(hull.exterior, middles) > SAME_EDGE)
+            normals, offsets = (
+                np.concatenate([sides, tips])
+                for sides, tips in zip(planes(edge[crossed]), _tips(edge, solid), strict=True)
+            )
+            faces = np.append(solid[crossed], np.full(len(offsets) - crossed.sum(), True))
+            bodies.append(Body(np.pad(normals, [(0, 0), (0, 1)]), offsets, faces))
+    return bodies
+
+
+def _tips(edge: FloatArray, solid: Any) -> tuple[FloatArray, FloatArray]:
+    """Lines through the vertices of a convex piece between two edges shared with other pieces.
+
+    They cut off the tips that would protrude into the room because pieces overlap. Returns normals and offsets.
+    """
+    bare = ~solid & ~np.roll(solid, 1)  # at the start of an edge
+    way = edge[:, 1] - edge[:, 0]
+    way = way / np.linalg.norm(way, axis=1, keepdims=True)
+    outwards = (np.roll(way, 1, axis=0) - way)[bare]
+    normals = outwards / np.linalg.norm(outwards, axis=1, keepdims=True)
+    return normals, np.asarray((normals * edge[bare, 0]).sum(axis=1))
+
+
+def _convex_pieces(polygon: Any) -> list[Any]:
+    import shapely
+
+    if polygon.convex_hull.area - polygon.area <= SAME_EDGE * polygon.length:
+        return [polygon]
+    return list(shapely.get_parts(shapely.constrained_delaunay_triangles(polygon)))

@@ -11,6 +11,7 @@ t further.
 The camera is never inside a cylinder: a cylinder closer to the camera than the clearance is left out for that camera.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -33,9 +34,21 @@ from lmd.core.checks import (
     span,
 )
 from lmd.core.memory import check_memory
-from lmd.core.worst import worst_of
-from lmd.space.polygon import checked_ring
+from lmd.space.blockers import checked_ring
 from lmd.space.space import Space, floor_of
+
+ROUNDING = 1e-9  # of a share times a number, which is rounded up
+
+
+def worst_of(number: int, share: float) -> int:
+    """Number of the worst of `number` values, a share of them, rounded up."""
+    return max(1, math.ceil(share * number - ROUNDING))
+
+
+def worst_mean(values: FloatArray, count: int) -> FloatArray:
+    """Mean of the `count` least values along the last axis."""
+    return np.asarray(np.sort(values, axis=-1)[..., :count].sum(axis=-1) / count)
+
 
 FITNESS = ("mean", "worst")
 # Columns of a cylinder: axis, radius, lower and upper end, metres.

@@ -11,7 +11,7 @@ from typing_extensions import override
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, choice, vector
 from lmd.space.gridded import Gridded, GridKind, checked_spacing, grid_counts, kronecker
 from lmd.space.parts import box_surfaces
-from lmd.space.relevance import Relevance
+from lmd.space.space import Relevance
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, SurfaceArrays
 
 Size = Annotated[tuple[float, float, float], partial(vector, size=3, above=0.0)]

@@ -9,10 +9,9 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, Checked, FloatArray, InputError, NotNegative, Positive, entries, span
 from lmd.space.allowed import polygons
-from lmd.space.blockers import Blockers
+from lmd.space.blockers import Blockers, checked_ring, edges, on_hull, planes, upright_bodies
 from lmd.space.fixture import Fixture
 from lmd.space.parts import FACES, KeepOut, Obstacle, all_made, check_metres, check_surfaces, checked_names
-from lmd.space.polygon import checked_ring, edges, on_hull, planes, upright_bodies
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, free_of
 
 # Depth of the space in front of a face that must be free, metres.

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, bounded
-from lmd.space.polygon import edges
+from lmd.space.blockers import edges
 from lmd.space.wall_lines import ReadPlan
 
 NO_WALL = "no wall"

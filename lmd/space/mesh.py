@@ -1,8 +1,19 @@
-"""Triangle meshes of rooms."""
+"""Triangle meshes of rooms: planar patches as surfaces, a test of the up axis, and the interior."""
 
+import itertools
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
-from lmd.core.checks import FloatArray, IntArray
+import numpy as np
+
+from lmd.core.checks import BoolArray, FloatArray, IntArray
+from lmd.core.optional import optional
+from lmd.geometry.squares import upright
+from lmd.space.allowed import polygons
+from lmd.space.gridded import combined, grid_axes, grid_counts
+from lmd.space.surface import PLACEMENT_TOLERANCE, Surface
+from lmd.space.triangles import Triangles, unit_normals
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,3 +34,230 @@ class Mesh:
     """Axis of the file that points up, `z` or `y`."""
     up_is_sure: bool = True
     """True if the user or the file format defines the up axis."""
+
+
+# Largest angle between adjacent triangles of a patch, rad, and largest distance of its vertices from its plane, metres.
+BENT, UNEVEN = 1e-3, 1e-3
+# Tolerance of the simplification of borders, metres.
+STRAIGHT_M = 1e-6
+
+
+def flat_parts(mesh: Mesh) -> list[IntArray]:
+    """Indices of the triangles of each planar patch, largest area first; a patch belongs to one object."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    body = optional("trimesh", "mesh").Trimesh(mesh.vertices, mesh.faces, process=False)
+    one, other = body.face_adjacency.T
+    joined = (body.face_adjacency_angles < BENT) & (mesh.of[one] == mesh.of[other])
+    pairs, count = (one[joined], other[joined]), len(mesh.faces)
+    _, label = connected_components(coo_array((np.ones(joined.sum()), pairs), shape=(count, count)), False)
+    area = np.bincount(label, body.area_faces)
+    parts = np.split(np.argsort(label, kind="stable"), np.cumsum(np.bincount(label))[:-1])
+    return [parts[i] for i in np.argsort(-np.round(area, 9), kind="stable")]
+
+
+def areas_of(corners: FloatArray) -> FloatArray:
+    """Areas of triangles `(T, 3, 3)`, square metres, `(T,)`."""
+    one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    return np.asarray(np.linalg.norm(np.cross(one, other), axis=1) / 2.0)
+
+
+def plane_of(corners: FloatArray) -> tuple[FloatArray, float]:
+    """Plane fitted to triangles `(T, 3, 3)`: mean unit normal, `(3,)`, and largest distance of a vertex, metres."""
+    total = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).sum(axis=0)
+    normal = total / np.linalg.norm(total) + 0.0
+    return normal, float(np.ptp(corners @ normal)) / 2.0
+
+
+def surface_of(name: str, corners: FloatArray, normal: FloatArray) -> Surface:
+    """Surface of coplanar triangles `(T, 3, 3)`; their union is the allowed region.
+
+    u and v point right and up for a viewer on the side of `normal` `(3,)`.
+    """
+    import shapely
+
+    u, v = (way + 0.0 for way in upright(normal))
+    depth = corners @ normal
+    at = np.stack([corners @ u, corners @ v], axis=-1)
+    low, high = at.min(axis=(0, 1)), at.max(axis=(0, 1))
+    shape = polygons(shapely.simplify(shapely.union_all(shapely.polygons(at - low)), STRAIGHT_M))
+    origin = (depth.min() + depth.max()) / 2.0 * normal + low[0] * u + low[1] * v
+    length, width = (high - low).tolist()
+    return Surface(name, origin + 0.0, u, v, normal, (length, width)).where(shape)
+
+
+def grown(shapes: Any, width: float) -> Any:
+    """Buffer shapes by `width`, metres, with mitred corners; a negative width shrinks them."""
+    import shapely
+
+    with np.errstate(divide="ignore", invalid="ignore"):  # of intermediate results that GEOS discards
+        return shapely.buffer(shapes, width, cap_style="square", join_style="mitre")
+
+
+def standing_on(surface: Surface, triangles: FloatArray, height: float) -> list[Any]:
+    """Projections to a surface of the parts of triangles `(T, 3, 3)` up to `height`, metres, in front of it.
+
+    The result is shapely shapes in the coordinates of the surface. A triangle perpendicular to the surface gives a
+    line.
+    """
+    import shapely
+
+    offset = triangles - surface.origin
+    depth = offset @ surface.normal
+    near = (depth.min(axis=1) <= height) & (depth.max(axis=1) >= -PLACEMENT_TOLERANCE)
+    shapes = []
+    for corners, above in zip(offset[near], depth[near], strict=True):
+        part = _between(corners, above, -PLACEMENT_TOLERANCE, height)
+        shapes.append(shapely.MultiPoint(np.stack([part @ surface.u, part @ surface.v], axis=1)).convex_hull)
+    return shapes
+
+
+def _between(corners: FloatArray, height: FloatArray, low: float, high: float) -> FloatArray:
+    """Corners, `(m, 3)` in any order, of the part of a triangle `(3, 3)` between the heights `low` and `high`."""
+    found = [corners[(height >= low) & (height <= high)]]
+    for i, j in ((0, 1), (1, 2), (2, 0)):
+        for limit in (low, high):
+            if (height[i] - limit) * (height[j] - limit) < 0.0:
+                share = (limit - height[i]) / (height[j] - height[i])
+                found.append((corners[i] + share * (corners[j] - corners[i]))[None])
+    return np.concatenate(found)
+
+
+# Largest tilt of a triangle that counts as level or upright, rad. The noise of a scan tilts triangles by more, and few
+# walls are aligned with an axis by chance.
+BUILT_TOLERANCE_RAD = 3.5e-3
+# The up axis with the larger level or upright area is the better one if the ratio of the areas is below this.
+DECIDING_SHARE = 0.8
+# Least |n_z| of the unit normal of a level triangle, and largest distance of floor and ceiling from the lowest or
+# highest point, metres.
+LEVEL_NORMAL_Z, STOREY = 0.999, 0.1
+
+
+def doubt_of(mesh: Mesh, undecided: bool) -> str | None:
+    """Evidence that the assumed up axis of a mesh's file, z or y, is the wrong one of the two; None without evidence.
+
+    Args:
+        mesh: mesh, rotated to z up from the assumed axis `Mesh.up`.
+        undecided: True to resolve a tie of the areas in favour of the axis with the lower room.
+    """
+    corners = mesh.vertices[mesh.faces]
+    other = "y" if mesh.up == "z" else "z"
+    ways = {mesh.up: np.array([0.0, 0.0, 1.0]), other: np.array([0.0, 1.0 if other == "y" else -1.0, 0.0])}
+    built = {axis: _built_along(corners, way) for axis, way in ways.items()}
+    height = {axis: float(np.ptp(corners @ way)) for axis, way in ways.items()}
+    against = built[mesh.up] < DECIDING_SHARE * built[other]
+    tie = not against and built[other] >= DECIDING_SHARE * built[mesh.up]
+    if not against and not (undecided and tie and height[mesh.up] > height[other]):
+        return None
+    told = [
+        f"with {axis} up it is {height[axis]:.3g} m high, with {_floor_area(corners, way):.3g} m2 of floor, and "
+        f"{100.0 * built[axis]:.0f} % of its triangles are upright or level"
+        for axis, way in ways.items()
+    ]
+    return f"{'; '.join(told)}."
+
+
+def _built_along(corners: FloatArray, up: FloatArray) -> float:
+    """Share of the area of triangles `(T, 3, 3)` that is level or upright with respect to `up` `(3,)`."""
+    vertical, area = np.abs(unit_normals(corners) @ up), areas_of(corners)
+    return float(
+        area[(vertical < np.sin(BUILT_TOLERANCE_RAD)) | (vertical > np.cos(BUILT_TOLERANCE_RAD))].sum() / area.sum()
+    )
+
+
+def _floor_area(corners: FloatArray, up: FloatArray) -> float:
+    """Area of the level triangles near the lowest point of triangles `(T, 3, 3)`, square metres."""
+    height, is_level = corners @ up, np.abs(unit_normals(corners) @ up) > LEVEL_NORMAL_Z
+    return float(areas_of(corners)[is_level & (height.max(axis=1) < height.min() + STOREY)].sum())
+
+
+# Spacing of nodes, metres, and maximum number of nodes; a larger number increases the spacing.
+STEP, MOST_NODES = 0.2, 400_000
+# Least distance of a node from a triangle, metres: a node in the plane of a triangle would connect both sides.
+NODE_CLEARANCE_M = 1e-3
+# Largest distance between a point and the nodes that are tested for a clear line, node spacings per axis.
+STEPS_TO_NODES = 2
+
+
+@dataclass(frozen=True)
+class Interior:
+    """Free space of a mesh as a graph of grid nodes, with edges along clear lines.
+
+    Nodes have a triangle below them, as there usually is no floor outside the walls. The room is the connected
+    component with the largest volume; the insides of furniture and walls are other components.
+    """
+
+    triangles: Triangles
+    """Mesh."""
+    low: FloatArray
+    """Lower corner of the box around the mesh, metres, `(3,)`."""
+    high: FloatArray
+    """Upper corner of the box around the mesh, metres, `(3,)`."""
+
+    @cached_property
+    def _step(self) -> float:
+        return max(STEP, float(np.cbrt(np.prod(self.high - self.low) / MOST_NODES)))
+
+    @cached_property
+    def _shape(self) -> tuple[int, int, int]:
+        return grid_counts(self.high - self.low, self._step, "cells")
+
+    @cached_property
+    def _axes(self) -> list[FloatArray]:
+        return grid_axes(self.low, self.high, self._shape, "cells")
+
+    @cached_property
+    def nodes(self) -> tuple[FloatArray, BoolArray]:
+        """All nodes, metres, `(N, 3)`, and the mask of the nodes in the room, `(N,)`."""
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import connected_components
+
+        at, clear = combined(self._axes), self.triangles.clear
+        below = at.copy()
+        below[:, 2] = self.low[2] - 1.0
+        free = (self.triangles.distance(at, NODE_CLEARANCE_M) >= NODE_CLEARANCE_M) & ~clear(at, below)
+        index = np.arange(len(at)).reshape(self._shape)
+        pairs = np.concatenate(
+            [
+                np.stack([index.take(range(n - 1), axis).ravel(), index.take(range(1, n), axis).ravel()])
+                for axis, n in enumerate(self._shape)
+            ],
+            axis=1,
+        )
+        pairs = pairs[:, free[pairs].all(axis=0)]
+        pairs = pairs[:, clear(at[pairs[0]], at[pairs[1]])]
+        links = coo_array((np.ones(pairs.shape[1]), tuple(pairs)), shape=(len(at), len(at)))
+        _, piece = connected_components(links, directed=False)
+        return at, free & (piece == np.bincount(piece[free], minlength=1).argmax()) if free.any() else free
+
+    def contains(self, points: FloatArray) -> BoolArray:
+        """Mask of the points `(..., 3)` of the box in the room or on its walls, `(...)`."""
+        nodes, inside = self.nodes
+        flat = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+        found, left = np.zeros(len(flat), dtype=np.bool_), np.arange(len(flat))
+        # Points in units of the node spacing, relative to the first node.
+        at = np.stack(
+            [(flat[:, i] - axis[0]) / max(self._pitch[i], 1e-12) for i, axis in enumerate(self._axes)], axis=1
+        )
+        for offset in _nearest_first():
+            node = np.floor(at[left]).astype(int) + offset
+            here = ((node >= 0) & (node < self._shape)).all(axis=1)
+            number = np.ravel_multi_index(tuple(np.where(here[:, None], node, 0).T), self._shape)
+            here &= inside[number]
+            asked = left[here]
+            found[asked] = self.triangles.clear(flat[asked], nodes[number[here]])
+            left = left[~found[left]]
+            if not len(left):
+                break
+        return found.reshape(points.shape[:-1])
+
+    @cached_property
+    def _pitch(self) -> FloatArray:
+        return np.array((self.high - self.low) / self._shape)
+
+
+def _nearest_first() -> IntArray:
+    """Integer offsets from the lowest corner of a cell to the nodes around the cell, nearest first, `(M, 3)`."""
+    offsets = np.array(list(itertools.product(range(1 - STEPS_TO_NODES, 1 + STEPS_TO_NODES), repeat=3)))
+    return offsets[np.argsort(np.abs(offsets - 0.5).sum(axis=1), kind="stable")]

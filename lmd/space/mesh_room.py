@@ -12,8 +12,8 @@ from lmd.space.cuboid import box_edges
 from lmd.space.fixture import Fixture
 from lmd.space.gridded import Gridded, GridKind
 from lmd.space.parts import FreeVolume, made
-from lmd.space.relevance import Relevance
 from lmd.space.scan import Scan
+from lmd.space.space import Relevance
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface
 from lmd.space.triangles import Triangles
 

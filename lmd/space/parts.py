@@ -18,8 +18,7 @@ from lmd.core.checks import (
     span,
     text,
 )
-from lmd.space.blockers import Body
-from lmd.space.polygon import checked_ring
+from lmd.space.blockers import Body, checked_ring
 from lmd.space.surface import Surface
 
 # Units of programs that write rooms, in metres.

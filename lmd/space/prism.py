@@ -9,14 +9,13 @@ import numpy as np
 from typing_extensions import override
 
 from lmd.core.checks import BoolArray, FloatArray, InputError
-from lmd.space.blockers import Blockers
+from lmd.space.blockers import Blockers, edges
 from lmd.space.cuboid import box_edges
 from lmd.space.fixture import Fixture
 from lmd.space.floor_plan import FloorPlan
 from lmd.space.gridded import Gridded, GridKind, clear_of
 from lmd.space.parts import Reachable, made
-from lmd.space.polygon import edges
-from lmd.space.relevance import Relevance
+from lmd.space.space import Relevance
 from lmd.space.surface import Surface
 
 

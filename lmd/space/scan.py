@@ -19,11 +19,21 @@ from lmd.core.checks import (
 )
 from lmd.space.allowed import eroded, polygons, spread, trapezoids
 from lmd.space.fixture import Fixture
-from lmd.space.gravity import LEVEL_NORMAL_Z, STOREY, doubt_of
-from lmd.space.interior import Interior
-from lmd.space.mesh import Mesh
+from lmd.space.mesh import (
+    LEVEL_NORMAL_Z,
+    STOREY,
+    UNEVEN,
+    Interior,
+    Mesh,
+    areas_of,
+    doubt_of,
+    flat_parts,
+    grown,
+    plane_of,
+    standing_on,
+    surface_of,
+)
 from lmd.space.parts import KeepOut, all_made, check_surfaces, checked_names
-from lmd.space.patches import UNEVEN, areas_of, flat_parts, grown, plane_of, standing_on, surface_of
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, free_of
 from lmd.space.triangles import Triangles, unit_normals
 

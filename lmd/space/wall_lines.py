@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, bounded
-from lmd.space.polygon import edges
+from lmd.space.blockers import edges
 
 # Half the thickness of lines, metres; walls move by this length.
 LINE_M = 1e-4

@@ -9,9 +9,7 @@ from lmd.adjust.gauge import SIGMA_COLUMNS, TWISTS, covariance_columns, quantile
 from lmd.core.checks import FloatArray, IntArray
 from lmd.geometry.se3 import ROW, inverse, log
 from lmd.scene.deployment import COLUMNS, UP_COLUMNS, Deployment
-from lmd.scene.edges import EDGE
-from lmd.scene.labels import ID, Labels
-from lmd.scene.surveyed import Surveyed
+from lmd.scene.labels import EDGE, ID, Labels, Surveyed
 from lmd.survey.survey import Survey
 
 SIGHTINGS = "sightings"  # column of the number of inliers of a tag

@@ -7,7 +7,7 @@ from support import bags as bf
 from support import walks
 
 from lmd.core.checks import InputError
-from lmd.detection.bag_images import ENCODINGS, images_in
+from lmd.detection.photographed import ENCODINGS, images_in
 from lmd.formats.bags import COMPRESSED, IMAGE
 from lmd.geometry.camera import Camera
 

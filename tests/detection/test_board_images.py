@@ -13,9 +13,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from lmd.core.checks import InputError
-from lmd.detection.board import BoardImages
 from lmd.detection.detectors import AprilTagDetector, ArucoDetector
 from lmd.detection.mosaic import Mosaics
+from lmd.detection.tag_views import BoardImages
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import camera_pose, poses_from_rows
 from lmd.render.imaging import Imaging

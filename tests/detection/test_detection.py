@@ -6,8 +6,17 @@ import pytest
 
 from lmd.core.checks import InputError
 from lmd.detection.calibration import fit
-from lmd.detection.detectors import AprilTagDetector, ArucoDetector, Detections
-from lmd.detection.evaluation import agreement, corner_error, match, precision_recall, quantiles_by, shares_of_frames
+from lmd.detection.detectors import (
+    AprilTagDetector,
+    ArucoDetector,
+    Detections,
+    agreement,
+    corner_error,
+    match,
+    precision_recall,
+    quantiles_by,
+    shares_of_frames,
+)
 from lmd.detection.mosaic import ViewRanges, sample_views
 from lmd.detection.tag_views import TagViews
 from lmd.geometry.camera import Camera

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lmd.detection.quality import apparent_edge, incidence, pitch
+from lmd.detection.corner_errors import apparent_edge, incidence, pitch
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import blur_disc, blur_sigma, project
 from lmd.geometry.se3 import camera_pose

@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from lmd.core.checks import InputError
 from lmd.detection.calibration import DetectorCalibration, Fit, frame_scores, predicted_in_frames
-from lmd.detection.detectors import AprilTagDetector, ArucoDetector
-from lmd.detection.evaluation import Matches, agreement
+from lmd.detection.detectors import AprilTagDetector, ArucoDetector, Matches, agreement
 from lmd.detection.frames import (
     detect_in_frames,
     draw_poses,

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from support.paper import experiment_room, paper_scene
 
-from lmd.detection.detectors import ArucoDetector
-from lmd.detection.evaluation import Matches
+from lmd.detection.detectors import ArucoDetector, Matches
 from lmd.detection.frames import detect_in_frames, draw_poses, nudged, tagged_room
 from lmd.detection.predictions import CameraPrediction, Prediction, by_pitch, by_tag, figures, repeatability
 from lmd.evaluation.verdicts import verdicts

@@ -6,8 +6,7 @@ from scipy.stats import chi2
 from support.paper import paper_camera
 
 from lmd.core.checks import InputError
-from lmd.detection.corner_errors import CORNER_ERRORS, MeasuredCorners, inward
-from lmd.detection.quality import incidence, pitch
+from lmd.detection.corner_errors import CORNER_ERRORS, MeasuredCorners, incidence, inward, pitch
 from lmd.estimation.cramer_rao import moment_information
 from lmd.estimation.pose_covariance import TagErrors, tag_images, world_covariances
 from lmd.geometry.pose import body_from_corners
@@ -15,7 +14,7 @@ from lmd.geometry.projection import project, to_camera
 from lmd.geometry.se3 import camera_pose, exp, inverse, log, skew
 from lmd.geometry.squares import corners
 from lmd.scene.deployment import Deployment
-from lmd.scene.surveyed import Surveyed
+from lmd.scene.labels import Surveyed
 from lmd.scene.tag import Tag
 
 CAMERA = paper_camera(image_width=640, image_height=480, principal_point=(320.0, 240.0))

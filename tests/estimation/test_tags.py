@@ -10,11 +10,9 @@ from support.paper import paper_camera, paper_scene
 
 from lmd.core.checks import InputError
 from lmd.core.workers import in_processes
-from lmd.detection.corner_errors import CORNER_ERRORS, PITCH_MIDDLES, CornerErrors, inward, shortest_side
-from lmd.detection.detectors import ArucoDetector, Detections
-from lmd.detection.evaluation import corner_error
+from lmd.detection.corner_errors import CORNER_ERRORS, PITCH_MIDDLES, CornerErrors, inward, pitch, shortest_side
+from lmd.detection.detectors import ArucoDetector, Detections, corner_error
 from lmd.detection.predictions import PITCHES
-from lmd.detection.quality import pitch
 from lmd.estimation.cramer_rao import CramerRaoBound
 from lmd.estimation.flights import Pace, RandomMotion
 from lmd.estimation.fusion import FixedLagSmoother

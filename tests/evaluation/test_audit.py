@@ -9,7 +9,7 @@ from support import walks
 from lmd.core.checks import InputError
 from lmd.core.tables import write_table
 from lmd.detection.calibration import DetectorCalibration, fit, intervals
-from lmd.detection.evaluation import Matches
+from lmd.detection.detectors import Matches
 from lmd.detection.predictions import CameraPrediction, Prediction
 from lmd.detection.tag_views import FILE, SurveyedViews
 from lmd.evaluation.audit import Audit, audited, detections_of_map, in_the_open, view_columns

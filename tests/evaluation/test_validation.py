@@ -12,7 +12,7 @@ from lmd.scene import pdf
 from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.sight import reference
 from lmd.space.cuboid import Cuboid
-from lmd.space.relevance import Relevance
+from lmd.space.space import Relevance
 
 SMALL = Sample(groups=8, positions=50, divisions=12)
 RATIO, AVERAGE = "grid_free_qualified_ratio", "grid_free_average_coverage_probability"

@@ -10,9 +10,9 @@ import trimesh
 from support import rooms
 
 from lmd.export import overview
+from lmd.export.overview import draw_fixture, draw_opening
 from lmd.export.paper import PAPERS, begin_page, document
 from lmd.export.plan import View, write_plan
-from lmd.export.symbols import draw_fixture, draw_opening
 from lmd.formats.meshes import read_mesh_room
 from lmd.formats.tag_map import TagMap
 from lmd.geometry.squares import upright

@@ -15,8 +15,7 @@ from support.thorough import examples
 from lmd.core.checks import InputError
 from lmd.detection.detectors import AprilTagDetector, ArucoDetector
 from lmd.export.exports import Export, not_printed
-from lmd.export.layout import FOOTER, MARGIN, STRIP, Pieces, Whole, largest_whole, layout
-from lmd.export.paper import PAPERS
+from lmd.export.paper import FOOTER, MARGIN, PAPERS, STRIP, Pieces, Whole, largest_whole, layout
 from lmd.export.sheets import check_sheets, describe_sheets, write_sheets
 from lmd.formats.tag_map import TagMap
 from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment

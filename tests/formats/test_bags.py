@@ -8,7 +8,7 @@ from support import bags as bf
 from support import localisations as ld
 
 from lmd.core.checks import InputError
-from lmd.detection.bag_images import images_in
+from lmd.detection.photographed import images_in
 from lmd.formats.bags import CAMERA_INFO, DETECTIONS, IMAGE, Bag, is_bag
 from lmd.formats.calibrations import calibrated_camera
 from lmd.formats.detection_formats import read_detections

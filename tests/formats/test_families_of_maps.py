@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from lmd.core.checks import InputError
-from lmd.formats.deployments import FileDeployment
 from lmd.formats.placed_tag import NUMBERS, tag_named
-from lmd.formats.tag_maps import read_deployment
+from lmd.formats.tag_maps import FileDeployment, read_deployment
 from lmd.scene.families import FAMILIES
 from lmd.scene.tag import Tag
 from lmd.space.cuboid import Cuboid

@@ -11,8 +11,7 @@ from PIL import Image
 from support.rooms import FREE, KEYS, hall, write_map
 
 from lmd.core.checks import InputError
-from lmd.formats.occupancy_grid import occupancy, read_occupancy_grid
-from lmd.formats.plans import read_plan_room
+from lmd.formats.plans import occupancy, read_occupancy_grid, read_plan_room
 
 REFUSED = yaml.safe_load(Path(__file__).with_name("files").joinpath("refused.yaml").read_text(encoding="utf-8"))
 

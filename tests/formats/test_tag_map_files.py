@@ -8,8 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from lmd.core.checks import InputError
-from lmd.formats.deployments import FileDeployment
-from lmd.formats.tag_maps import read_deployment
+from lmd.formats.tag_maps import FileDeployment, read_deployment
 from lmd.space.cuboid import Cuboid
 from pipelines.app import CONF
 

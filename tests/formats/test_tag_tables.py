@@ -6,8 +6,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from lmd.core.checks import InputError
-from lmd.formats.deployments import FileDeployment
-from lmd.formats.tag_maps import read_deployment
+from lmd.formats.tag_maps import FileDeployment, read_deployment
 
 
 @pytest.fixture

@@ -19,8 +19,7 @@ from lmd.localise.images import State
 from lmd.localise.localise import Drive, localise
 from lmd.localise.results import image_columns, localise_document, smoothed_columns, to_text, tum_text
 from lmd.scene.deployment import Deployment
-from lmd.scene.labels import Labels
-from lmd.scene.surveyed import Surveyed
+from lmd.scene.labels import Labels, Surveyed
 from lmd.scene.tag import Tag
 
 

@@ -18,7 +18,7 @@ from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.poses import candidate_poses
-from lmd.space.relevance import Relevance
+from lmd.space.space import Relevance
 
 SPACING = 4.0  # 24 poses
 OBJECTIVE = Localisation(sampling=None)

@@ -7,7 +7,7 @@ from support.paper import paper_room, paper_scene
 from support.small import make, problem
 
 from lmd.core.checks import InputError
-from lmd.formats.deployments import FileDeployment
+from lmd.formats.tag_maps import FileDeployment
 from lmd.incremental.state import HIDDEN
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.sampling import Sampling

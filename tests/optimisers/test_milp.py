@@ -22,7 +22,7 @@ from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.rig import Mount, Rig
 from lmd.scene.tag import Tag
 from lmd.sight.poses import candidate_poses
-from lmd.space.relevance import Relevance
+from lmd.space.space import Relevance
 
 SPACING = 1.5
 PLENTY = Budget(10_000)

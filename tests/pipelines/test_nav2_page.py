@@ -43,7 +43,7 @@ def test_the_page_has_at_most_350_words():
 @pytest.mark.thorough(
     "docs/nav2.md",
     "lmd/export",
-    "lmd/formats/occupancy_grid.py",
+    "lmd/formats/plans.py",
     "lmd/space/free_region.py",
     "lmd/space/wall_lines.py",
     "lmd/formats/tag_map_writers.py",

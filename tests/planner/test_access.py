@@ -12,7 +12,7 @@ from support.small import problem
 from lmd.core.checks import InputError
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.random_search import RandomSearch
-from lmd.planner.access import Access
+from lmd.planner.actions import Access
 from lmd.planner.server import Planner
 from lmd.planner.session import PlanningSession
 

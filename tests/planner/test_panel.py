@@ -7,9 +7,9 @@ import pytest
 
 from lmd.core.checks import InputError
 from lmd.optimisers.ledger import Budget
-from lmd.planner.colours import span_of
 from lmd.planner.panel import TAGS, PlannerPanel
-from lmd.planner.tag_search import SearchProgress
+from lmd.planner.plan import SearchProgress
+from lmd.planner.viewing import span_of
 
 viser = pytest.importorskip("viser")
 

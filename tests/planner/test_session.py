@@ -11,7 +11,7 @@ from support.rooms import lab
 from support.small import problem
 
 from lmd.core.checks import InputError
-from lmd.formats.deployments import FileDeployment
+from lmd.formats.tag_maps import FileDeployment
 from lmd.geometry.frames import roll_pitch_yaw
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation

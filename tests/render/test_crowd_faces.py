@@ -5,10 +5,9 @@ import numpy as np
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import project
 from lmd.geometry.se3 import camera_pose
-from lmd.render.crowd import faces_of
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
-from lmd.render.room import TaggedRoom
+from lmd.render.room import TaggedRoom, faces_of
 from lmd.scene.tag import Tag
 from lmd.space.crowd import Crowd, CrowdStates
 

@@ -6,8 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from lmd.detection.detectors import AprilTagDetector
-from lmd.detection.evaluation import corner_error
+from lmd.detection.detectors import AprilTagDetector, corner_error
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import image_size, intrinsics
 from lmd.geometry.se3 import camera_pose, inverse

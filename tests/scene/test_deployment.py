@@ -10,7 +10,7 @@ from support.paper import X, Y, Z, experiment_room, paper_room
 from support.strategies import deployments, rooms, seeds
 
 from lmd.core.checks import InputError
-from lmd.formats.deployments import FileDeployment
+from lmd.formats.tag_maps import FileDeployment
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import GivenDeployment, RandomDeployment, UniformDeployment
 

@@ -8,11 +8,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from lmd.core.checks import InputError
 from lmd.evaluation.measured import read_measured
-from lmd.formats.deployments import FileDeployment
+from lmd.formats.tag_maps import FileDeployment
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import GivenDeployment, RandomDeployment, UniformDeployment
-from lmd.scene.fixed import beside
-from lmd.scene.footprints import Footprints
+from lmd.scene.footprints import Footprints, beside
 from lmd.scene.tag import Tag
 from lmd.space.cuboid import Cuboid
 

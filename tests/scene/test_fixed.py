@@ -13,7 +13,7 @@ from support.small import make, problem
 from support.strategies import deployments, scenes, seeds
 
 from lmd.core.checks import InputError
-from lmd.formats.deployments import FileDeployment
+from lmd.formats.tag_maps import FileDeployment
 from lmd.incremental.coverage_field import coverage_field
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
@@ -23,7 +23,7 @@ from lmd.optimisers.ledger import Budget
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
-from lmd.scene.fixed import beside
+from lmd.scene.footprints import beside
 from lmd.scene.labels import Labels
 from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator

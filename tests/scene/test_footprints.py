@@ -11,7 +11,7 @@ from support.strategies import rooms, seeds
 from support.thorough import examples
 
 from lmd.core.checks import InputError
-from lmd.formats.deployments import FileDeployment
+from lmd.formats.tag_maps import FileDeployment
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.sampling import Sampling

@@ -7,7 +7,7 @@ from support.small import make, problem
 
 from lmd.core.checks import InputError
 from lmd.detection.frames import tagged_room
-from lmd.formats.deployments import FileDeployment
+from lmd.formats.tag_maps import FileDeployment
 from lmd.optimisers.ledger import Budget
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment

@@ -6,8 +6,8 @@ from support.refusals import refusals
 from support.rooms import lab
 from support.small import problem
 
-from lmd.formats.deployments import FileDeployment
 from lmd.formats.rigs import rig_of
+from lmd.formats.tag_maps import FileDeployment
 from lmd.formats.trajectories import read_recorded_poses
 from lmd.scene.deployment import Deployment
 from lmd.scene.tag import Tag

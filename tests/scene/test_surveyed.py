@@ -14,8 +14,8 @@ from lmd.detection.frames import tagged_room
 from lmd.estimation.sensors import corners_of
 from lmd.evaluation.measured import as_measured, read_measured
 from lmd.evaluation.validation import Sample
-from lmd.formats.deployments import FileDeployment
 from lmd.formats.tag_map import TagMap
+from lmd.formats.tag_maps import FileDeployment
 from lmd.geometry.squares import corners, upright
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.ledger import Budget

@@ -13,7 +13,7 @@ from support.strategies import FISHEYE, deployments, fiducial_scenes, seeds, uni
 from support.thorough import examples
 
 from lmd.core.checks import InputError
-from lmd.detection.quality import apparent_edge, incidence, pitch
+from lmd.detection.corner_errors import apparent_edge, incidence, pitch
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import blur_sigma, depth_in_focus, project, to_camera
 from lmd.geometry.se3 import axis_and_right, camera_pose

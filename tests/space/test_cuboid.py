@@ -9,7 +9,7 @@ from support.paper import SIDE_WALLS, experiment_room, paper_room
 from support.strategies import rooms
 
 from lmd.space.cuboid import WALLS, Cuboid
-from lmd.space.relevance import Relevance
+from lmd.space.space import Relevance
 
 
 @pytest.mark.parametrize(("positions", "shape", "count"), [("cells", (12, 7, 9), 756), ("vertices", (13, 8, 10), 1040)])

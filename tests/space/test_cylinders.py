@@ -6,8 +6,7 @@ import trimesh
 from numpy.testing import assert_array_equal
 from support.rooms import lab
 
-from lmd.core.worst import worst_mean
-from lmd.space.crowd import RADIUS, TOP, Crowd, CrowdStates, X, Y
+from lmd.space.crowd import RADIUS, TOP, Crowd, CrowdStates, X, Y, worst_mean
 from lmd.space.cuboid import Cuboid
 
 ROOM = Cuboid((6.0, 4.0, 2.5), (5.0, 3.0, 1.5), 1.0)

@@ -13,7 +13,7 @@ from lmd.space.cuboid import Cuboid
 from lmd.space.floor_plan import FloorPlan
 from lmd.space.parts import Reachable
 from lmd.space.prism import Prism, from_floor_plan
-from lmd.space.relevance import Relevance
+from lmd.space.space import Relevance
 
 PLAN = {"outline": L_SHAPE, "height": 2.5, "reachable": {"height": [0.5, 1.5], "clearance": 0.3}, "spacing": 0.5}
 MESH = {"path": "good.ply", "reachable": {"height": [0.5, 1.5], "clearance": 0.5}, "spacing": 0.5}

@@ -13,7 +13,7 @@ from lmd.geometry.se3 import camera_pose, exp, inverse, pose_of
 from lmd.geometry.trajectory import Trajectory
 from lmd.scene.deployment_sources import UniformDeployment
 from lmd.scene.tag import Tag
-from lmd.space.driven import DrivenRoom
+from lmd.space.changed import DrivenRoom
 from support import walks
 from support.paper import paper_room, paper_scene
 

@@ -12,8 +12,7 @@ from lmd.geometry.se3 import exp, inverse
 from lmd.plot import plans
 from lmd.plot.common import new_figure
 from lmd.scene.deployment import Deployment
-from lmd.scene.labels import Labels
-from lmd.scene.surveyed import Surveyed
+from lmd.scene.labels import Labels, Surveyed
 from lmd.scene.tag import Tag
 from lmd.survey.knowledge import MeasuredPoints, PriorKnowledge, poses_of
 from lmd.survey.results import map_columns, map_of, measured_of, metrics, survey_document

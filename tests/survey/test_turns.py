@@ -11,8 +11,7 @@ from support import walks
 from lmd.core.checks import InputError
 from lmd.formats.detections import DetectedTags
 from lmd.scene.deployment import Deployment
-from lmd.scene.labels import Labels
-from lmd.scene.surveyed import Surveyed
+from lmd.scene.labels import Labels, Surveyed
 from lmd.survey.knowledge import Boards
 from lmd.survey.results import map_of
 from lmd.survey.terminal import to_text

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, check_fields, real
-from lmd.core.worst import worst_mean, worst_of
 from lmd.incremental.field import Field
 from lmd.incremental.worst_groups import WorstGroups
 from lmd.objectives.base import AtLeast, Headline, figure_of, with_error
@@ -25,6 +24,7 @@ from lmd.scene.criteria import TOLERANCE
 from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
+from lmd.space.crowd import worst_mean, worst_of
 
 VAGUE, ROUNDED = 512, 64  # quanta of information that matter next to the first estimate, and that are rounding errors
 WORST = 0.05  # share of the drives that the figure of the worst ones is of, unless the fitness is
@@ -34,7 +34,7 @@ WORST = 0.05  # share of the drives that the figure of the worst ones is of, unl
 class Filtered(AtLeast):
     """Share of the time of drives, or of the worst of them, at which the filtered pose is known to a tolerance.
 
-    Each frame of a drive is a position of the problem (`lmd.space.driven.DrivenRoom`). Its value is 1 if the standard
+    Each frame of a drive is a position of the problem (`lmd.space.changed.DrivenRoom`). Its value is 1 if the standard
     deviation of the filtered position, computed from the odometry and from the tags in view of this frame and of the
     frames before it (`covariance`), is at most the tolerance, otherwise 0.
 

@@ -23,7 +23,7 @@ SUFFIXES = (".yaml", ".yml")
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits within which a detector finds a tag, in the terms of `lmd.detection.quality`.
+    """Limits within which a detector finds a tag, in the terms of `lmd.detection.corner_errors`.
 
     Args:
         pitch: a, least pitch without blur, pixels per module.
