@@ -12,7 +12,7 @@ import numba
 import numpy as np
 from numba import types
 
-from lmd.core.inside_numba import CLOCK, StrictCompiler, TimedCompiler
+from lmd.core.compile_clock import CLOCK, StrictCompiler, TimedCompiler
 
 # Versions of numba with which `lmd.core.inside_numba` is tested; with other versions kernels take longer to compile. If
 # the environment variable `PLAIN` is set, every version counts as untested.

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from support.processes import ROOT, environment
 
-from lmd.core import compiled, inside_numba
+from lmd.core import compile_clock, compiled, inside_numba
 from lmd.core.compiled import allocating, borrowing, inlined, inner, kernel
 
 
@@ -122,7 +122,7 @@ def test_arrays_that_nothing_would_hold_are_not_returned(refused, name):
     """The memory would be freed while it is used, and the process would die."""
     with pytest.raises(TypeError, match=rf"\.{name} \(.*test_compiled.py, line \d+\) returns arrays that nothing"):
         refused(np.arange(5.0))
-    assert not inside_numba.CLOCK.active
+    assert not compile_clock.CLOCK.active
 
 
 @inner
@@ -184,8 +184,8 @@ def test_arrays_that_are_counted_are_returned():
 def clock(monkeypatch):
     """A clock by itself, on a time that advances by one whenever it is read."""
     time = count(10)
-    monkeypatch.setattr(inside_numba.time, "perf_counter", lambda: float(next(time)))
-    return inside_numba.CompileClock()
+    monkeypatch.setattr(compile_clock.time, "perf_counter", lambda: float(next(time)))
+    return compile_clock.CompileClock()
 
 
 def test_the_clock_stands_still_while_kernels_and_their_parts_are_compiled(clock, capsys):
@@ -226,8 +226,8 @@ def test_where_nothing_can_be_written_kernels_are_compiled_all_the_same(monkeypa
         raise RuntimeError("no locator available")
 
     monkeypatch.setattr(inside_numba, "Cache", refuse)
-    monkeypatch.setattr(compiled, "CLOCK", inside_numba.CompileClock())
-    monkeypatch.setattr(inside_numba, "CLOCK", compiled.CLOCK)
+    monkeypatch.setattr(compiled, "CLOCK", compile_clock.CompileClock())
+    monkeypatch.setattr(compile_clock, "CLOCK", compiled.CLOCK)
     double = kernel(lambda x: 2.0 * x)
     assert double(1.5) == 3.0
     assert "it cannot be kept, as no folder can be written to; NUMBA_CACHE_DIR=DIR" in capsys.readouterr().err

@@ -1,0 +1,111 @@
+"""numba compiler for `lmd`'s functions that measures the compilation time and prints progress.
+
+Functions of other packages are not timed.
+"""
+
+import gc
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import Any
+
+from numba import types
+from numba.core.compiler import Compiler
+
+# Thresholds of Python's garbage collector during compilation. Most objects of the compiler stay alive; collections at
+# the default thresholds would take a twelfth of the time.
+GARBAGE_THRESHOLDS = (20_000, 50, 1_000)
+
+
+class CompileClock:
+    """Clock without the time during which this process compiles, in any of its threads."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._compiling = 0  # number of functions being compiled; most are nested in others
+        self._began = self._spent = 0.0
+        self._kernels = 0  # number of kernels whose compilation has begun
+        self._thresholds = gc.get_threshold()
+        self.cache_note = "it is kept for the next time"  # part of the message on the first compilation
+
+    @contextmanager
+    def stopped(self, function: Any) -> Iterator[None]:
+        """Stop the clock while a function is compiled; print its name unless the compilation is nested in another."""
+        with self._lock:
+            self._compiling += 1
+            if outermost := self._compiling == 1:
+                self._began, self._thresholds = time.perf_counter(), gc.get_threshold()
+                if self._thresholds[0]:
+                    gc.set_threshold(*map(max, self._thresholds, GARBAGE_THRESHOLDS))
+        try:
+            if outermost:
+                self._print_progress(function)
+            yield
+        finally:
+            with self._lock:
+                self._compiling -= 1
+                if not self._compiling:
+                    self._spent += time.perf_counter() - self._began
+                    gc.set_threshold(*self._thresholds)
+
+    def _print_progress(self, function: Any) -> None:
+        from tqdm import tqdm
+
+        lines = [] if self._kernels else [f"compiling what this needs; {self.cache_note}"]
+        self._kernels += 1
+        lines.append(
+            f"compiling kernel {self._kernels}, {self._spent:.0f} s so far: {name_of(function).partition(' (')[0]}"
+        )
+        with suppress(OSError):  # standard error is closed
+            tqdm.write("\n".join(lines), file=sys.stderr)  # above a progress bar
+
+    @property
+    def active(self) -> bool:
+        """True while the compiler is at work."""
+        return self._compiling > 0
+
+    def read(self) -> float:
+        """Time without compilation, seconds."""
+        with self._lock:
+            return (self._began if self._compiling else time.perf_counter()) - self._spent
+
+
+CLOCK = CompileClock()
+
+
+class TimedCompiler(Compiler):
+    """numba's compiler; `CLOCK` stands still while it works."""
+
+    returns_arrays = True  # False: a function may return a counted array, but no array in a tuple
+
+    def compile_extra(self, func: Any) -> Any:
+        """Compile a function.
+
+        Raises:
+            TypeError: the function returns arrays without a reference count, see `StrictCompiler`.
+        """
+        counted, models = self.state.flags.nrt, self.state.targetctx.data_model_manager
+        with CLOCK.stopped(func):
+            result = super().compile_extra(func)
+        returned = result.signature.return_type
+        held = counted and not isinstance(returned, types.BaseTuple)
+        if not (self.returns_arrays or held) and models[returned].contains_nrt_meminfo():
+            raise TypeError(
+                f"{name_of(func)} returns arrays that nothing would hold: write to arrays that it is given, or return "
+                "numbers."
+            )
+        return result
+
+
+class StrictCompiler(TimedCompiler):
+    """Refuses functions that return arrays in tuples or without a reference count, as these would be freed early."""
+
+    returns_arrays = False
+
+
+def name_of(function: Any) -> str:
+    """Name of a function for messages, with module, file and line."""
+    code, module = function.__code__, (function.__module__ or "").removeprefix("lmd.")
+    return f"{module}.{function.__qualname__} ({code.co_filename}, line {code.co_firstlineno})"
