@@ -9,8 +9,8 @@ from support.small import problem
 
 import lmd
 from lmd.core import compiled, sources
-from lmd.core.compiled import LINKED
 from lmd.core.compile_clock import TimedCompiler
+from lmd.core.compiled import LINKED
 from lmd.core.sources import classes_in, digest_of
 from lmd.incremental.coverage_field import CoverageField
 from lmd.incremental.field import Places
