@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from lmd.scene.rig import Rig
     from lmd.scene.tag import Tag
 
-DETECTED, BAG, PICTURE = "detections.csv", "poses.mcap", "localise.png"
+DETECTED, PICTURE = "detections.csv", "localise.png"
 SURVEYED = "map.csv"  # map in the folder of a survey
 
 
@@ -29,7 +29,6 @@ def localise(cfg: DictConfig) -> Study:
     """Localise the configured photographs or detections."""
     from lmd.core.checks import InputError, boolean, seed_number
     from lmd.formats.detection_formats import write_detections
-    from lmd.formats.pose_bags import check_pose_bag, write_pose_bag
     from lmd.localise import results
     from lmd.localise.localise import Drive
     from lmd.localise.localise import localise as find
@@ -47,7 +46,7 @@ def localise(cfg: DictConfig) -> Study:
     odometry = odometry_of(settings.odometry, "localise.odometry")
     with keyed("localise"):
         steady = None if settings.motion == "auto" else boolean("motion", settings.motion)
-        calibrate, bag = boolean("calibrate", settings.calibrate), boolean("bag", settings.bag)
+        calibrate = boolean("calibrate", settings.calibrate)
         is_mounted = boolean("mounted", settings.mounted)
     if steady and odometry is not None:
         raise InputError("localise.motion is for drives without odometry: leave one of the two out.")
@@ -62,9 +61,6 @@ def localise(cfg: DictConfig) -> Study:
         with doing("localising"):
             drive = Drive(mounts, is_mounted, odometry, steady)
             found = find(seen, given.cameras, tag, detector.corner_errors, known, drive, room, calibrate)
-    if bag:
-        with keyed("localise"):
-            check_pose_bag(seen.times)
     about = f"localisation of {found.found.localised.sum()} of {len(seen.times)} frames"
     smoothed = None if found.smoothed is None else found.smoothed.frames
     files: dict[str, Any] = {
@@ -78,8 +74,6 @@ def localise(cfg: DictConfig) -> Study:
     if cfg.picture:
         title = f"{about} in {cfg.map or 'the map'}"
         files[PICTURE] = lambda path: save_localised_figure(path, found, room, title)
-    if bag:
-        files[BAG] = lambda path: write_pose_bag(path, seen.times, *results.pose_topics(found))
     if cfg.detections is None:
         files[DETECTED] = lambda path: write_detections(path, seen)
     report = Report(files, results.metrics(found), text=results.to_text(found))

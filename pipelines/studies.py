@@ -169,7 +169,7 @@ def _uncertainty_files(
     cfg: DictConfig, problem: "Problem", deployment: "Deployment", found: "Uncertainty", law: "UncertaintyLaw"
 ) -> dict[str, Any]:
     """Contents of the files about the uncertainty."""
-    from lmd.export.filter_code import CLASS, FilterLaws, java, python, robot_localization
+    from lmd.export.filter_code import CLASS, FilterLaws, java, python
     from lmd.plot.uncertainty import save_uncertainty_figure
 
     from .tracked_run import title_of
@@ -187,7 +187,6 @@ def _uncertainty_files(
         "uncertainty_tags.csv": found.tags,
         f"{CLASS}.java": java(code),
         "vision_uncertainty.py": python(code),
-        "robot_localization.yaml": robot_localization(code),
     }
     title = title_of(problem, "uncertainty of the pose from one image,")
     if cfg.picture:

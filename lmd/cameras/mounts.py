@@ -156,20 +156,6 @@ class MountSpace(Checked):
                 )
         return np.stack(found)
 
-    def moved(self, rig: Rig, number: int, mount: Mount) -> Rig:
-        """Copy of a rig with camera `number` at the admissible mount nearest to `mount`.
-
-        Raises:
-            InputError: there the camera sees too much of the body at any angle, or is too close to another camera.
-        """
-        there = self.mount(self._nearest_genes(mount))
-        if there is None:
-            raise InputError(f"camera {number} would see its body from there.")
-        others = rig.mounts[:number] + rig.mounts[number + 1 :]
-        if not all(self.are_apart((there, other)) for other in others):
-            raise InputError(f"camera {number} would be less than {self.apart:g} m from another.")
-        return rig.with_mount(number, there)
-
     def _nearest_genes(self, mount: Mount) -> FloatArray:
         """Genes `(G,)` of the mount nearest to `mount`, which need not be admissible."""
         s, place = self._surfaces, np.array(mount.translation)

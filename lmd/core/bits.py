@@ -116,9 +116,7 @@ def in_words(values: np.ndarray) -> np.ndarray:
 
 def packed(flags: np.ndarray) -> np.ndarray:
     """Bit sets `(..., W)` uint64 of `flags` `(..., D)`."""
-    missing = -flags.shape[-1] % BITS
-    padded = np.pad(flags, [(0, 0)] * (flags.ndim - 1) + [(0, missing)])
-    return np.packbits(padded, axis=-1, bitorder="little").view("<u8").astype(np.uint64, copy=False)
+    return np.packbits(in_words(flags), axis=-1, bitorder="little").view("<u8").astype(np.uint64, copy=False)
 
 
 def unpacked(words: np.ndarray, size: int) -> np.ndarray:

@@ -54,18 +54,12 @@ CONTAINERS = (
     _kind("Matroska and WebM", "matroska,webm", rb"\x1a\x45\xdf\xa3"),
     _kind("AVI", "avi", rb"RIFF.{4}AVI[ \x19]"),
     _kind("Ogg", "ogg", rb"OggS\0"),
-    _kind("FLV", "flv", rb"FLV\x01"),
-    _kind("IVF", "ivf", rb"DKIF\0"),
-    _kind("ASF", "asf", rb"\x30\x26\xb2\x75\x8e\x66\xcf\x11"),
-    _kind("MXF", "mxf", rb"\x06\x0e\x2b\x34\x02\x05\x01\x01"),
     # Packets of 188 bytes, possibly preceded by a time of 4 bytes (camcorders) or followed by a checksum.
     *(
         _kind("MPEG-TS", "mpegts", rb".{%d}\x47(.{%d}\x47){%d}" % (before, size - 1, LEAST_PACKETS - 1))
         for before, size in ((0, 188), (4, 192), (0, 204))
     ),
     _kind("MPEG-PS", "mpeg", rb"\0\0\x01\xba"),
-    _kind("raw MPEG-2", "mpegvideo", rb"\0\0\x01\xb3"),
-    _kind("raw MPEG-4", "m4v", rb"\0\0\x01(\xb0|[\x00-\x1f]\0\0\x01[\x20-\x2f])"),
     # Start code, then the type of the first unit: parameters, a delimiter or information.
     _kind("raw H.264", "h264", rb"\0{2,8}\x01[\x07\x27\x47\x67\x06\x09\x29\x49\x69]"),
     _kind("raw H.265", "hevc", rb"\0{2,8}\x01[\x40\x42\x46\x4e]\x01"),

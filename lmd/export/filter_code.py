@@ -1,10 +1,9 @@
-"""Standard deviations of poses as filters take them: WPILib in Java and Python, and robot_localization in YAML.
+"""Standard deviations of poses as filters take them: WPILib in Java and Python.
 
 WPILib's pose estimators take the standard deviations of x [m], y [m] and heading [rad] of a measurement by
-`setVisionMeasurementStdDevs`, or with each `addVisionMeasurement`. `robot_localization` takes the covariance of each
-pose from its message, so the YAML has the diagonal for the node that publishes the poses. PhotonVision has no such
-setting; its examples pass constants of the robot's code, and AdvantageKit's template scales a baseline by d^2 / n: the
-Java and Python code has these constants, too. Limelight publishes standard deviations (`stddevs`) and takes none.
+`setVisionMeasurementStdDevs`, or with each `addVisionMeasurement`. PhotonVision has no such setting; its examples pass
+constants of the robot's code, and AdvantageKit's template scales a baseline by d^2 / n: the code has these constants.
+Limelight publishes standard deviations (`stddevs`) and takes none.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,7 +15,6 @@ from lmd.core.checks import InputError
 from lmd.estimation.deviation_law import Law, PowerLaw, Rule
 
 CLASS = "VisionUncertainty"
-TYPICAL = ((1, 1.0), (1, 2.0), (2, 2.0), (2, 4.0), (3, 4.0), (4, 4.0))  # numbers of tags and distances [m] of the YAML
 
 
 @dataclass(frozen=True)
@@ -175,38 +173,3 @@ def std_devs(distance: float, tags: int) -> tuple[float, float, float]:
     position = law(*(ONE_POSITION if tags == 1 else SEVERAL_POSITION))
     return position, position, law(*(ONE_HEADING if tags == 1 else SEVERAL_HEADING))
 '''
-
-
-def robot_localization(laws: FilterLaws) -> str:
-    """Parameters of `robot_localization`, with comments for the node that publishes poses: the laws, and diagonals.
-
-    The diagonal has x, y, z [m^2], roll, pitch and yaw [rad^2]: elements 0, 7, 14, 21, 28 and 35 of the covariance of a
-    `PoseWithCovarianceStamped`. Comments, as ROS 2 refuses a parameter file with keys that are no parameters of a node.
-    """
-    names = ("horizontal", "vertical", "tilt", "heading")
-    rows = []
-    for tags, distance in TYPICAL:
-        found = laws.deviations(distance, tags, names)
-        if not np.isfinite(found).all() or not laws.nearest <= distance <= laws.farthest:
-            continue
-        x, z, tilt, heading = (_number(value**2) for value in found)
-        rows.append(f"#   n = {tags}, d = {distance:g}: [{x}, {x}, {z}, {tilt}, {tilt}, {heading}]")
-    both = [(f"{name}, a single tag", laws.laws[name].one) for name in names]
-    both += [(f"{name}, several tags", laws.laws[name].several) for name in names]
-    said = [f"#   {what}: {_number(a.scale)} d^{_number(a.distance)} / n^{_number(a.tags)}" for what, a in both]
-    reach = "" if np.isinf(laws.reach) else f"\n# The pose from a single tag is ambiguous beyond {laws.reach:g} m."
-    lines = [
-        f"# {laws.about}",
-        "# robot_localization takes the covariance of a pose from its message, PoseWithCovarianceStamped: the node",
-        "# that publishes poses writes x, y, z (m^2), roll, pitch, yaw (rad^2) into elements 0, 7, 14, 21, 28, 35.",
-        f"# Standard deviations (m, rad) by the mean distance d (m) to n tags, as in uncertainty_law.json.{reach}",
-        *said,
-        *(["# Diagonals by these laws:", *rows] if rows else []),
-        "ekf_filter_node:",
-        "  ros__parameters:",
-        "    pose0: /tags/pose  # of the camera's body, or of the robot, in the frame of the map",
-        f"    pose0_config: [{', '.join(['true'] * 6 + ['false'] * 9)}]",
-        "    pose0_differential: false",
-        "    pose0_relative: false",
-    ]
-    return "\n".join(lines) + "\n"

@@ -147,21 +147,6 @@ def brings_cameras(mounts: Any) -> bool:
     return bool(own) and all(own)
 
 
-def calibrations_of(mounts: Any) -> dict[Camera, Any]:
-    """Calibrations by camera of `rig_of`, for `write_rig`; the default camera of the rig has none.
-
-    Raises:
-        InputError: a calibration is refused.
-    """
-    if _is_chain(mounts):
-        shared = _shared(mounts)
-        names = read_chain(mounts["path"], mounts.get("names"), **shared)
-        sources = [{"path": mounts["path"], "name": name, **shared} for name in names]
-    else:
-        sources = [entry["camera"] for entry in mounts if entry.get("camera") is not None]
-    return {camera: source for source in sources if (camera := camera_from(source)) is not None}
-
-
 def _is_chain(mounts: Any) -> bool:
     return isinstance(mounts, Mapping) and "path" in mounts
 

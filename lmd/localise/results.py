@@ -90,15 +90,6 @@ def tum_text(result: Localisation, frames: FloatArray | None) -> str:
     return "\n".join([TUM, *lines, ""])
 
 
-def pose_topics(result: Localisation) -> tuple[dict[str, tuple[FloatArray, FloatArray]], str]:
-    """Rows and covariances of poses by topic, for `lmd.formats.pose_bags`; and the topic that moves the camera."""
-    found, smoothed = result.found, result.smoothed
-    topics = {"/localise/pose": (_rows(found.frames), in_world(found.frames, found.covariances))}
-    if smoothed is not None:
-        topics["/localise/smoothed"] = (_rows(smoothed.frames), in_world(smoothed.frames, smoothed.covariances))
-    return topics, list(topics)[-1]
-
-
 def _sigmas(frames: FloatArray, covariances: FloatArray) -> FloatArray:
     """Standard deviations in the worst direction of the position, metres, and rotation, rad, of each pose, `(n, 2)`."""
     known = np.isfinite(frames[:, 0, 0])

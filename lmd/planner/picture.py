@@ -1,20 +1,21 @@
 """Picture of a room by viser: surfaces, positions and tags, with captions."""
 
 from collections.abc import Sequence
-from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
+from lmd.core.checks import BoolArray, FloatArray, IntArray
+from lmd.geometry.camera import Camera
+from lmd.geometry.projection import view_edges
+from lmd.geometry.se3 import pose_of
 from lmd.planner.figures import candidate_cells
 from lmd.planner.plan import Plan
 from lmd.planner.viewing import (
     FREE,
     GAINS,
     MEASURED,
-    PATTERN,
     PINNED,
     SEEN,
     SELECTED,
@@ -29,6 +30,7 @@ from lmd.planner.viewing import (
 from lmd.plot import common
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
+from lmd.scene.rig import OPTICAL, Mount, Rig
 from lmd.space.surface import FLAT, Surface
 
 SQUARE = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
@@ -72,8 +74,6 @@ class RoomPicture:
         self.cells = self._drawn_cells()
         self.balls = self._drawn_balls()
         self.tags: Any = None
-        self._patterns: Any = None
-        self._has_patterns = True
         self.captions = Captions(self._scene, problem.scene.footprints.hanging.surfaces())
 
     def _draw_outline(self) -> None:
@@ -152,42 +152,9 @@ class RoomPicture:
         else:
             self.tags.batched_positions, self.tags.batched_wxyzs, self.tags.batched_colors = places, turns, painted
             self.tags.batched_scales = halves
-        self._draw_patterns(deployment, places)
         above = places + halves[:, None] * ups  # an id is at the upper edge of its tag
         self.captions.show_ids(deployment.ids, above, selected, ids)
         return fresh
-
-    def _draw_patterns(self, deployment: Deployment, places: FloatArray) -> None:
-        """Draw the black modules of the tags on their papers, upright as they hang."""
-        tag, modules = self._problem.scene.tag, []
-        if tag.is_point or not self._has_patterns:
-            return
-        rights, ups = np.cross(deployment.ups, deployment.normals), deployment.ups
-        edges = deployment.edges_of(tag) * tag.picture_share / tag.in_family.picture_modules
-        try:
-            pictures = [self._picture_of(number) for number in deployment.ids.tolist()]
-        except InputError:  # the family lacks an id, or the package that draws its tags is missing
-            self._has_patterns = False
-            return
-        for shown, place, right, up, out, edge in zip(
-            pictures, places, rights, ups, deployment.normals, edges, strict=True
-        ):
-            across, down = ((shown - (tag.in_family.picture_modules - 1) / 2.0) * edge).T
-            middles = place + TAG_OFFSET_M / 4.0 * out + across[:, None] * right - down[:, None] * up
-            modules.append(middles[:, None] + edge / 2.0 * (SQUARE[:, :1] * right + SQUARE[:, 1:2] * up))
-        vertices = np.concatenate(modules).reshape(-1, 3)
-        if self._patterns is None or len(self._patterns.vertices) != len(vertices):
-            triangles = _squares(len(vertices) // 4)
-            self._patterns = self._scene.add_mesh_simple(
-                "/patterns", vertices, triangles, color=PATTERN, side="front", **SHADOWLESS
-            )
-        else:
-            self._patterns.vertices = vertices
-
-    @cached_property
-    def _picture_of(self) -> Any:
-        """Columns and rows of the black modules of a tag, by its id."""
-        return cache(lambda number: np.argwhere(~self._problem.scene.tag.picture(number))[:, ::-1])
 
     def _halves(self, deployment: Deployment) -> FloatArray:
         """Half the edges of the papers of tags, `(K,)`, metres; for points, half the drawn size."""
@@ -295,3 +262,41 @@ def offsets(tags: Deployment, plan: Deployment) -> FloatArray:
     _, of, among = np.intersect1d(plan.ids, tags.ids, return_indices=True)
     start = plan.places[of]
     return np.stack([start, start + OFFSET_MAGNIFICATION * (tags.places[among] - start)], axis=1)
+
+
+class Robot:
+    """Drawing of the camera, or of the cameras of a rig, at a position that the user has chosen.
+
+    Args:
+        scene: scene of viser.
+        depth: depth of the frustums, metres.
+        camera: the camera, or the rig.
+    """
+
+    def __init__(self, scene: Any, depth: float, camera: Camera | Rig) -> None:
+        mounts = camera.mounts if isinstance(camera, Rig) else (Mount(camera),)
+        self._frame, self._first = scene.add_frame("/robot", show_axes=False, visible=False), mounts[0]
+        self.views = [
+            scene.add_line_segments(f"/robot/camera_{i}", view_edges(mount.camera, depth), SEEN)
+            for i, mount in enumerate(mounts)
+        ]
+        for view, mount in zip(self.views, mounts, strict=True):
+            view.position, view.wxyz = mount.translation, _quaternion(mount.rotation @ OPTICAL)
+        self.position: FloatArray | None = None
+        """Position of the body, metres; None before the user has chosen one."""
+
+    def stand(self, position: FloatArray, turn: FloatArray) -> None:
+        """Move the body to a position `(3,)`, metres, and turn it by a rotation `(3, 3)`: ahead, left, up."""
+        self._turn, self._frame.wxyz = turn, _quaternion(turn)
+        self._frame.position, self._frame.visible, self.position = position, True, position
+
+    @property
+    def view(self) -> tuple[Camera, FloatArray]:
+        """First camera, and its pose, camera to world, `(4, 4)`."""
+        place = self.position + self._turn @ np.array(self._first.translation)
+        return self._first.camera, pose_of(self._turn @ self._first.rotation @ OPTICAL, place)
+
+
+def _quaternion(turn: FloatArray) -> FloatArray:
+    """Quaternion w, x, y, z of a rotation `(3, 3)`."""
+    return np.asarray(Rotation.from_matrix(turn).as_quat(scalar_first=True))

@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lmd.cameras.mounts import MountSpace, rounded
 from lmd.core.checks import LARGEST, FloatArray, InputError, IntArray
 from lmd.optimisers.base import Optimiser
 from lmd.optimisers.ledger import Budget
@@ -16,7 +15,6 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import GivenDeployment
 from lmd.scene.footprints import COLUMN, Footprints
 from lmd.scene.labels import Labels
-from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
 from lmd.space.space import Space, lower_edge
 from lmd.space.surface import SurfaceArrays
@@ -41,15 +39,13 @@ class Plan:
     """Tags with their ids and surfaces; `of` gives ids to landmarks that have none."""
     pinned: frozenset[int] = frozenset()
     """Ids of tags that do not move."""
-    rig: Rig | None = None
-    """Movable cameras; None if cameras cannot be moved."""
 
     @classmethod
-    def of(cls, deployment: Deployment, hung: Deployment | None = None, rig: Rig | None = None) -> "Plan":
+    def of(cls, deployment: Deployment, hung: Deployment | None = None) -> "Plan":
         """Plan of a deployment, in which the tags `hung`, which hang already, are pinned."""
         labels = deployment.labels or Labels(deployment.ids)
         pinned = frozenset() if hung is None else frozenset(hung.ids.tolist())
-        return cls(replace(deployment, labels=labels), pinned, rig)
+        return cls(replace(deployment, labels=labels), pinned)
 
     @property
     def free(self) -> IntArray:
@@ -164,28 +160,6 @@ class Plan:
         """
         self.index_of(number)
         return replace(self, pinned=self.pinned ^ {number})
-
-    def mounted(self, number: int, place: FloatArray, turn: FloatArray, space: MountSpace | None) -> "Plan":
-        """Move a camera.
-
-        Args:
-            number: index of the camera.
-            place: centre of the camera, `(3,)`, metres, body frame.
-            turn: rotation of the camera, see `Mount.rotation`, `(3, 3)`.
-            space: allowed mounts; the camera gets the nearest allowed mount. None to allow all mounts.
-
-        Raises:
-            InputError: the camera cannot be mounted there.
-        """
-        from scipy.spatial.transform import Rotation
-
-        assert self.rig is not None, "there are cameras to move"
-        if not (np.abs(place) <= LARGEST).all():  # also refuses NaN
-            raise InputError(f"a camera cannot be at {place} m.")
-        angles = Rotation.from_matrix(turn).as_euler("ZYX").tolist()
-        mount = rounded(self.rig.mounts[number].camera, place, *angles)
-        rig = self.rig.with_mount(number, mount) if space is None else space.moved(self.rig, number, mount)
-        return replace(self, rig=rig)
 
     def _movable(self, number: int) -> int:
         """Index of a tag that is not pinned.

@@ -22,9 +22,8 @@ from lmd.optimisers.ledger import Budget
 from lmd.planner.actions import HOST, Access, ActionQueue, call_in_order
 from lmd.planner.background import Background
 from lmd.planner.panel import DELETE, UNDO, PlannerPanel
-from lmd.planner.picture import MOST_CAPTIONS, RoomPicture
+from lmd.planner.picture import MOST_CAPTIONS, Robot, RoomPicture
 from lmd.planner.plan import Plan
-from lmd.planner.robot import robot_of
 from lmd.planner.session import PlanningSession
 from lmd.planner.viewing import pointed_at, seen_by, span_of
 from lmd.scene.deployment import Deployment
@@ -81,7 +80,7 @@ class Planner:
             self._picture.show_survey(survey, session.deployment)
         few, sizes = len(session.deployment) <= MOST_CAPTIONS, session.problem.scene.tag.sizes
         self._panel = PlannerPanel(self._server.gui, value, budget, ids=few, edges=sizes)
-        self._robot = robot_of(self._server, self._picture.depth, session, self._actions, self._show)
+        self._robot = Robot(self._server.scene, self._picture.depth, session.problem.scene.camera)
         self._background = Background(session, self._actions, self._panel, self._picture, seed)
         self._listen()
         self._show()
@@ -264,7 +263,6 @@ class Planner:
         session, problem = self._session, self._session.problem
         with self._server.atomic():
             self._show_tags()
-            self._robot.show()
             values = session.values()
             if self._dragged is None:  # else colours would change their meaning under the pointer
                 self._span = span_of(values)

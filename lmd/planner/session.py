@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lmd.cameras.mounts import MountSpace
 from lmd.core.checks import BoolArray, FloatArray, InputError
 from lmd.optimisers.base import Optimiser
 from lmd.optimisers.ledger import Budget
@@ -18,8 +17,6 @@ from lmd.planner.figures import Values, additions
 from lmd.planner.plan import Plan, TagSearch
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
-from lmd.scene.deployment_sources import GivenDeployment
-from lmd.scene.rig import Rig
 from lmd.sight.views import visible
 from lmd.space.space import lower_edge
 
@@ -41,18 +38,14 @@ class PlanningSession:
     Args:
         problem: scene and objective. Its fixed landmarks stay pinned.
         deployment: initial tags, with their surfaces.
-        space: allowed mounts of the problem's rig; None to allow all.
 
     Raises:
-        InputError: the objective has no field, or a mount is not allowed.
+        InputError: the objective has no field.
     """
 
-    def __init__(self, problem: Problem, deployment: Deployment, space: MountSpace | None = None) -> None:
-        rig = problem.scene.rig
-        if rig is not None and space is not None:
-            space.genes(rig)
-        self.problem, self.space = problem, space
-        self.plan = self._saved = Plan.of(deployment, problem.fixed, rig)
+    def __init__(self, problem: Problem, deployment: Deployment) -> None:
+        self.problem = problem
+        self.plan = self._saved = Plan.of(deployment, problem.fixed)
         self.posed = Posed(problem, self.plan.deployment)  # replaced at every change
         self._hung = self.plan.pinned
         self._values = Values(problem, deployment)
@@ -69,13 +62,8 @@ class PlanningSession:
 
     @property
     def is_saved(self) -> bool:
-        """True if tags and cameras are unchanged since the last save, or since the start."""
-        return self.plan.deployment is self._saved.deployment and self.rig is self._saved.rig
-
-    @property
-    def rig(self) -> Rig | None:
-        """Present cameras; None if they cannot be moved."""
-        return self.plan.rig
+        """True if the tags are unchanged since the last save, or since the start."""
+        return self.plan.deployment is self._saved.deployment
 
     def note_saved(self) -> None:
         """Record that the plan was saved."""
@@ -131,14 +119,6 @@ class PlanningSession:
         point = surface.point(*surface.from_left_and_below(np.array([left, up - lower_edge(room, surface)])))
         self.drag(number, index, np.array([(point - hanging.origin) @ axis for axis in (hanging.u, hanging.v)]))
         self.drop()
-
-    def mount(self, number: int, place: FloatArray, turn: FloatArray) -> None:
-        """Move a camera, see `Plan.mounted`. All moves until `drop` are undone as one step.
-
-        Raises:
-            InputError: as for `Plan.mounted`, or a camera would be outside the room, or a search is running.
-        """
-        self._become(self.plan.mounted(number, place, turn, self.space), f"camera {number}")
 
     def drop(self) -> None:
         """End a drag."""
@@ -248,14 +228,8 @@ class PlanningSession:
         self.plan = source.pop()
 
     def _follow(self, plan: Plan) -> None:
-        """Update the problem and the values to another plan."""
-        if plan.rig is None or plan.rig is self.rig:
-            self._values.update(plan.deployment)
-        else:
-            # A random start may take long to draw, so the present tags replace it.
-            start = GivenDeployment(self.problem.free(plan.deployment)) if self.problem.start.varies else None
-            problem = self.problem.with_rig(plan.rig, start)
-            self._values, self.problem = Values(problem, plan.deployment), problem
+        """Update the values to another plan."""
+        self._values.update(plan.deployment)
         self.posed = Posed(self.problem, plan.deployment)
 
     def _become(self, plan: Plan, dragged: object = None) -> None:

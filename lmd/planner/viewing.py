@@ -189,8 +189,7 @@ FREE, PINNED = rgb(common.LANDMARK), rgb(common.FIXED)
 SELECTED, SEEN = rgb("#ff7f0e"), rgb("#ffdd33")
 MEASURED = rgb("#17becf")  # tags of a survey
 UNKNOWN = rgb("#cdcdcd")
-WALL, PATTERN = rgb("#ececec"), rgb("#1a1a1a")
-BODY = rgb("#7f8fa6")  # body of a robot
+WALL = rgb("#ececec")
 VALUES = common.COLOUR_MAP  # colour map of the objective's values
 GAINS = "magma"  # colour map of gains by one more tag
 

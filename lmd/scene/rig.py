@@ -117,10 +117,6 @@ class Rig:
         turns = OPTICAL.T @ np.stack([mount.rotation for mount in self.mounts]) @ OPTICAL
         return pose_of(turns, np.stack([mount.translation for mount in self.mounts]) @ OPTICAL)
 
-    def with_mount(self, number: int, mount: Mount) -> "Rig":
-        """Rig with mount `number` replaced by `mount`."""
-        return Rig((*self.mounts[:number], mount, *self.mounts[number + 1 :]))
-
     @property
     def needs_roll(self) -> bool:
         """True if the body's roll moves a camera or its optical axis."""

@@ -1,19 +1,15 @@
-"""Code and parameters for filters compute the laws; the Java compiler takes some seconds."""
+"""Code for filters computes the laws; the Java compiler takes some seconds."""
 
-import json
 import math
-import re
 import shutil
 import subprocess
 import sys
 
-import numpy as np
 import pytest
-from support.references import parameters
 
 from lmd.core.checks import InputError
 from lmd.estimation.deviation_law import QUANTITIES, Law, PowerLaw, Rule
-from lmd.export.filter_code import CLASS, TYPICAL, FilterLaws, java, python, robot_localization
+from lmd.export.filter_code import CLASS, FilterLaws, java, python
 
 BOTH = {name: Law(PowerLaw(1e-5 + 0.01 * i, 2.0 + i), PowerLaw(0.02, 1.5, 0.75)) for i, name in enumerate(QUANTITIES)}
 RULES = {shape: {name: Rule(shape, 0.4, 0.05) for name in QUANTITIES} for shape in ("squared", "photonvision")}
@@ -87,47 +83,8 @@ def test_java_code_computes_the_laws(tmp_path):
     assert rows[-1] == [0.05, 0.05, 0.05]
 
 
-def test_yaml_has_parameters_of_one_node_and_says_laws_and_diagonals():
-    text = robot_localization(LAWS)
-    found = parameters(text)
-    assert list(found) == ["ekf_filter_node"]
-    assert found["ekf_filter_node"]["pose0_config"] == [True] * 6 + [False] * 9
-    assert "beyond 2.5 m." in text
-    laws = re.findall(r"#   (\w+), (a single tag|several tags): (.+) d\^(.+) / n\^(.+)", text)
-    assert len(laws) == 8
-    for name, group, *numbers in laws:
-        law = LAWS.laws[name].one if group == "a single tag" else LAWS.laws[name].several
-        assert [float(number) for number in numbers] == pytest.approx([law.scale, law.distance, law.tags])
-    rows = re.findall(r"#   n = (\d), d = (.+): (.+)", text)
-    assert [(int(tags), float(distance)) for tags, distance, _ in rows] == list(TYPICAL)
-    names = ("horizontal", "horizontal", "vertical", "tilt", "tilt", "heading")
-    for tags, distance, diagonal in rows:
-        deviations = LAWS.deviations(float(distance), int(tags), names)
-        assert json.loads(diagonal) == pytest.approx(np.square(deviations), rel=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("a: {ros__parameters: {b: 1}}\nlaws: {reach: 2.0}", "before ros__parameters"),
-        ("a: {ros__parameters: {b: [{c: 1}]}}", "a list must hold"),
-        ("a: {ros__parameters: {b: [1, 2.0]}}", "of same type"),
-        ("a: {ros__parameters: {b: []}}", "not empty"),
-        ("a: {ros__parameters: {b: {}}}", "empty mapping"),
-        ("a: {ros__parameters: {b: }}", "No value"),
-        ("a-b: {ros__parameters: {b: 1}}", "no name of a node"),
-        ("a: {ros__parameters: {b: &x 1, c: *x}}", "aliasing"),
-    ],
-)
-def test_parameters_that_abort_a_node_are_refused_here(text, message):
-    with pytest.raises(ValueError, match=message):
-        parameters(text)
-
-
 def test_without_a_limit_a_single_tag_is_always_known():
     free = FilterLaws(BOTH, RULES, math.inf, 0.5, 6.0, "tags")
     assert "SINGLE_TAG_REACH = Double.POSITIVE_INFINITY;" in java(free)
-    assert parameters(robot_localization(free)) == parameters(robot_localization(LAWS))
-    assert "ambiguous" not in robot_localization(free)
     with pytest.raises(InputError, match="about must be a single line"):
         FilterLaws(BOTH, RULES, math.inf, 0.5, 6.0, "a\nb")

@@ -12,7 +12,6 @@ from lmd.detection.photographed import images_in
 from lmd.formats.bags import CAMERA_INFO, DETECTIONS, IMAGE, Bag, is_bag
 from lmd.formats.calibrations import calibrated_camera
 from lmd.formats.detection_formats import read_detections
-from lmd.formats.pose_bags import write_pose_bag
 from lmd.geometry.camera import Camera
 
 SMALL = Camera(2.0, 0.01, 0.01, (8.0, 6.0), 16, 12, 0.0)
@@ -62,29 +61,6 @@ def test_detections_have_frames_for_images_without_a_tag(tmp_path):
     np.testing.assert_array_equal(found.frame[order], walk.frame)
     np.testing.assert_array_equal(found.ids[order], walk.ids)
     np.testing.assert_allclose(found.corners[order], walk.corners)
-
-
-def test_poses_are_written_as_a_bag_that_others_read(tmp_path):
-    rng = np.random.default_rng(0)
-    poses = np.hstack([rng.normal(size=(3, 3)), np.tile([0.0, 0.0, 0.6, 0.8], (3, 1))])
-    half = rng.normal(size=(3, 6, 6))
-    covariances = half @ np.swapaxes(half, 1, 2)
-    poses[1] = np.nan
-    path = tmp_path / "poses.mcap"
-    write_pose_bag(path, ["10.5", "11.25", "12"], {"/localise/pose": (poses, covariances)}, "/localise/pose")
-    assert list(tmp_path.iterdir()) == [path]
-    read = bf.read(path)
-    assert sorted(topic for topic, _ in read) == ["/localise/pose"] * 2 + ["/tf"] * 2
-    first, last = (message for topic, message in read if topic == "/localise/pose")
-    assert (first.header.stamp.sec, first.header.stamp.nanosec, first.header.frame_id) == (10, 500_000_000, "map")
-    assert last.header.stamp.sec == 12
-    position = first.pose.pose.position
-    np.testing.assert_allclose([position.x, position.y, position.z], poses[0, :3])
-    np.testing.assert_allclose(first.pose.covariance, covariances[0].ravel())
-    (moved, *_) = next(message for topic, message in read if topic == "/tf").transforms
-    assert (moved.child_frame_id, moved.transform.rotation.w) == ("camera", 0.8)
-    with pytest.raises(InputError, match=r"a bag needs times of images in seconds, got 'a\.png'"):
-        write_pose_bag(tmp_path / "b.mcap", ["a.png"], {"/p": (poses[:1], covariances[:1])}, "/p")
 
 
 def test_bags_without_what_is_wanted_are_refused_in_one_sentence(tmp_path):

@@ -64,7 +64,7 @@ def surveyed(room):
 
 @pytest.mark.usefixtures("surveyed")
 def test_a_bag_of_photographs_with_their_camera_is_surveyed_and_localised(room):
-    """MCAP by another library; the map is that of the photographs, and the bag of poses is read by that library."""
+    """MCAP by another library; the map is that of the photographs."""
     cwd, _, _ = room
     rows = [("/camera_info", "sensor_msgs/msg/CameraInfo", 0, bags.camera_info(CAMERA))]
     for k, path in enumerate(sorted((cwd / "photos").iterdir())):
@@ -76,15 +76,11 @@ def test_a_bag_of_photographs_with_their_camera_is_surveyed_and_localised(room):
     assert done.returncode == 0, done.stderr
     first, again = (pd.read_csv(cwd / folder / "map.csv").sort_values("id") for folder in ("out", "bagged"))
     np.testing.assert_allclose(again[["x", "y", "z"]], first[["x", "y", "z"]], atol=1e-6)
-    more = ["map=bagged", "localise.bag=true", "hydra.run.dir=localised"]
+    more = ["map=bagged", "hydra.run.dir=localised"]
     done = processes.inside("localise", *more, cwd=cwd, settings=given)
     assert done.returncode == 0, done.stderr
-    poses = [message for _, message in bags.read(cwd / "localised" / "poses.mcap", "/localise/pose")]
     table = pd.read_csv(cwd / "localised" / "poses.csv")
-    known = table[table.state == "localised"]
-    assert len(poses) == len(known) > 15
-    assert [one.pose.pose.position.x for one in poses] == pytest.approx(known.x.tolist())
-    assert [one.pose.covariance[7] for one in poses] == pytest.approx(known.cov_y_y.tolist())
+    assert (table.state == "localised").sum() > 15
     processes.refused(
         "localise", *more, "topic=/rear", message="has no topic '/rear' of Image", cwd=cwd, settings=given
     )

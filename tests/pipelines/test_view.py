@@ -13,12 +13,9 @@ import numpy as np
 import pytest
 from support import chromium
 from support.chromium import LANDMARKS, LIMIT, SETTINGS, Page
-from support.paper import paper_room
-from support.processes import SMALL, call, command, refused, start
+from support.processes import call, command, refused, start
 
-from lmd.formats.rigs import read_mounts
 from lmd.scene.deployment import Deployment
-from pipelines.view import UNSAVED as BEGIN
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]
 THOROUGH = pytest.mark.thorough("lmd/planner", "pipelines/view.py")
@@ -104,45 +101,6 @@ def test_a_tag_is_dragged_and_saved_and_the_figures_are_those_of_evaluate(planne
     _, err = process.communicate(timeout=LIMIT)
     assert process.returncode == 128 + signal.SIGINT
     assert "not saved" not in err
-
-
-@THOROUGH
-@chromium.needs_chromium
-def test_a_camera_of_a_rig_is_dragged_and_saved_and_evaluate_takes_it(browser, work):
-    rig = "camera.rig=[{translation: [0.22, 0, 0.1]}, {translation: [-0.22, 0, 0.1], yaw: 3.142}]"
-    body = "body.boxes=[{low: [-0.2, -0.2, 0], high: [0.2, 0.2, 0.5]}]"
-    with running(work, "pdf=yaw", rig, body) as (process, address):
-        page = Page(browser, address)
-        before = page.rows("figures")
-        page.tick(BALLS)  # nothing is in the mouse's way
-        page.choose("move", "camera 0")
-        page.until(lambda: page.text("camera").startswith("camera 0: (0.220, 0.000, 0.100) m, yaw 0.0"))
-        positions = paper_room(spacing=1.5).grid()
-        stands = positions[np.linalg.norm(positions - positions.mean(axis=0), axis=1).argmin()]
-        # It looks along y, and on its arrow upwards it is pulled up.
-        page.mouse(*(stands + np.array([0.0, 0.22, up]) for up in (0.4, 0.5, 0.6)))
-        page.until(lambda: not page.text("camera").startswith("camera 0: (0.220, 0.000, 0.100)"))
-        page.until(page.is_settled)
-        shown = page.rows("figures")
-        page.press("Save")
-        page.until(lambda: page.text("message").startswith("saved in "))
-        assert page.complaints() == []
-        (x, y, z), other = (mount["translation"] for mount in read_mounts(work / "out" / "rig.yaml"))
-        assert (x, y, other) == (0.22, 0.0, [-0.22, 0.0, 0.1])
-        assert 0.2 < z < 0.45
-        quick = (*SMALL[2:], "localisation=false", "losses=false")
-        done = call("evaluate", "run=out", "tracking=none", cwd=work, settings=quick)
-        assert done.returncode == 0, done.stderr
-        assert all(f"{key} " in done.stdout and text in done.stdout for key, text in shown.items())
-        page.press("Undo")
-        page.until(lambda: page.rows("figures") == before)
-        process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=LIMIT)
-    assert f"{work / 'out' / BEGIN}_rig.yaml" in err
-    assert read_mounts(work / "out" / f"{BEGIN}_rig.yaml")[0]["translation"] == [0.22, 0.0, 0.1]
-    inside = "camera.rig=[{translation: [0.1, 0, 0.1]}]"
-    message = "camera.rig[0] is not where and how a camera may be mounted"
-    refused("view", *OVERRIDES, "pdf=yaw", inside, body, message=message, cwd=work, settings=SETTINGS)
 
 
 @THOROUGH

@@ -13,13 +13,12 @@ from lmd.core.checks import InputError
 from lmd.formats.trajectories import read_recorded_poses
 from lmd.geometry.projection import project
 from lmd.geometry.se3 import pose_of
-from lmd.geometry.squares import corners
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.random_search import RandomSearch
 from lmd.planner.background import TO_COME
 from lmd.planner.panel import PlannerPanel
-from lmd.planner.picture import BALL_RADIUS, TAG_OFFSET_M, Captions, RoomPicture, offsets
+from lmd.planner.picture import BALL_RADIUS, Captions, RoomPicture, offsets
 from lmd.planner.server import Planner
 from lmd.planner.session import PlanningSession
 from lmd.planner.viewing import seen_by
@@ -161,17 +160,6 @@ def test_ids_follow_the_tags_and_only_changes_are_sent():
     assert [label.visible for label in labels.values()] == [True, False, False]
     named.show_ids(ids, places, None, True)
     assert [label.visible for label in labels.values()] == [True, True, True]
-
-
-def test_tags_are_drawn_with_their_pattern_and_walls_are_filled(planner):
-    planned = problem(tag=Tag(0.2))
-    picture, deployment = planner(planned)._picture, planned.draw(np.random.default_rng(0))
-    modules = picture._patterns.vertices.reshape(-1, 4, 3)
-    assert len(modules) == sum((~planned.scene.tag.picture(number)).sum() for number in deployment.ids)
-    first = modules[: (~planned.scene.tag.picture(deployment.ids[0])).sum()].reshape(-1, 3)
-    own = corners(deployment.places, deployment.normals, deployment.ups, np.full(len(deployment), 0.2))[0]
-    away = np.linalg.norm(own[:, None] - first, axis=2).min(axis=1)
-    np.testing.assert_allclose(away, 1.25 * TAG_OFFSET_M, atol=1e-6)  # the black border ends at the tag's corners
 
 
 def test_colours_stay_while_a_tag_is_dragged_and_figures_say_what_changed(planner, monkeypatch):

@@ -1,7 +1,5 @@
 """Bags of ROS 2 for tests, written by `mcap-ros2-support`, which shares no code with the library that reads them."""
 
-from mcap.reader import make_reader
-from mcap_ros2.decoder import DecoderFactory
 from mcap_ros2.writer import Writer
 
 HEADER = """std_msgs/Header header
@@ -56,14 +54,6 @@ def write(path, messages):
             writer.write_message(topic, schemas[kind], {"header": header(nanoseconds), **values}, at, at)
         writer.finish()
     return path
-
-
-def read(path, topic=None):
-    """Topic and message of each message of a bag."""
-    with path.open("rb") as file:
-        reader = make_reader(file, decoder_factories=[DecoderFactory()])
-        topics = None if topic is None else [topic]
-        return [(found[1].topic, found[3]) for found in reader.iter_decoded_messages(topics=topics)]
 
 
 def image(grey, encoding="mono8", padding=0):
