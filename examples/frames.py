@@ -22,7 +22,7 @@ def write_frames(path: Path, tags: TagMap) -> None:
 def read_frames(file: File) -> Found:
     """Read what `write_frames` writes."""
     tags = []
-    for tag in mappings("frames", file.keys["frames"]):
+    for tag in mappings("frames", file.data["frames"]):
         number, rows = number_of(tag["id"]), [vector("pose", row, 4) for row in tag["pose"]]
         pose = transform_of([*np.ravel(rows).tolist(), 0.0, 0.0, 0.0, 1.0], "pose", f"tag {number}: ")
         tags.append(PlacedTag(number, pose[:3, 3], pose[:3, :3]))
@@ -30,4 +30,4 @@ def read_frames(file: File) -> Found:
 
 
 WRITER = Writer("tags.frames.json", write_frames)
-FORMATS = [Format("tag map", "frames", lambda file: "frames" in file.keys, read_frames, writer=WRITER)]
+FORMATS = [Format("tag map", "frames", lambda file: "frames" in file.data, read_frames, writer=WRITER)]

@@ -173,12 +173,12 @@ def _bundle(camera: Camera) -> FloatArray:
 
 def parameter_slopes(camera: Camera, directions: FloatArray) -> FloatArray:
     """Derivatives of the images of directions `(..., 3)` by the intrinsics, pixels, `(..., 2, P)`."""
-    image = directions[..., :2] / directions[..., 2:] if camera.lens is None else camera.lens.image(directions)
+    image = directions[..., :2] / directions[..., 2:] if camera.lens is None else camera.lens.project(directions)
     columns = [image * axis for axis in np.eye(2)] + [np.broadcast_to(axis, image.shape) for axis in np.eye(2)]
     given = _coefficients(camera)
     for step in DIFFERENCE * np.eye(len(given)):
         there, here = (
-            Lens(camera.distortion_model, tuple(np.add(given, way * step))).image(directions) for way in (1.0, -1.0)
+            Lens(camera.distortion_model, tuple(np.add(given, way * step))).project(directions) for way in (1.0, -1.0)
         )
         columns.append(camera.focal_pixels * (there - here) / (2.0 * DIFFERENCE))
     return np.stack(columns, axis=-1)

@@ -21,10 +21,6 @@ Item = TypeVar("Item")
 
 LARGEST = 1e12  # greatest magnitude of a number in input; products of greater numbers may overflow
 LARGEST_SEED = 2**128 - 1  # greatest seed, as numpy uses 128 bits
-LATEST = 1e11  # greatest time, seconds since 1970; later times are taken for milliseconds or nanoseconds
-# Least median difference of times that may be milliseconds: 5 ms between frames is a rate of 200 frames per second.
-APART = 5.0
-CREEPING = 5e-3  # median speed, m/s, below which times with differences of `APART` or more are taken for milliseconds
 ONE_TURN = 2.0 * math.pi + 0.01  # greatest angle, rad, with a margin for rounding; greater angles are taken for degrees
 # Greatest length of a message, characters; the middle of a longer message is cut out.
 LONGEST = 2000
@@ -206,6 +202,12 @@ def entries(name: str, value: Any, check: Callable[[str, Any], Item]) -> tuple[I
     return tuple(check(f"{name}[{i}]", entry) for i, entry in enumerate(value))
 
 
+def only_keys(name: str, value: Iterable[Any], known: Sequence[str]) -> None:
+    """Raise `InputError` if a mapping has a key that is not `known`."""
+    if unknown := [key for key in value if key not in known]:
+        raise InputError(f"{name} has no key {unknown[0]!r}, only {', '.join(known)}.", name)
+
+
 def text(name: str, value: Any) -> str:
     """Return `value` if it is a text with a character; raise `InputError` if not."""
     if not isinstance(value, str) or not value.strip():
@@ -341,35 +343,3 @@ def file_path(name: str, value: Any) -> Path:
     if not isinstance(value, str | Path):
         raise InputError(f"{name} must be the path of a file or a folder, got {value!r}.", name)
     return Path(value)
-
-
-def seconds(source: str, time: FloatArray, positions: FloatArray | None = None) -> None:
-    """Raise `InputError` if times `(T,)` of the file `source`, in seconds from any origin, look like smaller units.
-
-    With `positions` `(T, 3)`, metres, the speed is checked too: frames that are seconds apart, while the camera hardly
-    moves, have times in milliseconds.
-    """
-    latest = float(np.abs(time).max())
-    if latest > LATEST:
-        asked = "times are in seconds"
-        raise InputError(f"{source}: time = {latest:.15g} looks like milliseconds or nanoseconds; {asked}.")
-    if positions is None or len(time) < 3:
-        return
-    step, way = np.diff(time), np.linalg.norm(np.diff(positions, axis=0), axis=1)
-    moving = (step > 0.0) & (way > 0.0)
-    if moving.any() and np.median(step) >= APART:
-        speed = float(np.median(way[moving] / step[moving]))
-        if speed < CREEPING:
-            raise InputError(
-                f"{source}: frames {np.median(step):g} s apart, between which the camera moves at "
-                f"{1000.0 * speed:.2g} mm/s, look like milliseconds; times are in seconds."
-            )
-
-
-def radians(source: str, **angles: FloatArray) -> None:
-    """Raise `InputError` if named angles of the file `source` exceed one turn, which looks like degrees."""
-    for name, angle in angles.items():
-        worst = float(angle[np.argmax(np.abs(angle))])
-        if abs(worst) > ONE_TURN:
-            asked = "angles are in radians, at most one turn from zero"
-            raise InputError(f"{source}: {name} = {worst:g} looks like degrees; {asked}.")

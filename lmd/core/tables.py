@@ -1,4 +1,4 @@
-"""Readers and writers of CSV tables, with messages that name file, line and value; sort keys of times."""
+"""Readers and writers of CSV tables, with messages that name file, line and value; units and sort keys of times."""
 
 import csv
 import io
@@ -13,9 +13,13 @@ from typing import Any, TextIO
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lmd.core.checks import FloatArray, InputError, printable
+from lmd.core.checks import ONE_TURN, FloatArray, InputError, printable
 from lmd.core.files import read_text
 
+LATEST = 1e11  # greatest time, seconds since 1970; later times are taken for milliseconds or nanoseconds
+# Least median difference of times that may be milliseconds: 5 ms between frames is a rate of 200 frames per second.
+APART = 5.0
+CREEPING = 5e-3  # median speed, m/s, below which times with differences of `APART` or more are taken for milliseconds
 MOST_COLUMNS = 1000  # greatest number of columns; a file with more is refused
 CONTROL = re.compile(r"[\x00-\x08\x0a-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]")
 COMMENT = "#"  # first character of a line that is skipped
@@ -212,3 +216,35 @@ def _time_key(text: str) -> tuple[float, str]:
     except ValueError:
         number = math.inf
     return number if math.isfinite(number) else math.inf, text
+
+
+def seconds(source: str, time: FloatArray, positions: FloatArray | None = None) -> None:
+    """Raise `InputError` if times `(T,)` of the file `source`, in seconds from any origin, look like smaller units.
+
+    With `positions` `(T, 3)`, metres, the speed is checked too: frames that are seconds apart, while the camera hardly
+    moves, have times in milliseconds.
+    """
+    latest = float(np.abs(time).max())
+    if latest > LATEST:
+        asked = "times are in seconds"
+        raise InputError(f"{source}: time = {latest:.15g} looks like milliseconds or nanoseconds; {asked}.")
+    if positions is None or len(time) < 3:
+        return
+    step, way = np.diff(time), np.linalg.norm(np.diff(positions, axis=0), axis=1)
+    moving = (step > 0.0) & (way > 0.0)
+    if moving.any() and np.median(step) >= APART:
+        speed = float(np.median(way[moving] / step[moving]))
+        if speed < CREEPING:
+            raise InputError(
+                f"{source}: frames {np.median(step):g} s apart, between which the camera moves at "
+                f"{1000.0 * speed:.2g} mm/s, look like milliseconds; times are in seconds."
+            )
+
+
+def radians(source: str, **angles: FloatArray) -> None:
+    """Raise `InputError` if named angles of the file `source` exceed one turn, which looks like degrees."""
+    for name, angle in angles.items():
+        worst = float(angle[np.argmax(np.abs(angle))])
+        if abs(worst) > ONE_TURN:
+            asked = "angles are in radians, at most one turn from zero"
+            raise InputError(f"{source}: {name} = {worst:g} looks like degrees; {asked}.")

@@ -144,7 +144,7 @@ class CalibrationFile(File):
         return FIRST_MESSAGE.split(super().text)[0] if self.arrays is None else ""
 
     @cached_property
-    def keys(self) -> Keys:
+    def data(self) -> Keys:
         """Keys of YAML, JSON, XML or arrays.
 
         Raises:
@@ -153,7 +153,7 @@ class CalibrationFile(File):
         if self.arrays is not None:
             return self.arrays
         if self.root is None:
-            return super().keys
+            return super().data
         tree = tree_of(self.root)
         return tree if isinstance(tree, dict) else {}
 

@@ -61,7 +61,7 @@ class DetectionsFile(File):
     """File of detections, whose first line may name columns."""
 
     @cached_property
-    def keys(self) -> Mapping[str, Any]:
+    def data(self) -> Mapping[str, Any]:
         """Values of JSON, of the whole text or of each line; empty for another text.
 
         Raises:
@@ -106,7 +106,7 @@ def is_table(file: DetectionsFile) -> bool:
 
 def is_json(file: DetectionsFile) -> bool:
     """True for JSON; raises `InputError` if it is broken."""
-    return bool(file.keys)
+    return bool(file.data)
 
 
 def has_rows_of_corners(file: DetectionsFile) -> bool:
@@ -139,7 +139,7 @@ class KeyedDetections:
         """
         where = f"{file.argument}: {str(file.path)!r}"
         try:
-            seen = list(self._seen(file.keys))
+            seen = list(self._seen(file.data))
         except InputError as error:
             raise InputError(f"{where} {error}.".replace("..", "."), file.argument) from None
         except KeyError as error:

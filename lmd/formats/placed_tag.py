@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, integer, radians, real, vector
-from lmd.core.tables import Table
+from lmd.core.checks import FloatArray, InputError, integer, real, vector
+from lmd.core.tables import Table, radians
 from lmd.formats.trees import Keys
 from lmd.geometry.frames import roll_pitch_yaw
 from lmd.geometry.se3 import QUATERNION_TOLERANCE, are_rotations, exp, nearest_rotations, pose_of

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, radians, real, seconds
-from lmd.core.tables import COMMENT, Table, is_number
+from lmd.core.checks import BoolArray, FloatArray, InputError, real
+from lmd.core.tables import COMMENT, Table, is_number, radians, seconds
 from lmd.formats.columns import EULER, OWN_ANGLES, POSES, POSITION, QUATERNION, TIME, Lines, Named, named
 from lmd.formats.registry import read
 from lmd.formats.trees import File

@@ -166,7 +166,7 @@ class Keyed:
         """Tree of a file, and its entries with their keys."""
         tree: Any = function_of(self.source)(file) if self.source else {}
         if not self.source:
-            tree = matches(file.text, self.patterns) if self.patterns else file.keys
+            tree = matches(file.text, self.patterns) if self.patterns else file.data
         listed = (list(entries(tree, path)) for path in self.each.split("|"))
         return tree, next((some for some in listed if some), [])
 
@@ -209,7 +209,7 @@ def described(row: Mapping[str, Any], family: str, advice: str = "") -> Format:
     def reason(file: Any) -> str:
         text = str(why_not).replace("{advice}", advice)
         if "{keys}" in text:
-            text = text.replace("{keys}", ", ".join(file.keys)[:200] or "no keys")
+            text = text.replace("{keys}", ", ".join(file.data)[:200] or "no keys")
         known = dict.fromkeys(form.name for form in formats(family) if form.read) if "{known}" in text else ()
         return text.replace("{known}", ", ".join(known))
 
@@ -230,7 +230,7 @@ def _tests(row: dict[str, Any]) -> list[Callable[[Any], bool]]:
         tests.append(lambda file: whole.search(file.text) is not None)
     if marks := row.pop("marks", None):
         loose = row.get("loose", False)
-        tests.append(lambda file: all(_has(file.keys, mark, loose) for mark in marks))
+        tests.append(lambda file: all(_has(file.data, mark, loose) for mark in marks))
     return tests
 
 

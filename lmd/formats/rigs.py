@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, argument_of
+from lmd.core.checks import FloatArray, InputError, argument_of, only_keys
 from lmd.core.files import read_keys
 from lmd.formats.calibrations import OPTICS, ReadCamera, calibrated_camera, read_cameras
 from lmd.geometry.camera import Camera
@@ -156,8 +156,7 @@ def _shared(given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _chained(given: Mapping[str, Any]) -> Rig:
-    if unknown := [key for key in given if key not in CHAIN_KEYS]:
-        raise InputError(f"rig has no key {unknown[0]!r}, only {', '.join(CHAIN_KEYS)}.", "rig")
+    only_keys("rig", given, CHAIN_KEYS)
     from scipy.spatial.transform import Rotation
 
     where = {key: value for key, value in given.items() if key in KEYS and value is not None}
@@ -201,8 +200,7 @@ def rig_text(rig: Rig, sources: Mapping[Camera, Any]) -> str:
 def _mount(name: str, entry: Any, camera: Camera | None) -> Mount:
     if not isinstance(entry, Mapping):
         raise InputError(f"{name} must have keys such as translation and yaw, got {entry!r}.", name)
-    if unknown := [key for key in entry if key not in KEYS]:
-        raise InputError(f"{name} has no key {unknown[0]!r}, only {', '.join(KEYS)}.", name)
+    only_keys(name, entry, KEYS)
     values = {key: value for key, value in entry.items() if value is not None}
     with argument_of(name):
         own = camera_from(values.pop("camera", None)) or camera
@@ -223,7 +221,6 @@ def camera_from(source: Any) -> Camera | None:
     given: Any = {"path": source} if isinstance(source, str | Path) else source
     if not isinstance(given, Mapping):
         raise InputError(f"camera must be a calibration file, or keys such as path and name, got {source!r}.", "camera")
-    if unknown := [key for key in given if key not in CAMERA_KEYS]:
-        raise InputError(f"camera has no key {unknown[0]!r}, only {', '.join(CAMERA_KEYS)}.", "camera")
+    only_keys("camera", given, CAMERA_KEYS)
     with argument_of("camera"):
         return calibrated_camera(**{"path": None, **{key: value for key, value in given.items() if value is not None}})

@@ -41,7 +41,7 @@ class TagMapFile(File):
     """File of a tag map; a text that is neither YAML nor JSON has no keys."""
 
     @cached_property
-    def keys(self) -> Keys:
+    def data(self) -> Keys:
         """Keys of the map; for a node of ROS 2, the keys below its parameters.
 
         Raises:
@@ -51,7 +51,7 @@ class TagMapFile(File):
             return {}
         if len(self.text) > LARGEST_MAP:
             raise InputError(f"a map has at most {LARGEST_MAP} characters, it has {len(self.text)}.")
-        return parameters_of(super().keys)
+        return parameters_of(super().data)
 
 
 def read_deployment(

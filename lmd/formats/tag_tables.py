@@ -222,8 +222,8 @@ def listed(file: File) -> Found:
     Raises:
         InputError: a tag lacks a value that another has, or a value is refused.
     """
-    name = str(_list_of(file.keys))
-    tags, rows = file.keys[name], list[dict[str, str]]()
+    name = str(_list_of(file.data))
+    tags, rows = file.data[name], list[dict[str, str]]()
     for key, entry in tags.items() if isinstance(tags, dict) else enumerate(tags):
         at, told = f"{name}[{key}]", "{position: [x, y, z], orientation: [roll, pitch, yaw]}, metres and radians"
         if isinstance(entry, list):
@@ -238,7 +238,7 @@ def listed(file: File) -> Found:
         )
         if missing := sorted(rows[0].keys() - rows[-1].keys() - {EDGE, FAMILY}):
             raise InputError(f"{at} lacks {', '.join(missing)}; it has {', '.join(map(str, entry))[:200]}.")
-    top = {key: [str(value)] for key, value in file.keys.items() if isinstance(value, str | float | int)}
+    top = {key: [str(value)] for key, value in file.data.items() if isinstance(value, str | float | int)}
     common = standardised(Table(str(file.path), [1], top), TAGS).table.texts
     given = {column: common[column][0] for column in (EDGE, FAMILY) if column in common}
     columns = dict.fromkeys(column for row in (*rows, given) for column in row)

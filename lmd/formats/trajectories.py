@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from lmd.core.checks import ONE_TURN, Checked, FloatArray, InputError, choice, real, said_of, vector
+from lmd.core.checks import ONE_TURN, Checked, FloatArray, InputError, choice, only_keys, real, said_of, vector
 from lmd.formats.pose_files import Rows, read_rows, steep
 from lmd.formats.rigs import read_mount
 from lmd.geometry.frames import roll_pitch_yaw
@@ -194,8 +194,7 @@ def _mounted(mount: str | Mapping[str, Any] | Sequence[float]) -> FloatArray:
     if isinstance(mount, str):
         return read_mount(mount)
     if isinstance(mount, Mapping):
-        if unknown := [key for key in mount if key not in ("path", "name")]:
-            raise InputError(f"mount has no key {unknown[0]!r}, only path, name.", "mount")
+        only_keys("mount", mount, ("path", "name"))
         return read_mount(mount.get("path"), mount.get("name"))
     x, y, z, yaw, pitch, roll = vector("mount", mount, 6)
     for name, angle in (("yaw", yaw), ("pitch", pitch), ("roll", roll)):

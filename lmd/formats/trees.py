@@ -244,7 +244,7 @@ class File:
         return read_text(self.path, self.argument, self.largest)
 
     @cached_property
-    def keys(self) -> Mapping[str, Any]:
+    def data(self) -> Mapping[str, Any]:
         """Keys and values of YAML or JSON.
 
         Raises:

@@ -108,7 +108,7 @@ class Lens:
             return Equidistant(*self.coefficients)
         return BrownConrady(*self.coefficients, *(0.0,) * (FIRST_TILT - len(self.coefficients)))
 
-    def image(self, points: FloatArray) -> FloatArray:
+    def project(self, points: FloatArray) -> FloatArray:
         """Images of points, `(..., 2)`, also beyond the fold."""
         with np.errstate(all="ignore"):
             return np.stack(image_of(self.model_numbers, *np.moveaxis(points, -1, 0)), axis=-1)
@@ -139,7 +139,7 @@ class Lens:
             found = np.concatenate([around[..., None] * image, np.cos(angle)[..., None]], axis=-1)
             if here.sway.any():
                 found = self._refined(found, image)
-            off = np.abs(self.image(found) - image).max(axis=-1)
+            off = np.abs(self.project(found) - image).max(axis=-1)
             theta = np.arctan2(np.hypot(found[..., 0], found[..., 1]), found[..., 2])
         return np.where(((off < 1e3 * IMAGE_TOLERANCE) & (theta < self.fold))[..., None], found, np.nan)
 
@@ -153,7 +153,7 @@ class Lens:
         """Refine unit vectors `start` with z > 0 by Newton's method on their intersections with the plane z = 1."""
         found = start / start[..., 2:]
         for _ in range(NEWTON_STEPS):
-            slope, (a, b) = self.jacobian(found), np.moveaxis(image - self.image(found), -1, 0)
+            slope, (a, b) = self.jacobian(found), np.moveaxis(image - self.project(found), -1, 0)
             xx, xy, yx, yy = slope[..., 0, 0], slope[..., 0, 1], slope[..., 1, 0], slope[..., 1, 1]
             step = np.stack([yy * a - xy * b, xx * b - yx * a], axis=-1) / (xx * yy - xy * yx)[..., None]
             found[..., :2] += step

@@ -55,7 +55,7 @@ def project(camera: Camera, pose: FloatArray, points: FloatArray) -> FloatArray:
         rays = seen[..., :2] / np.where(seen[..., 2:] > 0.0, seen[..., 2:], np.nan)
     else:
         angle = np.arctan2(np.hypot(seen[..., :1], seen[..., 1:2]), seen[..., 2:])
-        rays = np.where(angle <= camera.widest_angle, camera.lens.image(seen), np.nan)
+        rays = np.where(angle <= camera.widest_angle, camera.lens.project(seen), np.nan)
     return np.asarray(rays * np.diag(matrix)[:2] + matrix[:2, 2])
 
 

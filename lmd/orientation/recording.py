@@ -11,9 +11,9 @@ from scipy.signal import correlate
 from scipy.spatial.transform import Rotation
 from scipy.stats import norm, truncnorm, vonmises
 
-from lmd.core.checks import Checked, Finite, FloatArray, InputError, NotNegative, Positive, radians, real, seconds
+from lmd.core.checks import Checked, Finite, FloatArray, InputError, NotNegative, Positive, real
 from lmd.core.memory import check_memory
-from lmd.core.tables import read_table
+from lmd.core.tables import radians, read_table, seconds
 from lmd.formats.columns import OWN_ANGLES
 from lmd.formats.pose_files import steep
 from lmd.geometry.frames import normal_angles

@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, integer, radians, real
+from lmd.core.checks import FloatArray, InputError, integer, real
 from lmd.core.memory import check_memory
-from lmd.core.tables import read_table, write_table
+from lmd.core.tables import radians, read_table, write_table
 from lmd.geometry.frames import optical_axis, rotation
 
 # Number of decimals to which the coordinates of equal axes agree.

@@ -204,17 +204,10 @@ class RecordedRoom(Changed):
 SPACING = 1.0  # edge of the cells of the base class, metres; a driven room does not use them
 
 
-@dataclass(frozen=True)
-class FrameTime:
+class FrameTime(TimeSpent):
     """Relevance of the frames of drives: duration of the frame times the relevance of the room."""
 
-    positions: FloatArray
-    """Positions of the frames, metres, `(F, 3)`."""
-    seconds: FloatArray
-    """Duration of each frame, seconds, `(F,)`."""
-    within: Weighing
-    """Relevance of the room."""
-
+    @override
     def weights(self, points: FloatArray) -> FloatArray:
         """See `Weighing.weights`; points that are not the frames have the relevance of the room alone."""
         seconds = self.seconds if np.array_equal(points, self.positions) else np.float64(1.0)

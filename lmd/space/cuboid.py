@@ -8,9 +8,9 @@ from typing import Annotated
 import numpy as np
 from typing_extensions import override
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, choice, vector
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, vector
 from lmd.space.gridded import Gridded, GridKind, checked_spacing, grid_counts, kronecker
-from lmd.space.parts import box_surfaces
+from lmd.space.parts import box_surfaces, checked_names
 from lmd.space.space import Relevance
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, SurfaceArrays
 
@@ -35,7 +35,7 @@ class Cuboid(Gridded):
     """Largest distance between neighbouring positions, metres: one number or one per axis."""
     positions: GridKind = "cells"
     """`cells` for the centres of the grid cells, `vertices` for the vertices."""
-    walls: tuple[str, ...] = WALLS
+    walls: Annotated[tuple[str, ...], partial(checked_names, known=WALLS)] = WALLS
     """Names of the walls that may carry landmarks."""
     relevance: Relevance = field(default_factory=Relevance)
     """Rel(p), weights of the positions."""
@@ -44,13 +44,7 @@ class Cuboid(Gridded):
         size, reachable = self.size, self.reachable_size
         if any(inner > outer for inner, outer in zip(reachable, size, strict=True)):
             raise InputError(f"reachable_size = {list(reachable)} exceeds size = {list(size)}.", "reachable_size")
-        walls = self.walls if isinstance(self.walls, list | tuple) else ()
-        for name in walls:
-            choice("walls", name, WALLS)
-        if not walls or len(set(walls)) != len(walls):
-            raise InputError(f"walls must list at least one wall, each once, got {self.walls!r}.", "walls")
         object.__setattr__(self, "spacing", checked_spacing(self.spacing, reachable))
-        object.__setattr__(self, "walls", tuple(self.walls))
 
     @property
     def reachable_low(self) -> FloatArray:

@@ -4,7 +4,8 @@ from typing import Protocol
 import numpy as np
 import pytest
 
-from lmd.core.checks import InputError, boolean, check_members, file_path, integer, radians, real, seconds, seed_number
+from lmd.core.checks import InputError, boolean, check_members, file_path, integer, real, seed_number
+from lmd.core.tables import radians, seconds
 
 
 @pytest.mark.parametrize("value", [1000, 1e3, np.int64(1000), np.float64(1000.0)])

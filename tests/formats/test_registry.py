@@ -20,7 +20,7 @@ import format_tables  # noqa: E402
 KEYS = {"pixels": [640, 480], "f": 600.0, "c": [320.0, 240.0], "k": [0.1, 0.0, 0.0, 0.0, 0.0]}
 ROW = {"family": "calibration", "name": "acme", "marks": ["acme"], "each": "acme", "models": {"": "plumb_bob"}}
 ROW |= {"at": {"size": "pixels", "f": "f", "cx": "c.0", "cy": "c.1", "lens": "k"}}
-REFUSED = Format("calibration", "old acme", lambda file: "acme_1" in file.keys, why_not="it is of acme 1: upgrade")
+REFUSED = Format("calibration", "old acme", lambda file: "acme_1" in file.data, why_not="it is of acme 1: upgrade")
 PRINTED = {"K": [300, 0, 320, 0, 310, 240, 0, 0, 1], "D": [0.1, 0, 0, 0, 0], "image_size": [640, 480]}
 COLMAP = "1 PINHOLE 640 480 300.0 310.0 320.5 240.5\n"
 

@@ -77,7 +77,7 @@ def test_a_pixel_looks_where_the_inverse_of_the_model_says(name, ray, pinhole, o
         rays = np.stack(ray(x, y, **own), axis=-1)
     seen = np.isfinite(rays).all(axis=1)
     assert seen.mean() > 0.8
-    there = Lens(lens.model, lens.coefficients).image(rays[seen]) * lens.focal_pixels + lens.principal_point
+    there = Lens(lens.model, lens.coefficients).project(rays[seen]) * lens.focal_pixels + lens.principal_point
     off = np.hypot(*(there - pixels[seen]).T)
     assert off.max() <= 1.5 * lens.worst + 1e-3  # corners may lie between the directions that were looked at
     assert lens.worst < (0.3 if "k1" in own else 0.03)

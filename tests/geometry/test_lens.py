@@ -33,7 +33,7 @@ def by_opencv(lens, points):
 @given(lenses(), st.floats(0.1, 10.0))
 def test_points_are_imaged_as_by_opencv(lens, far):
     points = far * directions(min(lens.fold, math.radians(89.0)))
-    image = FOCAL * lens.image(points)
+    image = FOCAL * lens.project(points)
     inside = np.linalg.norm(image, axis=1) < FAR * FOCAL
     np.testing.assert_allclose(image[inside], by_opencv(lens, points)[inside], atol=1e-9)
 
@@ -41,7 +41,7 @@ def test_points_are_imaged_as_by_opencv(lens, far):
 @given(lenses())
 def test_a_direction_is_found_from_its_image(lens):
     unit = directions(0.999 * lens.fold)
-    image = lens.image(unit)
+    image = lens.project(unit)
     inside = np.linalg.norm(image, axis=1) < FAR
     np.testing.assert_allclose(lens.directions(image[inside]), unit[inside], atol=1e-7)
 
@@ -49,7 +49,7 @@ def test_a_direction_is_found_from_its_image(lens):
 @given(lenses(), st.floats(0.5, 2.0))
 def test_the_jacobian_is_the_slope(lens, far):
     points, step = far * directions(0.9 * min(lens.widest(FAR), lens.fold)), 1e-6
-    moved = [(lens.image(points + way) - lens.image(points - way)) / (2.0 * step) for way in step * np.eye(3)]
+    moved = [(lens.project(points + way) - lens.project(points - way)) / (2.0 * step) for way in step * np.eye(3)]
     np.testing.assert_allclose(lens.jacobian(points), np.stack(moved, axis=-1), rtol=1e-5, atol=1e-5)
 
 
@@ -59,7 +59,7 @@ def test_what_is_imaged_in_a_circle_is_within_the_widest_angle_and_stretched_wit
     if widest < lens.fold:
         beyond = directions(lens.fold)
         beyond = beyond[np.arccos(np.clip(beyond[:, 2], -1.0, 1.0)) > widest * (1.0 + 1e-9)]
-        assert (np.linalg.norm(lens.image(beyond), axis=1) >= reach * (1.0 - 1e-9)).all()
+        assert (np.linalg.norm(lens.project(beyond), axis=1) >= reach * (1.0 - 1e-9)).all()
     bounds, within = lens.stretch(widest), directions(widest)
     stretches = np.linalg.svd(lens.jacobian(within), compute_uv=False)
     for least, values, most in (
@@ -87,7 +87,7 @@ def test_the_rough_image_is_off_and_the_ceiling_above_as_said(lens, reach):
     widest = lens.widest(reach)
     within, (rough, off) = directions(widest), lens.approximation(widest)
     scale = np.polynomial.polynomial.polyval(1.0 - within[:, 2], rough)
-    assert np.linalg.norm(scale[:, None] * within[:, :2] - lens.image(within), axis=1).max() <= off
+    assert np.linalg.norm(scale[:, None] * within[:, :2] - lens.project(within), axis=1).max() <= off
     theta, stretches = np.arccos(within[:, 2]), np.linalg.svd(lens.jacobian(within), compute_uv=False)[:, 0]
     order = np.argsort(theta)
     ceiling = np.polynomial.polynomial.polyval(1.0 - within[order, 2], lens.ceiling(widest))
@@ -97,7 +97,7 @@ def test_the_rough_image_is_off_and_the_ceiling_above_as_said(lens, reach):
 @given(lenses(), st.floats(0.05, 1.5))
 def test_nothing_folds_within_the_widest_angle(lens, reach):
     widest = 0.999 * lens.widest(reach)
-    inner, outer = lens.image(directions(0.9 * widest)), lens.image(directions(widest))
+    inner, outer = lens.project(directions(0.9 * widest)), lens.project(directions(widest))
     assert np.linalg.norm(inner, axis=1).max() <= np.linalg.norm(outer, axis=1).max()
     frame = lens.jacobian(directions(widest))
     facing = np.cross(frame[:, 0], frame[:, 1])  # along the direction itself, never against it
@@ -115,8 +115,8 @@ def test_by_hand():
     fisheye = Lens("equidistant", (-1 / 12, 0.0, 0.0, 0.0))
     assert fisheye.fold == pytest.approx(2.0)
     behind = np.array([[math.sin(1.9), 0.0, math.cos(1.9)]])
-    np.testing.assert_allclose(fisheye.image(behind), [[1.9 - 1.9**3 / 12, 0.0]])
-    np.testing.assert_allclose(fisheye.directions(fisheye.image(behind)), behind, atol=1e-9)
+    np.testing.assert_allclose(fisheye.project(behind), [[1.9 - 1.9**3 / 12, 0.0]])
+    np.testing.assert_allclose(fisheye.directions(fisheye.project(behind)), behind, atol=1e-9)
     # An ideal one stretches by pi / 2 across the radius at a right angle, and a pinhole that shrinks by 1 on its axis.
     ideal = Lens("equidistant", (0.0, 0.0, 0.0, 0.0)).stretch(math.pi / 2)
     np.testing.assert_allclose(ideal, (1.0, math.pi / 2, 1.0, math.pi / 2), rtol=1e-3)

@@ -199,7 +199,7 @@ def test_a_view_is_drawn_as_its_lens_bends_it():
     fisheye = replace(CAMERA, distortion=(0.01, -0.02, 0.005, -0.001), distortion_model="equidistant")
     bent = view_edges(fisheye, 0.5)
     assert len(bent) == 4 + 4 * BEND
-    seen = fisheye.lens.image(bent[4:, 0]) * fisheye.focal_pixels + fisheye.principal_point
+    seen = fisheye.lens.project(bent[4:, 0]) * fisheye.focal_pixels + fisheye.principal_point
     along = np.minimum(np.abs(seen), np.abs(seen - [width, height])).min(axis=1)
     np.testing.assert_allclose(along, 0.0, atol=1e-9)  # each on one of the four sides
 
