@@ -29,10 +29,16 @@ $(VENV)/made: pyproject.toml constraints.txt
 	@$(MAKE_VENV)
 	@touch $@
 
+# A small run compiles what the main job calls. Beside it Python compiles the modules of tracking.
+FIRST := budget.evaluations=60 tracking=none threads=1 hydra.run.dir=$(VENV)/first
+TRACKED := mlflow.tracking.client, mlflow.store.tracking.sqlalchemy_store, sqlalchemy.dialects.sqlite
+COMPILE = rm -rf $(VENV)/first && { $(BIN)/python -c 'import $(TRACKED)' & \
+  $(BIN)/python -m pipelines.optimise $(FIRST) > /dev/null && wait; }
+
 $(VENV)/installed: $(VENV)/made
 	@echo "installing what the main job needs, with $(if $(UV),uv,pip)"
 	@$(call TIMED,$(INSTALL) '.[pipelines]',installing)
-	@$(call TIMED,$(BIN)/python -m pipelines.precompile,compiling)
+	@$(call TIMED,$(COMPILE),compiling)
 	@touch $@
 
 $(VENV)/installed-all: $(VENV)/made

@@ -16,11 +16,6 @@ try:
     # The process of an application handles signals from here on; under -m its name is not in sys.argv yet.
     if sys.argv[:1] == ["-m"] or os.path.basename("".join(sys.argv[:1])).startswith("lmd-"):
         _signal.signal(_signal.SIGINT, _signal.SIG_DFL)  # no traceback while the handler is imported
-        for number, name in enumerate(("stdin", "stdout", "stderr")):
-            if getattr(sys, name) is None:  # closed, as by `2>&-`: the next file would get its number
-                os.dup2(os.open(os.devnull, os.O_RDWR), number)
-                os.set_inheritable(number, True)
-                setattr(sys, name, os.fdopen(number, "w" if number else "r"))
         gc.set_threshold(GARBAGE)
         os.environ["MPLBACKEND"] = "agg"  # pictures are files, and IPython's backend may not be installed here
 

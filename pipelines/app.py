@@ -1,16 +1,17 @@
-"""Running application: package, configuration and folder, and one sentence for bad input."""
+"""Running application: package, configuration, command line and folder, and one sentence for bad input."""
 
 import errno
 import os
+import re
 import shutil
 import sys
-import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig, OmegaConf
 
 from .operations.signals import stop
@@ -21,6 +22,12 @@ LOCK = ".lock"  # file in a folder, locked by the process that works there
 EXPERIMENT = "lmd"  # mlflow experiment of the commands in `SHARING`: they find or score a deployment, or read its runs
 SHARING = ("optimise", "evaluate", "report", "runs")
 CONF = str(Path(__file__).resolve().parents[1] / "conf")  # beside this package in a checkout and if installed
+COUNT = "deployment.count="
+# Keys that change no result of a run: its place, its speed, its record and its further outputs.
+WITHOUT_EFFECT = (
+    "tracking", "trust", "resume", "threads", "workers", "checkpoint_seconds", "picture", "pictures",
+    "export", "paper_size", "north", "kept",
+)  # fmt: skip
 
 
 def lmd_experiment(*, _root_: DictConfig) -> str:
@@ -46,41 +53,18 @@ def command_of(pipeline: str) -> str:
     return f"python -m pipelines.{pipeline}" if IN_CHECKOUT else f"lmd-{pipeline.replace('_', '-')}"
 
 
-def save_path(save_as: Any) -> Path | None:
-    """Path of `save_as`, whose folder is made and tested; None for null.
-
-    Raises:
-        InputError: `save_as` is no text, or its folder cannot be written to.
-    """
-    from lmd.core.checks import InputError, file_path
-
-    if save_as is None:
-        return None
-    path = file_path("save_as", save_as)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=path.parent):
-            return path
-    except OSError as error:
-        raise InputError(f"save_as = {save_as!r} cannot be written ({error}).") from None
-
-
 def flat_settings(cfg: DictConfig, *keys: str) -> dict[str, Any]:
     """Resolved settings below `keys` (all by default), such as `{"room.spacing": 0.5, ...}`."""
-    resolved = OmegaConf.to_container(cfg, resolve=True)
-    assert isinstance(resolved, dict)
-    flat: dict[str, Any] = {}
+    resolved: Any = OmegaConf.to_container(cfg, resolve=True)
+    return {name: value for key in keys or resolved for name, value in _leaves(key, resolved[key])}
 
-    def visit(prefix: str, value: Any) -> None:
-        if isinstance(value, dict):
-            for key, inner in value.items():
-                visit(f"{prefix}.{key}", inner)
-        else:
-            flat[prefix] = value
 
-    for key in keys or tuple(str(name) for name in resolved):
-        visit(key, resolved[key])
-    return flat
+def _leaves(key: str, value: Any) -> Iterator[tuple[str, Any]]:
+    if isinstance(value, dict):
+        for name, inner in value.items():
+            yield from _leaves(f"{key}.{name}", inner)
+    else:
+        yield key, value
 
 
 def run_directory() -> Path:
@@ -138,3 +122,53 @@ def discard_empty(directory: Path) -> None:
         return
     if {path.name for path in directory.iterdir()} <= {".hydra", LOCK}:
         shutil.rmtree(directory)
+
+
+def spelled(override: str) -> str:
+    """Override with `deployment.count=+5` in quotes, as Hydra reads `+5` as the number 5."""
+    return re.sub(r"(?<=[=,])\+(\d+)(?=,|$)", r"'+\1'", override) if override.startswith(COUNT) else override
+
+
+def at(key: str, path: Path) -> str:
+    """Override with a path as its value, in quotes if Hydra needs them."""
+    return f"{key}={path}" if re.fullmatch(r"[\w./-]+", str(path)) else f"{key}={quoted(path)}"
+
+
+def quoted(path: str | Path) -> str:
+    """Path as the value of an override, in quotes."""
+    escaped = str(path).replace("\\", "\\\\").replace("'", "\\'")
+    return f"'{escaped}'"
+
+
+def key_and_value(override: str) -> tuple[str, str]:
+    """Split an override, such as `+objective.n=2`, into key and value (`objective.n`, `2`)."""
+    key, _, value = override.partition("=")
+    return key.lstrip("+~"), value
+
+
+def changes_results(key: str) -> bool:
+    """False for a key, or group, that changes no result of a run."""
+    return re.split("[./@]", key)[0] not in WITHOUT_EFFECT
+
+
+def search_path() -> list[str]:
+    """Overrides that add folders of configuration, on which other overrides depend."""
+    own = HydraConfig.get().overrides.hydra if HydraConfig.initialized() else []
+    return [override for override in own if override.startswith("hydra.searchpath=")]
+
+
+def config_dir() -> list[str]:
+    """Option `--config-dir` of this application, for another process; empty without such an option."""
+    sources = HydraConfig.get().runtime.config_sources
+    return [word for source in sources if source.provider == "command-line" for word in ("--config-dir", source.path)]
+
+
+def task_overrides() -> list[tuple[str, str]]:
+    """Overrides of this job, as pairs of key (or group) and override."""
+    return keyed_overrides(HydraConfig.get().overrides.task)
+
+
+def keyed_overrides(overrides: Iterable[str]) -> list[tuple[str, str]]:
+    """Overrides as pairs of key (or group) and override."""
+    parsed = OverridesParser.create().parse_overrides(list(overrides))
+    return [(str(override.key_or_group), str(override.input_line)) for override in parsed]

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from omegaconf import DictConfig, OmegaConf
 
 from .composing import editable
-from .landmarks import divide_paper, fixed_of, others_of, spell_counts, take_sizes, total_of
-from .nodes import instantiate, keyed, note, settings_of
+from .landmarks import divide_paper, fixed_of, others_of, spell_counts, take_sizes
+from .nodes import instantiate, keyed, note, plain, settings_of
 
 if TYPE_CHECKING:
     from lmd.geometry.camera import Camera
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from lmd.scene.criteria import Criteria
     from lmd.scene.deployment import Deployment
     from lmd.scene.deployment_sources import DeploymentSource
-    from lmd.scene.pdf import OrientationPdf
-    from lmd.scene.recorded_poses import RecordedPoses
     from lmd.scene.rig import Rig
     from lmd.scene.scene import Scene
     from lmd.scene.tag import Tag
@@ -29,7 +27,7 @@ if TYPE_CHECKING:
     from lmd.space.space import Space
 
 GROUPS = ("room", "camera", "tag", "visibility", "objective", "encoding", "deployment")  # of every problem
-SWITCHES = ("validate", "picture", "localisation", "losses", "sensitivity", "all_visible")  # true or false
+SWITCHES = ("encoding.flush", "validate", "picture", "localisation", "losses", "sensitivity", "all_visible")
 RUN_BYTES = 1000  # least memory of one of several runs, bytes
 MENTIONED = 8  # greatest number of tags that a note lists
 SAME_EDGE = 1e-6  # greatest difference of equal edges, metres
@@ -73,10 +71,9 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
 
 def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
     """Build the parts of a problem, see `build_problem`."""
-    from lmd.core.checks import InputError, boolean, check_members, choice, integer
+    from lmd.core.checks import InputError, check_members, integer
     from lmd.core.threads import MOST_THREADS
     from lmd.objectives.base import Objective
-    from lmd.optimisers.encoding import KINDS
 
     _check_settings(cfg)
     cfg = editable(cfg)  # sizes and counts that files, lists or limits decide are written to it
@@ -86,8 +83,6 @@ def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
             take_sizes(cfg.deployment, cfg.tag)
     scene = _scene(cfg)
     threads = None if cfg.threads is None else integer("threads", cfg.threads, low=1, high=MOST_THREADS)
-    choice("encoding.kind", cfg.encoding.kind, KINDS)
-    boolean("encoding.flush", cfg.encoding.flush)
     objective = instantiate(cfg.objective)
     if not hasattr(objective, "n") and callable(objective):  # an objective along drives through the scene
         with keyed("objective"):
@@ -97,10 +92,10 @@ def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
     with names():
         fixed = fixed_of(cfg.deployment, scene.tag.own_family)
     with keyed("tag"):
-        scene = divide_paper(cfg.deployment, cfg.tag, scene, objective, threads, fixed)
+        scene = divide_paper(cfg, scene, objective, threads, fixed)
     with names():
-        total = total_of(cfg.deployment, fixed)
-    start = instantiate(others_of(cfg.deployment, fixed, total))
+        total, source = others_of(cfg.deployment, fixed)
+    start = instantiate(source)
     # The problem repeats these checks, but its messages cannot name the key.
     with keyed("tag"):
         scene.footprints.hanging.surfaces()
@@ -120,8 +115,7 @@ def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
     if not scene.tag.is_point:
         with keyed("tag"):
             scene.tag.check_ids(drawn.ids)
-        _note_edges(scene.tag, drawn)
-        _note_outside(scene.room, scene.tag, drawn)
+        _note_unusual(scene.room, scene.tag, drawn)
     return parts
 
 
@@ -131,18 +125,18 @@ def _check_settings(cfg: DictConfig) -> None:
     Raises:
         InputError: a setting is refused.
     """
-    from lmd.core.checks import boolean, integer, seed_number
+    from lmd.core.checks import boolean, choice, integer, seed_number
+    from lmd.optimisers.encoding import KINDS
 
-    for group in GROUPS:
+    for group in (*GROUPS, *(("room.relevance",) if "relevance" in (cfg.room or ()) else ())):
         settings_of(cfg, group)
-    if "relevance" in cfg.room:
-        settings_of(cfg, "room.relevance")
+    choice("encoding.kind", cfg.encoding.kind, KINDS)
     seed_number(cfg.seed)
     if cfg.get("workers") is not None:
         integer("workers", cfg.workers, low=1)
     for switch in SWITCHES:
-        if switch in cfg:
-            boolean(switch, cfg[switch])
+        if (value := OmegaConf.select(cfg, switch, default=False)) is not False:
+            boolean(switch, value)
 
 
 def _scene(cfg: DictConfig) -> "Scene":
@@ -151,44 +145,32 @@ def _scene(cfg: DictConfig) -> "Scene":
     Raises:
         InputError: one of its parts is refused.
     """
-    from lmd.core.checks import check_members
-    from lmd.scene.criteria import Criteria
+    from lmd.core.checks import InputError, check_members
     from lmd.scene.scene import Scene
     from lmd.space.space import Space
 
     tag, camera = instantiate(cfg.tag), camera_of(cfg.camera)
     visibility, crowd = visibility_of(cfg.visibility)
-    room, pdf, recorded = _poses(cfg.room, cfg.pdf, cfg.get("poses"))
-    check_members("room", room, Space, "docs/extend.md")
-    check_members("visibility", visibility, Criteria, "docs/extend.md")
-    with keyed("visibility.crowd"):
-        states = None if crowd is None else crowd.drawn(room)
-    with keyed(crowd="visibility.crowd"):
-        return Scene(room, camera, pdf, visibility, tag, recorded, crowd=states)
-
-
-def _poses(
-    room_node: DictConfig, pdf_node: DictConfig, poses_node: DictConfig | None
-) -> "tuple[Space, OrientationPdf, RecordedPoses | None]":
-    """Build the room, the orientation PDF, and the recording from which both derive; None without a recording."""
-    from lmd.core.checks import InputError
-
-    room, recorded = instantiate(room_node), bool(poses_node)
+    room, is_recorded = instantiate(cfg.room), bool(cfg.get("poses"))
     if (scan := getattr(room, "scan", None)) and (doubt := scan.doubt):  # the room is a mesh
         print(f"warning: room.up: is it right for {scan.mesh.path!r}? {doubt[0].upper()}{doubt[1:]}", file=sys.stderr)
     if plan := getattr(room, "plan", None):
         note(plan.note)
-    if recorded == bool(pdf_node):
+    if is_recorded == bool(cfg.pdf):
         needed = "poses=recorded, which says how the camera looks, needs pdf=recorded"
         cure = "add it to the command line where an experiment has chosen another one"
-        raise InputError(f"{needed}; {cure}." if recorded else "pdf=recorded needs poses=recorded.")
-    if not recorded:
-        return room, instantiate(pdf_node), None
-    poses = instantiate(poses_node, group="poses.")
-    with keyed("poses"):
-        visited = poses.visited(room)
-    note(poses.note)
-    return visited, poses.pdf, poses
+        raise InputError(f"{needed}; {cure}." if is_recorded else "pdf=recorded needs poses=recorded.")
+    recorded = instantiate(cfg.poses, group="poses.") if is_recorded else None
+    pdf = instantiate(cfg.pdf) if recorded is None else recorded.pdf
+    if recorded is not None:
+        with keyed("poses"):
+            room = recorded.visited(room)
+        note(recorded.note)
+    check_members("room", room, Space, "docs/extend.md")
+    with keyed("visibility.crowd", crowd="visibility.crowd"):
+        states = None if crowd is None else crowd.drawn(room)
+    with keyed(crowd="visibility.crowd"):
+        return Scene(room, camera, pdf, visibility, tag, recorded, crowd=states)
 
 
 def camera_of(node: DictConfig) -> "Camera | Rig":
@@ -219,14 +201,11 @@ def mounts_of(node: DictConfig) -> Any:
     Raises:
         InputError: the file of the rig cannot be read.
     """
-    mounts = node.get("rig")
-    plain = OmegaConf.to_container(mounts, resolve=True) if OmegaConf.is_config(mounts) else mounts
-    if not isinstance(plain, str):
-        return plain
     from lmd.formats.rigs import read_mounts
 
+    mounts = plain(node.get("rig"))
     with keyed("camera"):
-        return read_mounts(plain)
+        return read_mounts(mounts) if isinstance(mounts, str) else mounts
 
 
 def visibility_of(node: DictConfig) -> "tuple[Criteria, Crowd | None]":
@@ -235,24 +214,19 @@ def visibility_of(node: DictConfig) -> "tuple[Criteria, Crowd | None]":
     Raises:
         InputError: a setting is refused.
     """
-    import inspect
-
-    from lmd.core.checks import InputError
+    from lmd.core.checks import check_members
+    from lmd.scene.criteria import Criteria
     from lmd.space.crowd import Crowd
+    from lmd.space.parts import made
 
     alone = editable(node)
-    given = alone.pop("crowd", None)
-    plain = OmegaConf.to_container(given, resolve=True) if OmegaConf.is_config(given) else given
+    given = plain(alone.pop("crowd", None))
     criteria = instantiate(alone)
-    if plain is None or plain == 0:
+    check_members("visibility", criteria, Criteria, "docs/extend.md")
+    if given is None or given == 0:
         return criteria, None
-    settings: dict[str, Any] = plain if isinstance(plain, dict) else {"number": plain}  # type: ignore[assignment]
-    known = tuple(inspect.signature(Crowd).parameters)
-    for key in settings:
-        if key not in known:
-            raise InputError(f"visibility.crowd.{key} is no setting that is known; a crowd has {', '.join(known)}.")
-    with keyed("visibility.crowd"):
-        return criteria, Crowd(**{"number": None, **settings})
+    settings = given if isinstance(given, dict) else {"number": given}
+    return criteria, made("visibility.crowd", {"number": None, **settings}, Crowd)
 
 
 def refuse_crowd(problem: "Problem", command: str) -> None:
@@ -263,26 +237,20 @@ def refuse_crowd(problem: "Problem", command: str) -> None:
         raise InputError(f"{command} does not work with visibility.crowd: leave it out.")
 
 
-def _note_edges(tag: "Tag", deployment: "Deployment") -> None:
-    """Print the number of tags with an edge from their file, by edge."""
-    own = deployment.edges_of(tag).tolist()
-    other = Counter(edge for edge in own if abs(edge - tag.size) > SAME_EDGE)
+def _note_unusual(room: "Space", tag: "Tag", deployment: "Deployment") -> None:
+    """Print the number of tags with an edge from their file, by edge, and the tags with a corner behind a face."""
+    from lmd.core.words import few
+    from lmd.geometry.squares import corners
+
+    own = deployment.edges_of(tag)
+    other = Counter(edge for edge in own.tolist() if abs(edge - tag.size) > SAME_EDGE)
     if other and tag.edges is None:
         sizes = ", ".join(f"{edge:g} m ({count})" for edge, count in sorted(other.items()))
         holds = f"{len(own) - other.total()} of {len(own)} tags"
         note(f"tag.edge = {tag.size:g} m ({tag.square}) holds for {holds}; the others have their own: {sizes}")
-
-
-def _note_outside(room: "Space", tag: "Tag", deployment: "Deployment") -> None:
-    """Print the landmarks with a corner behind a face of the room, which no camera sees."""
-    from lmd.core.words import few
-    from lmd.geometry.squares import corners
-
-    points = corners(deployment.positions, deployment.normals, deployment.ups, deployment.edges_of(tag))
-    behind = deployment.ids[~room.contains(points).all(axis=1)]
-    if len(behind):
-        said = few(behind, MENTIONED)
-        note(f"behind a face of the {room.describe()}, where no camera sees them: {said}")
+    points = corners(deployment.positions, deployment.normals, deployment.ups, own)
+    if len(behind := deployment.ids[~room.contains(points).all(axis=1)]):
+        note(f"behind a face of the {room.describe()}, where no camera sees them: {few(behind, MENTIONED)}")
 
 
 def build_optimiser(cfg: DictConfig, seed: int) -> "Optimiser":
@@ -296,10 +264,8 @@ def build_optimiser(cfg: DictConfig, seed: int) -> "Optimiser":
 
     optimiser = instantiate(settings_of(cfg, "optimiser"), seed=seed)
     if not isinstance(optimiser, Optimiser):
-        raise InputError(
-            f"optimiser._target_ = {cfg.optimiser.get('_target_')!r} makes a {type(optimiser).__name__}, which is not "
-            "derived from lmd.optimisers.base.Optimiser."
-        )
+        told = f"optimiser._target_ = {cfg.optimiser.get('_target_')!r} makes a {type(optimiser).__name__}"
+        raise InputError(f"{told}, which is not derived from lmd.optimisers.base.Optimiser.")
     if isinstance(optimiser, AskTell):
         optimiser.encoding = optimiser.encoding or cfg.encoding.kind
         optimiser.flush = cfg.encoding.flush

@@ -12,8 +12,7 @@ from .sensed import in_batches, rendered
 from .study import Report, Study
 
 if TYPE_CHECKING:
-    from lmd.detection.calibration import Fit
-    from lmd.detection.tag_views import TagViews
+    pass
 
 VIEWS_STREAM = 0x7669657773  # separates the random numbers of views from other uses of the seed
 
@@ -50,42 +49,35 @@ def calibrate(cfg: DictConfig) -> Study:
         from lmd.evaluation.detected import sightings
         from lmd.plot.detection_figures import save_limits_figure
 
-        fitted: dict[str, tuple[TagViews, Fit]] = {}
-        spans = {}
+        seen = sightings({"room": subject}, seed, partial(in_batches, cfg.workers))["room"] if count else {}
+        found, text = dict[str, DetectorCalibration](), ""
         for name, detector in subject.detectors.items():
             rng = np.random.default_rng([seed, VIEWS_STREAM])  # equal views for every detector
             with keyed(key):
                 views = source.views(subject.problem.scene.cameras, renderer.room.tag, detector, renderer.imaging, rng)
-                fitted[name] = views, fit(views, rng, margin)
-            spans[name] = intervals(views, rng, margin) if source.photographs else {}
+                limits = fit(views, rng, margin)
+            spans = intervals(views, rng, margin) if source.photographs else {}
             if views.seen.all():
-                text = f"warning: {key}: {name} finds all of {len(views)} tags, so they tell no limit of it"
-                print(f"{text}; images are needed in which it misses some", file=sys.stderr)
+                told_all = f"{key}: {name} finds all of {len(views)} tags, so they tell no limit of it"
+                print(f"warning: {told_all}; images are needed in which it misses some", file=sys.stderr)
+            rooms = frame_scores(predicted_in_frames(limits.limits, renderer, told.poses), seen[name]) if count else {}
+            found[name] = DetectorCalibration(views, limits, rooms, source.photographs, spans)
+            text += limits.circles_text(name)
         if isinstance(source, BoardImages) and (copies := source.images.repeated):
             copy, first = next(iter(copies.items()))
             note(f"{len(copies)} images are copies and not counted, such as {copy} of {first}")
-        seen = sightings({"room": subject}, seed, partial(in_batches, cfg.workers))["room"] if count else {}
-        found: dict[str, DetectorCalibration] = {}
-        for name, (views, limits) in fitted.items():
-            predicted = predicted_in_frames(limits.limits, renderer, told.poses)
-            rooms = frame_scores(predicted, seen[name]) if count else {}
-            found[name] = DetectorCalibration(views, limits, rooms, source.photographs, spans[name])
-        about = f"views of {key}, seed {seed}"
-        figures = {name: calibration.figures() for name, calibration in found.items()}
-        markdown = limits_markdown(figures)
+        about, figures = f"views of {key}, seed {seed}", {name: each.figures() for name, each in found.items()}
         files: dict[str, Any] = {
             f"{family}_{name}.yaml": each.preset(name, family, about) for name, each in found.items()
         }
         files |= {
-            "calibration.md": markdown,
+            "calibration.md": (markdown := limits_markdown(figures)),
             "calibration.json": {"seed": seed, "figures": figures},
             "calibration.png": lambda path: save_limits_figure(path, found, f"{family}, views of {key}"),
         }
         named = {f"{key}/{name}": value for name, row in figures.items() for key, value in row.items()}
         finite = {key: value for key, value in named.items() if np.isfinite(value)}
-        return Report(
-            files, finite, text="".join(limits.circles_text(name) for name, (_, limits) in fitted.items()) + markdown
-        )
+        return Report(files, finite, text=text + markdown)
 
     return Study(f"calibrate_detector {family}", run)
 

@@ -3,14 +3,12 @@
 import atexit
 import gc
 import os
-import re
 import signal
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import wraps
-from pathlib import Path
 from typing import Any
 
 import hydra
@@ -18,12 +16,11 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from .app import CONF, PACKAGE, choices, command_of, ends_reported
+from .app import CONF, PACKAGE, command_of, spelled
 from .composing import settled
 from .operations.signals import Stopped, stop
-from .operations.sweeps.supervisor import SWEEP_VARIABLE, run
+from .operations.sweeps.supervisor import run
 from .outputs import locks
-from .overrides import ask_what_was_meant, spelled
 from .study import Study, conduct
 from .trust import Trust
 
@@ -34,14 +31,6 @@ LAUNCHERS = {
     **dict.fromkeys(("submitit_local", "submitit_slurm"), "hydra_plugins.hydra_submitit_launcher"),
 }
 PRINTED = {*HELP, "--hydra-help", "--cfg", "-c", "--info", "-i"}  # options with which a command only prints
-Outcome = Study | float | None
-Task = Callable[[DictConfig], Outcome]
-
-
-def alone(cfg: DictConfig, task: Callable[[DictConfig], float | None]) -> float | None:
-    """Call a task that cannot be a job of a sweep, and report an error."""
-    with ends_reported():
-        return task(cfg)
 
 
 @dataclass(frozen=True)
@@ -50,10 +39,8 @@ class Command:
 
     name: str
     """Name of the command, of its module and of its configuration, such as `optimise`."""
-    task: Task
+    task: Callable[[DictConfig], Study | float | None]
     """Function of the configuration; a study that it returns is conducted."""
-    runner: Callable[[DictConfig, Callable[[DictConfig], float | None]], float | None] = run
-    """Function that calls the task and reports an error; by default each job of a sweep gets a process of its own."""
     like: str = ""
     """Command whose configuration it has, beside `settings`; for commands outside of this package."""
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -71,20 +58,16 @@ class Command:
             print(help_of(self.name, [word for word in sys.argv[1:] if word not in HELP]))
             return
         _check_launcher()
-        is_composed = False
 
         def settle_and_do(cfg: DictConfig) -> float | None:
-            _check_experiment(self.name)
             final = settled(cfg)
             outcome = self.task(final)
             return conduct(final, outcome) if isinstance(outcome, Study) else outcome
 
         @wraps(self.task)
         def run_composed(cfg: DictConfig) -> float | None:
-            nonlocal is_composed
-            is_composed = True
             offer_file_formats()
-            return self.runner(cfg, settle_and_do)
+            return run(cfg, settle_and_do)
 
         run_composed.__module__ = f"{PACKAGE}.{self.name}"  # Hydra names the job after this module
         compose = hydra.main(version_base="1.3", config_path=CONF, config_name=self.name)
@@ -94,10 +77,6 @@ class Command:
                 compose(run_composed)()
         except Stopped as told:
             sys.exit(told.code)
-        except SystemExit as ended:
-            if ended.code == 1 and not is_composed and SWEEP_VARIABLE not in os.environ:  # Hydra has refused it
-                ask_what_was_meant()
-            raise
 
 
 def _check_launcher() -> None:
@@ -105,12 +84,12 @@ def _check_launcher() -> None:
     from lmd.core.checks import InputError
     from lmd.core.optional import optional
 
-    names = [word.removeprefix("+").partition("hydra/launcher=")[2] for word in sys.argv[1:]]
-    try:
-        for name in LAUNCHERS.keys() & names:
-            optional(LAUNCHERS[name], "sweeps")
-    except InputError as error:
-        sys.exit(f"error: {error}")
+    for word in sys.argv[1:]:
+        if (name := word.removeprefix("+").partition("hydra/launcher=")[2]) in LAUNCHERS:
+            try:
+                optional(LAUNCHERS[name], "sweeps")
+            except InputError as error:
+                sys.exit(f"error: {error}")
 
 
 def help_of(command: str, overrides: Iterable[str]) -> str:
@@ -122,7 +101,7 @@ def help_of(command: str, overrides: Iterable[str]) -> str:
         composed = by_hydra(command, list(map(spelled, overrides)), return_hydra_config=True)
     picked = {str(group).partition("@")[0] for group in composed.hydra.runtime.choices} | {*map(str, composed)}
     options: dict[str, set[str]] = {}
-    for file in (file for folder in Trust.given().folders for file in folder.glob("*/*.yaml")):
+    for file in (file for at in Trust.of(composed, composed.hydra.runtime).folders for file in at.glob("*/*.yaml")):
         options.setdefault(file.parent.name, set()).add(file.stem)
     groups = [f"{group}: {', '.join(sorted(options[group]))}" for group in sorted(options) if group in picked]
     usage = f"{command_of(command)} [group=option] [key=value]"
@@ -135,17 +114,3 @@ def offer_file_formats() -> None:
     folders = [os.path.join(source.path, "file_formats") for source in sources if source.schema == "file"]
     known = filter(None, os.environ.get("LMD_FORMATS", "").split(os.pathsep))
     os.environ["LMD_FORMATS"] = os.pathsep.join(dict.fromkeys([*known, *filter(os.path.isdir, folders)]))
-
-
-def _check_experiment(command: str) -> None:
-    """Raise `InputError` if a stored sweep, which is part of the project, names only other commands."""
-    from lmd.core.checks import InputError
-
-    file = Path(CONF, "experiment", f"{choices().get('experiment')}.yaml")
-    text = file.read_text(encoding="utf-8") if file.is_file() else ""
-    if "mode: MULTIRUN" not in text:
-        return
-    known = dict.fromkeys(re.findall(rf"-m pipelines\.(\w+) .*experiment={re.escape(file.stem)}\b", text))
-    if known and command not in known:
-        right = " or ".join(f"{command_of(other)} experiment={file.stem}" for other in known)
-        raise InputError(f"experiment={file.stem} is for another command: {right}.")

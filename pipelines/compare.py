@@ -1,50 +1,60 @@
-"""Compare optimisers: `python -m pipelines.compare optimisers=[annealing,ega] seeds=10 [overrides]`."""
+"""Compare optimisers: `python -m pipelines.compare optimisers=[annealing,ega] seeds=10 [overrides]`.
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+With `suite=small` they are compared over the problems of the suite, and `leaderboard.md` ranks them.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from itertools import product
 from typing import TYPE_CHECKING
 
-from omegaconf import DictConfig, ListConfig
+from omegaconf import DictConfig, OmegaConf
 
-from .app import choices, run_directory, save_path
-from .building import budget_of, build_optimiser, build_problem, seeds_of
+from .app import changes_results, choices, run_directory, task_overrides
+from .building import GROUPS, budget_of, build_optimiser, build_problem, seeds_of
 from .command import Command
 from .composing import editable, recompose
-from .contenders import LANDMARKS, Contender, contend
-from .overrides import changes_results, task_overrides
+from .contenders import Contender, contend
+from .nodes import note, plain
 from .provenance import parameters
-from .study import Report, Study
-from .tournament import tournament_of
+from .study import Report, Study, dataset_of, derived, log_child, title_of
 
 if TYPE_CHECKING:
     from lmd.evaluation.comparison import OptimiserRun
-    from lmd.problem import Problem
+    from lmd.suite import BlackBox
 
 # Settings of the comparison itself; every other override is passed on to its runs.
 OWN_KEYS = ("optimisers", "reference", "seeds", "budget", "seed")
+CAMERAS = {"annealing": "camera_annealing"}  # optimiser of the same method for problems that place cameras
+BUDGETS = ("1", "2", "3")  # places in the list of budgets of a problem of the suite
 
 
 def compare(cfg: DictConfig) -> Study:
-    """Prepare the configured comparison, or with `suite` a tournament."""
-    from lmd.core.checks import InputError, choice
+    """Prepare the configured comparison on one problem, or over problems of the suite."""
+    from lmd.core.checks import InputError
 
-    if cfg.suite is not None:
-        return tournament_of(cfg)
+    entries = cfg.optimisers
+    if not OmegaConf.is_list(entries) or not entries or not all(str(entry).split() for entry in entries):
+        raise InputError(f"optimisers must list at least one name, got {entries!r}.")
+    return _on_one_problem(cfg) if cfg.suite is None else _over_suite(cfg)
 
+
+def _on_one_problem(cfg: DictConfig) -> Study:
+    """Study of the optimisers on the problem of the configuration."""
+    from lmd.core.checks import choice
     from lmd.optimisers.ledger import curve
 
     from .operations.tracking import RunStart
-    from .tracked_run import dataset_of, derived, log_child, title_of
 
-    problem, save_as = build_problem(cfg), save_path(cfg.save_as)
-    budget, seeds = budget_of(cfg), seeds_of(cfg)
-    if not isinstance(cfg.optimisers, ListConfig) or not all(str(entry).split() for entry in cfg.optimisers):
-        raise InputError(f"optimisers must be a list of names, got {cfg.optimisers!r}.")
-    configs = {str(entry): _compose(str(entry), cfg, problem) for entry in cfg.optimisers}
-    if not configs:
-        raise InputError("optimisers must name at least one optimiser.")
+    problem, budget, seeds = build_problem(cfg), budget_of(cfg), seeds_of(cfg)
+
+    def composed(entry: str) -> DictConfig:
+        own = _composed(entry, entry, lambda key: key.split(".")[0] not in OWN_KEYS and changes_results(key))
+        own.budget, own.threads = cfg.budget, 1
+        build_optimiser(own, cfg.seed).check(problem)  # before any search begins
+        return own
+
+    configs = {entry: composed(entry) for entry in map(str, cfg.optimisers)}
     reference = None if cfg.reference is None else choice("reference", cfg.reference, list(configs))
-    jobs = [Contender(name, configs[name], seed) for seed in seeds for name in configs]
     directory, dataset = run_directory(), dataset_of(cfg, problem)
     axis, title = "evaluations" if budget.evaluations else "wall_time", title_of(problem, f"{len(seeds)} seeds,")
     # So that tables of runs have the same columns as those of optimise.
@@ -53,45 +63,120 @@ def compare(cfg: DictConfig) -> Study:
     def log(job: Contender, run: "OptimiserRun", parent: str | None) -> None:
         folder, params = job.folder(directory), {**shared, "optimiser": run.optimiser, "seed": run.seed}
         started = RunStart(job.name, folder, params, job.tags, ago=run.history[-1].wall_time, dataset=dataset)
-        log_child(cfg.tracking, started, parent, run.metrics, folder / LANDMARKS, curve(run.history, budget))
+        log_child(cfg.tracking, started, parent, run.metrics, curve(run.history, budget))
 
     def report(done: "Mapping[Contender, OptimiserRun]") -> Report:
-        return _compared(list(done.values()), reference, axis, title)
+        from lmd.evaluation.comparison import compared, comparison_markdown
+        from lmd.objectives.base import figure_of
+        from lmd.plot.charts import save_comparison_figure
 
-    def saved() -> None:
-        for kind in ("md", "png") if save_as is not None else ():
-            Path(f"{save_as}.{kind}").write_bytes((directory / f"comparison.{kind}").read_bytes())
+        runs, fitness = list(done.values()), figure_of("fitness")  # which is maximised
+        comparison = compared(runs, fitness.key, reference)
+        markdown = comparison_markdown(comparison, fitness)
+        files = {
+            "comparison.csv": comparison.table,
+            "comparison.md": markdown,
+            "comparison.png": lambda path: save_comparison_figure(path, runs, axis, fitness, title),
+        }
+        if comparison.pairs is not None:
+            files["p_values.csv"] = comparison.pairs.rename_axis("optimiser")
+        return Report(files, text=f"\n{markdown}")
 
-    return contend(cfg, jobs, report, saved, log, problem=problem)
+    jobs = [Contender(name, configs[name], seed) for seed in seeds for name in configs]
+    return contend(cfg, jobs, report, log, problem=problem)
 
 
-def _compared(runs: "Sequence[OptimiserRun]", reference: str | None, axis: str, title: str) -> Report:
-    """Tables and picture of the comparison of runs."""
-    from lmd.evaluation.comparison import compared, comparison_markdown
-    from lmd.objectives.base import figure_of
-    from lmd.plot.charts import save_comparison_figure
+def _over_suite(cfg: DictConfig) -> Study:
+    """Study of the optimisers over problems of the suite, which writes the leaderboard.
 
-    fitness = figure_of("fitness")  # the quantity that is maximised, as in the picture
-    comparison = compared(runs, fitness.key, reference)
-    markdown = comparison_markdown(comparison, fitness)
-    files = {
-        "comparison.csv": comparison.table,
-        "comparison.md": markdown,
-        "comparison.png": lambda path: save_comparison_figure(path, runs, axis, fitness, title),
+    Raises:
+        InputError: a setting is refused.
+    """
+    from lmd.suite import document
+
+    boxes = problems_of(cfg)
+    budgets = {name: list(document(name).budgets) for name in boxes}
+
+    def report(done: "Mapping[Contender, OptimiserRun]") -> Report:
+        from lmd.plot.leaderboard import leaderboard, write_runs
+
+        by_place: dict[int, list[OptimiserRun]] = {0: [], 1: [], 2: []}
+        for job, run in done.items():
+            by_place[budgets[job.problem].index(job.evaluations)].append(run)
+        write_runs(run_directory() / "iohprofiler", by_place, boxes)
+        found = leaderboard(by_place, boxes)
+        files = {**found.pictures, "leaderboard.md": found.text, "leaderboard.csv": found.table}
+        return Report(files, found.figures, text=f"\n{found.text}")
+
+    about = f"{len(boxes)} problems, {len(cfg.optimisers)} optimisers, {cfg.seeds} seeds"
+    return contend(cfg, list(_jobs(cfg, boxes, budgets)), report, about=about)
+
+
+def problems_of(cfg: DictConfig) -> "Mapping[str, BlackBox]":
+    """The problems of `suite`: a set, a name or a list of names; those with several objectives are left out of a set.
+
+    Raises:
+        InputError: there is no such problem, or the configuration chooses parts of a problem besides.
+    """
+    from lmd.core.checks import InputError
+    from lmd.suite import names, problem
+    from lmd.suite.documents import SETS
+
+    for key, _ in task_overrides():
+        if key.split(".")[0].split("@")[0] in GROUPS:
+            raise InputError(f"suite = {cfg.suite} has frozen problems: leave {key} out.", "suite")
+    asked = plain(cfg.suite)
+    boxes = {
+        str(name): problem(str(name))
+        for name in (asked if isinstance(asked, list) else names(asked) if asked in SETS else [asked])
     }
-    if comparison.pairs is not None:
-        files["p_values.csv"] = comparison.pairs.rename_axis("optimiser")
-    return Report(files, text=f"\n{markdown}")
+    several = [name for name, box in boxes.items() if len(box.objectives) > 1]
+    if several and asked not in SETS:
+        raise InputError(f"suite: {several[0]} has several objectives; a comparison takes one.", "suite")
+    return {name: box for name, box in boxes.items() if name not in several}
 
 
-def _compose(entry: str, cfg: DictConfig, problem: "Problem") -> DictConfig:
-    """The `optimise` configuration for one entry of `optimisers`: a name, then its own overrides."""
-    shared = [o for key, o in task_overrides() if key.split(".")[0] not in OWN_KEYS and changes_results(key)]
-    name, *own = entry.split()
-    composed = editable(recompose("optimise", [*shared, f"optimiser={name}", *own], "optimisers", entry))
-    composed.budget, composed.threads = cfg.budget, 1
-    build_optimiser(composed, cfg.seed).check(problem)  # before any search begins
-    return composed
+def _jobs(cfg: DictConfig, boxes: "Mapping[str, BlackBox]", budgets: Mapping[str, list[int]]) -> Iterator[Contender]:
+    """The runs, all problems with the first seed before any with the second.
+
+    Raises:
+        InputError: an optimiser is refused, or takes none of the problems.
+    """
+    from lmd.core.checks import InputError, choice
+
+    places = [BUDGETS.index(choice("suite_budgets", str(place), BUDGETS)) for place in cfg.suite_budgets]
+    taken = {entry: _taken(entry, cfg, boxes) for entry in map(str, cfg.optimisers)}
+    if not places:
+        raise InputError("suite_budgets must name at least one.", "suite_budgets")
+    for seed, place, name, entry in product(seeds_of(cfg), places, boxes, taken):
+        if name in taken[entry]:
+            yield Contender(entry, taken[entry][name], seed, name, budgets[name][place])
+
+
+def _taken(entry: str, cfg: DictConfig, boxes: "Mapping[str, BlackBox]") -> dict[str, DictConfig]:
+    """Configurations of an entry of `optimisers` for the problems that it takes."""
+    from lmd.core.checks import InputError
+
+    taken, refused = dict[str, DictConfig](), ""
+    known = {words: _composed(entry, words, "validate".__eq__) for words in (entry, CAMERAS.get(entry, entry))}
+    for name, box in boxes.items():
+        composed = known[entry if box.problem.genome is None else CAMERAS.get(entry, entry)]
+        try:
+            build_optimiser(composed, cfg.seed).check(box.problem)
+            taken[name] = composed
+        except InputError as error:
+            refused = str(error)
+            note(f"{entry} does not take {name}: {error}")
+    if not taken:
+        raise InputError(f"optimisers: {entry!r} takes none of the problems: {refused}", "optimisers")
+    return taken
+
+
+def _composed(entry: str, words: str, is_shared: Callable[[str], bool]) -> DictConfig:
+    """The configuration of `optimise` for an entry of `optimisers`: a name, then its own overrides."""
+    shared = [override for key, override in task_overrides() if is_shared(key)]
+    name, *own = words.split()
+    return editable(recompose("optimise", [*shared, f"optimiser={name}", *own], "optimisers", entry))
 
 
 main = Command("compare", compare)

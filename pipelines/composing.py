@@ -20,8 +20,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
-from .app import CONF, choices, chosen
-from .overrides import COUNT, keyed_overrides, quoted, search_path, spelled, task_overrides
+from .app import CONF, COUNT, choices, chosen, keyed_overrides, quoted, search_path, spelled, task_overrides
 from .trust import Trust, read_yaml
 
 if TYPE_CHECKING:
@@ -72,11 +71,8 @@ def compose(command: str, *overrides: str) -> DictConfig:
 
     with initialize_config_dir(CONF, version_base="1.3"):
         composed = by_hydra(command, list(map(spelled, overrides)), return_hydra_config=True)
-        options = chosen(composed.hydra.runtime.choices)
-        with open_dict(composed):
-            composed.pop("hydra")
-        again = _overrides(composed, command, overrides, options)
-        return _final(composed if again is None else by_hydra(command, again))
+        again = _overrides(composed, command, overrides, composed.hydra.runtime)
+        return _final(_without_hydra(composed) if again is None else by_hydra(command, again))
 
 
 def settled(cfg: DictConfig) -> DictConfig:
@@ -88,7 +84,7 @@ def settled(cfg: DictConfig) -> DictConfig:
         InputError: a run, a frozen problem, a survey or a map is refused.
     """
     job: Any = HydraConfig.get()
-    if (again := _overrides(cfg, job.job.config_name, job.overrides.task, choices())) is not None:
+    if (again := _overrides(cfg, job.job.config_name, job.overrides.task, job.runtime)) is not None:
         composed = _load(job.job.config_name, [*search_path(), *again], "the command line", " ".join(again))
         with read_write(job), open_dict(job):
             job.runtime.choices, job.overrides.task = composed.hydra.runtime.choices, again
@@ -142,36 +138,39 @@ def _without_hydra(composed: DictConfig) -> DictConfig:
 
 def _final(cfg: DictConfig) -> DictConfig:
     """Read-only configuration without the keys that its other keys rule out."""
-    final = deepcopy(cfg)
-    with open_dict(final):
-        for key in CAMERA_KEYS if final.get("varies") == "tags" else ():
-            final.pop(key, None)
+    left_out = CAMERA_KEYS if cfg.get("varies") == "tags" else ()
+    final = OmegaConf.masked_copy(cfg, [str(key) for key in cfg if key not in left_out])
     OmegaConf.set_readonly(final, True)
     return final
 
 
-def _overrides(cfg: DictConfig, command: str, given: Sequence[str], options: Mapping[str, str]) -> list[str] | None:
+def _overrides(cfg: DictConfig, command: str, given: Sequence[str], runtime: Any) -> list[str] | None:
     """Overrides with those that the keys of a configuration choose in front; None if it chooses none.
 
     Args:
         cfg: configuration.
         command: name of the command.
         given: overrides of the command line.
-        options: option of each group.
+        runtime: Hydra's record of the run.
     """
+    from lmd.core.checks import InputError
+
     named = dict.fromkeys(key for key, _ in keyed_overrides(given))  # in their order
+    options, trust = chosen(runtime.choices), Trust.of(cfg, runtime)
     found: dict[str, str] = {}
     if isinstance(cfg.get("suite"), str) and command != "compare":
         found |= _of_suite(cfg, named)
-    if "views" in cfg and cfg.survey is not None:
-        found |= _of_survey(Path(str(cfg.survey)))
     run = cfg.get("run")
-    if run is not None or "run" in found:
-        if run is not None:
-            _check_experiment(str(run), command, options.get("experiment"))
-        found |= _of_run(cfg, Path(str(found["run"]).strip("'") if run is None else str(run)), named, command, options)
+    if "views" in cfg and cfg.survey is not None:
+        found |= _of_survey(Path(str(cfg.survey)), trust)
+        run = found.get("run", "").strip("'") or None if run is None else run
+    elif run is not None and options.get("experiment") is not None:
+        both = f"run = {str(run)!r} and experiment={options['experiment']}"
+        raise InputError(f"{both} both choose the problem: leave one of the two out.")
+    if run is not None:
+        found |= _of_run(cfg, Path(str(run)), named, command, options, trust)
     elif cfg.get("map") is not None and Path(str(cfg.map), FILES[0]).is_file() and "room" not in named:
-        found |= _stored(_parts_of(Path(str(cfg.map)), "map", ("room",))[1], OPTION)
+        found |= _stored(_parts_of(Path(str(cfg.map)), "map", trust, ("room",))[1], OPTION)
     elif PATH in named and "suite" not in named and options.get("deployment") in COUNTED:
         found |= {"deployment": "file"}
     if cfg.get("varies") == "cameras" or "varies" in found:
@@ -222,16 +221,15 @@ def _of_suite(cfg: DictConfig, named: Iterable[str]) -> dict[str, str]:
     return found
 
 
-def _of_survey(directory: Path) -> dict[str, str]:
+def _of_survey(directory: Path, trust: Trust) -> dict[str, str]:
     """Choices for the views of a survey, with its run, cameras, tags and detector."""
-    before, parts = _parts_of(directory, "survey", ("camera", "tag"))
-    found = {"frames": "0", "margin": "0"}
-    found |= {**_stored(parts, "survey"), "detectors": f"[{','.join(before.get('detectors') or {})}]"}
-    return found | ({"run": quoted(before["run"])} if before.get("run") else {})
+    before, parts = _parts_of(directory, "survey", trust, ("camera", "tag"))
+    found = {"frames": "0", "margin": "0", "detectors": f"[{','.join(before.get('detectors') or {})}]"}
+    return {**_stored(parts, "survey"), **found, **({"run": quoted(before["run"])} if before.get("run") else {})}
 
 
 def _of_run(
-    cfg: DictConfig, directory: Path, named: Iterable[str], command: str, options: Mapping[str, str]
+    cfg: DictConfig, directory: Path, named: Iterable[str], command: str, options: Mapping[str, str], trust: Trust
 ) -> dict[str, str]:
     """Choices for the problem and the landmarks of an earlier run.
 
@@ -240,12 +238,11 @@ def _of_run(
     Raises:
         InputError: the run names code that the user does not trust, or lacks a file.
     """
-    further = ("body",) if "body" in cfg else ()
-    before, parts = _parts_of(directory, "run", (*GROUPS, *further), FILES)
+    before, parts = _parts_of(directory, "run", trust, (*GROUPS, *(("body",) if "body" in cfg else ())), FILES)
     if "camera" in parts and (rig := directory / RIG).is_file():
         parts["camera"] = {**parts["camera"], "rig": str(rig)}
-    hung = before.get("deployment")
-    hung = hung if isinstance(hung, dict) else {}
+    given = before.get("deployment")
+    hung = given if isinstance(given, dict) else {}
     path, free = directory / FILES[1], bool(hung.get("free")) or hung.get("measured") is not None
     _stored({"deployment": {"defaults": ["file", "_self_"], "path": str(path), "free": free}}, OPTION)
     found = _stored(parts, OPTION)
@@ -265,13 +262,14 @@ def _of_run(
 
 
 def _parts_of(
-    directory: Path, argument: str, groups: Sequence[str], files: Sequence[str] = FILES[:1]
+    directory: Path, argument: str, trust: Trust, groups: Sequence[str], files: Sequence[str] = FILES[:1]
 ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
     """Configuration of an earlier run, and its nodes of `groups`.
 
     Args:
         directory: folder of the run.
         argument: key that names the run, for messages.
+        trust: names that the user trusts.
         groups: the groups.
         files: files that the folder must have.
 
@@ -280,10 +278,11 @@ def _parts_of(
     """
     from lmd.core.checks import InputError
 
-    if missing := [name for name in files if not (directory / name).is_file()]:
-        raise InputError(f"{argument} = '{directory}' is no {argument} to go on from: it holds no {missing[0]}.")
+    for name in files:
+        if not (directory / name).is_file():
+            raise InputError(f"{argument} = '{directory}' is no {argument} to go on from: it holds no {name}.")
     before = read_yaml(directory / FILES[0], argument)
-    return before, Trust.given().parts(before, f"{argument}: '{directory / FILES[0]}'", groups)
+    return before, trust.parts(before, f"{argument}: '{directory / FILES[0]}'", groups)
 
 
 def count_of(run: str | Path) -> int:
@@ -291,24 +290,6 @@ def count_of(run: str | Path) -> int:
     from lmd.core.tables import read_table
 
     return len(read_table(Path(run) / FILES[1], name="run").lines)
-
-
-def _check_experiment(run: str, command: str, name: str | None) -> None:
-    """Raise `InputError` if an earlier run and an experiment both choose a group of the problem.
-
-    The run has precedence over an experiment, so only a part of the experiment would be used.
-    """
-    from lmd.core.checks import InputError
-
-    if name is None:
-        return
-    loader: Any = GlobalHydra.instance().config_loader()
-    theirs = loader.compute_defaults_list(command, [*search_path(), f"experiment={name}"], RunMode.RUN).overrides
-    if twice := [group for group in (*GROUPS, "deployment") if group in theirs.override_choices]:
-        raise InputError(
-            f"run = {run!r} and experiment={name} both choose {', '.join(twice)}: leave one of the two out; "
-            "what shall differ from the run can be named by itself."
-        )
 
 
 def compared(cfg: DictConfig) -> dict[str, DictConfig]:

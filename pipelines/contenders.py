@@ -16,19 +16,18 @@ from lmd.optimisers.ledger import columns_of
 from .app import flat_settings, run_directory
 from .building import budget_of, build_optimiser, build_problem
 from .composing import RIG
-from .kept import kept
 from .operations.sweeps.names import DIGEST_LENGTH
 from .optimise import SAME_WHEN_RESUMED
-from .provenance import digest
-from .study import Report, Study
+from .outputs import HISTORY_FILE, read_history
+from .provenance import digest, kept
+from .study import LANDMARKS, Report, Study
 
 if TYPE_CHECKING:
     from lmd.evaluation.comparison import OptimiserRun
-    from lmd.problem import Problem
 
     from .operations.tracking import Tracker
 
-LANDMARKS, HISTORY = "landmarks.csv", "history.csv"  # files of each run, in a folder of its own
+GOING_ON = "the same command goes on with what is in {}"
 LONGEST = 120  # characters of the name of a folder, with a digest behind them if the name of the run is longer
 
 
@@ -65,32 +64,28 @@ class Contender:
             return flat_settings(self.cfg, *SAME_WHEN_RESUMED, "budget", "validate"), self.seed
         from lmd.suite import document
 
-        settings = flat_settings(self.cfg, "optimiser", "encoding", "validate")
-        return settings, self.seed, document(self.problem).hash, self.evaluations
+        frozen = document(self.problem).hash, self.evaluations
+        return flat_settings(self.cfg, "optimiser", "encoding", "validate"), self.seed, *frozen
 
     def folder(self, comparison: Path) -> Path:
         """The folder of the run below the folder of its comparison; a long name ends in a digest."""
-        name = self.name.replace("/", "_")
-        if len(name) > LONGEST:
-            name = f"{name[:LONGEST]} {digest(self.name)[:DIGEST_LENGTH]}"
-        return comparison / "runs" / self.problem / name
+        name, ending = self.name.replace("/", "_"), f" {digest(self.name)[:DIGEST_LENGTH]}"
+        return comparison / "runs" / self.problem / (name if len(name) <= LONGEST else name[:LONGEST] + ending)
 
 
-def contend(
-    cfg: DictConfig, jobs: Sequence[Contender],
-    report: "Callable[[Mapping[Contender, OptimiserRun]], Report]", saved: Callable[[], None],
-    log: "Callable[[Contender, OptimiserRun, str | None], None] | None" = None, about: str = "",
-    problem: "Problem | None" = None,
-) -> Study:  # fmt: skip
+Told = Callable[["Mapping[Contender, OptimiserRun]"], Report]
+Log = Callable[[Contender, "OptimiserRun", str | None], None]
+
+
+def contend(cfg: DictConfig, jobs: Sequence[Contender], report: Told, log: Log | None = None, **about: Any) -> Study:
     """Study of the runs of a comparison, which does those that no comparison with these settings has done.
 
     Args:
         cfg: configuration of `compare`.
         jobs: the runs.
         report: function that reports on the finished runs.
-        saved: function that is called when the report on all runs is written.
         log: function that records a finished run below the tracked run; None to record none.
-        about, problem: description and problem of the tracked run.
+        about: description or problem of the tracked run, see `Study`.
     """
     from lmd.core.checks import file_path
 
@@ -103,8 +98,7 @@ def contend(
         try:
             with closing(in_processes(do, jobs, cfg.workers, lambda job: job.name)) as finished:
                 for name, done in finished:
-                    job = by_name[name]
-                    results[job] = done
+                    results[job := by_name[name]] = done
                     if log is not None:
                         log(job, done, tracker.run_id)
                     yield Report(text=f"{len(results)}/{len(jobs)} {name}: fitness {done.metrics['fitness']:.2%}")
@@ -113,26 +107,22 @@ def contend(
                 yield report(results)
             raise
         yield report({job: results[job] for job in jobs})
-        saved()
 
-    return Study("compare", run, about, problem, hint=lambda: f"the same command goes on with what is in {cfg.kept}")
+    return Study("compare", run, hint=partial(GOING_ON.format, cfg.kept), **about)
 
 
 def _done(directory: Path, folder: str, job: Contender) -> "tuple[str, OptimiserRun]":
     """Name and result of a run, which is done unless its result is kept, and whose files are written."""
     from lmd.core.files import write_whole
-    from lmd.core.tables import read_numbers
     from lmd.evaluation.comparison import OptimiserRun
-    from lmd.optimisers.ledger import Record
     from lmd.scene.deployment import Deployment
 
     document, own = kept(folder, job.parts, partial(_searched, job), dict), job.folder(directory)
     own.mkdir(parents=True, exist_ok=True)  # there already where a sweep repeats a lost job
     for name, text in document["files"].items():
         write_whole(own / name, text.encode())
-    history = [Record(*row) for row in read_numbers(own / HISTORY, [*columns_of([])], name="history").tolist()]
-    landmarks = Deployment.from_csv(own / LANDMARKS)
-    return job.name, OptimiserRun(job.optimiser, job.seed, document["metrics"], history, landmarks, None, job.problem)
+    found = document["metrics"], read_history(own / HISTORY_FILE), Deployment.from_csv(own / LANDMARKS)
+    return job.name, OptimiserRun(job.optimiser, job.seed, *found, None, job.problem)
 
 
 def _searched(job: Contender) -> dict[str, Any]:
@@ -157,7 +147,7 @@ def _searched(job: Contender) -> dict[str, Any]:
     landmarks, history = io.StringIO(), io.StringIO()
     result.deployment.to_csv(landmarks, ups=not problem.scene.tag.is_point)
     write_table(history, columns_of(result.history))
-    files = {LANDMARKS: landmarks.getvalue(), HISTORY: history.getvalue()}
+    files = {LANDMARKS: landmarks.getvalue(), HISTORY_FILE: history.getvalue()}
     if result.rig is not None:
         files[RIG] = rig_text(result.rig, dict.fromkeys(result.rig.cameras))
     return {"name": job.name, "metrics": metrics, "files": files}

@@ -27,19 +27,14 @@ def estimate(cfg: DictConfig) -> Study:
     note(recording.note)
     result = estimate_pdf(recording, rng, **{name: cfg[name] for name in SETTINGS})
     about = {"name": recording.name, "records": len(recording.time), "duration": recording.duration}
+    settings = {"settings": flat_settings(cfg, key, *SETTINGS, "seed")}
     files = {
         "pdf.csv": result.pdf.to_csv,
-        "pdf_estimate.json": {
-            "recording": about,
-            **result.summary(),
-            "settings": flat_settings(cfg, key, *SETTINGS, "seed"),
-        },
+        "pdf_estimate.json": {"recording": about, **result.summary(), **settings},
         "pdf.png": lambda path: save_orientation_figure(path, result, f"orientation PDF of {recording.name}"),
     }
-    lines = result.lines() | {
-        "picture": str(run_directory() / "pdf.png"),
-        "use it with": f"pdf=samples pdf.path={run_directory() / 'pdf.csv'}",
-    }
+    picture, use = run_directory() / "pdf.png", f"pdf=samples pdf.path={run_directory() / 'pdf.csv'}"
+    lines = {**result.lines(), "picture": str(picture), "use it with": use}
     return Study(f"estimate_pdf {key}", lambda _: Report(files, result.metrics(), lines=lines))
 
 

@@ -3,13 +3,13 @@
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
 from .building import build_parts
 from .command import Command
 from .composing import editable
 from .landmarks import take_sizes
-from .nodes import keyed, note, settings_of
+from .nodes import keyed, note, plain, settings_of
 from .study import Report, Study
 
 if TYPE_CHECKING:
@@ -28,10 +28,8 @@ def build_export(cfg: DictConfig, key: str, tag: "Tag") -> "Export":
     from lmd.export.exports import Export, all_formats, formats_of, not_printed
 
     with keyed(formats=key, paper="paper_size", edge="tag.edge"):
-        settings = OmegaConf.to_container(cfg, resolve=True)
-        assert isinstance(settings, dict)
-        paper, names = settings["paper_size"], settings[key]
-        chosen = Export(formats_of(tag) if names is None else names, paper, settings["north"], names is None)
+        paper, names = cfg.paper_size, plain(cfg[key])
+        chosen = Export(formats_of(tag) if names is None else names, paper, cfg.north, names is None)
         if names is None and not tag.is_point:
             left_out = not_printed(tag, paper)
             chosen = replace(chosen, formats=tuple(name for name in chosen.formats if name not in left_out))

@@ -5,9 +5,9 @@ from copy import deepcopy
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig
 
-from .nodes import note
+from .nodes import note, plain
 
 if TYPE_CHECKING:
     from lmd.objectives.base import Objective
@@ -47,12 +47,14 @@ def fixed_of(node: DictConfig, family: str | None) -> "Deployment | None":
 
 def table_in(node: DictConfig) -> dict[str, Any]:
     """Arguments of `read_deployment` for the tables that a group `deployment` names, as far as they are given."""
-    given = {key: node.get(key) for key in TABLE if node.get(key) is not None}
-    return {key: OmegaConf.to_container(value) if OmegaConf.is_config(value) else value for key, value in given.items()}
+    return {key: plain(node[key]) for key in TABLE if node.get(key) is not None}
 
 
-def total_of(node: DictConfig, fixed: "Deployment | None") -> int | None:
-    """Number of landmarks, fixed landmarks included; None if no landmark is fixed or no count is given.
+def others_of(node: DictConfig, fixed: "Deployment | None") -> tuple[int | None, DictConfig]:
+    """Number of landmarks, fixed ones included, and the node for the source of all others.
+
+    The number is None if no landmark is fixed or no count is given. A file may also contain the fixed landmarks, so its
+    number of landmarks is checked after fixed landmarks are joined.
 
     Raises:
         InputError: the count is in addition to fixed landmarks but there are none, or leaves no landmark to place.
@@ -61,35 +63,19 @@ def total_of(node: DictConfig, fixed: "Deployment | None") -> int | None:
 
     count = node.get("count")
     more = MORE.fullmatch(count) if isinstance(count, str) else None
-    if fixed is None:
-        if more:
-            raise InputError(f"count = {count} adds to the landmarks of fixed, which is not given.", "count")
-        return None
-    if count is None:
-        return None
+    if fixed is None and more:
+        raise InputError(f"count = {count} adds to the landmarks of fixed, which is not given.", "count")
+    table = [key for key in TABLE if node.get(key) is None or "path" not in node]
+    source = deepcopy(node)
+    for key in (*NO_SOURCE, *table):
+        source.pop(key, None)
+    if fixed is None or count is None:
+        return None, source
     total = len(fixed) + int(more[1]) if more else integer("count", count, low=1)
     if total <= len(fixed):
         raise InputError(f"count = {count} leaves none to place: {node.fixed} has {len(fixed)} landmarks.", "count")
-    return total
-
-
-def others_of(node: DictConfig, fixed: "Deployment | None", total: int | None) -> DictConfig:
-    """Configuration node for the source of all landmarks that are not fixed.
-
-    A file may also contain the fixed landmarks, so its number of landmarks is checked after fixed landmarks are joined.
-
-    Args:
-        total: number of landmarks, fixed landmarks included.
-    """
-    source = deepcopy(node)
-    for key in NO_SOURCE:
-        source.pop(key, None)
-    for key in TABLE:
-        if source.get(key) is None or "path" not in source:
-            source.pop(key, None)
-    if fixed is not None and total is not None:
-        source.count = None if "path" in source else total - len(fixed)
-    return source
+    source.count = None if "path" in source else total - len(fixed)
+    return total, source
 
 
 def take_sizes(node: DictConfig, tag: DictConfig) -> None:
@@ -140,20 +126,14 @@ def spell_counts(node: DictConfig, tag: DictConfig) -> None:
 
 
 def divide_paper(
-    node: DictConfig,
-    tag: DictConfig,
-    scene: "Scene",
-    objective: "Objective",
-    threads: int | None,
-    fixed: "Deployment | None",
+    cfg: DictConfig, scene: "Scene", objective: "Objective", threads: int | None, fixed: "Deployment | None"
 ) -> "Scene":
     """Scene with a count of each size that is chosen for `tag.paper` or `tag.budget`, unless counts are given.
 
-    The counts are written to the two groups, so that a run records them, and are printed in a note.
+    The counts are written to the groups `deployment` and `tag`, and are printed in a note.
 
     Args:
-        node: group `deployment`, which is changed.
-        tag: group `tag`, which is changed.
+        cfg: configuration, which is changed.
         scene: scene with the tag that `tag` describes.
         objective: objective of the landmarks.
         threads: number of threads; None for every processor.
@@ -164,15 +144,14 @@ def divide_paper(
     """
     from lmd.optimisers.selection import composition
 
-    made = scene.tag
+    made, node = scene.tag, cfg.deployment
     if made.limit is None or made.counts is not None or "count" not in node or "path" in node:
         return scene
     counts = composition(scene, objective, threads, fixed)
-    tag.counts = list(counts)
+    cfg.tag.counts = list(counts)
     node.count = sum(counts) + (0 if fixed is None else len(fixed))
-    made, visibility = replace(made, counts=counts), scene.visibility
-    if hasattr(visibility, "tag"):
-        visibility = replace(visibility, tag=made)  # type: ignore[type-var]
+    made, sight = replace(made, counts=counts), scene.visibility
+    visibility = replace(sight, tag=made) if hasattr(sight, "tag") else sight  # type: ignore[type-var]
     sizes = ", ".join(f"{count} of {edge:g} m" for edge, count in zip(made.sizes, counts, strict=True))
     limit = f"tag.budget = {made.budget:g}" if made.paper is None else f"tag.paper = {made.paper:g} square metres"
     note(f"{limit} make {sizes}")

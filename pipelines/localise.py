@@ -13,7 +13,7 @@ from .landmarks import table_in
 from .nodes import instantiate, keyed, note, settings_of
 from .photographs import detected, odometry_of, reader_of, with_camera_of_bag
 from .study import Report, Study
-from .survey_files import camera_files
+from .survey import camera_files
 
 if TYPE_CHECKING:
     from lmd.geometry.camera import Camera
@@ -38,8 +38,7 @@ def localise(cfg: DictConfig) -> Study:
     from .progress import doing
 
     seed_number(cfg.seed)
-    tag = instantiate(cfg.tag)
-    given = _cameras(cfg)
+    tag, given = instantiate(cfg.tag), _cameras(cfg)
     _, detector = reader_of(cfg)
     known, room = _map(cfg, tag), instantiate(cfg.room) if cfg.get("room") else None
     settings = settings_of(cfg, "localise")
@@ -51,16 +50,10 @@ def localise(cfg: DictConfig) -> Study:
     if steady and odometry is not None:
         raise InputError("localise.motion is for drives without odometry: leave one of the two out.")
     seen = detected(cfg, given.cameras, detector, tag)
-    with keyed(
-        "localise",
-        detections="detections" if cfg.detections is not None else "photographs",
-        cameras="camera",
-        map="map",
-    ):
-        mounts = given.mounted if isinstance(given, Rig) else None
-        with doing("localising"):
-            drive = Drive(mounts, is_mounted, odometry, steady)
-            found = find(seen, given.cameras, tag, detector.corner_errors, known, drive, room, calibrate)
+    source = "photographs" if cfg.detections is None else "detections"
+    drive = Drive(given.mounted if isinstance(given, Rig) else None, is_mounted, odometry, steady)
+    with keyed("localise", detections=source, cameras="camera", map="map"), doing("localising"):
+        found = find(seen, given.cameras, tag, detector.corner_errors, known, drive, room, calibrate)
     about = f"localisation of {found.found.localised.sum()} of {len(seen.times)} frames"
     smoothed = None if found.smoothed is None else found.smoothed.frames
     files: dict[str, Any] = {
@@ -115,11 +108,9 @@ def _map(cfg: DictConfig, tag: "Tag") -> "FixedMap":
     key, path = ("deployment.path", node.path) if cfg.map is None else ("map", cfg.map)
     if (folder := Path(str(path))).is_dir():
         path = str(folder / (SURVEYED if (folder / SURVEYED).exists() else RUN_FILES[1]))
-    with keyed(
-        "localise", map=key, axes="deployment.axes", columns="deployment.columns", edge="tag.edge", family="tag.family"
-    ):
-        errors = MapErrors(settings.place, settings.turn)
-        found = FixedMap.read(path, tag, errors, **table_in(node))
+    names = {"axes": "deployment.axes", "columns": "deployment.columns", "edge": "tag.edge", "family": "tag.family"}
+    with keyed("localise", map=key, **names):
+        found = FixedMap.read(path, tag, MapErrors(settings.place, settings.turn), **table_in(node))
     note(found.note)
     return found
 

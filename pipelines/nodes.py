@@ -14,11 +14,10 @@ from typing import TYPE_CHECKING, Any
 import hydra
 from omegaconf import DictConfig, OmegaConf
 
-from .overrides import LIKENESS, known_keys
-from .trust import Trust
-
 if TYPE_CHECKING:
     from lmd.detection.detectors import Detector
+
+LIKENESS = 0.8  # least similarity, by `difflib`, of a suggested key, such as a missing letter in a word
 
 
 @cache
@@ -102,20 +101,12 @@ def _refusal(error: Exception, extra: Mapping[str, Any]) -> str:
         return f"{key}: {target[1]} must take the argument {unknown[1]}."
     close = difflib.get_close_matches(unknown[1], takes, 1, LIKENESS)
     likely = f"did you mean {key}.{close[0]}?" if close else f"{target[1]} takes {', '.join(takes) or 'no argument'}"
-    name = f"{key}.{unknown[1]}"
-    return f"{name} is no setting that is known; {_set_by_experiment(name) or likely}"
+    return f"{key}.{unknown[1]} is no setting that is known; {likely}"
 
 
-def _set_by_experiment(key: str) -> str:
-    """Hint to leave out a key that the experiment sets for another option of its group; empty if none sets it."""
-    from hydra.core.hydra_config import HydraConfig
-
-    if not HydraConfig.initialized():
-        return ""
-    asked, name = HydraConfig.get().overrides.task, HydraConfig.get().runtime.choices.get("experiment")
-    own = name is None or any(each.lstrip("+").partition("=")[0] == key for each in asked)
-    sets = not own and any(key in known_keys(str(folder / "experiment")) for folder in Trust.given().folders)
-    return f"experiment={name} sets it for another {key.partition('.')[0]}: leave it out by ~{key}" if sets else ""
+def plain(node: Any) -> Any:
+    """Resolved values of a node of the configuration; any other value as it is."""
+    return OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node
 
 
 def settings_of(cfg: DictConfig, key: str) -> DictConfig:
@@ -132,23 +123,10 @@ def settings_of(cfg: DictConfig, key: str) -> DictConfig:
     return found
 
 
-def detector_of(cfg: DictConfig, name: str) -> "Detector":
-    """Build the detector at `detectors.<name>`.
+def detectors_of(cfg: DictConfig) -> "dict[str, Detector]":
+    """Build the detectors of a configuration.
 
     Raises:
-        InputError: there is no such detector, it refuses its arguments, or it does not read the family of the tags.
+        InputError: one refuses its arguments, or does not read the family of the tags.
     """
-    from lmd.core.checks import InputError
-    from lmd.scene.families import FAMILIES, family_named
-
-    settings = settings_of(cfg, f"detectors.{name}")
-    try:
-        detector: Detector = instantiate(settings)
-    except InputError:
-        family = FAMILIES.get(family_named(str(settings.get("family"))))
-        if family is None or (family.apriltag and family.dictionary):
-            raise
-        owner, reader = ("AprilTag", "apriltag") if family.apriltag else ("ArUco", "aruco")
-        text = f"tag.family = {settings.family} is one of {owner}'s, which the detector {name} does not read"
-        raise InputError(f"{text}: detectors=[{reader}] does.") from None
-    return detector
+    return {name: instantiate(settings_of(cfg, f"detectors.{name}")) for name in cfg.get("detectors") or {}}

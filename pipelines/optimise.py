@@ -3,26 +3,26 @@
 With `varies=cameras` the tags are given, and the places of a robot's cameras are sought.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
 from .app import choices, flat_settings, run_directory
 from .building import budget_of, build_optimiser, build_problem, camera_of, refuse_crowd
 from .command import Command
-from .composing import RIG, editable
+from .composing import GROUPS, RIG, editable
 from .export import build_export
-from .nodes import instantiate, keyed, note, settings_of
+from .nodes import instantiate, keyed, note, plain, settings_of
 from .operations.signals import Stopped, stop
 from .outputs import space_reserved
 from .provenance import contents_of, resuming
-from .score import Extras, room_report, scored
-from .study import Earlier, Report, Study
+from .score import room_report, scored
+from .study import Report, Study, title_of
 
 if TYPE_CHECKING:
     from lmd.cameras.problem import CameraProblem
@@ -31,14 +31,11 @@ if TYPE_CHECKING:
     from lmd.optimisers.checkpoint import Checkpoint
     from lmd.optimisers.ledger import Budget
     from lmd.problem import Problem
-    from lmd.scene.rig import Rig
 
     from .operations.tracking import Tracker
 
 # Settings that a resumed run shares with the run that it continues; files named in them must have equal contents.
-SAME_WHEN_RESUMED = (
-    "room", "camera", "pdf", "poses", "tag", "visibility", "objective", "encoding", "deployment", "optimiser", "seed"
-)  # fmt: skip
+SAME_WHEN_RESUMED = (*GROUPS, "encoding", "deployment", "optimiser", "seed")
 IN_TURN = ("rounds", "tag_evaluations")
 DRAWING = "body.png"
 
@@ -47,55 +44,58 @@ def optimise(cfg: DictConfig) -> Study:
     """Prepare the search for landmarks, or for the places of cameras."""
     from lmd.core.checks import choice
 
-    from .tracked_run import title_of
-
     is_rig = choice("varies", cfg.varies, ("tags", "cameras")) == "cameras"
-    problem: Problem
     cameras = build_camera_problem(cfg) if is_rig else None
-    problem = build_problem(cfg) if cameras is None else cameras[0]
+    problem: Problem = build_problem(cfg) if cameras is None else cameras[0]
     optimiser = build_optimiser_of(cfg) if is_rig else build_optimiser(cfg, cfg.seed)
     export = build_export(cfg, "export", problem.scene.tag) if cfg.export != [] else None
     budget = budget_of(cfg)
     optimiser.check(problem)
-    further = () if not is_rig else ("body", "cameras", *(() if cfg.rounds is None else IN_TURN))
-    checkpoint, earlier = _checkpoint_of(cfg, optimiser, problem, further)
-    subject, extras = choices()["optimiser"], Extras.of(cfg)
-    about = title_of(problem, subject)
-    if is_rig:
-        about = f"{cfg.cameras.count} cameras, {about}"
+    checkpoint = _checkpoint_of(cfg, optimiser, problem)
+    earlier = checkpoint.run_id, Path(cfg.resume or "")
+    subject = choices()["optimiser"]
+    about = f"{f'{cfg.cameras.count} cameras, ' if is_rig else ''}{title_of(problem, subject)}"
 
     def run(tracker: "Tracker") -> Iterator[Report]:
         yield room_report(cfg, problem)
         found, in_haste = _run(problem, budget, checkpoint, tracker, cfg.checkpoint_seconds)
-        summary = {"evaluations": found.evaluations, "wall_time": found.seconds, "stopped": found.stopped}
-        scoring = partial(scored, extras, deployment=found.deployment, history=found.history, subject=subject)
+        summary: dict[str, Any] = {
+            "evaluations": found.evaluations,
+            "wall_time": found.seconds,
+            "stopped": found.stopped,
+        }
+        result = found.deployment, found.history, subject
         if found.rig is None or cameras is None:
-            figures = {**summary, **optimiser.figures()}
-            more = partial(_accuracy, problem, found, extras)
-            yield from scoring(problem=problem, summary=figures, further=more, export=export, in_haste=in_haste)
+            summary = {**summary, **optimiser.figures()}
+            yield from scored(cfg, problem, *result, summary, partial(_accuracy, cfg, problem, found), export, in_haste)
             return
+        from lmd.formats.rigs import write_rig
+        from lmd.plot.body_drawing import save_body_figure
+
+        files: dict[str, Any] = {RIG: partial(write_rig, rig=found.rig, sources=cameras[1])}
+        if cfg.picture and not in_haste:
+            files[DRAWING] = partial(save_body_figure, body=cameras[0].space.body, rig=found.rig, title=about)
         rounds = {} if cfg.rounds is None else dict(optimiser.figures())
+        text = "\n".join(f"{turn.replace('_', ' '):<19} fitness {fitness:.4%}" for turn, fitness in rounds.items())
         with stop.shielded():
-            yield _rig_report(*cameras, found.rig, about, rounds, is_drawn=bool(extras.picture) and not in_haste)
-        placed = summary | {"cameras": cfg.cameras.count, **({"rounds": rounds} if rounds else {})}
-        yield from scoring(problem=problem.with_rig(found.rig), summary=placed, export=export, in_haste=in_haste)
+            yield Report(files, text=text, lines={"rig": str(run_directory() / RIG)})
+        placed = {**summary, "cameras": cfg.cameras.count, **({"rounds": rounds} if rounds else {})}
+        yield from scored(cfg, problem.with_rig(found.rig), *result, placed, export=export, in_haste=in_haste)
 
     return Study(subject, run, about, problem, earlier, _how_to_go_on, "fitness")
 
 
-def _accuracy(problem: "Problem", found: "Result", extras: Extras) -> Mapping[str, float]:
+def _accuracy(cfg: DictConfig, problem: "Problem", found: "Result") -> Mapping[str, float]:
     """Figures of the accuracy of single images, which only an objective of localisation asks for."""
     from lmd.evaluation.accuracy import accuracy_metrics
     from lmd.objectives.localisation import Localisation
 
-    wanted = extras.validate and isinstance(problem.objective, Localisation)
-    return accuracy_metrics(problem, found.deployment, extras.seed) if wanted else {}
+    wanted = cfg.validate and isinstance(problem.objective, Localisation)
+    return accuracy_metrics(problem, found.deployment, cfg.seed) if wanted else {}
 
 
-def _checkpoint_of(
-    cfg: DictConfig, optimiser: "Optimiser", problem: "Problem", further: Sequence[str]
-) -> "tuple[Checkpoint, Earlier | None]":
-    """Make the checkpoint of a run; also return the run that is resumed, if any.
+def _checkpoint_of(cfg: DictConfig, optimiser: "Optimiser", problem: "Problem") -> "Checkpoint":
+    """Make the checkpoint of a run, from that of the run that is resumed, if any.
 
     Raises:
         InputError: the run to resume has other settings, or cannot be read.
@@ -104,12 +104,12 @@ def _checkpoint_of(
     from lmd.optimisers.checkpoint import Checkpoint
 
     real("checkpoint_seconds", cfg.checkpoint_seconds, above=0.0)
+    further = () if "cameras" not in cfg else ("body", "cameras", *(() if cfg.rounds is None else IN_TURN))
     settings = flat_settings(cfg, *SAME_WHEN_RESUMED, *further)
     checkpoint = Checkpoint(optimiser, settings | contents_of(settings))
-    if cfg.resume is None:
-        return checkpoint, None
-    checkpoint.resume(cfg.resume, problem)
-    return checkpoint, Earlier(checkpoint.run_id, Path(cfg.resume))
+    if cfg.resume is not None:
+        checkpoint.resume(cfg.resume, problem)
+    return checkpoint
 
 
 def _run(
@@ -134,11 +134,7 @@ def _run(
     progress = Progress(budget, tracker, checkpoint, directory, every, logged=goes_on)
     with space_reserved(directory), closing(progress):
         try:
-
-            def worth_waiting() -> bool:
-                return optimiser.ledger.evaluations > before and not is_compiling()
-
-            with stop.deferred(worth_waiting):
+            with stop.deferred(lambda: optimiser.ledger.evaluations > before and not is_compiling()):
                 result = optimiser.run(problem, budget, progress)
                 progress.flush(optimiser, ended=result.stopped != "interrupted")
             return result, False
@@ -186,8 +182,7 @@ def build_camera_problem(cfg: DictConfig) -> "tuple[CameraProblem, dict[Camera, 
 
     alone = editable(cfg.camera)
     rig = alone.pop("rig", None)
-    given, body = (OmegaConf.to_container(settings_of(cfg, key), resolve=True) for key in ("cameras", "body"))
-    assert isinstance(given, dict)
+    given, body = (plain(settings_of(cfg, key)) for key in ("cameras", "body"))
     sources: dict[Camera, Any] = {}
     for i, source in enumerate(given["lenses"]):
         with keyed(camera=f"cameras.lenses[{i}]"):
@@ -204,21 +199,6 @@ def build_camera_problem(cfg: DictConfig) -> "tuple[CameraProblem, dict[Camera, 
     with keyed("cameras", rig="camera.rig", boxes="body.boxes"):
         assert start is None or isinstance(start, Rig)
         return CameraProblem(tags, tags.draw(np.random.default_rng(cfg.seed)), space, start), sources
-
-
-def _rig_report(
-    problem: "CameraProblem", sources: "dict[Camera, Any]", rig: "Rig", title: str, rounds: Mapping[str, float],
-    is_drawn: bool,
-) -> Report:  # fmt: skip
-    """The rig file and the drawing."""
-    from lmd.formats.rigs import write_rig
-    from lmd.plot.body_drawing import save_body_figure
-
-    files: dict[str, Any] = {RIG: lambda path: write_rig(path, rig, sources)}
-    if is_drawn:
-        files[DRAWING] = lambda path: save_body_figure(path, problem.space.body, rig, title)
-    text = "\n".join(f"{turn.replace('_', ' '):<19} fitness {fitness:.4%}" for turn, fitness in rounds.items())
-    return Report(files, text=text, lines={"rig": str(run_directory() / RIG)})
 
 
 main = Command("optimise", optimise)

@@ -10,12 +10,15 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from hydra.experimental.callback import Callback as HydraCallback
 from omegaconf import DictConfig
 
 from .app import LOCK, discard_empty
+
+if TYPE_CHECKING:
+    from lmd.optimisers.ledger import Record
 
 LEAST_FREE = 1 << 20  # least free disk space for a run to begin, bytes
 JOB_VARIABLE = "LMD_JOB"  # environment variable with the folder of the job that a process of a sweep does
@@ -27,8 +30,10 @@ RESULTS = {
     "survey": "survey.json",
 }
 PARTIAL = ".partial_"  # prefix of folders whose files are moved once all files are written
+HISTORY_FILE = "history.csv"
 RESERVED_BYTES = 1 << 16  # reserved disk space, bytes: more than landmarks and figures of a thousand tags
 
+Content = TypeVar("Content")
 locks = ExitStack()
 """Locks of directories that this process holds until its command ends."""
 
@@ -40,61 +45,44 @@ class RunDirectory(HydraCallback):
 
     def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Check the disk, lock the directories, and register the removal of an empty directory."""
-        directory = Path(config.hydra.run.dir).resolve()
+        directory, resume = Path(config.hydra.run.dir).resolve(), config.get("resume")
+        resumed = directory if resume is None else Path(str(resume)).resolve()
         self._check(directory)
-        self._check_earlier(directory, config)
+        result = directory / RESULTS.get(str(config.hydra.job.name), "")
+        if JOB_VARIABLE not in os.environ and result.is_file() and (resume is None or resumed != directory):
+            text = f"hydra.run.dir: {str(directory)!r} holds {result.name} of an earlier run"
+            go_on = ", or go on with resume=DIR" if "resume" in config else ""
+            sys.exit(f"error: {text}: name another folder, or delete this one{go_on}.")
         directory.mkdir(parents=True, exist_ok=True)
-        self._lock("hydra.run.dir", directory)
         atexit.register(discard_empty, directory)
-        resumed = Path(str(config.get("resume") or directory)).resolve()
-        if resumed != directory:
-            self._lock("resume", resumed)
-
-    def _lock(self, key: str, directory: Path) -> None:
-        """Lock a directory for this process, or exit if another process works there."""
-        if JOB_VARIABLE in os.environ:  # the process that watches a job has locked its directory
-            return
-        lock: int | None = 0
-        with suppress(ImportError, OSError):  # a system without locks, or the directory of another user
-            lock = locks.enter_context(held(directory, wait=False))
-        if lock is None:
-            print(f"error: {key}: another process is at work in {str(directory)!r}.", file=sys.stderr)
-            sys.exit(1)
-        if lock:
-            locks.callback((directory / LOCK).unlink, missing_ok=True)
+        # The process that watches a job has locked the job's directory.
+        places = {} if JOB_VARIABLE in os.environ else {resumed: "resume", directory: "hydra.run.dir"}
+        for place, key in places.items():
+            lock: int | None = 0
+            with suppress(ImportError, OSError):  # a system without locks, or the directory of another user
+                lock = locks.enter_context(held(place, wait=False))
+            if lock is None:
+                sys.exit(f"error: {key}: another process is at work in {str(place)!r}.")
+            if lock:
+                locks.callback((place / LOCK).unlink, missing_ok=True)
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Check the disk of the sweep's directory."""
         self._check(Path(config.hydra.sweep.dir))
 
     @staticmethod
-    def _check_earlier(directory: Path, config: DictConfig) -> None:
-        """Exit if the command would overwrite the results of an earlier run, unless it resumes that run."""
-        result, resume = RESULTS.get(str(config.hydra.job.name)), config.get("resume")
-        is_resumed = resume is not None and Path(str(resume)).resolve() == directory
-        if result is None or not (directory / result).is_file() or is_resumed or JOB_VARIABLE in os.environ:
-            return
-        text = f"hydra.run.dir: {str(directory)!r} holds {result} of an earlier run"
-        go_on = ", or go on with resume=DIR" if "resume" in config else ""
-        print(f"error: {text}: name another folder, or delete this one{go_on}.", file=sys.stderr)
-        sys.exit(1)
-
-    @staticmethod
     def _check(directory: Path) -> None:
-        there = directory.resolve()
-        while not there.exists():
-            there = there.parent
+        """Exit if the folder that a directory lies in, or will lie in, cannot take its files."""
+        directory = directory.resolve()
+        there = next(place for place in (directory, *directory.parents) if place.exists())
         usage = shutil.disk_usage(there)
-        if not there.is_dir():
-            problem = f"{there} is no folder"
-        elif not os.access(there, os.W_OK | os.X_OK):
-            problem = f"{there} cannot be written to"
-        elif usage.free < LEAST_FREE:
-            problem = f"no space is left there ({usage.free} bytes)"
-        else:
-            return
-        print(f"error: {directory.resolve()}: {problem}", file=sys.stderr)
-        sys.exit(1)
+        for is_so, problem in (
+            (not there.is_dir(), f"{there} is no folder"),
+            (not os.access(there, os.W_OK | os.X_OK), f"{there} cannot be written to"),
+            (usage.free < LEAST_FREE, f"no space is left there ({usage.free} bytes)"),
+        ):
+            if is_so:
+                sys.exit(f"error: {directory}: {problem}")
 
 
 @contextmanager
@@ -174,7 +162,12 @@ def space_reserved(directory: Path) -> Iterator[None]:
             reserve.unlink()
 
 
-Content = TypeVar("Content")
+def read_history(path: Path) -> "list[Record]":
+    """Best fitness over a run, from its file."""
+    from lmd.core.tables import read_numbers
+    from lmd.optimisers.ledger import Record, columns_of
+
+    return [Record(*row) for row in read_numbers(path, [*columns_of([])], name=HISTORY_FILE).tolist()]
 
 
 def read_document(path: Path, content_of: Callable[[dict[str, Any]], Content]) -> Content | None:

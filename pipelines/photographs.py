@@ -4,10 +4,10 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
 from .composing import editable
-from .nodes import detector_of, keyed
+from .nodes import detectors_of, keyed, plain
 from .sensed import in_batches
 
 if TYPE_CHECKING:
@@ -34,31 +34,25 @@ def detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector",
     from lmd.formats.detections import without_copies
     from lmd.formats.placed_tag import check_family
 
-    if (cfg.photographs is None) == (cfg.detections is None):
-        raise InputError(
-            "photographs=DIR, a folder, a video or a bag, or detections=FILE.csv must be given, and not both."
-        )
-    if cfg.detections is not None:
-        if cfg.topic is not None and not is_bag(cfg.detections):
-            raise InputError(f"topic is for a bag of ROS 2, and detections is {str(cfg.detections)!r}.")
-        found = read_detections(cfg.detections, _plain(cfg.topic))
+    photographs, detections, topic = cfg.photographs, cfg.detections, plain(cfg.topic)
+    if (photographs is None) == (detections is None):
+        either = "photographs=DIR, a folder, a video or a bag, or detections=FILE.csv"
+        raise InputError(f"{either} must be given, and not both.")
+    key, source = ("photographs", photographs) if detections is None else ("detections", detections)
+    if topic is not None and not is_bag(source):
+        raise InputError(f"topic is for a bag of ROS 2, and {key} is {str(source)!r}.")
+    if detections is not None:
+        found = read_detections(detections, topic)
         with keyed(family="tag.family"):
-            check_family(cfg.detections, found.family, tag.family)
+            check_family(detections, found.family, tag.family)
         return without_copies(found if cfg.images is None else with_images(found, cfg.images))
-    if cfg.topic is not None and not is_bag(cfg.photographs):
-        raise InputError(f"topic is for a bag of ROS 2, and photographs is {str(cfg.photographs)!r}.")
     if cfg.images is not None:
         raise InputError("images goes with detections=FILE.csv: with photographs it is known which there are.")
+    words = {"topic": topic, "rate": cfg.rate, "workers": cfg.workers}
     each = partial(in_batches, cfg.workers)
-    words = {"topic": _plain(cfg.topic), "rate": cfg.rate, "workers": cfg.workers}
     with keyed():
-        found = detected_in_photographs(cfg.photographs, cameras, detector, tag.modules, each, **words)
+        found = detected_in_photographs(photographs, cameras, detector, tag.modules, each, **words)
     return without_copies(replace(found, family=tag.family))
-
-
-def _plain(node: Any) -> Any:
-    """Plain values of a node of the configuration."""
-    return OmegaConf.to_container(node) if OmegaConf.is_config(node) else node
 
 
 def with_camera_of_bag(cfg: DictConfig) -> DictConfig:
@@ -83,13 +77,12 @@ def reader_of(cfg: DictConfig) -> "tuple[str, Detector]":
     """
     from lmd.core.checks import InputError
 
-    named = list(cfg.get("detectors") or {})
-    if len(named) != 1:
+    if len(named := list(cfg.get("detectors") or {})) != 1:
         raise InputError(f"detectors must name one detector, got {named}.")
-    detector = detector_of(cfg, named[0])
+    ((name, detector),) = detectors_of(cfg).items()
     if not hasattr(detector, "corner_errors"):
-        raise InputError(f"detectors: {named[0]} does not say corner_errors, how far its corners are off.")
-    return named[0], detector
+        raise InputError(f"detectors: {name} does not say corner_errors, how far its corners are off.")
+    return name, detector
 
 
 def odometry_of(given: Any, key: str) -> "Trajectory | None":
@@ -105,13 +98,11 @@ def odometry_of(given: Any, key: str) -> "Trajectory | None":
     from lmd.core.checks import InputError
     from lmd.formats.trajectories import TrajectoryFile
 
-    if given is None:
+    if (given := plain(given)) is None:
         return None
-    given = OmegaConf.to_container(given, resolve=True) if OmegaConf.is_config(given) else given
     keys = given if isinstance(given, dict) else {"path": given}
     known = ("path", "frame", "times", "rate", "mount")
     if unknown := [key for key in keys if key not in known]:
         raise InputError(f"{key} has the key {unknown[0]!r}, but takes {', '.join(known)}.")
-    with keyed(key, **({} if isinstance(given, dict) else {"path": key})):
-        file = TrajectoryFile(**{str(key): value for key, value in keys.items()})
-        return file.trajectory
+    with keyed(key, **({} if keys is given else {"path": key})):
+        return TrajectoryFile(**keys).trajectory

@@ -4,7 +4,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
 
@@ -13,9 +13,9 @@ from lmd.core.workers import in_processes
 from .app import flat_settings, say
 from .building import budget_of, build_optimiser, build_problem
 from .composing import editable
-from .kept import kept
 from .nodes import instantiate
 from .optimise import SAME_WHEN_RESUMED
+from .provenance import Computed, kept
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 NO_SHARE = re.compile("cost|predicted_error_.*|.*_(seconds|standard_error)")  # figures that are no fractions
 ARRAYS = ("positions", "normals", "surfaces")  # arrays of a deployment that are stored
 PAPER, BUDGET = "paper", "budget"  # keys of `tag` that limit tags of several sizes
-Content = TypeVar("Content")
 
 
 @dataclass(frozen=True)
@@ -74,17 +73,14 @@ class Ladder:
             InputError: the parts of the problem do not fit together.
         """
         cfg = self.point(at)
-        if self.limited is None:
-            return build_problem(cfg, count="counts")
-
-        def mixture() -> dict[str, Any]:
-            return {"counts": build_problem(cfg).scene.tag.counts}
-
-        any_seed = replace(self, seed=self.cfg.seed)
-        cfg.deployment.count = any_seed._kept(
-            at, "mixture", None, mixture, lambda known: list(map(int, known["counts"]))
-        )
-        return build_problem(cfg)
+        if self.limited is not None:
+            any_seed, mixture = (
+                replace(self, seed=self.cfg.seed),
+                lambda: {"counts": build_problem(cfg).scene.tag.counts},
+            )
+            counts = any_seed._kept(at, "mixture", None, mixture, lambda known: [*map(int, known["counts"])])
+            cfg.deployment.count = counts
+        return build_problem(cfg, "deployment.count" if self.limited else "counts")
 
     def anew(self, at: float) -> "Found":
         """Result of a search from the configured start."""
@@ -103,7 +99,7 @@ class Ladder:
         from lmd.evaluation.tradeoff import SAMPLE
 
         score = partial(figures_of, self.problem(at), found.deployment, self.seed)
-        return self._kept(at, f"figures of {SAMPLE}", found.deployment, score, dict)
+        return self._kept(at, f"figures of {SAMPLE}", found.deployment, score)  # type: ignore[no-any-return]
 
     def _search(self, at: float, problem: "Problem", way: str) -> "Found":
         """Search from the start of the problem of a point, with a budget of its own."""
@@ -111,31 +107,27 @@ class Ladder:
         from lmd.scene.deployment import Deployment
         from lmd.scene.deployment_sources import GivenDeployment
 
-        cfg = self.point(at)
-
         def climb() -> dict[str, Any]:
+            cfg = self.point(at)
             result = build_optimiser(cfg, self.seed).run(problem, budget_of(cfg))
-            arrays = {name: getattr(result.deployment, name).tolist() for name in ARRAYS}
-            return {**arrays, "fitness": result.fitness}
-
-        start = problem.start.deployment if isinstance(problem.start, GivenDeployment) else None
+            return {**{name: getattr(result.deployment, name).tolist() for name in ARRAYS}, "fitness": result.fitness}
 
         def found(document: dict[str, Any]) -> Found:
             deployment = Deployment(*(document[name] for name in ARRAYS))
             return Found(problem.labelled(deployment), document["fitness"], way)
 
-        return self._kept(at, way, start, climb, found)
+        start = problem.start.deployment if isinstance(problem.start, GivenDeployment) else None
+        return self._kept(at, way, start, climb, found)  # type: ignore[no-any-return]
 
     def _kept(
-        self, at: float, what: str, given: "Deployment | None", compute: Callable[[], dict[str, Any]],
-        content_of: Callable[[dict[str, Any]], Content],
-    ) -> Content:  # fmt: skip
+        self, at: float, what: str, given: "Deployment | None", compute: Computed, read: Callable[[Any], Any] = dict
+    ) -> Any:
         """Result of a kind at a place along the curve that depends on a deployment, see `kept`."""
         settings = flat_settings(self.point(at), *SAME_WHEN_RESUMED, "budget")
         arrays = None if given is None else [getattr(given, name).tolist() for name in ARRAYS]
         if arrays and given and given.has_own_edges:
             arrays.append(given.edges.tolist())
-        return kept(str(self.cfg.kept), (settings, what, arrays), compute, content_of)
+        return kept(str(self.cfg.kept), (settings, what, arrays), compute, read)
 
 
 def figures_of(problem: "Problem", deployment: "Deployment", seed: int) -> dict[str, float]:
@@ -151,11 +143,6 @@ def figures_of(problem: "Problem", deployment: "Deployment", seed: int) -> dict[
 def shares_among(figures: Iterable[str]) -> list[str]:
     """Names of the figures that are fractions in [0, 1] to be maximised."""
     return [name for name in figures if not NO_SHARE.fullmatch(name)]
-
-
-Place = tuple[int, *tuple[float, ...]]  # number of a ladder, and one or more places along it
-Key = TypeVar("Key", bound=Place)
-Result = TypeVar("Result")
 
 
 class Points:
@@ -177,7 +164,6 @@ class Points:
         for (n, at), found in self._done("searched anew", anew):
             self._found[n][at] = found
         places = {n: tuple(at for ladder, at in chosen if ladder == n) for n, _ in chosen}
-        improved: dict[Place, Callable[[], dict[float, Found]]]
         improved = {(n, *some): partial(self.ladders[n].improved, self._found[n], some) for n, some in places.items()}
         for (n, *_), better in self._done("searched from neighbours", improved):
             self._found[n] |= better
@@ -198,8 +184,8 @@ class Points:
                 best = replace(found[at], way=ALONE)
         return best
 
-    def _done(self, what: str, jobs: Mapping[Key, Callable[[], Result]]) -> Iterator[tuple[Key, Result]]:
-        """Keys of jobs with their results, in the order in which the jobs finish."""
+    def _done(self, what: str, jobs: Mapping[Any, Callable[[], Any]]) -> Iterator[tuple[Any, Any]]:
+        """Keys of jobs, a number of a ladder and places along it, with their results in the order in which they end."""
         results = in_processes(_do, list(jobs.items()), self._workers, lambda job: self.name(*job[0]))
         for i, (key, result) in enumerate(results, 1):
             say(f"{i}/{len(jobs)} {what}: {self.name(*key)}")
@@ -239,13 +225,11 @@ class Points:
         """
         import pandas as pd
 
-        return pd.DataFrame([
-            {
-                self.axis.curve: self.ladders[n].curve, self.axis.along: at,
-                "seed": self.ladders[n].seed, "way": found.way, **self.counts(found), **figures,
-            }
-            for n, at, found, figures in self
-        ])  # fmt: skip
+        def row(n: int, at: float, found: "Found", figures: dict[str, float]) -> dict[str, Any]:
+            place = {self.axis.curve: self.ladders[n].curve, self.axis.along: at, "seed": self.ladders[n].seed}
+            return {**place, "way": found.way, **self.counts(found), **figures}
+
+        return pd.DataFrame([row(*point) for point in self])
 
     def counts(self, found: "Found") -> dict[str, int]:
         """Number of landmarks, and of the landmarks of each edge, for points along limits; else empty."""
@@ -258,7 +242,6 @@ class Points:
         return {"count": len(edges), **each}
 
 
-def _do(job: tuple[Key, Callable[[], Result]]) -> tuple[Key, Result]:
+def _do(job: tuple[Any, Callable[[], Any]]) -> tuple[Any, Any]:
     """Do a job, and return its key and its result."""
-    key, compute = job
-    return key, compute()
+    return job[0], job[1]()

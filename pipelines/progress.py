@@ -1,6 +1,5 @@
 """Progress of a run: bar, curve, checkpoints."""
 
-import itertools
 import sys
 import threading
 import time
@@ -8,8 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
@@ -24,7 +22,6 @@ from .operations.tracking import Tracker
 if TYPE_CHECKING:
     from lmd.survey.survey import SurveyStage
 
-LOOK_SECONDS = 0.2  # time between two looks at the optimiser, seconds
 LOG_SECONDS = 15.0  # time between two lines of progress in a file, seconds
 SHOWN_AFTER = 2.0  # time after which a step is shown, seconds
 
@@ -53,13 +50,11 @@ class Progress:
 
     def __init__(
         self, budget: Budget, tracker: Tracker, checkpoint: Checkpoint, directory: Path, every: float, logged: bool
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.budget, self.tracker, self.every = budget, tracker, every
-        self.save = partial(checkpoint.save, directory)
-        ledger = checkpoint.optimiser.ledger
+        ledger, self.save = checkpoint.optimiser.ledger, partial(checkpoint.save, directory)
         self.logged = len(self._curve(ledger)) if logged else 0
-        self.saved = time.monotonic()
-        self.warned = False
+        self.saved, self.warned = time.monotonic(), False
         self._warning_of(checkpoint.check)
         self.bar = bar(budget.evaluations, "evaluations", int(ledger.evaluations))
 
@@ -102,78 +97,43 @@ class Progress:
             self.bar.close()
 
 
-class Steps:
-    """Shows the step of a command, its progress and its longest remaining time.
-
-    Shows nothing of a context that ends within `SHOWN_AFTER` seconds.
-    """
-
-    def __init__(self) -> None:
-        self._now: tuple[str, int, int] | None = None
-        self._began = 0.0
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._show, daemon=True)
-
-    def note(self, step: str, done: int = 0, most: int = 0) -> None:
-        """Note a step, the number of its finished parts, and their maximum number, 0 if unknown."""
-        if self._now is None or step != self._now[0]:
-            self._began = time.time()
-        self._now = step, done, most
-
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self._ended.set()
-        self._thread.join()
-
-    def _show(self) -> None:
-        shown: tqdm[Any] | None = None
-        wait = SHOWN_AFTER
-        while not self._ended.wait(wait):
-            wait = LOOK_SECONDS if sys.stderr.isatty() else LOG_SECONDS
-            if self._now is None:
-                continue
-            step, done, most = self._now
-            look = None if most else "{desc} [{elapsed}]"
-            with suppress(OSError):  # the terminal may be closed
-                if shown is None:
-                    shown = tqdm(desc=step, total=most or None, unit=" steps", bar_format=look, leave=False)
-                shown.start_t, shown.n, shown.total, shown.bar_format = self._began, done, most or None, look
-                shown.set_description_str(f"{step}, {most} steps at most: " if most else step)
-        if shown is not None:
-            with suppress(OSError):
-                shown.close()
-
-
 @contextmanager
-def doing(step: str, most: int = 0) -> Iterator[Callable[[], None]]:
-    """Context of a step that is shown if it takes longer than `SHOWN_AFTER` seconds.
+def doing(step: str) -> Iterator[None]:
+    """Context of a step whose name is printed if it takes longer than `SHOWN_AFTER` seconds."""
+    shown = threading.Timer(SHOWN_AFTER, print, [f"{step} ..."], {"file": sys.stderr, "flush": True})
+    shown.daemon = True
+    shown.start()
+    try:
+        yield
+    finally:
+        shown.cancel()
 
-    Yields:
-        function to call at the beginning of each of at most `most` parts of the step.
-    """
-    steps, finished = Steps(), itertools.count()
-    steps.note(step, 0, most)
-    with steps:
-        yield lambda: steps.note(step, next(finished), most)
 
-
-class Stages(Steps):
+class Stages:
     """Shows the stages of a survey; a `lmd.survey.survey.Observer`."""
 
     def __init__(self) -> None:
-        super().__init__()
         self.interrupted: SurveyStage | None = None
         self._stage: SurveyStage | None = None
+        self._bar: tqdm[Any] | None = None
 
     def __call__(self, stage: "SurveyStage", done: int = 0, most: int = 0) -> bool:
-        """Note the stage, and return whether the survey is to stop; see `lmd.survey.survey.Observer`."""
-        self._note_interrupt()
-        self._stage = stage
-        self.note(stage.value, done, most)
+        """Show the stage, and return whether the survey is to stop; see `lmd.survey.survey.Observer`."""
+        if self._bar is None or stage != self._stage:
+            self.close()
+            self._bar, self._stage = tqdm(desc=stage.value, unit=" steps", delay=SHOWN_AFTER, leave=False), stage
+        with suppress(OSError):  # the terminal may be closed
+            self._bar.total = most or None
+            self._bar.update(done - self._bar.n)
         return stop.requested
+
+    def close(self) -> None:
+        """Note the stage in which a signal came, and remove the bar."""
+        if stop.requested and self.interrupted is None:
+            self.interrupted = self._stage
+        if self._bar is not None:
+            with suppress(OSError):
+                self._bar.close()
 
     @property
     def doing(self) -> str:
@@ -184,11 +144,3 @@ class Stages(Steps):
     def has_map(self) -> bool:
         """True when a map is worth writing."""
         return self._stage is not None and self._stage.has_map
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self._note_interrupt()
-        super().__exit__(kind, error, at)
-
-    def _note_interrupt(self) -> None:
-        if stop.requested and self.interrupted is None:
-            self.interrupted = self._stage

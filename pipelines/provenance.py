@@ -1,4 +1,4 @@
-"""Provenance of a run: parameters, command, version of the code, contents of files."""
+"""Provenance of a run: parameters, command, version of the code, contents of files; results kept by these."""
 
 import getpass
 import hashlib
@@ -8,7 +8,7 @@ import re
 import shlex
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -16,16 +16,17 @@ from typing import Any
 
 from omegaconf import DictConfig
 
-from .app import CONF, IN_CHECKOUT, command_of, flat_settings
+from .app import CONF, IN_CHECKOUT, at, changes_results, command_of, flat_settings
 from .operations.sweeps.folder import current_job
-from .overrides import at, changes_results
+from .outputs import Content, read_document, write_document
 
 # Characters around a path in an override, such as `deployments=['mine: file deployment.path=a.csv',uniform]`; the first
 # pattern leaves a path with a space whole.
 SEPARATORS = (r"[,=\[\]{}'\"]+", r"[\s,=\[\]{}'\"]+")
 RECORD = ".hydra/config.yaml"  # settings of the run whose files are in a folder
-PACKAGES_FILE, PATCH_FILE = "packages.txt", "diff.patch"
+PACKAGES_FILE = "packages.txt"
 DIRTY = "uncommitted changes"  # tag of a run
+Computed = Callable[[], dict[str, Any]]
 SHORT_COMMIT = 9  # characters of a commit in a description
 LARGEST_READ = 1 << 32  # largest file whose contents are read, bytes; for larger files only the size counts
 
@@ -74,19 +75,15 @@ def repeating(tags: Mapping[str, str]) -> str:
     from lmd.core.words import as_code
 
     commit = tags.get("mlflow.source.git.commit", "")[:SHORT_COMMIT]
-    changes = f", with the changes in {PATCH_FILE}" if tags.get(DIRTY) == "yes" else ""
+    changes = f", with {DIRTY}" if tags.get(DIRTY) == "yes" else ""
     return as_code(tags["command"]) + (f"\n\nat commit {commit}{changes}" if commit else "")
 
 
 def write_sources(directory: Path) -> None:
-    """Write the installed packages and, if the checkout has uncommitted changes, these as a patch; unless the disk is
-    full.
-    """
+    """Write the installed packages, unless the disk is full."""
     try:
         directory.mkdir(parents=True, exist_ok=True)
         (directory / PACKAGES_FILE).write_text(_packages())
-        if patch := _patch():
-            (directory / PATCH_FILE).write_text(patch)
     except OSError as error:
         print(f"warning: {directory} has no {PACKAGES_FILE} ({error.strerror})", file=sys.stderr)
 
@@ -94,19 +91,9 @@ def write_sources(directory: Path) -> None:
 @cache
 def _packages() -> str:
     """Installed packages, `name==version` a line, by the names of their metadata, which takes a few milliseconds."""
-    found: set[str] = set()
-    for folder in filter(os.path.isdir, dict.fromkeys(sys.path)):
-        found |= {name.removesuffix(".dist-info") for name in os.listdir(folder) if name.endswith(".dist-info")}
-    return "".join(f"{name.replace('-', '==', 1)}\n" for name in sorted(found, key=str.lower))
-
-
-@cache
-def _patch() -> str:
-    """Uncommitted changes of tracked files, behind the names of untracked ones; empty without any."""
-    if _version().get(DIRTY) != "yes":
-        return ""
-    untracked = _git("ls-files", "--others", "--exclude-standard").splitlines()
-    return "".join(f"# untracked: {name}\n" for name in untracked) + _git("diff", "--no-ext-diff", "--no-color", "HEAD")
+    found = {name for folder in filter(os.path.isdir, sys.path) for name in os.listdir(folder)}
+    names = (name.removesuffix(".dist-info").replace("-", "==", 1) for name in found if name.endswith(".dist-info"))
+    return "".join(f"{name}\n" for name in sorted(names, key=str.lower))
 
 
 def _git(*arguments: str) -> str:
@@ -121,16 +108,13 @@ def _git(*arguments: str) -> str:
 
 def parameters(cfg: DictConfig, choices: Mapping[str, str]) -> dict[str, Any]:
     """Choices of groups, and the settings below the groups that have a value."""
-    settings = {
+    settings = {key: value for key, value in flat_settings(cfg).items() if value not in (None, [])}
+    left_out = ("run", "_target_", "_partial_")  # the settings of an earlier run are parameters themselves
+    return {
         key: value
-        for key, value in flat_settings(cfg).items()
-        if _is_parameter(key) and key.split(".")[-1] not in ("_target_", "_partial_") and value not in (None, [])
+        for key, value in {**choices, **settings}.items()
+        if changes_results(key) and key.split(".")[-1] not in left_out
     }
-    return {group: option for group, option in choices.items() if _is_parameter(group)} | settings
-
-
-def _is_parameter(key: str) -> bool:
-    return changes_results(key) and key != "run"  # the settings of an earlier run are parameters themselves
 
 
 def digest(*parts: Any) -> str:
@@ -151,7 +135,8 @@ def contents_of(settings: Any) -> dict[str, str]:
     from lmd.core.checks import printable
 
     texts = list(texts_in(settings))
-    files = {Path(word) for text in texts for word in _words(text) if os.path.isfile(word)}
+    words = set(texts) | {word for text in texts for each in SEPARATORS for word in re.split(each, text)}
+    files = {Path(word) for word in words if os.path.isfile(word)}
     folders = [Path(text) for text in texts if os.path.isdir(text) and os.access(text, os.R_OK)]
     files |= {file for folder in folders for file in (*folder.iterdir(), folder / RECORD) if os.path.isfile(file)}
     return {printable(f"contents of {file}"): _digest_of(file) for file in sorted(files) if os.access(file, os.R_OK)}
@@ -166,12 +151,29 @@ def texts_in(settings: Any) -> Iterator[str]:
             yield from texts_in(entry)
 
 
-def _words(text: str) -> set[str]:
-    return {text, *(word for around in SEPARATORS for word in re.split(around, text))}
-
-
 def _digest_of(file: Path) -> str:
     if (size := file.stat().st_size) > LARGEST_READ:
         return f"{size} bytes"
     with file.open("rb") as content:
         return hashlib.file_digest(content, "sha256").hexdigest()[:16]
+
+
+def kept(folder: str, parts: tuple[Any, ...], compute: Computed, content_of: Callable[[Any], Content]) -> Content:
+    """Result from the disk, or computed now and stored under a digest of all that decides it.
+
+    Args:
+        folder: folder of the results.
+        parts: settings and deployments that decide the result, as `digest` takes them; the code of `lmd` does, too.
+        compute: function that computes the result as a document.
+        content_of: function that converts a document, see `read_document`.
+    """
+    from lmd.core.sources import package_digest
+
+    path = Path(folder) / f"{digest(*parts, package_digest())}.json"
+    found = read_document(path, content_of)
+    if found is not None:
+        return found
+    computed = compute()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_document(path, computed)
+    return content_of(computed)

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig
 
-from .app import say
-from .command import Command, alone
+from .app import at, say, task_overrides
+from .command import Command
 from .nodes import instantiate
-from .overrides import at, task_overrides
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -54,7 +53,12 @@ def runs(cfg: DictConfig) -> None:
     with tracker.store.errors_reported():
         end_those_gone(tracker.store)
     table = reader.runs().iloc[-last:]
-    say(_listed(table))
+    shown = table.reindex(columns=list(COLUMNS)).rename(columns=COLUMNS)
+    for column in ("run", "pipeline"):
+        shown[column] = shown[column].fillna("").astype(str).map(printable)
+    shown["started (UTC)"] = shown["started (UTC)"].dt.strftime("%Y-%m-%d %H:%M:%S")
+    percent = {COLUMNS[key]: "{:.2%}".format for key in SHARES}
+    say(shown.to_string(index=False, na_rep="", float_format="{:g}".format, formatters=percent))
     for run_id, run in table.iterrows():
         if command := going_on(run):
             name = printable(f"{run['name']} ({run_id})")
@@ -75,23 +79,11 @@ def going_on(run: "pd.Series") -> str:
 
     command, folder = run.get("tags.command"), Path(str(run.get("tags.folder")))
     is_sweep, is_job = (isinstance(run.get(f"tags.{tag}"), str) for tag in ("sweep", PARENT_TAG))
-    if run["status"] not in ("KILLED", "FAILED") or not isinstance(command, str) or (is_sweep and is_job):
+    left = folder if is_sweep else folder / CHECKPOINT_FILE
+    is_lost = run.get("tags.host") == socket.gethostname() and not left.exists()
+    if run["status"] not in ("KILLED", "FAILED") or not isinstance(command, str) or is_lost or (is_sweep and is_job):
         return ""
-    is_here = run.get("tags.host") == socket.gethostname()
-    if is_sweep or (is_here and not (folder / CHECKPOINT_FILE).is_file()):
-        return command if is_sweep and (folder.is_dir() or not is_here) else ""
-    return f"{command} {at('resume', folder)}"
-
-
-def _listed(table: "pd.DataFrame") -> str:
-    from lmd.core.checks import printable
-
-    shown = table.reindex(columns=list(COLUMNS)).rename(columns=COLUMNS)
-    for column in ("run", "pipeline"):
-        shown[column] = shown[column].fillna("").astype(str).map(printable)
-    shown["started (UTC)"] = shown["started (UTC)"].dt.strftime("%Y-%m-%d %H:%M:%S")
-    percent = {COLUMNS[key]: "{:.2%}".format for key in SHARES}
-    return str(shown.to_string(index=False, na_rep="", float_format="{:g}".format, formatters=percent))
+    return command if is_sweep else f"{command} {at('resume', folder)}"
 
 
 def hand_in_below(folder: Path, uri: str) -> bool:
@@ -123,7 +115,7 @@ def hand_in_below(folder: Path, uri: str) -> bool:
     return not failed
 
 
-main = Command("runs", runs, alone)
+main = Command("runs", runs)
 
 if __name__ == "__main__":
     main()

@@ -6,14 +6,15 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
 from .app import choices, run_directory
 from .building import build_problem
 from .landmarks import table_in
-from .nodes import keyed, note
+from .nodes import keyed, note, plain
 from .operations.signals import stop
-from .study import Report, Study
+from .outputs import HISTORY_FILE
+from .study import Report, Study, title_of
 
 if TYPE_CHECKING:
     from lmd import evaluation
@@ -26,32 +27,15 @@ if TYPE_CHECKING:
 MEASURED, MOUNTING = "deployment.measured", "deployment.mounting_error"
 # Figures that the terminal shows of deployments side by side.
 COMPARED = ("fitness", "off_grid", "qualified_ratio", "average_coverage_probability", "localised_share_20mm")
-HISTORY_FILE = "history.csv"
 FEW_QUALIFIED = 0.1  # share of qualified positions; below it a run prints the criteria that exclude the others
-
-
-class Extras(NamedTuple):
-    """Settings on the outputs of a run beside its landmarks, figures and history."""
-
-    seed: int
-    """Seed of the validation sample."""
-    validate: bool
-    """Score the deployment off its grid."""
-    picture: bool
-    """Draw the scene and the convergence."""
-
-    @classmethod
-    def of(cls, cfg: DictConfig) -> "Extras":
-        """The settings of a configuration."""
-        return cls(*(cfg[key] for key in cls._fields))
 
 
 def room_report(cfg: DictConfig, problem: "Problem") -> Report:
     """The room as it was understood, and where people are in the way, before anything is computed."""
-    room, crowd = problem.scene.room, problem.scene.crowd
-    path, people = getattr(getattr(room, "plan", None), "path", None), None if crowd is None else crowd.people
     if not cfg.picture:
         return Report()
+    room, crowd = problem.scene.room, problem.scene.crowd
+    path, people = getattr(getattr(room, "plan", None), "path", None), None if crowd is None else crowd.people
     from lmd.plot.plans import save_room_figure
 
     title = room.describe() if path is None else f"{Path(path).name}: {room.describe()}"
@@ -60,16 +44,22 @@ def room_report(cfg: DictConfig, problem: "Problem") -> Report:
 
 
 def scored(
-    extras: Extras, problem: "Problem", deployment: "Deployment", history: "Sequence[Record]", *,
-    subject: str, summary: Mapping[str, Any], further: Callable[[], Mapping[str, float]] = dict,
-    export: "Export | None" = None, in_haste: bool = False,
-) -> Iterator[Report]:  # fmt: skip
+    cfg: DictConfig,
+    problem: "Problem",
+    deployment: "Deployment",
+    history: "Sequence[Record]",
+    subject: str,
+    summary: Mapping[str, Any],
+    further: Callable[[], Mapping[str, float]] = dict,
+    export: "Export | None" = None,
+    in_haste: bool = False,
+) -> Iterator[Report]:
     """Reports on a deployment.
 
     Landmarks, figures and history cannot be computed again: they are written before all else, and they stay.
 
     Args:
-        extras: settings on the outputs.
+        cfg: configuration of the run.
         problem: problem of the deployment.
         deployment: the deployment.
         history: best fitness over the run; a single evaluation gets no curve.
@@ -82,7 +72,7 @@ def scored(
     Yields:
         reports with the figures, among them `fitness` and, unless validation is left out, `off_grid`.
     """
-    from lmd.evaluation.validation import Sample, describe_validation, headline_off_grid, validation_metrics
+    from lmd.evaluation.validation import describe_validation, headline_off_grid, validation_metrics
     from lmd.evaluation.verdicts import causes
     from lmd.objectives.base import labelled_figures
     from lmd.optimisers.ledger import columns_of
@@ -94,7 +84,7 @@ def scored(
     is_cut = summary.get("stopped") == "interrupted"
     with stop.shielded():
         metrics = problem.metrics(deployment)
-        document: dict[str, Any] = {**metrics, **summary, "seed": extras.seed}
+        document: dict[str, Any] = {**metrics, **summary, "seed": cfg.seed}
         settings = {"settings": problem.settings()}
         write = partial(deployment.to_csv, ups=not problem.scene.tag.is_point)
         yield Report({"landmarks.csv": write, "metrics.json": document | settings}, is_whole=not is_cut, is_cut=is_cut)
@@ -102,11 +92,11 @@ def scored(
     figures = {key: value for key, value in summary.items() if isinstance(value, int | float)}
     validation, why = dict[str, float](), None
     if not in_haste:
-        with doing("scoring off the grid", Sample.groups) as next_group:
+        with doing("scoring off the grid"):
             figures |= further()
-            why = causes(problem.scene, deployment, extras.seed)
-            if extras.validate:
-                validation = validation_metrics(problem, deployment, extras.seed, between=next_group)
+            why = causes(problem.scene, deployment, cfg.seed)
+            if cfg.validate:
+                validation = validation_metrics(problem, deployment, cfg.seed)
     if validation:
         figures["off_grid"] = validation[headline_off_grid(problem)]
     groups = {"validation": validation, "criteria": why.metrics() if why else {}}
@@ -116,7 +106,7 @@ def scored(
     lines = labelled_figures({key: value for key, value in figures.items() if key != "off_grid"})
     if all(camera.is_pinhole for camera in problem.scene.cameras):
         lines["focus"] = "no criterion: the camera has no aperture"
-    if extras.picture and not in_haste:
+    if cfg.picture and not in_haste:
         lines["picture"] = str(run_directory() / "scene.png")
     fitness, headline, *others = problem.describe(metrics, problem.count).items()
     off_grid = describe_validation(problem, validation) if validation else {}
@@ -131,9 +121,9 @@ def scored(
     if in_haste:
         return
     title, files = in_words(problem, subject), dict[str, Any]()
-    if extras.picture:
+    if cfg.picture:
         files["scene.png"] = lambda path: save_scene_figure(path, problem, deployment, title)
-    if extras.picture and len(history) > 1:
+    if cfg.picture and len(history) > 1:
         files["convergence.png"] = lambda path: save_convergence_figure(path, columns_of(history), title)
     exports = export.writers(problem.scene.room, problem.scene.tag, deployment) if export else {}
     yield Report(files | exports, is_extra=True)
@@ -143,9 +133,8 @@ def in_words(problem: "Problem", subject: str) -> str:
     """Title that says what was placed, objective, visibility and room in words."""
     scene, of = problem.scene, getattr(problem.scene.visibility, "detector", None)
     visibility = f"visibility {choices().get('visibility', '')}{f' ({of})' if of else ''}"
-    return (
-        f"{subject}, {problem.count} landmarks: {problem.objective.value_label}; {visibility}; {scene.room.describe()}"
-    )
+    placed = f"{subject}, {problem.count} landmarks: {problem.objective.value_label}"
+    return f"{placed}; {visibility}; {scene.room.describe()}"
 
 
 def score(cfg: DictConfig, own: Mapping[str, DictConfig]) -> Study:
@@ -155,8 +144,6 @@ def score(cfg: DictConfig, own: Mapping[str, DictConfig]) -> Study:
         cfg: configuration of the command.
         own: configuration of each deployment, by its name.
     """
-    from .tracked_run import title_of
-
     subjects = {name: _Subject.of(each) for name, each in own.items()}
     (first, *_), is_alone = subjects.values(), len(subjects) == 1
 
@@ -222,78 +209,61 @@ def mounting_of(cfg: DictConfig) -> "MountingError":
     from lmd.evaluation.mounting import MountingError
     from lmd.space.parts import made
 
-    given = cfg.deployment.mounting_error
-    keys = OmegaConf.to_container(given, resolve=True) if OmegaConf.is_config(given) else {"position": given}
-    return made(MOUNTING, keys, MountingError)
+    given = plain(cfg.deployment.mounting_error)
+    return made(MOUNTING, given if isinstance(given, dict) else {"position": given}, MountingError)
 
 
 def _studied(cfg: DictConfig, subject: _Subject, name: str) -> Iterator[Report]:
     """Reports on the score and the studies of a deployment."""
     from .progress import doing
-    from .tracked_run import title_of
 
-    problem, deployment, texts = subject.problem, subject.deployment, list[str]()
-    summary: dict[str, Any] = {}
+    texts, summary = list[str](), dict[str, Any]()
     with doing("studying the deployment"):
-        if cfg.localisation:
-            found, summary = _localised(cfg, problem, deployment)
-            yield found
-        for key, study, draw, about in _studies(cfg, subject):
-            files = {f"{stem}.csv": study_table for stem, study_table in _tables(study).items()}
-            if draw is not None and cfg.picture:
-                files[f"{key}.png"] = partial(draw, title=title_of(problem, about))
-            figures = study.metrics()
-            if key == "losses":  # figures of the deployment, like its fitness
-                summary |= figures
-                yield Report(files)
-            else:
-                summary[key] = figures
-                yield Report(files, {f"{key}/{figure}": value for figure, value in figures.items()})
-            texts.append(f"{study.to_text()}\n")
-    yield from scored(Extras.of(cfg), problem, deployment, subject.history, subject=name, summary=summary)
-    yield Report(text="\n".join(texts), is_extra=True)
+        for key, files, figures, text in _studies(cfg, subject):
+            summary |= {key: figures} if key else figures
+            yield Report(files, {f"{key}/{figure}": value for figure, value in figures.items()} if key else {})
+            texts += [text] if text else []
+    yield from scored(cfg, subject.problem, subject.deployment, subject.history, name, summary)
+    yield Report(text="\n".join(f"{text}\n" for text in texts), is_extra=True)
 
 
-def _tables(study: "evaluation.Study") -> dict[str, Any]:
-    """Tables of a study, each as its columns."""
-    return {stem: {str(c): values for c, values in table.items()} for stem, table in study.tables.items()}
+Studied = tuple[str, Mapping[str, Any], Mapping[str, float], str]
 
 
-def _localised(cfg: DictConfig, problem: "Problem", deployment: "Deployment") -> tuple[Report, dict[str, float]]:
-    """Maps of the accuracy of one frame, and its figures."""
-    from lmd.estimation.cramer_rao import cramer_rao_map
-    from lmd.evaluation.accuracy import accuracy_metrics, save_accuracy_map
-    from lmd.plot.pose_errors import save_cramer_rao_map
-
-    from .tracked_run import title_of
-
-    bounds = cramer_rao_map(problem.scene, problem.evaluator, deployment)
-    files: dict[str, Any] = {
-        "localisation.csv": bounds.to_csv,
-        "accuracy.csv": partial(save_accuracy_map, problem=problem, deployment=deployment),
-    }
-    if cfg.picture:
-        title = title_of(problem, "Cramer-Rao bound of one frame,")
-        files["localisation.png"] = lambda path: save_cramer_rao_map(path, problem.scene.room, bounds, title)
-    return Report(files), bounds.metrics() | accuracy_metrics(problem, deployment, cfg.seed)
-
-
-def _studies(
-    cfg: DictConfig, subject: _Subject
-) -> "Iterator[tuple[str, evaluation.Study, Callable[..., None] | None, str]]":
+def _studies(cfg: DictConfig, subject: _Subject) -> Iterator[Studied]:
     """Conduct the studies of a deployment, one after the other.
 
     Yields:
-        name of a study, the study, the function that draws it (None for none), and the subject of its picture.
+        name of a study, empty if its figures are those of the deployment; its files, figures and text.
     """
     from lmd.core.checks import InputError
 
     problem, plan, deployment, error, seed = *subject[:4], cfg.seed
+
+    def told(key: str, study: "evaluation.Study", draw: Callable[..., None] | None = None, about: str = "") -> Studied:
+        tables = {stem: {str(c): values for c, values in table.items()} for stem, table in study.tables.items()}
+        files: dict[str, Any] = {f"{stem}.csv": columns for stem, columns in tables.items()}
+        if draw is not None and cfg.picture:
+            files[f"{key}.png"] = partial(draw, title=title_of(problem, about))
+        return key, files, study.metrics(), study.to_text()
+
+    if cfg.localisation:
+        from lmd.estimation.cramer_rao import cramer_rao_map
+        from lmd.evaluation.accuracy import accuracy_metrics, save_accuracy_map
+        from lmd.plot.pose_errors import save_cramer_rao_map
+
+        bounds, about = cramer_rao_map(problem.scene, problem.evaluator, deployment), "Cramer-Rao bound of one frame,"
+        save_accuracy = partial(save_accuracy_map, problem=problem, deployment=deployment)
+        files: dict[str, Any] = {"localisation.csv": bounds.to_csv, "accuracy.csv": save_accuracy}
+        if cfg.picture:
+            draw = partial(save_cramer_rao_map, room=problem.scene.room, bounds=bounds, title=title_of(problem, about))
+            files["localisation.png"] = draw
+        yield "", files, bounds.metrics() | accuracy_metrics(problem, deployment, seed), ""
     if cfg.losses:
         from lmd.evaluation.losses import losses
 
         try:
-            yield "losses", losses(problem, deployment), None, ""
+            yield told("", losses(problem, deployment))
         except InputError as refused:
             print(f"no losses: {refused}")
     if cfg.sensitivity:
@@ -301,21 +271,21 @@ def _studies(
         from lmd.plot.charts import save_sensitivity_figure
 
         varied = sensitivity(problem, deployment, seed)
-        yield "sensitivity", varied, partial(save_sensitivity_figure, found=varied), "sensitivity,"
+        yield told("sensitivity", varied, partial(save_sensitivity_figure, found=varied), "sensitivity,")
     if deployment is not plan:
         from lmd.evaluation.measured import as_measured
         from lmd.plot.pose_errors import save_map_figure
 
         surveyed = as_measured(problem, plan, deployment, seed)
-        draw = partial(save_map_figure, views=surveyed.views)
-        yield "survey", surveyed, draw, "maps as planned and as measured,"
+        about = "maps as planned and as measured,"
+        yield told("survey", surveyed, partial(save_map_figure, views=surveyed.views), about)
     if not error.is_none:
         from lmd.evaluation.mounting import mounted
         from lmd.plot.pose_errors import save_map_figure
 
         with keyed(MOUNTING):
             hung = mounted(problem, deployment, error, seed)
-        yield "mounting", hung, partial(save_map_figure, views=hung.views), f"{error.draws} mountings,"
+        yield told("mounting", hung, partial(save_map_figure, views=hung.views), f"{error.draws} mountings,")
 
 
 def _side_by_side(rows: Mapping[str, Mapping[str, float]]) -> Report:

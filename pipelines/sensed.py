@@ -10,8 +10,8 @@ from omegaconf import DictConfig, OmegaConf
 
 from .app import choices
 from .building import build_problem, refuse_crowd, seeds_of
-from .nodes import detector_of, instantiate, keyed, note, settings_of
-from .study import Report, Study
+from .nodes import detectors_of, instantiate, keyed, note, settings_of
+from .study import Report, Study, title_of
 
 if TYPE_CHECKING:
     from lmd.evaluation.detected import DetectionStudy, Rendered
@@ -40,8 +40,6 @@ def observe(cfg: DictConfig, own: Own) -> Study:
         from lmd.estimation import pairs
         from lmd.estimation.study import conduct, to_markdown
         from lmd.plot.pose_errors import save_error_figure
-
-        from .tracked_run import title_of
 
         with keyed(estimators="estimator", family="tag.family"):
             each = partial(in_batches, cfg.workers)
@@ -114,8 +112,6 @@ def detect(cfg: DictConfig, own: Own) -> Study:
         from lmd.evaluation.detected import DetectionStudy, sightings
         from lmd.plot.detection_figures import save_calibration_figure
 
-        from .tracked_run import title_of
-
         each = partial(in_batches, cfg.workers)
         seen, again = sightings(subjects, seed, each), None
         if moves is not None:
@@ -147,8 +143,7 @@ def rendered(cfg: DictConfig, count: int) -> "Rendered":
     tag, imaging, problem = instantiate(cfg.tag), instantiate(cfg.imaging), build_problem(_any_tag(cfg))
     with keyed():
         tag.check_edge()
-    detectors = {name: detector_of(cfg, name) for name in cfg.get("detectors") or {}}
-    if not detectors:
+    if not (detectors := detectors_of(cfg)):
         raise InputError("detectors must name at least one detector.")
     with keyed("tag", crowd="visibility.crowd", frames="frames"):
         return Rendered.of(problem, tag, imaging, detectors, count, cfg.seed)

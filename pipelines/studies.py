@@ -16,14 +16,10 @@ from omegaconf import DictConfig
 from .building import build_problem, refuse_crowd
 from .nodes import instantiate, keyed, note, settings_of
 from .score import mounting_of
-from .study import Report, Study
+from .study import Report, Study, title_of
 
 if TYPE_CHECKING:
     from lmd.evaluation.time_limit import TimeLimit
-    from lmd.evaluation.uncertainty import Uncertainty
-    from lmd.evaluation.uncertainty_law import UncertaintyLaw
-    from lmd.problem import Problem
-    from lmd.scene.deployment import Deployment
 
 Own = Mapping[str, DictConfig]
 HEADLINE = "localised_share_20mm"  # figure in the headings of panels
@@ -33,8 +29,6 @@ EVERY = 10.0  # least time between two lines of progress, seconds
 def accuracy(cfg: DictConfig, own: Own) -> Study:
     """Predict the accuracy of single images."""
     import numpy as np
-
-    from .tracked_run import title_of
 
     problems = {name: build_problem(each) for name, each in own.items()}
     drawn = {name: (problem, problem.draw(np.random.default_rng(cfg.seed))) for name, problem in problems.items()}
@@ -66,9 +60,17 @@ def bound(cfg: DictConfig, own: Own) -> Study:
     from lmd.evaluation.time_limit import TimeLimit
 
     problem, settings = build_problem(next(iter(own.values()))), settings_of(cfg, "bound")
+    told_at = monotonic()
+
+    def tell(text: str) -> None:
+        nonlocal told_at
+        if monotonic() - told_at >= EVERY:
+            print(text, file=sys.stderr, flush=True)
+            told_at = monotonic()
+
     with keyed("bound"):
         seconds = inf if settings.seconds is None else real("seconds", settings.seconds, above=0.0)
-        limit = TimeLimit(seconds, _Progress())
+        limit = TimeLimit(seconds, tell)
         search = Search(settings.spacing, settings.iterations, settings.tolerance, limit)
         target = None if settings.target is None else real("target", settings.target, low=0.0, high=1.0)
     if target is not None:
@@ -122,18 +124,6 @@ def bound(cfg: DictConfig, own: Own) -> Study:
     return Study("bound", run, problem=problem)
 
 
-class _Progress:
-    """Printer of the progress of a bound, at most every `EVERY` seconds."""
-
-    def __init__(self) -> None:
-        self._last = monotonic()
-
-    def __call__(self, text: str) -> None:
-        if monotonic() - self._last >= EVERY:
-            print(text, file=sys.stderr, flush=True)
-            self._last = monotonic()
-
-
 def uncertainty(cfg: DictConfig, own: Own) -> Study:
     """Describe the uncertainty of the pose from one image, as tables, laws and code."""
     import numpy as np
@@ -153,42 +143,32 @@ def uncertainty(cfg: DictConfig, own: Own) -> Study:
     error, deployment = mounting_of(alone), problem.draw(np.random.default_rng(cfg.seed))
 
     def run(_: object) -> Report:
-        places = error.covariances(problem, deployment)
+        from lmd.export.filter_code import CLASS, FilterLaws, java, python
+        from lmd.plot.uncertainty import save_uncertainty_figure
+
+        places, path = error.covariances(problem, deployment), alone.deployment.get("path")
         with keyed("uncertainty", map="deployment.path"):
-            path = alone.deployment.get("path")
             joint = None if path is None else surveyed_covariance(path, deployment)
             found = find(problem, deployment, study, cfg.seed, places, joint)
-        with keyed("uncertainty"):
             law = uncertainty_law(found)
-        return Report(_uncertainty_files(cfg, problem, deployment, found, law), found.metrics(), lines=law.lines(found))
+        distance, tag = found.views.distance[found.views.pose == "one"], problem.scene.tag
+        of = f"{len(deployment)} tags of {tag.size:g} m ({tag.family}, {tag.square}), {problem.scene.room.describe()}"
+        about = f"{of}; errors of corners {found.corners}."
+        code = FilterLaws(law.laws, law.rules, law.reach, float(distance.min()), float(distance.max()), about)
+        document = {"about": about, "views": found.metrics(), "misleading": found.misleading, **law.document()}
+        files: dict[str, Any] = {
+            "uncertainty.csv": found.views,
+            "uncertainty_law.csv": law.table,
+            "uncertainty_law.json": document,
+            "uncertainty_tags.csv": found.tags,
+            f"{CLASS}.java": java(code),
+            "vision_uncertainty.py": python(code),
+        }
+        if cfg.picture:
+            title = title_of(problem, "uncertainty of the pose from one image,")
+            files["uncertainty.png"] = lambda path: save_uncertainty_figure(
+                path, problem, deployment, found, law, title
+            )
+        return Report(files, found.metrics(), lines=law.lines(found))
 
     return Study("uncertainty", run, problem=problem)
-
-
-def _uncertainty_files(
-    cfg: DictConfig, problem: "Problem", deployment: "Deployment", found: "Uncertainty", law: "UncertaintyLaw"
-) -> dict[str, Any]:
-    """Contents of the files about the uncertainty."""
-    from lmd.export.filter_code import CLASS, FilterLaws, java, python
-    from lmd.plot.uncertainty import save_uncertainty_figure
-
-    from .tracked_run import title_of
-
-    distance = found.views.distance[found.views.pose == "one"]
-    tag, room = problem.scene.tag, problem.scene.room.describe()
-    of = f"{len(deployment)} tags of {tag.size:g} m ({tag.family}, {tag.square})"
-    about = f"{of}, {room}; errors of corners {found.corners}."
-    code = FilterLaws(law.laws, law.rules, law.reach, float(distance.min()), float(distance.max()), about)
-    document = {"about": about, "views": found.metrics(), "misleading": found.misleading, **law.document()}
-    files: dict[str, Any] = {
-        "uncertainty.csv": found.views,
-        "uncertainty_law.csv": law.table,
-        "uncertainty_law.json": document,
-        "uncertainty_tags.csv": found.tags,
-        f"{CLASS}.java": java(code),
-        "vision_uncertainty.py": python(code),
-    }
-    title = title_of(problem, "uncertainty of the pose from one image,")
-    if cfg.picture:
-        files["uncertainty.png"] = lambda path: save_uncertainty_figure(path, problem, deployment, found, law, title)
-    return files

@@ -1,23 +1,34 @@
 """Spine of the commands: here a study is tracked, written whole or not at all, kept, printed, stopped and resumed."""
 
 import sys
-from collections.abc import Callable, Generator, Iterable, Mapping
-from contextlib import closing, suppress
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
+from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from .app import run_directory, say
+from lmd.core.checks import InputError
+from lmd.core.words import as_code, escaped, labelled
+
+from .app import choices, flat_settings, key_and_value, run_directory, say
+from .composing import GROUPS
+from .nodes import instantiate
 from .operations.signals import Stopped, stop
+from .operations.sweeps.folder import current_job, reason_of
+from .operations.sweeps.names import override_tags, short_name
+from .operations.tracking import PARENT_TAG, Dataset, RunStart, Tracker
 from .outputs import write_all, write_document
+from .provenance import command_line, digest, parameters, repeating, source_tags, write_sources
 
 if TYPE_CHECKING:
     from lmd.problem import Problem
 
-    from .operations.tracking import Tracker
-
+LANDMARKS = "landmarks.csv"
+DECIDED = ("fixed", "measured")  # settings of `deployment` that decide the problem, beside the number of landmarks
+DATASET_DIGITS = 16  # characters of the digest of a problem; mlflow takes 36
 Curve = Iterable[tuple[int, float, float]]
 
 
@@ -48,29 +59,20 @@ class Report:
         return replace(self, files={f"{folder}/{name}": content for name, content in self.files.items()})
 
 
-class Earlier(NamedTuple):
-    """A run that another run continues."""
-
-    run_id: str | None
-    """Its tracked run, if it has one."""
-    folder: Path
-    """The folder of its files."""
-
-
 @dataclass(frozen=True)
 class Study:
     """A study whose settings are checked and whose subjects are built."""
 
     subject: str
     """Subject of the run, in a word."""
-    run: "Callable[[Tracker], Report | Iterable[Report]]"
+    run: Callable[[Tracker], Report | Iterable[Report]]
     """Function that conducts it, and returns its report or gives one after the other."""
     about: str = ""
     """Description of the run; by default the title of its problem."""
     problem: "Problem | None" = None
     """Its problem, if it has one."""
-    earlier: Earlier | None = None
-    """The run that it continues."""
+    earlier: tuple[str | None, Path] = (None, Path())
+    """The tracked run that it continues, if any, and the folder of that run."""
     hint: Callable[[], str] = str
     """Function that returns how to go on after an interruption."""
     returned: str = ""
@@ -88,15 +90,10 @@ def conduct(cfg: DictConfig, study: Study) -> float | None:
         InputError: the study refuses its input.
         OSError: the results cannot be written.
     """
-    from lmd.core.words import labelled
-
-    from .tracked_run import again, tracked
-
     directory, files, lacking = run_directory(), dict[Path, None](), list[str]()
-    figures, lines, is_cut = dict[str, float](), dict[str, str](), False
+    figures, lines, is_cut, is_whole = dict[str, float](), dict[str, str](), False, False
     try:
         with tracked(cfg, study) as tracker:
-            is_whole = False
             try:
                 with stop.raising(), closing(_reports(study, tracker)) as reports:
                     report = next(reports, None)
@@ -108,7 +105,10 @@ def conduct(cfg: DictConfig, study: Study) -> float | None:
                             figures |= report.figures
                             lines |= report.lines
                             is_whole, is_cut = is_whole or report.is_whole, is_cut or report.is_cut
-                            _log(tracker, report)
+                            if report.figures:
+                                tracker.log_metrics(report.figures)
+                            for name, points in report.curves.items():
+                                tracker.log_curve(name, points)
                             if report.text:
                                 say(report.text)
                             report = next(reports, None)
@@ -127,14 +127,16 @@ def conduct(cfg: DictConfig, study: Study) -> float | None:
     names = ", ".join(str(path.relative_to(directory)) for path in files)
     say(labelled({**lines, "files": f"{directory}: {names}", "mlflow": tracker.describe()}))
     if lacking:
-        print(f"warning: {'; '.join(lacking)}{again(directory)}", file=sys.stderr)
+        again = command_line("evaluate", [f"run={directory}"])
+        hint = f"; to draw and write again: {again}" if (directory / LANDMARKS).is_file() else ""
+        print(f"warning: {'; '.join(lacking)}{hint}", file=sys.stderr)
     if is_cut:
         _print_hint(study)
         sys.exit(stop.code)
     return figures.get(study.returned)
 
 
-def _reports(study: Study, tracker: "Tracker") -> Generator[Report, None, None]:
+def _reports(study: Study, tracker: Tracker) -> Generator[Report, None, None]:
     found = study.run(tracker)
     yield from (found,) if isinstance(found, Report) else found
 
@@ -169,15 +171,100 @@ def _writer(name: str, content: Any) -> Callable[[Path], object]:
     return lambda path: write_table(path, content)
 
 
-def _log(tracker: "Tracker", report: Report) -> None:
-    """Record the figures and curves of a report."""
-    if report.figures:
-        tracker.log_metrics(report.figures)
-    for name, points in report.curves.items():
-        tracker.log_curve(name, points)
-
-
 def _print_hint(study: Study) -> None:
     with suppress(OSError):
         if hint := study.hint():
             print(f"interrupted; {hint}", file=sys.stderr)
+
+
+@contextmanager
+def tracked(cfg: DictConfig, study: Study) -> Iterator[Tracker]:
+    """A started run of the configured tracker; an exception marks it FAILED, Ctrl-C KILLED, bad input removes it.
+
+    Args:
+        cfg: configuration, logged as parameters.
+        study: study of the run. A new run is linked to the one that it continues if their records differ.
+    """
+    tracker: Tracker = instantiate(cfg.tracking)
+    directory, pipeline, job = run_directory(), HydraConfig.get().job.name, current_job()
+    overrides, given = list(HydraConfig.get().overrides.task), list[str]()
+    varied, tags = overrides, {f"choice.{group}": option for group, option in choices().items()}
+    if job is not None:
+        folder, swept = job
+        overrides, varied = list(swept.overrides), [f"{key}={value}" for key, value in swept.varied.items()]
+        given = [override for override in overrides if key_and_value(override)[0] not in swept.varied]
+        tags |= swept.tags(folder.name)
+    tags |= {"pipeline": pipeline} | override_tags(overrides) | source_tags(pipeline)
+    about, dataset, params = study.about or study.subject, None, parameters(cfg, choices())
+    if (problem := study.problem) is not None:
+        about, dataset = study.about or title_of(problem, study.subject), dataset_of(cfg, problem)
+        params |= derived(problem)
+    tags["mlflow.note.content"] = f"{escaped(about)}\n\n{repeating(tags)}\n\nfiles: {as_code(directory)}"
+    run_id, before = study.earlier
+    if run_id is not None and not tracker.goes_on(run_id, before, params):
+        tags["continues"], run_id = run_id, None
+    try:
+        with stop.raising():
+            write_sources(directory / ".hydra")
+            name = short_name(study.subject, varied, given)
+            tracker.start(RunStart(name, directory, params, tags, dataset=dataset), run_id)
+            yield tracker
+    except InputError as error:
+        if run_id is None and job is None:
+            tracker.discard()
+        else:
+            tracker.finish("FAILED", reason_of(error))
+        raise
+    except BaseException as error:
+        tracker.finish("KILLED" if isinstance(error, KeyboardInterrupt) else "FAILED", reason_of(error))
+        raise
+
+
+def title_of(problem: "Problem", subject: str) -> str:
+    """Title of the pictures of a run: its subject and the main settings."""
+    return f"{subject} {problem.objective.name} K={problem.count}"
+
+
+def dataset_of(cfg: DictConfig, problem: "Problem") -> Dataset:
+    """The problem of a configuration as mlflow's filter of datasets shows it.
+
+    Equal problems have equal digests, whichever options they are composed of. A frozen problem of the suite has its own
+    name and digest.
+    """
+    if isinstance(suite := cfg.get("suite"), str):
+        from lmd.suite import document
+
+        if (frozen := document(suite)).problem["deployment"].get("count") == problem.count:
+            return Dataset(suite, frozen.hash, {"about": frozen.about})
+    chosen = {group: choices().get(group, "") for group in GROUPS if group in cfg}
+    placed = {key: cfg.deployment[key] for key in DECIDED if cfg.deployment.get(key) is not None}
+    settings = flat_settings(cfg, *chosen, *(["cameras", "body", "deployment"] if "cameras" in cfg else []))
+    words = {**chosen, "objective": problem.objective.name, "K": str(problem.count)}
+    called = " ".join(dict.fromkeys([chosen["room"], chosen["camera"]]))
+    return Dataset(title_of(problem, called), digest(settings, placed, problem.count)[:DATASET_DIGITS], words)
+
+
+def derived(problem: "Problem") -> dict[str, Any]:
+    """Parameters of a run that its configuration leaves to be found: the counts of landmarks."""
+    counts = problem.scene.tag.counts
+    return {"deployment.count": problem.count, **({} if counts is None else {"tag.counts": list(counts)})}
+
+
+def log_child(
+    tracking: DictConfig, run: RunStart, parent: str | None, metrics: Mapping[str, float], curve: Curve = ()
+) -> None:
+    """Record a finished run below another one, with the landmarks in its folder.
+
+    Args:
+        tracking: group `tracking`.
+        run: the run.
+        parent: run that it is shown below, if any.
+        metrics: its figures.
+        curve: its best fitness, see `Tracker.log_curve`.
+    """
+    tracker: Tracker = instantiate(tracking)
+    tracker.start(replace(run, tags={**run.tags, **({} if parent is None else {PARENT_TAG: parent})}))
+    tracker.log_curve("best_fitness", curve)
+    tracker.log_metrics(metrics)
+    tracker.log_artifacts([run.folder / LANDMARKS])
+    tracker.finish("FINISHED")

@@ -2,40 +2,46 @@
 
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
 from .app import discard_empty, run_directory
 from .building import camera_of, visibility_of
 from .command import Command
+from .composing import RIG
 from .export import build_export
 from .landmarks import fixed_of, table_in
-from .nodes import instantiate, keyed, note, settings_of
+from .nodes import instantiate, keyed, note, plain, settings_of
 from .operations.signals import Stopped, stop
 from .photographs import detected, odometry_of, reader_of, with_camera_of_bag
 from .study import Report, Study
-from .survey_files import audit_writers, writers_of
 
 if TYPE_CHECKING:
+    from lmd.evaluation.audit import Audit
+    from lmd.formats.detections import DetectedTags
     from lmd.geometry.camera import Camera
     from lmd.scene.rig import Rig
     from lmd.scene.scene import Scene
     from lmd.scene.tag import Tag
     from lmd.space.space import Space
     from lmd.survey.knowledge import PriorKnowledge
+    from lmd.survey.survey import Survey
 
     from .progress import Stages
+
+DOCUMENT, MEASURED, DETECTED = "survey.json", "measured.csv", "detections.csv"
+NO_HANGING = ("calibrate", "every", "odometry")  # keys of `survey` that do not describe the tags
+KNOWN = ("origin", "points", "floor", "boards", "printed", "mounted", "motion", "edges")
 
 
 def survey(cfg: DictConfig) -> Study:
     """Estimate the map of the tags in the configured photographs or detections."""
     from lmd.core.checks import InputError, boolean, integer, seed_number
-    from lmd.core.tables import write_table
-    from lmd.detection.tag_views import FILE as VIEWS
-    from lmd.evaluation.audit import audited, in_the_open, view_columns
+    from lmd.evaluation.audit import audited, in_the_open
     from lmd.evaluation.verdicts import verdicts
     from lmd.survey.keyframes import select_keyframes
     from lmd.survey.results import map_of, metrics
@@ -50,7 +56,6 @@ def survey(cfg: DictConfig) -> Study:
     with keyed():
         tag.check_edge()
     given = camera_of(with_camera_of_bag(cfg).camera)
-    cameras = given.cameras
     name, detector = reader_of(cfg)
     known, room = _known(cfg, tag, given), instantiate(cfg.room) if cfg.get("room") else None
     scene = _scene(cfg, room, given, tag) if boolean("audit", cfg.audit) else None
@@ -61,33 +66,26 @@ def survey(cfg: DictConfig) -> Study:
         calibrate = None if cfg.survey.calibrate == "auto" else boolean("calibrate", cfg.survey.calibrate)
         every = None if cfg.survey.every == "auto" else integer("every", cfg.survey.every, low=1)
     stages, audit = Stages(), None
+    source = "photographs" if cfg.detections is None else "detections"
     with _map_or_nothing(stages):
-        found_tags = detected(cfg, cameras, detector, tag)
-        with stages, stop.deferred(lambda: stages.has_map, "this step"):
-            with keyed(
-                "survey",
-                detections="detections" if cfg.detections is not None else "photographs",
-                cameras="camera",
-                fixed="deployment.fixed",
-            ):
-                found = find(
-                    select_keyframes(found_tags, every), cameras, tag, detector.corner_errors, known, calibrate, stages
-                )
-            through = tuple(one.found for one in found.calibrated)
+        tags = detected(cfg, given.cameras, detector, tag)
+        with closing(stages), stop.deferred(lambda: stages.has_map, "this step"):
+            with keyed("survey", detections=source, cameras="camera", fixed="deployment.fixed"):
+                frames = select_keyframes(tags, every)
+                found = find(frames, given.cameras, tag, detector.corner_errors, known, calibrate, stages)
             if scene is not None and not stages(SurveyStage.AUDITING):
                 audit = audited(*((found, scene) if room is not None else in_the_open(found, scene)), verdicts)
             found = replace(found, interrupted=stages.interrupted)
     about = f"survey of {found.placed.sum()} tags in {len(found.found.frames)} frames"
 
     def run(_: object) -> Report:
-        files = writers_of(found, room, about, found_tags if cfg.detections is None else None)
-        files[VIEWS] = lambda path: write_table(path, view_columns(found, through, tag, room))
+        files = _files(found, room, tag, about, tags if cfg.detections is None else None)
         if exports.formats and room is not None:
             files |= exports.writers(room, tag, map_of(found))
+        figures, text = metrics(found), to_text(found)
         if audit is not None:
-            files |= audit_writers(audit, name, about)
-        figures = metrics(found) | (audit.metrics() if audit else {})
-        text = "\n".join([to_text(found), *([audit.to_text()] if audit else [])])
+            files |= _audit_files(audit, name, about)
+            figures, text = figures | audit.metrics(), f"{text}\n{audit.to_text()}"
         return Report(files, figures, text=text, is_cut=found.interrupted is not None)
 
     return Study("survey", run, about)
@@ -110,8 +108,7 @@ def _scene(cfg: DictConfig, room: "Space | None", camera: "Camera | Rig", tag: "
     Raises:
         InputError: the visibility model is for points, not for tags.
     """
-    from lmd.core.checks import InputError, check_members
-    from lmd.scene.criteria import Criteria
+    from lmd.core.checks import InputError
     from lmd.scene.pdf import solid_angle
     from lmd.scene.scene import Scene
     from lmd.space.cuboid import Cuboid
@@ -119,9 +116,7 @@ def _scene(cfg: DictConfig, room: "Space | None", camera: "Camera | Rig", tag: "
     if "tag" not in cfg.visibility:
         raise InputError("audit needs a visibility model of tags: visibility=fiducial.")
     visibility, _ = visibility_of(cfg.visibility)  # a crowd of the plan is not that of the photographs
-    metre = (1.0, 1.0, 1.0)
-    check_members("visibility", visibility, Criteria, "docs/extend.md")
-    anywhere = Cuboid(metre, reachable_size=metre, spacing=1.0) if room is None else room
+    anywhere = Cuboid((1.0, 1.0, 1.0), reachable_size=(1.0, 1.0, 1.0), spacing=1.0) if room is None else room
     return Scene(anywhere, camera, solid_angle(1), visibility, tag)  # the audit uses the orientations of the frames
 
 
@@ -136,16 +131,12 @@ def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "PriorKnowledg
     from lmd.scene.rig import Rig
     from lmd.survey.knowledge import Boards, Hanging, MeasuredPoints, PriorKnowledge
 
-    settings = OmegaConf.to_container(settings_of(cfg, "survey"), resolve=True)
-    assert isinstance(settings, dict)
-    for key in ("calibrate", "every"):  # these do not describe the tags
-        settings.pop(key)
-    names = ("origin", "points", "floor", "boards", "printed", "mounted", "odometry", "motion", "edges")
-    origin, points, floor, boards, printed, mounted, path, motion, sizes = (settings.pop(key, None) for key in names)
-    odometry = odometry_of(path, "survey.odometry")
+    settings = plain(settings_of(cfg, "survey"))
+    odometry = odometry_of(settings.get("odometry"), "survey.odometry")
+    origin, points, floor, boards, printed, mounted, motion, sizes = map(settings.get, KNOWN)
     steady = None if motion == "auto" else boolean("survey.motion", motion)
     with keyed("survey"):
-        hanging = Hanging(**{str(key): value for key, value in settings.items()})
+        hanging = Hanging(**{key: value for key, value in settings.items() if key not in (*NO_HANGING, *KNOWN)})
         origin = None if origin is None else integer("origin", origin, low=0)
         points = None if points is None else MeasuredPoints.from_csv(points)
         mounts = given.mounted if boolean("mounted", mounted) and isinstance(given, Rig) else None
@@ -161,9 +152,73 @@ def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "PriorKnowledg
         fixed = fixed_of(node, tag.own_family)
     note("" if plan is None else plan.note)
     with keyed("survey"):
-        return PriorKnowledge(
-            plan, hanging, fixed, points, boards, mounts, origin, floor, odometry, sizes or {}, steady
-        )
+        told = points, boards, mounts, origin, floor, odometry, sizes or {}, steady
+        return PriorKnowledge(plan, hanging, fixed, *told)
+
+
+def camera_files(count: int) -> list[str]:
+    """Names of the calibration files of cameras."""
+    return ["camera.yaml"] if count == 1 else [f"camera_{number}.yaml" for number in range(1, count + 1)]
+
+
+def _files(
+    found: "Survey", room: "Space | None", tag: "Tag", title: str, detected: "DetectedTags | None"
+) -> dict[str, Any]:
+    """Contents of the files of a survey.
+
+    Args:
+        found: the survey.
+        room: the room; None if unknown.
+        tag: the tags.
+        title: title of the picture.
+        detected: detections in all frames; None if they were read from a file.
+    """
+    from lmd.adjust.intrinsics import camera_info
+    from lmd.detection.tag_views import FILE as VIEWS
+    from lmd.evaluation.audit import view_columns
+    from lmd.formats.detection_formats import write_detections
+    from lmd.formats.rigs import write_rig
+    from lmd.formats.tag_map import write_yaml
+    from lmd.formats.tag_maps import FILE, write_map_covariance
+    from lmd.plot.plans import save_survey_figure
+    from lmd.scene.rig import Rig
+    from lmd.survey.results import frame_columns, map_columns, map_covariance, measured_of, survey_document
+
+    through, names = tuple(one.found for one in found.calibrated), camera_files(len(found.calibrated))
+    files: dict[str, Any] = {
+        "map.csv": map_columns(found),
+        FILE: lambda path: write_map_covariance(path, *map_covariance(found)),
+        "frames.csv": frame_columns(found),
+        DOCUMENT: survey_document(found),
+        "survey.png": lambda path: save_survey_figure(path, found, room, title),
+        VIEWS: view_columns(found, through, tag, room),
+    }
+    if (measured := measured_of(found)) is not None:
+        files[MEASURED] = partial(measured.to_csv, ups=True)
+    for file, camera in zip(names, through, strict=True):
+        files[file] = partial(write_yaml, keys=camera_info(camera))
+    if len(names) > 1:
+        rig = Rig.of_poses(list(through), found.found.poses.mounts)
+        files[RIG] = partial(write_rig, rig=rig, sources=dict(zip(rig.cameras, names, strict=True)))
+    if detected is not None:
+        files[DETECTED] = lambda path: write_detections(path, detected)
+    return files
+
+
+def _audit_files(audit: "Audit", detector: str, title: str) -> dict[str, Any]:
+    """Contents of the files of an audit."""
+    import pandas as pd
+
+    from lmd.detection.predictions import figures
+    from lmd.plot.detection_figures import save_calibration_figure, save_places_figure
+
+    named = {"deployment": "survey", "detector": detector}
+    row, pitches = pd.DataFrame([named | figures(audit.prediction, audit.seen)]), audit.tables["audit_pitches"]
+    return {
+        **{f"{name}.csv": table for name, table in audit.tables.items()},
+        "audit.png": lambda path: save_calibration_figure(path, row, pitches.assign(**named), title),
+        "audit_places.png": lambda path: save_places_figure(path, audit.tables["audit_places"], title),
+    }
 
 
 main = Command("survey", survey)

@@ -7,6 +7,7 @@ This is one run and not a sweep because the search at each point also starts fro
 Searches run in parallel, and their results are stored on disk.
 """
 
+from functools import partial
 from itertools import product
 from math import inf, isfinite
 from typing import TYPE_CHECKING, Any
@@ -14,13 +15,13 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig, OmegaConf
 
 from .app import run_directory
-from .building import budget_of, build_optimiser, seeds_of
+from .building import budget_of, build_optimiser, camera_of, seeds_of, visibility_of
 from .command import Command
-from .nodes import instantiate, keyed
+from .contenders import GOING_ON
+from .nodes import instantiate, keyed, plain
 from .operations.sweeps.names import slug
 from .points import BUDGET, PAPER, Ladder, Points, figures_of, shares_among
-from .size import size
-from .study import Report, Study
+from .study import LANDMARKS, Report, Study, log_child
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -74,8 +75,31 @@ def tradeoff(cfg: DictConfig) -> Study:
         _log_points(cfg.tracking, points, tracker.run_id)
         return _report(cfg, points, problem, figure, wanted)
 
-    hint = f"the same command goes on with what is kept in {cfg.kept}"
-    return Study("tradeoff", run, problem=problem, hint=lambda: hint)
+    return Study("tradeoff", run, problem=problem, hint=partial(GOING_ON.format, cfg.kept))
+
+
+def size(cfg: DictConfig) -> Study:
+    """Study of the range of each size of the configured tag for the configured camera."""
+    import math
+
+    from lmd.core.checks import InputError
+    from lmd.evaluation.reach import Reading, reach_text
+    from lmd.export.paper import PAPERS, largest_whole
+    from lmd.sight.models.fiducial import Fiducial
+    from lmd.space.parts import made
+
+    reading = made("size", {} if cfg.size is True else plain(cfg.size), Reading)
+    (camera, *others), tag = camera_of(cfg.camera).cameras, instantiate(cfg.tag)
+    criteria, _ = visibility_of(cfg.visibility)
+    if others or not isinstance(criteria, Fiducial):
+        lack = "one camera: leave camera.rig out" if others else "a detector: it needs visibility=fiducial"
+        raise InputError(f"size is about what is read by {lack}.")
+    tag.check_edge()
+    papers = ((paper, largest_whole(tag.of_size(tag.sizes[0]), paper)) for paper in PAPERS)
+    on_sheets = ", ".join(f"{math.floor(1e3 * edge) / 1e3:g} m ({paper})" for paper, edge in papers)
+    with keyed("tag"):
+        text = f"{reach_text(camera, tag, criteria, reading)}\n\nlargest {tag.square} on one sheet: {on_sheets}"
+    return Study("size", lambda _: Report({"size.txt": f"{text}\n"}, text=text))
 
 
 def _curves(cfg: DictConfig) -> "tuple[str | None, list[float], list[tuple[float, ...]]]":
@@ -92,10 +116,8 @@ def _curves(cfg: DictConfig) -> "tuple[str | None, list[float], list[tuple[float
         with keyed(count="counts"):
             counts = sorted({landmark_count("count", count) for count in _listed("counts", cfg.counts)})
         if cfg.tag.get("edges") is not None:
-            raise InputError(
-                "tag.edges is for tags of several sizes: give papers=[...] or budgets=[...] in place of counts; single "
-                "sizes are given as edges=[...]."
-            )
+            cure = "give papers=[...] or budgets=[...] in place of counts; single sizes are given as edges=[...]"
+            raise InputError(f"tag.edges is for tags of several sizes: {cure}.")
         edges = [cfg.tag.edge or 0.0] if cfg.edges is None else _listed("edges", cfg.edges)
         single = sorted({real("tag.edge" if cfg.edges is None else "edges", edge, low=0.0) for edge in edges})
         return None, [*counts], [(edge,) for edge in single]
@@ -129,12 +151,10 @@ def _report(cfg: DictConfig, points: Points, problem: "Problem", figure: str, wa
 
     table, axis, headline = points.table, points.axis, problem.objective.headline
     off_grid, beside = headline_off_grid(problem), COVERED if isinstance(problem.objective, Localisation) else LOCALISED
-    if problem.scene.recorded is None:
-        panels = {off_grid: Panel(f"{headline.label}, off the grid", off_grid, headline.key)}
-    else:  # the grid cannot give the figure, a fraction of recorded time
-        panels = {off_grid: Panel(figure_of(off_grid).label, off_grid)}
-    others = [name for name in (beside, figure) if name in table and name not in panels]
-    panels |= {name: Panel(figure_of(name).label, name) for name in others}
+    shown = dict.fromkeys([off_grid, *(name for name in (beside, figure) if name in table)])
+    panels = {name: Panel(figure_of(name).label, name) for name in shown}
+    if problem.scene.recorded is None:  # else the grid cannot give the figure, a fraction of recorded time
+        panels[off_grid] = Panel(f"{headline.label}, off the grid", off_grid, headline.key)
     panels[figure] = panels[figure]._replace(wanted=wanted)
     curves = front(table, list(dict.fromkeys([figure, headline.key, *panels])), axis)
     if (mixed := mixtures(table, axis)) is not None:
@@ -156,12 +176,11 @@ def _report(cfg: DictConfig, points: Points, problem: "Problem", figure: str, wa
         f"{name}/{axis.curve}_{_slug(curve)}": [
             (round(scale * at), value, 0.0) for at, value in same[[axis.along, name]].to_numpy().tolist()
         ]
-        for name in panels
-        for curve, same in curves.reset_index().groupby(axis.curve)
+        for name, (curve, same) in product(panels, curves.reset_index().groupby(axis.curve))
     }
     files = {
         "points.csv": table,
-        "front.csv": lambda path: curves.to_csv(path),
+        "front.csv": curves.to_csv,
         "tradeoff.json": document,
         "tradeoff.png": lambda path: save_tradeoff_figure(path, table, list(panels.values()), title, axis),
     }
@@ -188,19 +207,16 @@ def _told(reached: "pd.DataFrame") -> str:
 def _log_points(tracking: DictConfig, points: Points, parent: str | None) -> None:
     """Record a run for each point below the run `parent`, with its landmarks in a folder of the parent."""
     from .operations.tracking import RunStart
-    from .tracked_run import log_child
 
     for n, at, found, figures in points:
         ladder, name = points.ladders[n], points.name(n, at)
-        landmarks = run_directory() / "points" / slug(name) / "landmarks.csv"
-        landmarks.parent.mkdir(parents=True, exist_ok=True)  # the folder exists if a sweep repeats a lost job
-        found.deployment.to_csv(landmarks, ups=bool(ladder.edges[0]))
+        folder = run_directory() / "points" / slug(name)
+        folder.mkdir(parents=True, exist_ok=True)  # the folder exists if a sweep repeats a lost job
+        found.deployment.to_csv(folder / LANDMARKS, ups=bool(ladder.edges[0]))
         params: dict[str, Any] = {"deployment.count": len(found.deployment), "seed": ladder.seed}
-        if points.limited is None:
-            params["tag.edge"] = ladder.edges[0]
-        else:
-            params |= {"tag.edges": list(ladder.edges), f"tag.{points.limited}": at, **points.counts(found)}
-        log_child(tracking, RunStart(name, landmarks.parent, params, {"way": found.way}), parent, figures, landmarks)
+        several = {"tag.edges": list(ladder.edges), f"tag.{points.limited}": at, **points.counts(found)}
+        params |= {"tag.edge": ladder.edges[0]} if points.limited is None else several
+        log_child(tracking, RunStart(name, folder, params, {"way": found.way}), parent, figures)
 
 
 main = Command("tradeoff", tradeoff)

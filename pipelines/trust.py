@@ -6,27 +6,22 @@ docs/trust.md lists the rights of each kind of file.
 """
 
 import re
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import yaml
-from hydra._internal.utils import get_args_parser
-from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.errors import HydraException
+from omegaconf import DictConfig, ListConfig
 from omegaconf._utils import get_yaml_loader
 
 from .app import CONF
 
 PAGE = "docs/trust.md"
 TARGET = "_target_"
-PACKAGED = "pkg://"  # prefix of a place of configuration in a package
 NAMED = re.compile(rf"{TARGET}:\s*['\"]?([\w.]+)")  # target in a file of configuration
 NESTED = re.compile(r"^[ \t]*- /(\w+)@", re.MULTILINE)  # group whose option a file puts below a key of its own
 REFERENCE = re.compile(r"\$\{\.*\w+(\.\w+|\[\w+\])*\}")  # interpolation of another value, without a resolver
-RESOLVER = re.compile(r"\$\{\s*([\w.]+)\s*:")
 PLAIN = (str, int, float, bool, type(None))
 SPECIAL = re.compile(r"_[a-z]+_")  # key that Hydra's instantiate reads
 NAME = re.compile(r"\w+(\.\w+)+")
@@ -41,31 +36,30 @@ class Trust:
     """Names that are trusted in a configuration of other origin."""
 
     names: tuple[str, ...] = ()
-    """Packages, single targets and resolvers that the user trusts."""
+    """Packages and single targets that the user trusts."""
     folders: tuple[Path, ...] = (Path(CONF),)
     """Folders of configuration; a target in their files is trusted in the group of the file."""
 
     @classmethod
-    def given(cls) -> "Trust":
-        """Trust that the command line gives: `trust=[...]`, and the folders and packages of its search path.
+    def of(cls, cfg: DictConfig, runtime: Any) -> "Trust":
+        """Trust that the user gives: `trust=[...]`, and the folders and packages of the search path.
+
+        Args:
+            cfg: configuration of the command.
+            runtime: Hydra's record of the run, with the places where it has looked for configurations.
 
         Raises:
             InputError: `trust` is no list of names.
         """
-        options, more = get_args_parser().parse_known_args(sys.argv[1:])
-        names: list[str] = []
-        folders = [CONF] if options.config_dir is None else [CONF, options.config_dir]
-        for argument in [*options.overrides, *more]:
-            key = argument.partition("=")[0].lstrip("+")
-            if key == "trust":
-                names += listed(argument)
-            elif key == "hydra.searchpath":
-                for place in listed(argument):
-                    if place.startswith(PACKAGED):
-                        names.append(place.removeprefix(PACKAGED).partition(".")[0])
-                    else:
-                        folders.append(place.removeprefix("file://"))
-        return cls(tuple(names), tuple(Path(folder).resolve() for folder in folders))
+        from lmd.core.checks import InputError
+
+        names = cfg.get("trust", [])
+        if not isinstance(names, list | ListConfig) or not all(isinstance(name, str) and name for name in names):
+            raise InputError(f"trust must be a list of names, got {names}.")
+        places = [place for place in runtime.config_sources if place.provider != "hydra"]
+        packages = [place.path.partition(".")[0] for place in places if place.schema == "pkg"]
+        folders = (Path(place.path).resolve() for place in places if place.schema == "file")
+        return cls((*names, *packages), tuple(folders))
 
     def parts(self, found: Mapping[Any, Any], source: str, groups: Sequence[str]) -> dict[str, dict[str, Any]]:
         """Nodes of the `groups` in a configuration of other origin.
@@ -105,69 +99,45 @@ class Trust:
         Raises:
             InputError: the value names code that is not trusted, or is no plain data.
         """
+        from hydra.utils import get_object
+
         from lmd.core.checks import InputError
 
-        group = re.split(r"[./@]", key)[0]
-        trusted, named = set(), self._named_in(group)
-        known = {TARGET, *(word for text in self._texts_of(group) for word in SPECIAL.findall(text))}
-        for where, leaf in _leaves(source, key, value, set()):
-            if others := {word for word in where.split(".") if SPECIAL.fullmatch(word)} - known:
-                raise InputError(f"{source}: {where} has {min(others)}, which no option of {group} has ({PAGE}).")
-            if where.rpartition(".")[2] == TARGET:
-                if not isinstance(leaf, str) or not NAME.fullmatch(leaf):
-                    raise InputError(f"{source}: {where} is no name of a class or a function ({PAGE}).")
-                if self._trusts(leaf):
-                    trusted.add((where, leaf))
-                    continue
-                asked = None if leaf in named else leaf.partition(".")[0]
-            else:
-                asked = self._resolver_in(leaf) if isinstance(leaf, str) else None
-            if asked is not None:
-                raise InputError(
-                    f"{source}: {where} = {leaf[:SHOWN]!r} would run code that neither this project's "
-                    f"configuration nor your search path names; if you trust it, add trust=[{asked}] ({PAGE})."
-                )
-        for where, leaf in sorted(trusted):
-            if not self._is_defined_there(leaf):
-                place = f"{source}: {where} = {leaf[:SHOWN]!r}"
-                raise InputError(f"{place} is not defined in what you trust, which only imports it ({PAGE}).")
-
-    def _named_in(self, group: str) -> set[str]:
-        """Targets in files of a group, and of groups whose options these files put below their own keys."""
+        group, trusted = re.split(r"[./@]", key)[0], list[tuple[str, str]]()
         texts = self._texts_of(group)
+        known = {TARGET, *(word for text in texts for word in SPECIAL.findall(text))}
         nested = {other for text in texts for other in NESTED.findall(text)}
-        texts += [text for other in sorted(nested) for text in self._texts_of(other)]
-        return {name for text in texts for name in NAMED.findall(text)}
+        texts += [text for other in nested for text in self._texts_of(other)]
+        named = {name for text in texts for name in NAMED.findall(text)}
+        for where, leaf in _leaves(source, key, value, set()):
+            place, is_target = f"{source}: {where}", where.rpartition(".")[2] == TARGET
+            if others := {word for word in where.split(".") if SPECIAL.fullmatch(word)} - known:
+                raise InputError(f"{place} has {min(others)}, which no option of {group} has ({PAGE}).")
+            if is_target and not (isinstance(leaf, str) and NAME.fullmatch(leaf)):
+                raise InputError(f"{place} is no name of a class or a function ({PAGE}).")
+            if is_target and self._trusts(leaf):
+                trusted.append((f"{place} = {leaf[:SHOWN]!r}", leaf))
+            elif is_target and leaf not in named:
+                told = f"{place} = {leaf[:SHOWN]!r} would run code that neither this project's configuration nor your"
+                asked = f"if you trust it, add trust=[{leaf.partition('.')[0]}]"
+                raise InputError(f"{told} search path names; {asked} ({PAGE}).")
+            elif isinstance(leaf, str) and "${" in REFERENCE.sub("", leaf):
+                raise InputError(f"{place} = {leaf[:SHOWN]!r} would call a resolver, which no run may ({PAGE}).")
+        for place, leaf in trusted:  # all values are checked before the first import
+            try:
+                target = get_object(leaf)
+            except Exception:  # any error of the package is reported when the object is built
+                continue
+            if not self._trusts(f"{getattr(target, '__module__', '')}.{getattr(target, '__qualname__', '')}"):
+                raise InputError(f"{place} is not defined in what you trust, which only imports it ({PAGE}).")
 
     def _texts_of(self, group: str) -> list[str]:
         """Contents of the files of a group, and of commands, whose files have nodes that are no groups."""
-        files = [
-            file for folder in self.folders for file in (*(folder / group).rglob("*.yaml"), *folder.glob("*.yaml"))
-        ]
+        files = (file for at in self.folders for file in (*(at / group).rglob("*.yaml"), *at.glob("*.yaml")))
         return [file.read_text(encoding="utf-8", errors="replace") for file in files]
-
-    def _resolver_in(self, text: str) -> str | None:
-        """Untrusted resolver in a text; None if there is none."""
-        rest = REFERENCE.sub("", text)
-        found = RESOLVER.findall(rest)
-        for name in filter(self._trusts, set(found)):
-            rest = re.sub(rf"\$\{{\s*{re.escape(name)}\s*:", "", rest)
-        if "${" not in rest:
-            return None
-        return next((name for name in found if not self._trusts(name)), "${...}")
 
     def _trusts(self, name: str) -> bool:
         return any(name == trusted or name.startswith(f"{trusted}.") for trusted in self.names)
-
-    def _is_defined_there(self, target: str) -> bool:
-        """True if a trusted package defines a target itself, and has not only imported it."""
-        from hydra.utils import get_object
-
-        try:
-            found = get_object(target)
-        except Exception:  # any error of the package is reported when the object is built
-            return True
-        return self._trusts(f"{getattr(found, '__module__', '')}.{getattr(found, '__qualname__', '')}")
 
 
 def read_yaml(file: Path, source: str) -> dict[Any, Any]:
@@ -188,20 +158,6 @@ def read_yaml(file: Path, source: str) -> dict[Any, Any]:
     if not isinstance(found, dict):
         raise InputError(f"{source}: '{file}' is no configuration.")
     return found
-
-
-def listed(argument: str) -> list[str]:
-    """Names in an argument of the command line; empty if Hydra will refuse the argument."""
-    from lmd.core.checks import InputError
-
-    try:
-        value = OverridesParser.create().parse_override(argument).value()
-    except HydraException:
-        return []
-    names = value if isinstance(value, list) else [] if value is None else [value]
-    if not all(isinstance(name, str) and name for name in names):
-        raise InputError(f"{argument.partition('=')[0]} must be a list of names, got {argument.partition('=')[2]}.")
-    return [str(name) for name in names]
 
 
 def _place(found: Any, key: str, name: str) -> Any:

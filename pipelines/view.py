@@ -1,7 +1,6 @@
 """Plan in the browser: `python -m pipelines.view [run=DIR] [overrides]`."""
 
 import os
-import secrets
 import sys
 import tempfile
 from functools import partial
@@ -18,9 +17,7 @@ from .operations.signals import CODES, stop
 from .outputs import write_all
 
 if TYPE_CHECKING:
-    from lmd.export.exports import Export
     from lmd.planner.plan import Plan
-    from lmd.problem import Problem
 
 UNSAVED = "unsaved"  # prefix of files with unsaved changes
 
@@ -38,17 +35,24 @@ def view(cfg: DictConfig) -> None:
     optional("viser", "view")
     problem = build_problem(cfg)
     refuse_crowd(problem, "view")
-    budget = budget_of(cfg)
+    budget, directory, tag = budget_of(cfg), run_directory(), problem.scene.tag
     build_optimiser(cfg, cfg.seed).check(problem)  # checked before the first search
-    tag, directory = problem.scene.tag, run_directory()
     unmapped = tag.is_point and cfg.export is None  # points have no map
     export = None if unmapped else build_export(cfg, "export", tag)
     session = PlanningSession(problem, problem.draw(np.random.default_rng(cfg.seed)))
     session.warm_up()
+
+    def save(plan: "Plan") -> str:
+        files: dict[str, Any] = {"landmarks.csv": partial(plan.deployment.to_csv, ups=not tag.is_point)}
+        files |= export.writers(problem.scene.room, tag, plan.deployment) if export else {}
+        with stop.postponed():
+            written = write_all(directory, files)
+        return f"{directory}: {', '.join(file.name for file in written)}"
+
     planner = Planner(
         session,
         integer("port", cfg.port, low=0, high=65535),
-        save=lambda plan: _save(directory, problem, export, plan),
+        save=save,
         optimiser=lambda: build_optimiser(cfg, cfg.seed),
         budget=budget,
         seed=cfg.seed if cfg.validate else None,
@@ -63,26 +67,15 @@ def view(cfg: DictConfig) -> None:
         planner.close()
 
 
-def _save(directory: Path, problem: "Problem", export: "Export | None", plan: "Plan") -> str:
-    """Write landmarks.csv and the exports, all or none, and return the names of the files."""
-    scene = problem.scene
-    files: dict[str, Any] = {"landmarks.csv": partial(plan.deployment.to_csv, ups=not scene.tag.is_point)}
-    files |= export.writers(scene.room, scene.tag, plan.deployment) if export else {}
-    with stop.postponed():
-        written = write_all(directory, files)
-    return f"{directory}: {', '.join(file.name for file in written)}"
-
-
 def _keep_unsaved(directory: Path, plan: "Plan", ups: bool) -> None:
-    """Write unsaved tags to the directory, else to the working or the temporary directory."""
-    elsewhere = f"unsaved_{secrets.token_hex(4)}"
-    for place, name in ((directory, UNSAVED), (Path.cwd(), elsewhere), (Path(tempfile.gettempdir()), elsewhere)):
+    """Write unsaved tags to the directory, else to a temporary one."""
+    for place in (directory.resolve, partial(tempfile.mkdtemp, prefix="lmd_")):
         try:
-            written = write_all(place, {f"{name}.csv": partial(plan.deployment.to_csv, ups=ups)})
+            (written,) = write_all(Path(place()), {f"{UNSAVED}.csv": partial(plan.deployment.to_csv, ups=ups)})
         except OSError as error:
             print(f"changes that were not saved cannot be written ({error})", file=sys.stderr)
         else:
-            print(f"changes that were not saved are in {' and '.join(map(str, written))}", file=sys.stderr)
+            print(f"changes that were not saved are in {written}", file=sys.stderr)
             return
 
 

@@ -4,7 +4,8 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
+from functools import partial
 from types import FrameType
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -61,14 +62,11 @@ class Stop:
         self._terminals = tuple(stream for stream in (1, 2) if os.isatty(stream))  # isatty fails on a closed stream
         sys.unraisablehook = _unless_stopped
 
-    @contextmanager
-    def raising(self) -> Iterator[None]:
+    def raising(self) -> AbstractContextManager[None]:
         """Context in which the first signal raises `Stopped`."""
-        with self._acting(self._raise):
-            yield
+        return self._acting(self._raise)
 
-    @contextmanager
-    def deferred(self, worth_waiting: Callable[[], bool], step: str = "this batch") -> Iterator[None]:
+    def deferred(self, worth_waiting: Callable[[], bool], step: str = "this batch") -> AbstractContextManager[None]:
         """Context in which the first signal sets `requested` and the second signal raises `Stopped`.
 
         Args:
@@ -83,18 +81,11 @@ class Stop:
             self._number = number
             tell(f"stopping after {step}; once more to stop at once")
 
-        with self._acting(act):
-            yield
+        return self._acting(act)
 
-    @contextmanager
-    def shielded(self) -> Iterator[None]:
+    def shielded(self) -> AbstractContextManager[None]:
         """Context in which a signal only sets `requested`, for short work that must not be interrupted."""
-
-        def act(number: int) -> None:
-            self._number = number
-
-        with self._acting(act):
-            yield
+        return self._acting(partial(setattr, self, "_number"))
 
     @contextmanager
     def postponed(self) -> Iterator[None]:
@@ -112,13 +103,12 @@ class Stop:
         before, self._act = self._act, act
         try:
             yield
-        except Stopped:
-            before, self._is_under_way = _ignore, False  # no second `Stopped` while the outer blocks clean up
-            raise
-        except Exception as error:
-            if not self._is_under_way:
+        except (Stopped, Exception) as error:
+            if not (self._is_under_way or isinstance(error, Stopped)):
                 raise
-            before, self._is_under_way = _ignore, False
+            before, self._is_under_way = _ignore, False  # no second `Stopped` while the outer blocks clean up
+            if isinstance(error, Stopped):
+                raise
             tell(f"while stopping: {type(error).__name__}: {error}")
             raise Stopped(self._number) from error
         finally:

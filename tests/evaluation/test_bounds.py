@@ -35,7 +35,7 @@ from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.tag import Tag
 from lmd.sight.poses import candidate_poses, covered_amounts, gains, wall_cells
 from lmd.space.space import Relevance
-from pipelines.reproduction.paper import TABLE_3
+from pipelines.stored_runs import TABLE_3
 
 COARSE = Search(spacing=1.0, iterations=150, tolerance=1e-4)
 

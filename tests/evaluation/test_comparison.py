@@ -142,7 +142,7 @@ def test_curves_are_steps():
 def test_a_comparison_leaves_a_table_a_plot_and_nested_runs(tmp_path):
     done = call(
         "compare", "optimisers=[ega,'ega optimiser.population=12']", "seeds=2", "budget.evaluations=40",
-        "deployment.count=20", "hydra.run.dir=run", "save_as=docs/table", "validate=true", "tracking.uri=sqlite:///store.db",
+        "deployment.count=20", "hydra.run.dir=run", "validate=true", "tracking.uri=sqlite:///store.db",
         cwd=tmp_path,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -9,10 +10,10 @@ from omegaconf import OmegaConf
 
 from lmd.core.checks import InputError
 from lmd.optimisers.checkpoint import CHECKPOINT_FILE
+from pipelines.app import key_and_value, quoted
 from pipelines.operations.sweeps.folder import Job, JobFolder, Sweep, SweepFolder, reason_of
 from pipelines.operations.sweeps.names import job_folder, slug, varied_keys
-from pipelines.outputs import RunDirectory, held
-from pipelines.overrides import key_and_value, quoted
+from pipelines.outputs import RunDirectory, held, locks
 
 
 def test_names():
@@ -67,12 +68,13 @@ def test_a_job_has_one_folder_whatever_varies_beside_it(tmp_path):
     assert job_folder(_root_=root) != name
 
 
-def test_a_run_is_refused_in_a_folder_where_another_one_works(tmp_path, capsys):
-    with held(tmp_path), pytest.raises(SystemExit) as refused:
-        RunDirectory()._lock("resume", tmp_path)
-    told = f"error: resume: another process is at work in '{tmp_path}'.\n"
-    assert (refused.value.code, capsys.readouterr().err) == (1, told)
-    RunDirectory()._lock("resume", tmp_path)  # the lock is free again
+def test_a_run_is_refused_in_a_folder_where_another_one_works(tmp_path):
+    config = {"hydra": {"run": {"dir": str(tmp_path / "run")}, "job": {"name": "optimise"}}, "resume": str(tmp_path)}
+    with held(tmp_path), closing(locks), pytest.raises(SystemExit) as refused:
+        RunDirectory().on_run_start(OmegaConf.create(config))
+    assert refused.value.code == f"error: resume: another process is at work in '{tmp_path}'."
+    with closing(locks):
+        RunDirectory().on_run_start(OmegaConf.create(config))  # the lock is free again
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ import importlib
 import pickle
 import warnings
 import zlib
+from functools import cache
 from pathlib import Path
 
 import hydra
@@ -16,6 +17,7 @@ from support.thorough import SHARE
 
 from lmd.core.checks import InputError
 from pipelines.app import CONF
+from pipelines.composing import editable
 
 pytestmark = pytest.mark.long
 
@@ -98,6 +100,12 @@ def _remembered(node, **given):
     return copy.copy(BUILT[key]) if "seed" in given else BUILT[key]  # an optimiser is told its encoding later
 
 
+@cache
+def search():
+    """Configuration of the runs of a comparison."""
+    return composing.composed("optimise", "optimiser=random_search")
+
+
 @pytest.fixture(autouse=True)
 def _nothing_begins(monkeypatch, tmp_path):
     """What is checked runs; what computes, records or serves does not."""
@@ -111,7 +119,7 @@ def _nothing_begins(monkeypatch, tmp_path):
         monkeypatch.setattr(name, _begin)
     monkeypatch.setattr("hydra.utils.instantiate", _remembered)
     monkeypatch.setattr("lmd.planner.session.PlanningSession.warm_up", lambda _: None)
-    monkeypatch.setattr("pipelines.compare._compose", lambda _, cfg, __: cfg)
+    monkeypatch.setattr("pipelines.compare._composed", lambda *_: editable(search()))
     (tmp_path / "outputs").mkdir()
     (tmp_path / "seen.csv").write_text("time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3,10,20,30,20,30,40,10,40\n")
     (tmp_path / "map.csv").write_text("id,x,y,z,nx,ny,nz,edge\n3,0,0,1,0,1,0,0.1\n")

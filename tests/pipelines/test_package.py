@@ -33,7 +33,7 @@ def test_every_folder_of_code_is_in_the_list_of_packages():
 COMMANDS = {
     path.stem
     for path in (ROOT / "pipelines").glob("*.py")
-    if 'if __name__ == "__main__":' in path.read_text(encoding="utf-8") and path.stem != "precompile"  # for make alone
+    if 'if __name__ == "__main__":' in path.read_text(encoding="utf-8")
 }
 PAGES = {path.relative_to(ROOT / "docs").as_posix(): path.read_text(encoding="utf-8")
          for path in (ROOT / "docs").rglob("*.md")}  # fmt: skip

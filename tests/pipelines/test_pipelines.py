@@ -50,6 +50,7 @@ def test_a_run_is_validated_off_its_grid(tmp_path):
     assert re.search(r"on a finer grid +qualified ratio \d+\.\d\d%", done.stdout)
 
 
+@pytest.mark.thorough("pipelines", "conf", "lmd/objectives/localisation", "lmd/optimisers/annealing")
 def test_the_lab_is_optimised_by_one_word(tmp_path):
     settings = ("room.spacing=1", "deployment.count=12", "tracking=none", "picture=false", "hydra.run.dir=run")
     done = inside("optimise", "experiment=lab", "budget.evaluations=60", cwd=tmp_path, settings=settings)
@@ -61,6 +62,7 @@ def test_the_lab_is_optimised_by_one_word(tmp_path):
     assert 0.0 < found["validation"]["grid_free_localised_share"] < 1.0
 
 
+@pytest.mark.thorough("pipelines/optimise.py", "pipelines/composing.py", "lmd/cameras", "lmd/optimisers/alternating.py")
 def test_cameras_and_tags_are_placed_in_turns_from_an_earlier_run(tmp_path):
     body = "body.boxes=[{low: [-0.1, -0.1, 0], high: [0.1, 0.1, 0.2]}]"
     tags = ("deployment=uniform", "deployment.count=12", "pdf=yaw", "pdf.divisions=3", "objective.thold_p=0.3")

@@ -1,7 +1,7 @@
 """The report: tables beside the printed ones, pictures, and what it says where runs are missing."""
 
-import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,11 +16,12 @@ import pipelines.report
 from lmd.core.checks import InputError
 from lmd.core.tables import write_table
 from lmd.optimisers.ledger import Record, columns_of
+from pipelines.app import CONF
 from pipelines.building import build_problem
 from pipelines.operations.tracking import PARENT_TAG, MlflowTracker, RunStart
-from pipelines.reproduction.paper import TABLE_2, TABLE_3
-from pipelines.reproduction.sections import COMMANDS
-from pipelines.score import HISTORY_FILE
+from pipelines.outputs import HISTORY_FILE
+from pipelines.sections import COMMANDS
+from pipelines.stored_runs import TABLE_2, TABLE_3
 
 SMALL = ("room.spacing=1.5", "deployment.count=6", "objective.thold_p=0.5", "threads=1")
 AVERAGE, MAXIMUM = 0.6, 0.9  # of every run
@@ -47,7 +48,7 @@ def record_sweep(uri, folder, name, jobs, pipeline="optimise"):
     OmegaConf.save(cfg, folder / "config.yaml")
     sweep = {"sweep": name, "pipeline": pipeline}
     parent = MlflowTracker(uri, "lmd")
-    tags = sweep | {"override.seed": "0,1", "override.experiment": name}
+    tags = sweep | {"command": f"python -m pipelines.{pipeline} experiment={name} seed=0,1"}
     parent.start(RunStart(f"sweep {name}", folder / name, tags=tags))
     for number, (overrides, ratio, status) in enumerate(jobs):
         tracker = MlflowTracker(uri, "lmd")
@@ -96,7 +97,9 @@ def write_report(folder, *overrides):
     folder.mkdir()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pipelines.report, "run_directory", lambda: folder)
-        patch.setattr(sys, "argv", ["report", *overrides])
+        place = SimpleNamespace(provider="main", schema="file", path=CONF)
+        runtime = SimpleNamespace(config_sources=[place])
+        patch.setattr(pipelines.report.HydraConfig, "get", lambda: SimpleNamespace(runtime=runtime))
         pipelines.report.report(composed("report", *overrides))
     return (folder / "report.md").read_text()
 
@@ -172,25 +175,10 @@ def test_optimisers_are_ranked(markdown):
 
 
 def test_every_section_says_which_command_made_its_runs(markdown):
-    said = (
-        "4 of 4 runs of `python -m pipelines.optimise experiment=table2 seed=0,1` with a budget of 60 evaluations; the"
-    )
+    said = "4 runs of `python -m pipelines.optimise experiment=table2 seed=0,1` with a budget of 60 evaluations; the"
     assert said in markdown
-    assert "2 of 2 runs of `python -m pipelines.evaluate experiment=table2_baselines seed=0,1`" in markdown
+    assert "2 runs of `python -m pipelines.evaluate experiment=table2_baselines seed=0,1`" in markdown
     assert "There are no finished runs" not in markdown
-
-
-def test_a_chosen_sweep_is_reported_without_what_failed_and_the_rest_names_its_commands(reported, tmp_path):
-    _, store, ids = reported
-    markdown = write_report(tmp_path / "chosen", store, f"sweeps=[{ids['old']}]")
-    assert rows(markdown, ["EGA"])[0][:3] == ["1", "81.88%", "75.00%"]
-    assert "1 of 2 runs of" in markdown
-    assert rows(markdown, ["SGA"])[0][:3] == ["0", "53.44%", "–"]
-    for sweep, (command, more) in COMMANDS.items():
-        assert (ROOT / "conf" / "experiment" / f"{sweep}.yaml").is_file()
-        line = f"python -m pipelines.{command} experiment={sweep}{more}"
-        sentence = f"There are no finished runs of the sweep `{sweep}`; `{line}` makes them."
-        assert (sentence in markdown) == (sweep != "table2")
 
 
 HOSTILE = "</code>`<script>alert(1)</script>` | [x](javascript:alert(1))\n\n<script>alert(2)</script>"
@@ -203,9 +191,7 @@ def test_a_strangers_store_puts_no_markup_into_a_page(tmp_path):
     sweep = record_sweep(uri, tmp_path, "table2", jobs, pipeline=HOSTILE)
     optimisers = [({"optimiser": name}, 0.5, "FINISHED") for name in (HOSTILE, "$x_{", "annealing")]
     record_sweep(uri, tmp_path, "optimisers", optimisers)
-    client = MlflowClient(tracking_uri=uri)
-    for key in ("override.experiment", f"override.{'a' * 20}"):
-        client.set_tag(sweep, key, HOSTILE)
+    MlflowClient(tracking_uri=uri).set_tag(sweep, "command", HOSTILE)
     text = write_report(tmp_path / "report", f"tracking.uri={uri}")
     made = markdown_to_html(text, extensions=["tables", "attr_list"])
     assert "<script" not in made
@@ -227,21 +213,11 @@ def test_a_run_with_a_value_that_is_no_number_is_left_out_and_named(tmp_path, ca
         assert f"is left out: its params.{what}, which is no number" in told
     assert rows(text, ["60"]) == [["1", "60.00%"]]
     assert rows(text, ["2", "0.50"])[0][0] == "1"
-    assert "There are no finished runs of the sweep `optimisers`" in text
-
-
-def test_a_saved_page_keeps_what_stands_above_its_generated_part(reported, tmp_path):
-    _, store, ids = reported
-    page = tmp_path / "docs" / "reproduction.md"
-    chosen = (store, f"sweeps=[{ids['landmark_count']}]", f"save_as={page.with_suffix('')}")
-    write_report(tmp_path / "first", *chosen)
-    text = page.read_text()
-    assert text.startswith("# The paper's tables and figures, reproduced\n\n<!-- What follows")
-    page.write_text(text.replace("<!--", "An honest reading.\n\n<!--", 1).replace("60.00%", "old"))
-    write_report(tmp_path / "second", *chosen)
-    assert page.read_text() == text.replace("<!--", "An honest reading.\n\n<!--", 1)
-    assert [path.name for path in page.with_suffix("").iterdir()] == ["landmark_count.png"]
-    assert "](reproduction/landmark_count.png)" in text
+    for sweep, (command, more) in COMMANDS.items():
+        assert (ROOT / "conf" / "experiment" / f"{sweep}.yaml").is_file()
+        line = f"python -m pipelines.{command} experiment={sweep}{more}"
+        sentence = f"There are no finished runs of the sweep `{sweep}`; `{line}` makes them."
+        assert (sentence in text) == (sweep not in ("landmark_count", "table3"))
 
 
 @pytest.mark.parametrize(
@@ -250,16 +226,11 @@ def test_a_saved_page_keeps_what_stands_above_its_generated_part(reported, tmp_p
         (["tracking=none"], r"A report reads what was tracked: it needs tracking=mlflow\."),
         (["tracking.uri=sqlite:///none.db"], r"tracking\.uri = 'sqlite:///none\.db': there is no file 'none\.db'\."),
         (["tracking.experiment_name=x"], r"has no experiment called 'x' \(tracking\.experiment_name\)\."),
-        (["sweeps=[abc]"], r"sweeps: no run belongs to a sweep with the id 'abc'\."),
-        (["sweeps=abc"], r"sweeps must be a list of run ids, got 'abc'\."),
-        (["save_as=mine"], r"save_as: 'mine\.md' is not overwritten, for it lacks the line '<!-- What follows"),
     ],
 )
 def test_bad_input_gets_one_sentence_and_leaves_nothing(reported, tmp_path, monkeypatch, overrides, message):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "mine.md").write_text("# My page\n")
     store = [] if overrides[0].startswith(("tracking=", "tracking.uri")) else [reported[1]]
     with pytest.raises(InputError, match=message):
         write_report(tmp_path / "bad", *store, *overrides)
     assert not list((tmp_path / "bad").iterdir())
-    assert (tmp_path / "mine.md").read_text() == "# My page\n"

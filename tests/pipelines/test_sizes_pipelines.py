@@ -10,7 +10,7 @@ from support.processes import inside
 
 from lmd.optimisers.ledger import Budget
 from pipelines.building import build_optimiser, build_problem
-from pipelines.tracked_run import derived
+from pipelines.study import derived
 
 SIZES = ("tag.edge=0.1", "tag.edges=[0.06,0.20]")
 TAGS = "id,x,y,z,nx,ny,nz\n7,0,2,3,1,0,0\n3,0.02,3,3,1,0,0\n"

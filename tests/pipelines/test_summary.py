@@ -2,7 +2,7 @@
 
 from pipelines.operations.sweeps.folder import Job, JobFolder, Sweep
 from pipelines.operations.sweeps.names import short_name
-from pipelines.operations.sweeps.summary import Outcome, best_group, by_group, draw_groups, why_nothing
+from pipelines.operations.sweeps.summary import Outcome, best_group, by_group, draw_groups
 
 
 def job(fitness=None, off_grid=None, **varied):
@@ -37,16 +37,6 @@ def test_figures_are_over_seeds_alone():
     }
     assert best_group(OVER_SEEDS, SEEDS) == {"best/fitness": 0.7, "median/fitness": 0.6}  # of ega, the best
     assert best_group(OVER_PAIRS, PAIRS) == {}
-
-
-def test_a_sweep_without_coverage_names_the_criterion_that_excludes_most():
-    criteria = {"covered": 0.001, "focus_met": 0.1, "covered_without_focus": 0.2, "covered_without_field_of_view": 0.3}
-    nothing = [each._replace(figures={**each.figures, "criteria": criteria}) for each in [job(0.0, seed="0")]]
-    excluded = "field of view excludes most: without it 30.00% of single landmarks would be covered, with it 0.10%"
-    assert why_nothing(nothing) == f"no job qualifies any position; {excluded}"
-    assert why_nothing([job(0.0, seed="0")]) == "no job qualifies any position"  # a model without verdicts
-    assert why_nothing([*nothing, job(0.1, seed="1")]) == ""
-    assert why_nothing([]) == why_nothing([job(None, seed="0")]) == ""
 
 
 def test_the_picture_of_groups_is_of_finished_searches(tmp_path):

@@ -232,13 +232,14 @@ def test_a_stored_sweep_can_be_narrowed_and_a_changed_file_makes_another_sweep(t
     (landmarks,) = tmp_path.glob("outputs/evaluate_sweep/table2_baselines-*/*/landmarks.csv")
     (tmp_path / "mine.csv").write_bytes(landmarks.read_bytes())
     for count in (1, 2):
-        done = call("evaluate", "experiment=table3", "deployment.path=mine.csv", *quick, cwd=tmp_path)
+        narrowed = ("experiment=table3", "objective.n=2,3", "deployment.path=mine.csv")
+        done = call("evaluate", *narrowed, *quick, cwd=tmp_path)
         assert done.returncode == 0, done.stderr
         assert len(list(tmp_path.glob("outputs/evaluate_sweep/table3-*"))) == count
         (tmp_path / "mine.csv").write_text("\n".join((tmp_path / "mine.csv").read_text().splitlines()[:-1]) + "\n")
     for jobs in tmp_path.glob("outputs/evaluate_sweep/table3-*/jobs.csv"):
         rows = pd.read_csv(jobs)
-        assert rows["objective.n"].tolist() == [2, 3, 4]  # thold_p is given on the command line
+        assert rows["objective.n"].tolist() == [2, 3]  # thold_p is given on the command line
         assert rows.average_coverage_probability.is_monotonic_decreasing
 
 

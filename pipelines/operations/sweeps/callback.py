@@ -4,7 +4,7 @@ import atexit
 import os
 import sys
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
@@ -14,13 +14,11 @@ from ...nodes import instantiate
 from ...outputs import held
 from ...provenance import repeating, source_tags
 from ..signals import stop
+from ..tracking import RunStart, Tracker
 from .folder import Sweep, SweepFolder, reason_of
 from .names import override_tags, pin_sweep_folder, sweep_name, sweep_title, swept, varied_keys
-from .summary import best_group, by_group, draw_groups, grouping_keys, outcomes, why_nothing, write_jobs
+from .summary import best_group, by_group, draw_groups, grouping_keys, outcomes, write_jobs
 from .supervisor import STOPPED, SWEEP_VARIABLE, lost, settle
-
-if TYPE_CHECKING:
-    from ..tracking import Tracker
 
 
 class SweepRecord(Callback):
@@ -34,9 +32,8 @@ class SweepRecord(Callback):
             before = _begin(config, folder)
         os.environ[SWEEP_VARIABLE] = str(os.getpid())
         atexit.register(_cut_short, config)
-        done = len(folder.jobs())
-        going_on = f", going on after {done} finished jobs (delete the folder to start afresh)" if before else ""
-        say(f"sweep {sweep_name(config)} in {folder.path}{going_on}")
+        done = f", going on after {len(folder.jobs())} finished jobs (delete the folder to start afresh)"
+        say(f"sweep {sweep_name(config)} in {folder.path}{done if before else ''}")
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Write the table, end the parent run, and exit with 1 if a job has failed."""
@@ -53,36 +50,31 @@ def _begin(config: DictConfig, folder: SweepFolder) -> Sweep | None:
     """Start the parent run, or continue the parent run of the sweep before in this folder, which is returned."""
     from lmd.core.checks import InputError
 
-    from ..tracking import RunStart
-
     before, overrides = folder.load(), swept(config)
     sweep = Sweep(sweep_name(config), varied_keys(overrides))
+    if before:
+        varied = tuple(dict.fromkeys([*before.varied, *sweep.varied]))
+        sweep = replace(sweep, varied=varied, run_id=before.run_id, round=before.round + 1)
+    tags = {"sweep": sweep.name, "pipeline": config.hydra.job.name} | override_tags(overrides)
     try:
         tracker: Tracker = instantiate(config.tracking)
-        if before:
-            varied = tuple(dict.fromkeys([*before.varied, *sweep.varied]))
-            sweep = replace(sweep, varied=varied, run_id=before.run_id, round=before.round + 1)
-        tags = {"sweep": sweep.name, "pipeline": config.hydra.job.name}
-        tags |= override_tags(overrides) | source_tags(config.hydra.job.name)
-        tracker.start(RunStart(sweep_title(config), folder.path, tags=tags), sweep.run_id)
+        run = RunStart(sweep_title(config), folder.path, tags=tags | source_tags(config.hydra.job.name))
+        tracker.start(run, sweep.run_id)
     except InputError as error:
-        hint = f" (to start the sweep afresh, delete {folder.path})" if before else ""
         if before is None:
             folder.discard()
-        sys.exit(f"error: {error}{hint}")
+        sys.exit(f"error: {error}{f' (to start the sweep afresh, delete {folder.path})' if before else ''}")
     folder.save(replace(sweep, run_id=tracker.run_id or sweep.run_id))
     return before
 
 
 def _cut_short(config: DictConfig) -> None:
     """Close a sweep that ended before all its jobs had ended."""
-    from ..tracking import RunStart
-
     folder = SweepFolder(config.hydra.sweep.dir)
     sweep = folder.load()
     if sweep is not None and sweep.round == 0 and not folder.jobs():  # the first job was refused
-        tracker: Tracker = instantiate(config.tracking)
         if sweep.run_id is not None:
+            tracker: Tracker = instantiate(config.tracking)
             tracker.start(RunStart(sweep.name, folder.path), sweep.run_id)
             tracker.discard()
         folder.discard()
@@ -99,8 +91,6 @@ def _close(config: DictConfig, reason: str = "") -> bool:
     """
     from lmd.core.words import as_code
 
-    from ..tracking import RunStart
-
     folder = SweepFolder(config.hydra.sweep.dir)
     sweep = folder.load()
     assert sweep is not None
@@ -114,18 +104,15 @@ def _close(config: DictConfig, reason: str = "") -> bool:
     failed = [each for each in found if each.job.status not in ("finished", "running")]
     finished = sum(each.job.status == "finished" for each in found)  # others may run for an equal command
     write_jobs(folder.table, sweep, found)
-    groups = by_group(sweep, found)
-    folder.groups.write_text(f"{groups}\n")
-    say(f"{finished} of {len(found)} jobs finished: {folder.table}")
+    folder.groups.write_text(f"{(groups := by_group(sweep, found))}\n")
+    say(f"{(done := f'{finished} of {len(found)} jobs finished')}: {folder.table}")
     for each in failed:
         print(f"{each.job.status}: {each.job.label}: {each.job.reason} ({each.folder.output})", file=sys.stderr)
-    if told := why_nothing(found):
-        say(told)
     if failed or not found:
         reason = reason or (f"{len(failed)} of {len(found)} jobs failed" if found else "the sweep had no jobs")
     tracker: Tracker = instantiate(config.tracking)
-    command, files = repeating(source_tags(config.hydra.job.name)), as_code(folder.path)
-    about = f"{finished} of {len(found)} jobs finished\n\n{groups}\n\n{command}\n\nfiles: {files}"
+    command = repeating(source_tags(config.hydra.job.name))
+    about = f"{done}\n\n{groups}\n\n{command}\n\nfiles: {as_code(folder.path)}"
     tracker.start(RunStart(sweep.name, folder.path, tags={"mlflow.note.content": about}), sweep.run_id)
     tracker.log_metrics({"jobs": len(found), "failed": len(failed)} | best_group(sweep, found))
     tracker.log_artifacts([folder.groups, folder.table, *draw_groups(folder.picture, sweep, found)])

@@ -70,11 +70,9 @@ class JobFolder:
     """
 
     def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
-        self.name = self.path.name
-        self.record = self.path / "job.json"
+        self.path, self.name = Path(path), Path(path).name
+        self.record, self.metrics = self.path / "job.json", self.path / "metrics.json"
         self.output = self.path / "output.log"  # stdout and stderr of the job
-        self.metrics = self.path / "metrics.json"
         self.checkpoint = self.path / "checkpoint.npz"  # as in lmd.optimisers.checkpoint, which is slow to import
 
     def load(self) -> Job | None:
@@ -84,8 +82,8 @@ class JobFolder:
     def finished(self) -> Job | None:
         """Read the job if it has finished and its figures are complete; else None."""
         job = self.load()
-        lost = self.metrics.exists() and not self.figures()
-        return None if job is None or job.status != "finished" or lost else job
+        is_lost = self.metrics.exists() and not self.figures()
+        return None if job is None or job.status != "finished" or is_lost else job
 
     def save(self, job: Job) -> None:
         """Write the job."""
@@ -104,10 +102,8 @@ class SweepFolder:
     """
 
     def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
-        self.record = self.path / "sweep.json"
-        self.table = self.path / "jobs.csv"
-        self.groups = self.path / "by_group.md"
+        self.path, self.record = Path(path), Path(path, "sweep.json")
+        self.table, self.groups = self.path / "jobs.csv", self.path / "by_group.md"
         self.picture = self.path / "groups.png"
 
     def load(self) -> Sweep | None:
@@ -127,10 +123,8 @@ class SweepFolder:
         """Jobs with their folders: the jobs of the last command in its order, then finished jobs of earlier
         commands.
         """
-        folders = [JobFolder(path) for path in self.path.iterdir()]
-        found = [(folder, job) for folder in folders if (job := folder.load()) is not None]
-        sweep = self.load()
-        last = 0 if sweep is None else sweep.round
+        last = 0 if (sweep := self.load()) is None else sweep.round
+        found = [(folder, job) for folder in map(JobFolder, self.path.iterdir()) if (job := folder.load()) is not None]
         kept = [(folder, job) for folder, job in found if job.round == last or job.status == "finished"]
         return sorted(kept, key=lambda entry: (-entry[1].round, entry[1].number))
 
@@ -144,9 +138,8 @@ class SweepFolder:
 def current_job() -> tuple[JobFolder, Job] | None:
     """Job of this process, and its folder; None outside a sweep."""
     path = os.environ.get(JOB_VARIABLE)
-    folder = JobFolder(path) if path else None
-    job = folder.load() if folder else None
-    return (folder, job) if folder and job else None
+    job = (folder := JobFolder(path)).load() if path else None
+    return (folder, job) if job else None
 
 
 def reason_of(error: BaseException) -> str:

@@ -5,7 +5,7 @@ import multiprocessing
 import os
 import signal
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from multiprocessing.context import ForkServerProcess
 from multiprocessing.reduction import DupFd
 from typing import Any
@@ -33,9 +33,8 @@ def _handed_on(descriptor: Any) -> int:
 
 
 def process(
-    pipeline: str, arguments: Sequence[str], environment: Mapping[str, str], streams: Mapping[int, int],
-    kept: Iterable[int],
-) -> ForkServerProcess:  # fmt: skip
+    pipeline: str, arguments: list[str], environment: dict[str, str], streams: Mapping[int, int], kept: Iterable[int]
+) -> ForkServerProcess:
     """Process of a job in a session of its own; the first one that starts waits until the server has imported `ready`.
 
     Args:
@@ -48,8 +47,7 @@ def process(
     multiprocessing.set_start_method("forkserver", force=True)  # workers of joblib use another start method
     context.set_forkserver_preload([*TRACKED, READY_MODULE])
     handed = {number: Descriptor(each) for number, each in streams.items()}
-    asked = (pipeline, list(arguments), dict(environment), handed, list(map(Descriptor, kept)))
-    return context.Process(target=_do, args=asked)
+    return context.Process(target=_do, args=(pipeline, arguments, environment, handed, list(map(Descriptor, kept))))
 
 
 def _do(

@@ -7,7 +7,7 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf, read_write
 
-from ...overrides import changes_results, key_and_value, quoted, spelled
+from ...app import changes_results, key_and_value, quoted, spelled
 from ...provenance import digest
 from .folder import SweepFolder
 
@@ -41,19 +41,16 @@ def short_name(subject: str, overrides: Sequence[str], given: Sequence[str] = ()
 
 
 def in_name(overrides: Sequence[str], *left_out: str) -> str:
-    """Overrides as in names, without those that change no result and those with a value of `left_out`."""
-    values = [(key, value.strip("'\"")) for key, value in map(key_and_value, overrides)]
-    return " ".join(
-        shown(key, value)
-        for key, value in values
-        if key.split(".")[0] not in NOT_IN_NAME and changes_results(key) and value not in left_out
-    )
-
-
-def shown(key: str, value: str) -> str:
-    """A key and its value as in names, `n=4`, `s1` for the seed; of a path the file's name."""
-    name = key.split(".")[-1]
-    return f"s{value}" if key == SEED else f"{SHORT.get(name, name)}={Path(value).name if '/' in value else value}"
+    """Overrides as in names, `n=4`, `s1` for the seed, of a path the file's name, without those that change no result
+    and those with a value of `left_out`.
+    """
+    words = []
+    for key, text in map(key_and_value, overrides):
+        value, name = text.strip("'\""), key.split(".")[-1]
+        if key.split(".")[0] not in NOT_IN_NAME and changes_results(key) and value not in left_out:
+            value = Path(value).name if "/" in value else value
+            words.append(f"s{value}" if key == SEED else f"{SHORT.get(name, name)}={value}")
+    return " ".join(words)
 
 
 def slug(text: str) -> str:
@@ -70,9 +67,8 @@ def _settings(root: DictConfig) -> Any:
 
 def swept(root: DictConfig) -> list[str]:
     """Overrides of a sweep: stored overrides, then overrides of the command line."""
-    return [f"{key}={value}" for key, value in (root.hydra.sweeper.get("params") or {}).items()] + list(
-        root.hydra.overrides.task
-    )
+    stored = root.hydra.sweeper.get("params") or {}
+    return [*(f"{key}={value}" for key, value in stored.items()), *root.hydra.overrides.task]
 
 
 def varied_keys(overrides: Sequence[str]) -> tuple[str, ...]:

@@ -20,7 +20,7 @@ gc.set_threshold(GARBAGE)
 for module in (
     "lmd.evaluation.accuracy", "lmd.incremental.coverage_field", "lmd.optimisers.annealing", "lmd.plot.charts",
     "lmd.plot.scenes", "matplotlib.backends.backend_agg", "matplotlib.figure", "mpl_toolkits.mplot3d",
-    f"{PACKAGE}.progress", f"{PACKAGE}.tracked_run",
+    f"{PACKAGE}.progress",
 ):  # fmt: skip
     importlib.import_module(module)
 load_compiler()

@@ -11,6 +11,7 @@ from statistics import median
 from typing import Any, NamedTuple
 
 from ...composing import GROUPS
+from ...outputs import HISTORY_FILE, read_history
 from .folder import Job, JobFolder, Sweep
 from .names import SEED
 
@@ -22,8 +23,8 @@ FIGURES = (
 DESCRIBED = {"fitness": "fitness", "off_grid": "off the grid"}  # figures of groups, with their labels
 # Keys of the problem: jobs that differ in one of them have different problems.
 PROBLEM = (*GROUPS, "experiment", "run", *(f"deployment.{key}" for key in ("count", "fixed", "free", "measured")))
-WITHOUT = "covered_without_"  # begin of the names of figures of criteria, see `lmd.evaluation.verdicts.Causes.metrics`
 MOST_COLUMNS = 12  # values of a key beyond which it is no head of a table of groups
+Group = tuple[str, ...]  # values of the grouping keys
 
 
 class Outcome(NamedTuple):
@@ -44,7 +45,7 @@ def outcomes(jobs: Iterable[tuple[JobFolder, Job]]) -> list[Outcome]:
 
 def write_jobs(path: Path, sweep: Sweep, found: list[Outcome]) -> None:
     """Write a row for each job: folder, varied keys, status, figures, seconds, reason of a failure."""
-    known = [key for key in FIGURES if any(key in each.figures for each in found)]
+    known = [key for key in FIGURES if _values(found, key)]
     with path.open("w", newline="") as file:
         writer = csv.DictWriter(file, ["folder", *sweep.varied, "status", *known, "seconds", "reason"], restval="")
         writer.writeheader()
@@ -55,20 +56,14 @@ def write_jobs(path: Path, sweep: Sweep, found: list[Outcome]) -> None:
 
 def draw_groups(path: Path, sweep: Sweep, found: list[Outcome]) -> list[Path]:
     """Draw the groups of finished searches; returns the pictures, of which there is none without a search."""
-    from lmd.core.tables import read_numbers
-    from lmd.optimisers.ledger import Record, columns_of
     from lmd.plot.charts import Searched, save_groups_figure
 
-    from ...score import HISTORY_FILE
+    def searched(members: list[Outcome]) -> list[Searched]:
+        scored = [each for each in members if "fitness" in each.figures and (each.folder.path / HISTORY_FILE).is_file()]
+        known = [(each.figures, read_history(each.folder.path / HISTORY_FILE)) for each in scored]
+        return [Searched(rows, has["fitness"], has.get("off_grid")) for has, rows in known if rows]
 
-    groups: dict[tuple[str, ...], list[Searched]] = {}
-    for folder, job, figures in found:
-        history = folder.path / HISTORY_FILE
-        if "fitness" in figures and history.is_file():
-            rows = read_numbers(history, [*columns_of([])], name="history").tolist()
-            search = Searched([Record(*row) for row in rows], figures["fitness"], figures.get("off_grid"))
-            groups.setdefault(_group(sweep, job), []).extend([search] if rows else [])
-    groups = {group: searches for group, searches in groups.items() if searches}
+    groups = {group: searches for group, each in _groups(sweep, found).items() if (searches := searched(each))}
     if not groups:
         return []
     save_groups_figure(path, groups, grouping_keys(sweep), " x ".join(grouping_keys(sweep)))
@@ -84,14 +79,16 @@ def by_group(sweep: Sweep, found: list[Outcome]) -> str:
     labels = {key: label for key, label in DESCRIBED.items() if _values(found, key)}
     head = [*map(escaped, grouping_keys(sweep)), "jobs finished"]
     head += [f"{label}: {figure}" for label in labels.values() for figure in ("best", "median")]
-    rows, cells = [], dict[tuple[str, ...], dict[str, str]]()
+    rows, cells = [], dict[Group, dict[str, str]]()
     for group, members in _groups(sweep, found).items():
         values = [_values(members, key) for key in labels]
         figures = [f"{figure(each):.2%}" if each else "" for each in values for figure in (max, median)]
         finished = sum(each.job.status == "finished" for each in members)
         rows.append([*map(escaped, group), f"{finished} of {len(members)}", *figures])
         if len(group) > 1:
-            cells.setdefault(group[1:], {})[group[0]] = _median_text(members)
+            on, off = (_values(members, key) for key in DESCRIBED)
+            further = f" ({median(off):.2%} off the grid)" if off else ""
+            cells.setdefault(group[1:], {})[group[0]] = f"{median(on):.2%}{further}" if on else ""
     table = markdown_table(head, rows)
     columns = list(dict.fromkeys(value for row in cells.values() for value in row))
     if not 0 < len(columns) <= MOST_COLUMNS:
@@ -111,30 +108,8 @@ def best_group(sweep: Sweep, found: list[Outcome]) -> dict[str, float]:
         return {}
     best = max(known, key=lambda members: median(_values(members, "fitness")))
     values = {key: _values(best, key) for key in FIGURES if _values(best, key)}
-    return {
-        f"{name}/{key}": of(each) for key, each in values.items() for name, of in (("best", max), ("median", median))
-    }
-
-
-def why_nothing(found: list[Outcome]) -> str:
-    """The criterion that keeps all finished jobs from covering anything, a sentence; empty if one covers something."""
-    values = _values(found, "fitness")
-    if any(values) or not values:
-        return ""
-    causes: Mapping[str, float] = next((each.figures["criteria"] for each in found if each.figures.get("criteria")), {})
-    without = {key.removeprefix(WITHOUT): share for key, share in causes.items() if key.startswith(WITHOUT)}
-    if not without:
-        return "no job qualifies any position"
-    worst = max(without, key=lambda name: without[name])
-    excluded = f"{worst.replace('_', ' ')} excludes most: without it {without[worst]:.2%} of single landmarks"
-    return f"no job qualifies any position; {excluded} would be covered, with it {causes['covered']:.2%}"
-
-
-def _median_text(members: list[Outcome]) -> str:
-    """Medians of a group, `44.44% (26.00% off the grid)`; empty without a finished job."""
-    on, off = (_values(members, key) for key in DESCRIBED)
-    further = f" ({median(off):.2%} off the grid)" if off else ""
-    return f"{median(on):.2%}{further}" if on else ""
+    best_of = {f"best/{key}": max(each) for key, each in values.items()}
+    return best_of | {f"median/{key}": median(each) for key, each in values.items()}
 
 
 def grouping_keys(sweep: Sweep) -> list[str]:
@@ -146,15 +121,11 @@ def _is_of_problem(key: str) -> bool:
     return any(key == part or key.startswith(f"{part}.") for part in PROBLEM)
 
 
-def _group(sweep: Sweep, job: Job) -> tuple[str, ...]:
-    return tuple(job.varied.get(key, "") for key in grouping_keys(sweep))
-
-
-def _groups(sweep: Sweep, found: list[Outcome]) -> dict[tuple[str, ...], list[Outcome]]:
+def _groups(sweep: Sweep, found: list[Outcome]) -> dict[Group, list[Outcome]]:
     """The outcomes by the values of the grouping keys."""
-    groups = dict[tuple[str, ...], list[Outcome]]()
+    groups = dict[Group, list[Outcome]]()
     for each in found:
-        groups.setdefault(_group(sweep, each.job), []).append(each)
+        groups.setdefault(tuple(each.job.varied.get(key, "") for key in grouping_keys(sweep)), []).append(each)
     return groups
 
 

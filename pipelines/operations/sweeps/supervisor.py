@@ -5,29 +5,34 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from hydra.conf import HydraConf
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from ...app import PACKAGE, choices, ends_reported, run_directory, say
+from ...app import (
+    PACKAGE,
+    choices,
+    config_dir,
+    ends_reported,
+    key_and_value,
+    quoted,
+    run_directory,
+    say,
+    search_path,
+)
 from ...nodes import instantiate
 from ...outputs import JOB_VARIABLE, held
-from ...overrides import config_dir, key_and_value, quoted, search_path
 from ...provenance import parameters
 from ..signals import CODES, stop
+from ..tracking import RunStart, Tracker
 from . import forks
 from .folder import Job, JobFolder, SweepFolder, current_job, reason_of
 from .names import short_name
-
-if TYPE_CHECKING:
-    from ..tracking import Tracker
 
 SWEEP_VARIABLE = "LMD_SWEEP"  # environment variable with the number of the process that began the sweep
 THREAD_VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -36,31 +41,26 @@ LOST = "its process was killed, and the sweep with it"
 
 
 def run(cfg: DictConfig, pipeline: Callable[[DictConfig], float | None]) -> float | None:
-    """Run a pipeline in this process, or as the job of a sweep in a process of its own."""
-    if HydraConfig.get().mode == RunMode.MULTIRUN:
+    """Run a pipeline in this process, or as the job of a sweep, which `SweepRecord` began, in a process of its own.
+
+    In that process the job's outcome is written to its folder, and it stops when the sweep has ended.
+    """
+    if HydraConfig.get().mode == RunMode.MULTIRUN and SWEEP_VARIABLE in os.environ:
         return _supervise(cfg)
-    with ends_reported(), _outcome_reported() as report:
-        value = pipeline(cfg)
-        report(value)
-    return value
-
-
-@contextmanager
-def _outcome_reported() -> Iterator[Callable[[float | None], None]]:
-    """Context in which a job of a sweep writes its outcome to its folder, and stops when the sweep has ended."""
-    current = current_job()
-    if current is None:
-        yield lambda _: None
-        return
-    folder, job = current
-    threading.Thread(target=_stop_with_the_sweep, daemon=True).start()
-    try:
-        with stop.raising():
-            yield lambda value: folder.save(replace(job, status="finished", value=value))
-    except BaseException as error:
-        is_stopped = isinstance(error, KeyboardInterrupt) or (isinstance(error, SystemExit) and error.code in CODES)
-        folder.save(replace(job, status="interrupted" if is_stopped else "failed", reason=reason_of(error)))
-        raise
+    with ends_reported():
+        if (current := current_job()) is None:
+            return pipeline(cfg)
+        folder, job = current
+        threading.Thread(target=_stop_with_the_sweep, daemon=True).start()
+        try:
+            with stop.raising():
+                value = pipeline(cfg)
+                folder.save(replace(job, status="finished", value=value))
+                return value
+        except BaseException as error:
+            is_stopped = isinstance(error, KeyboardInterrupt) or (isinstance(error, SystemExit) and error.code in CODES)
+            folder.save(replace(job, status="interrupted" if is_stopped else "failed", reason=reason_of(error)))
+            raise
 
 
 def _stop_with_the_sweep() -> None:
@@ -77,37 +77,41 @@ def _supervise(cfg: DictConfig) -> float | None:
 
     A failure is recorded and not raised, so that no job can end a sweep, with any launcher.
     """
-    folder, job = JobFolder(run_directory()), job_of(HydraConfig.get())
-    if HydraConfig.get().launcher._target_.endswith("JoblibLauncher"):
+    folder, job, launcher = JobFolder(run_directory()), _job(), HydraConfig.get().launcher
+    if launcher._target_.endswith("JoblibLauncher"):
         _end_with_the_sweep()
+    # As many threads as configured, else one if jobs share a machine; none is every processor.
+    alone = None if launcher._target_.endswith("BasicLauncher") else int(launcher.get("cpus_per_task") or 1)
+    threads = alone if cfg.get("threads") is None else int(cfg.threads)
     with held(folder.path) as lock:
         if (done := folder.finished()) is not None:
             folder.save(replace(done, number=job.number, varied=job.varied, round=job.round))
             say(f"done already: {job.label}")
             return done.value
-        before = folder.load()
-        continued = before is not None and before.status != "failed" and folder.checkpoint.exists()
-        if before is not None:
+        own, spent = ["hydra.mode=RUN", f"hydra.run.dir={quoted(folder.path)}"], 0.0
+        if threads is not None and "threads" in cfg:  # not every pipeline has the key
+            own.append(f"threads={threads}")
+        if (before := folder.load()) is not None:
             settle(cfg.tracking, folder, lost(job))
-        spent = before.seconds if before is not None and continued else 0.0
+            if before.status != "failed" and folder.checkpoint.exists():
+                spent = before.seconds
+                own.append(f"resume={quoted(folder.path)}")
         folder.save(replace(job, seconds=spent))
         began = time.monotonic()
-        code, interrupted = _execute(cfg, _arguments(cfg, job, folder, continued), folder, lock)
+        code, interrupted = _execute([*config_dir(), *search_path(), *job.overrides, *own], threads, folder, lock)
         job = _settled(folder.load() or job, code)
         if interrupted and job.status in ("killed", "interrupted"):
             job = lost(job, stopped=True)
         job = replace(job, seconds=spent + time.monotonic() - began)
         folder.save(job)
-        if job.status == "finished":
+        if is_done := job.status == "finished":
             say(f"finished in {job.seconds - spent:.0f} s: {job.label}")
         else:
             say(f"{job.status}: {job.label}: {job.reason} ({folder.output})")
         settle(cfg.tracking, folder, job, {} if job.status == "interrupted" else parameters(cfg, choices()))
-        if job.status == "finished":
-            return job.value
-        if interrupted:
+        if interrupted and not is_done:
             sys.exit(128 + signal.SIGINT)
-        return float("nan")
+        return job.value if is_done else float("nan")
 
 
 @cache
@@ -124,42 +128,22 @@ def _end_with_the_sweep() -> None:
         threading.Thread(target=watch, daemon=True).start()
 
 
-def job_of(context: HydraConf) -> Job:
+def _job() -> Job:
     """Job described by Hydra's part of a job's configuration."""
+    context = HydraConfig.get()
     sweep = SweepFolder(context.sweep.dir).load()
     assert sweep is not None, "SweepRecord has written it before any job began"
-    overrides = tuple(str(override) for override in context.overrides.task)
-    values = dict(map(key_and_value, overrides))
-    varied = {key: values[key] for key in sweep.varied if key in values}
+    overrides = tuple(map(str, context.overrides.task))
+    varied = {key: value for key, value in map(key_and_value, overrides) if key in sweep.varied}
     return Job(sweep.name, sweep.run_id, int(context.job.num), overrides, varied, round=sweep.round)
 
 
-def _arguments(cfg: DictConfig, job: Job, folder: JobFolder, continued: bool) -> list[str]:
-    """Arguments of the command that runs one job."""
-    own = ["hydra.mode=RUN", f"hydra.run.dir={quoted(folder.path)}"]
-    threads = _threads(cfg)
-    if threads is not None and "threads" in cfg:  # not every pipeline has the key
-        own.append(f"threads={threads}")
-    if continued:
-        own.append(f"resume={quoted(folder.path)}")
-    return [*config_dir(), *search_path(), *job.overrides, *own]
-
-
-def _threads(cfg: DictConfig) -> int | None:
-    """Number of threads of a job: as configured, else one if jobs share a machine; None for every processor."""
-    launcher, configured = HydraConfig.get().launcher, cfg.get("threads")
-    if configured is not None or launcher._target_.endswith("BasicLauncher"):
-        return None if configured is None else int(configured)
-    return int(launcher.get("cpus_per_task") or 1)
-
-
-def _execute(cfg: DictConfig, arguments: list[str], folder: JobFolder, lock: int | None) -> tuple[int, bool]:
+def _execute(arguments: list[str], threads: int | None, folder: JobFolder, lock: int | None) -> tuple[int, bool]:
     """Run a job's process to its end; return its exit code, and True if the sweep was interrupted meanwhile.
 
     The process has a session of its own, so Ctrl-C reaches the process only once, by the pipe. The process inherits the
     lock of its folder, so the folder stays locked if the sweep is killed.
     """
-    threads = _threads(cfg)
     if threads is not None:  # also for the server, whose packages read the variables at import
         os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(threads)))
     environment = os.environ | {"HYDRA_FULL_ERROR": "1", JOB_VARIABLE: str(folder.path)}
@@ -204,15 +188,13 @@ def settle(tracking: DictConfig, folder: JobFolder, job: Job, params: Mapping[st
     """Settle the tracked runs of a job whose process has ended; one that began none gets one with `params`, if any."""
     from lmd.core.checks import InputError
 
-    from ..tracking import RunStart
-
     if job.parent is None:
         return
     status = {"finished": "FINISHED", "interrupted": "KILLED"}.get(job.status, "FAILED")
     name = short_name(job.status, [f"{key}={value}" for key, value in job.varied.items()])
-    run = RunStart(name, folder.path, params or {}, job.tags(folder.name))
     try:
         tracker: Tracker = instantiate(tracking)
+        run = RunStart(name, folder.path, params or {}, job.tags(folder.name))
         tracker.settle(run, status, job.reason, [folder.output])
     except InputError as error:
         print(f"not marked as {status} is the run of {job.label}: {error}", file=sys.stderr)

@@ -3,6 +3,7 @@
 The tags of `this_process` distinguish a run whose process has ended from a run that is still going on.
 """
 
+import itertools
 import json
 import os
 import re
@@ -10,7 +11,6 @@ import socket
 import sys
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 from lmd.core.checks import InputError, printable
 
@@ -20,9 +20,8 @@ from .tracker import Entry
 
 FILE = "tracking.jsonl"  # file in the folder of the run until all entries are sent
 GONE = "its process is gone: it was killed, or the machine was switched off"
-PROC = Path("/proc")
-BOOT = PROC / "sys/kernel/random/boot_id"
-IDENTITY = re.compile(r"\d{1,9} \d{1,19} [0-9a-f-]{36}" if BOOT.is_file() else r"\d{1,9} \d{1,19}\.\d\d")
+BOOT = Path("/proc/sys/kernel/random/boot_id")
+IDENTITY = re.compile(r"\d{1,9} \d{1,19} [0-9a-f-]{36}" if BOOT.is_file() else r"\d{1,9}")
 
 
 class Journal:
@@ -34,8 +33,7 @@ class Journal:
     """
 
     def __init__(self, path: Path, entries: list[Entry]) -> None:
-        self.path, self.entries = path, entries
-        self.on_disk = len(entries)  # number of entries in the file
+        self.path, self.entries, self.on_disk = path, entries, len(entries)  # number of entries in the file
 
     @classmethod
     def of(cls, folder: Path) -> "Journal":
@@ -51,9 +49,10 @@ class Journal:
         for line in path.read_text(errors="replace").splitlines() if path.is_file() else ():
             with suppress(ValueError, RecursionError):
                 entries.append(json.loads(line))
-        if not all(map(_is_entry, entries)):
+        listed = [entry.get("files", []) if isinstance(entry, dict) else None for entry in entries]
+        if not all(isinstance(files, list) and all(isinstance(file, str) for file in files) for files in listed):
             raise InputError(f"the journal in {folder} is none that a run has written.")
-        for file in (file for entry in entries for file in entry.get("files", ())):
+        for file in itertools.chain.from_iterable(filter(None, listed)):
             if os.path.isfile(file) and not Path(file).resolve().is_relative_to(folder.resolve()):
                 raise InputError(f"the journal in {folder} would send {file!r}, which is not in that folder ({PAGE}).")
         return cls(path, entries)
@@ -92,12 +91,6 @@ class Journal:
             self.path.unlink(missing_ok=True)
 
 
-def _is_entry(entry: Any) -> bool:
-    """True if an entry is a mapping whose files, if any, are a list of paths."""
-    files = entry.get("files", []) if isinstance(entry, dict) else None
-    return isinstance(files, list) and all(isinstance(file, str) for file in files)
-
-
 def hand_in(journal: Journal, uri: str) -> str:
     """Send the journal that an ended run left behind, and remove it; entries that the store has are not duplicated.
 
@@ -107,12 +100,12 @@ def hand_in(journal: Journal, uri: str) -> str:
     Raises:
         InputError: the store cannot be used, or no run has written the journal.
     """
-    begins = [entry for entry in journal.entries if "run_id" in entry]
-    if not begins:  # the process was killed before it had a run
+    entries = journal.entries
+    last = next((entry for entry in reversed(entries) if "run_id" in entry), None)
+    if last is None:  # the process was killed before it had a run
         journal.remove()
         return f"{journal.path} held nothing"
     try:
-        last, entries = begins[-1], journal.entries
         ended = "end" in entries[-1]
         if not ended and not is_gone(last):
             return f"{journal.path} is left: its process still runs, or ran on another host ({last['host']})"
@@ -129,16 +122,15 @@ def hand_in(journal: Journal, uri: str) -> str:
     except InputError:
         raise
     except (KeyError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
-        raise InputError(
-            f"the journal in {journal.path.parent} is none that a run has written ({type(error).__name__}: {error})."
-        ) from error
+        told = f"the journal in {journal.path.parent} is none that a run has written"
+        raise InputError(f"{told} ({type(error).__name__}: {error}).") from error
     journal.remove()
     return f"{journal.path} is handed in: run {run.info.run_name} in {store.uri}"
 
 
 def end_those_gone(store: Store) -> None:
     """End as FAILED the unfinished runs of this host whose process has ended, and name them on stderr."""
-    for run in store.runs("attributes.status = 'RUNNING'"):
+    for run in store.matching("attributes.status = 'RUNNING'"):
         if is_gone(run.data.tags):
             store.send(run.info.run_id, {"end": "FAILED", "reason": GONE, "at": now()})
             print(f"{printable(run.info.run_name)} is ended as FAILED: {GONE}", file=sys.stderr)
@@ -151,22 +143,24 @@ def this_process() -> dict[str, str]:
 
 def is_gone(tags: dict[str, str]) -> bool:
     """True if the process in these tags has ended; False for a process of another host, or without a process."""
-    import psutil
-
     process = tags.get("process", "")
     if tags.get("host") != socket.gethostname() or not IDENTITY.fullmatch(process):
         return False
     try:
         return _identity(int(process.partition(" ")[0])) != process
-    except (psutil.NoSuchProcess, FileNotFoundError, ProcessLookupError):
+    except (FileNotFoundError, ProcessLookupError):
         return True
 
 
 def _identity(number: int) -> str:
-    """Number and start of a process; on Linux the start counts from the boot, as the clock may be changed meanwhile."""
-    if BOOT.is_file():
-        began = (PROC / str(number) / "stat").read_text().rpartition(")")[2].split()[19]  # ticks; field 22 of proc(5)
-        return f"{number} {began} {BOOT.read_text().strip()}"
-    import psutil
+    """Number and start of a process, counted from the boot, as the clock may be changed meanwhile; without /proc its
+    number alone.
 
-    return f"{number} {psutil.Process(number).create_time():.2f}"
+    Raises:
+        FileNotFoundError, ProcessLookupError: there is no such process.
+    """
+    if not BOOT.is_file():
+        os.kill(number, 0)
+        return f"{number}"
+    began = Path(f"/proc/{number}/stat").read_text().rpartition(")")[2].split()[19]  # ticks; field 22 of proc(5)
+    return f"{number} {began} {BOOT.read_text().strip()}"

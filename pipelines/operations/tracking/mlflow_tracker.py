@@ -1,7 +1,8 @@
 """Recording runs in mlflow."""
 
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 from lmd.core.checks import InputError
 
 from .journal import GONE, Journal, end_those_gone, hand_in, this_process
-from .store import PARAM_LENGTH, SQLITE, Store, first_line, is_of_store, now
+from .store import PARAM_LENGTH, Store, first_line, is_of_store, now
 from .tracker import Entry, NoTracker, RunStart
 from .views import link, share, sweep_view, view_of
 
@@ -40,8 +41,7 @@ class MlflowTracker(NoTracker):
         self._tags = {key: str(value) for key, value in given.items()}
         self._run_id: str | None = None
         self._journal: Journal | None = None
-        self._sent = 0  # number of entries of the journal that were sent
-        self._lost = False  # True after the store failed to answer
+        self._sent, self._lost = 0, False  # number of entries that were sent; True after the store failed to answer
 
     @property
     def run_id(self) -> str | None:
@@ -50,22 +50,18 @@ class MlflowTracker(NoTracker):
 
     def start(self, run: RunStart, run_id: str | None = None) -> None:
         """See `Tracker.start`."""
-        first: Entry = {}
-        run_id = None if run_id is None or self.store.find(run_id) is None else run_id
-        tags = {**self._tags, **run.tags, "folder": _absolute(run.folder), **this_process()}
-        if run_id is None:
-            with self.store.errors_reported():
+        store, place = self.store, {"folder": _absolute(run.folder), **this_process()}
+        tags = {**self._tags, **run.tags, **place}
+        known = None if run_id is None else store.find(run_id)
+        with store.errors_reported() if known is None else nullcontext():
+            if known is None:
                 self._hand_in_left(run.folder)
-                end_those_gone(self.store)
-        with self.store.undisturbed():
-            if run_id is None:
-                with self.store.errors_reported():
-                    run_id = self.store.create(run.name, _written(run.params), tags, run.ago)
-            else:
-                first = {"reopen": tags}
-            self._run_id, self._journal, self._sent = run_id, Journal.of(run.folder), 0
-        store = {"uri": self.store.uri, "experiment": self.store.experiment_name, "run_id": run_id}
-        self._record(store | {"folder": _absolute(run.folder)} | this_process() | first)
+                end_those_gone(store)
+            with store.undisturbed():
+                run_id = store.create(run.name, _written(run.params), tags, run.ago) if known is None else run_id
+                self._run_id, self._journal, self._sent = run_id, Journal.of(run.folder), 0
+        began = {"uri": store.uri, "experiment": store.experiment_name, "run_id": run_id, **place}
+        self._record(began if known is None else {**began, "reopen": tags})
         if run.dataset is not None:
             self._record({"dataset": asdict(run.dataset)})
 
@@ -80,8 +76,7 @@ class MlflowTracker(NoTracker):
 
     def _hand_in_left(self, folder: Path) -> None:
         """Send the journal that a killed run has left in a folder."""
-        left = Journal.of(folder)
-        if left.entries:
+        if (left := Journal.of(folder)).entries:
             hand_in(left, self.store.uri)
 
     def _record(self, entry: Entry) -> None:
@@ -90,26 +85,27 @@ class MlflowTracker(NoTracker):
             return
         self._journal.add(entry)
         if not self._lost:
-            try:
-                self._send()
-            except Exception as error:
-                self._warn_once(error)
+            with self._warning():
+                self._send(self._journal)
 
-    def _send(self) -> None:
+    def _send(self, journal: Journal) -> None:
         """Send the entries that have not been sent."""
-        assert self._journal is not None
-        assert self._run_id is not None
-        while self._sent < len(self._journal.entries):
-            self.store.send(self._run_id, self._journal.entries[self._sent])
+        while self._sent < len(journal.entries):
+            self.store.send(str(self._run_id), journal.entries[self._sent])
             self._sent += 1
 
-    def _warn_once(self, error: Exception) -> None:
-        """Print once that the store is lost; an error with another cause is raised again."""
-        if not is_of_store(error):
-            raise error
-        if not self._lost:
-            print(f"warning: {self.store.uri} cannot be used ({first_line(error)}); the run goes on", file=sys.stderr)
-        self._lost = True
+    @contextmanager
+    def _warning(self) -> Iterator[None]:
+        """Context that prints once that the store is lost; an error with another cause is raised."""
+        try:
+            yield
+        except Exception as error:
+            if not is_of_store(error):
+                raise
+            if not self._lost:
+                told = f"{self.store.uri} cannot be used ({first_line(error)}); the run goes on"
+                print(f"warning: {told}", file=sys.stderr)
+            self._lost = True
 
     def log_curve(self, metric: str, points: Iterable[tuple[int, float, float]]) -> None:
         """See `Tracker.log_curve`."""
@@ -125,26 +121,25 @@ class MlflowTracker(NoTracker):
 
     def finish(self, status: str, reason: str = "") -> None:
         """See `Tracker.finish`."""
-        if self._journal is None:
+        if (journal := self._journal) is None:
             return
-        self._journal.add({"end": status, "reason": reason, "at": now()})
-        try:
-            self._send()
-            figures = dict.fromkeys(name for entry in self._journal.entries for name in entry.get("metrics", ()))
+        journal.add({"end": status, "reason": reason, "at": now()})
+        with self._warning():
+            self._send(journal)
+            figures = dict.fromkeys(name for entry in journal.entries for name in entry.get("metrics", ()))
             share(self.store.client, self.store.experiment_id, view_of(list(figures)))
-            self._journal.remove()
-        except Exception as error:
-            self._warn_once(error)
-            try:
-                self._journal.write()
-            except OSError as full:
-                print(f"warning: what the run has recorded is lost: {full}", file=sys.stderr)
+            journal.remove()
+            return
+        try:
+            journal.write()
+        except OSError as full:
+            print(f"warning: what the run has recorded is lost: {full}", file=sys.stderr)
 
     def settle(self, run: RunStart, status: str, reason: str = "", files: Sequence[Path] = ()) -> None:
         """See `Tracker.settle`; mlflow lists deleted runs apart, and `mlflow gc` removes them."""
         store, wanted = self.store, " and ".join(f"tags.`{key}` = '{value}'" for key, value in run.tags.items())
         with store.errors_reported():
-            found = sorted(store.runs(wanted), key=lambda each: each.info.start_time)
+            found = sorted(store.matching(wanted), key=lambda each: each.info.start_time)
             for each in found:
                 # Another run that began meanwhile may have ended this run with the reason `GONE`.
                 if each.info.status == "RUNNING" or each.data.tags.get("reason") == GONE:
@@ -170,26 +165,23 @@ class MlflowTracker(NoTracker):
         """See `Tracker.describe`."""
         from ...app import IN_CHECKOUT, command_of
 
-        uri = self.store.uri
-        if self._journal is not None and self._journal.path.exists():
-            given = f"sync={self._journal.path.parent} tracking.uri={uri}"
-            return f"not in {uri} yet; when it answers again: {command_of('runs')} {given}"
+        uri, journal = self.store.uri, self._journal
+        if journal is not None and journal.path.exists():
+            again = f"{command_of('runs')} sync={journal.path.parent} tracking.uri={uri}"
+            return f"not in {uri} yet; when it answers again: {again}"
         shown_by = "make ui" if IN_CHECKOUT else f"mlflow ui --backend-store-uri {uri}"
-        return f"run {self._run_id} in {uri}" + (f" ({shown_by})" if uri.startswith(SQLITE) else "")
+        return f"run {self._run_id} in {uri}" + (f" ({shown_by})" if self.store.is_local else "")
 
     def views(self, params: Sequence[str]) -> list[str]:
         """See `Tracker.views`."""
-        if self._run_id is None or self._lost:
-            return []
-        store = self.store
-        address = ADDRESS if store.uri.startswith(SQLITE) else store.uri.rstrip("/")
-        try:
-            experiment = store.experiment_id
-            share(store.client, experiment, sweep_view(self._run_id, params), self._run_id)
-        except Exception as error:
-            self._warn_once(error)
-            return []
-        return [f"{label} {link(address, experiment, self._run_id, mode)}" for mode, label in LABELS.items()]
+        store, run_id = self.store, self._run_id
+        address = ADDRESS if store.is_local else store.uri.rstrip("/")
+        if run_id is not None and not self._lost:
+            with self._warning():
+                experiment = store.experiment_id
+                share(store.client, experiment, sweep_view(run_id, params), run_id)
+                return [f"{label} {link(address, experiment, run_id, mode)}" for mode, label in LABELS.items()]
+        return []
 
 
 def _written(params: Mapping[str, Any]) -> dict[str, str]:

@@ -7,6 +7,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
@@ -21,7 +22,7 @@ from .views import share, view_of
 if TYPE_CHECKING:
     import pandas as pd
     from mlflow import MlflowClient
-    from mlflow.entities import Experiment, Run
+    from mlflow.entities import Run
 
 SQLITE = "sqlite:///"
 BATCH = 1000  # greatest number of metrics in one call of mlflow
@@ -46,28 +47,22 @@ class Store:
     def __init__(self, uri: str, experiment_name: str) -> None:
         if not isinstance(uri, str) or uri in ("", SQLITE):
             raise InputError(f"uri must be {SQLITE}PATH or the address of a server, got {uri!r}.", "uri")
-        self.uri, self.experiment_name = uri, experiment_name
-        self._client: MlflowClient | None = None
-
-    @property
-    def client(self) -> "MlflowClient":
-        """Client of mlflow."""
-        if self._client is None:
-            self._client = self._connect()
-        return self._client
+        self.uri, self.experiment_name, self.is_local = uri, experiment_name, uri.startswith(SQLITE)
 
     @property
     def experiment_id(self) -> str:
         """Id of the experiment; a missing experiment is created."""
         return _prepared(self.client, self.experiment_name)
 
-    def _connect(self) -> "MlflowClient":
+    @cached_property
+    def client(self) -> "MlflowClient":
+        """Client of mlflow."""
         from mlflow import MlflowClient
 
         # mlflow logs every new table, and errors with their tracebacks.
         logging.getLogger("mlflow.store.db.utils").setLevel(logging.CRITICAL)
 
-        if not self.uri.startswith(SQLITE):
+        if not self.is_local:
             return MlflowClient(tracking_uri=self.uri)
         database = Path(self.uri.removeprefix(SQLITE)).resolve()
         database.parent.mkdir(parents=True, exist_ok=True)
@@ -102,7 +97,7 @@ class Store:
 
         For a server it does nothing: no file is locked, and a call may take minutes to fail.
         """
-        return stop.postponed() if self.uri.startswith(SQLITE) else nullcontext()
+        return stop.postponed() if self.is_local else nullcontext()
 
     def create(self, name: str, params: Mapping[str, str], tags: Mapping[str, str], ago: float) -> str:
         """Make a run that began `ago` seconds before now, and return its id, with which the run's name ends."""
@@ -125,63 +120,53 @@ class Store:
         with self.errors_reported():
             return next(iter(self.client.search_runs([self.experiment_id], f"attributes.run_id = '{run_id}'")), None)
 
-    def runs(self, wanted: str) -> "list[Run]":
+    def matching(self, wanted: str) -> "list[Run]":
         """Runs of all experiments that match mlflow's filter `wanted`."""
         experiments = [experiment.experiment_id for experiment in self.client.search_experiments()]
         return list(self.client.search_runs(experiments, filter_string=wanted))
 
     def send(self, run_id: str, entry: Entry) -> None:
         """Send one entry of a journal; sending an entry again changes nothing."""
-        with self.undisturbed():
-            self._send(run_id, entry)
-
-    def _send(self, run_id: str, entry: Entry) -> None:
-        from mlflow.entities import Metric
-
-        client = self.client
-        if "reopen" in entry:
-            client.update_run(run_id, status="RUNNING")
-            before = client.get_run(run_id).data.tags
-            if "reason" in before:  # reason of an earlier end
-                client.delete_tag(run_id, "reason")
-                self._tag(run_id, {DESCRIPTION: _without_end(before.get(DESCRIPTION, ""))})
-            self._tag(run_id, entry["reopen"])
-        elif "curve" in entry:
-            began, name = int(client.get_run(run_id).info.start_time), entry["metric"]
-            curve = [Metric(name, value, began + int(1000 * at), step) for step, value, at in entry["curve"]]
-            for first in range(0, len(curve), BATCH):
-                client.log_batch(run_id, metrics=curve[first : first + BATCH])
-        elif "metrics" in entry:
-            metrics = [Metric(key, value, entry["at"], 0) for key, value in entry["metrics"].items()]
-            client.log_batch(run_id, metrics=metrics)
-        elif "dataset" in entry:
-            self._send_dataset(run_id, **entry["dataset"])
-        elif "files" in entry:
-            for file in filter(os.path.isfile, entry["files"]):
-                client.log_artifact(run_id, file)
-        elif "end" in entry:
-            if entry["reason"]:
-                about = _without_end(client.get_run(run_id).data.tags.get(DESCRIPTION, ""))
-                told = f"{ENDED[entry['end']]}: {escaped(entry['reason'])}\n\n{about}"
-                self._tag(run_id, {"reason": entry["reason"], DESCRIPTION: told})
-            client.set_terminated(run_id, entry["end"], entry["at"])
-
-    def _send_dataset(self, run_id: str, name: str, digest: str, settings: Mapping[str, str]) -> None:
-        """Record the problem of a run, twice if another process has recorded the same problem at the same time."""
-        from mlflow.entities import Dataset, DatasetInput, InputTag
+        from mlflow.entities import Dataset, DatasetInput, InputTag, Metric, RunTag
         from mlflow.exceptions import MlflowException
 
-        problem = Dataset(name, digest, "code", "{}", profile=json.dumps(settings))
-        given = [DatasetInput(problem, [InputTag("mlflow.data.context", "problem")])]
-        try:
-            self.client.log_inputs(run_id, given)
-        except MlflowException:
-            self.client.log_inputs(run_id, given)
-
-    def _tag(self, run_id: str, tags: Mapping[str, str]) -> None:
-        from mlflow.entities import RunTag
-
-        self.client.log_batch(run_id, tags=[RunTag(key, value[:TAG_LENGTH]) for key, value in tags.items()])
+        client, metrics, tags = self.client, list[Metric](), dict[str, str]()
+        with self.undisturbed():
+            is_asked = {"reopen", "curve"} & entry.keys() or entry.get("reason")
+            known = client.get_run(run_id) if is_asked else None
+            about = "" if known is None else known.data.tags.get(DESCRIPTION, "")
+            if about.startswith(tuple(ENDED.values())):  # a paragraph about an earlier end
+                about = about.partition("\n\n")[2]
+            if "curve" in entry and known is not None:
+                name, began = entry["metric"], int(known.info.start_time)
+                metrics = [Metric(name, value, began + int(1000 * at), step) for step, value, at in entry["curve"]]
+            elif "metrics" in entry:
+                metrics = [Metric(key, value, entry["at"], 0) for key, value in entry["metrics"].items()]
+            elif "reopen" in entry and known is not None:
+                client.update_run(run_id, status="RUNNING")
+                tags = entry["reopen"]
+                if "reason" in known.data.tags:
+                    client.delete_tag(run_id, "reason")
+                    tags = {DESCRIPTION: about, **tags}
+            elif entry.get("end") and entry["reason"]:
+                told = f"{ENDED[entry['end']]}: {escaped(entry['reason'])}\n\n{about}"
+                tags = {"reason": entry["reason"], DESCRIPTION: told}
+            for first in range(0, len(metrics), BATCH):
+                client.log_batch(run_id, metrics=metrics[first : first + BATCH])
+            if tags:
+                client.log_batch(run_id, tags=[RunTag(key, value[:TAG_LENGTH]) for key, value in tags.items()])
+            if "end" in entry:
+                client.set_terminated(run_id, entry["end"], entry["at"])
+            for file in filter(os.path.isfile, entry.get("files", ())):
+                client.log_artifact(run_id, file)
+            if "dataset" in entry:
+                name, digest, settings = (entry["dataset"][key] for key in ("name", "digest", "settings"))
+                problem = Dataset(name, digest, "code", "{}", profile=json.dumps(settings))
+                given = [DatasetInput(problem, [InputTag("mlflow.data.context", "problem")])]
+                try:
+                    client.log_inputs(run_id, given)
+                except MlflowException:  # another process has recorded the same problem at the same time
+                    client.log_inputs(run_id, given)
 
 
 def _prepared(client: "MlflowClient", name: str, artifacts: str | None = None) -> str:
@@ -195,36 +180,29 @@ def _prepared(client: "MlflowClient", name: str, artifacts: str | None = None) -
     """
     from mlflow.exceptions import MlflowException
 
-    experiment = client.get_experiment_by_name(name)
-    if experiment is None:
+    if client.get_experiment_by_name(name) is None:
         try:
-            made = str(client.create_experiment(name, artifact_location=artifacts))
-            share(client, made, view_of())
-            return made
-        except MlflowException as error:
-            experiment = client.get_experiment_by_name(name)
-            if experiment is None:  # no other process has made it meanwhile
-                raise error
-    return _id_of(experiment, client.tracking_uri)
+            share(client, str(client.create_experiment(name, artifact_location=artifacts)), view_of())
+        except MlflowException:
+            if client.get_experiment_by_name(name) is None:  # no other process has made it meanwhile
+                raise
+    return _id_of(client, client.tracking_uri, name)
 
 
-def _id_of(experiment: "Experiment", uri: str) -> str:
+def _id_of(client: "MlflowClient", uri: str, name: str) -> str:
     """Id of an experiment of the store `uri`.
 
     Raises:
-        InputError: the experiment was deleted.
+        InputError: there is no such experiment, or it was deleted.
     """
+    experiment = client.get_experiment_by_name(name)
+    if experiment is None:
+        raise InputError(f"{uri} has no experiment called {name!r} (tracking.experiment_name).")
     if experiment.lifecycle_stage != "active":
         again = f"`MLFLOW_TRACKING_URI={uri} mlflow experiments restore -x {experiment.experiment_id}` restores it"
-        deleted = f"the experiment {experiment.name!r} was deleted in mlflow"
-        raise InputError(f"{deleted}: {again}, or name another one (tracking.experiment_name).")
+        told = f"the experiment {name!r} was deleted in mlflow: {again}, or name another one"
+        raise InputError(f"{told} (tracking.experiment_name).")
     return str(experiment.experiment_id)
-
-
-def _without_end(description: str) -> str:
-    """Description without the paragraph about the end of the run."""
-    is_told = description.startswith(tuple(ENDED.values()))
-    return description.partition("\n\n")[2] if is_told else description
 
 
 def is_of_store(error: Exception) -> bool:
@@ -246,7 +224,7 @@ def now() -> int:
     return int(1000 * time.time())
 
 
-class MlflowReader:
+class MlflowReader(Store):
     """Reader of the runs that `MlflowTracker` has recorded.
 
     Args:
@@ -260,16 +238,12 @@ class MlflowReader:
     def __init__(self, uri: str, experiment_name: str) -> None:
         from mlflow import MlflowClient
 
-        database = Path(uri.removeprefix(SQLITE))
-        self._is_local = uri.startswith(SQLITE)
-        if self._is_local and not database.exists():
-            raise InputError(f"tracking.uri = {uri!r}: there is no file {str(database)!r}.")
-        with Store(uri, experiment_name).errors_reported():
+        super().__init__(uri, experiment_name)
+        if self.is_local and not Path(database := uri.removeprefix(SQLITE)).exists():
+            raise InputError(f"tracking.uri = {uri!r}: there is no file {database!r}.")
+        with self.errors_reported():
             self._client = MlflowClient(tracking_uri=uri)
-            experiment = self._client.get_experiment_by_name(experiment_name)
-        if experiment is None:
-            raise InputError(f"{uri} has no experiment called {experiment_name!r} (tracking.experiment_name).")
-        self._experiment_id = _id_of(experiment, uri)
+            self._experiment_id = _id_of(self._client, uri, experiment_name)
 
     def runs(self) -> "pd.DataFrame":
         """All runs, the oldest first, indexed by their ids.
@@ -283,11 +257,12 @@ class MlflowReader:
         while True:
             page = self._client.search_runs([self._experiment_id], order_by=["start_time"], page_token=token)
             for run in page:
-                row = {"name": run.info.run_name, "status": run.info.status}
-                row["started"] = pd.to_datetime(run.info.start_time, unit="ms", utc=True, errors="coerce")
-                for kind in ("params", "tags", "metrics"):
-                    row |= {f"{kind}.{key}": value for key, value in getattr(run.data, kind).items()}
-                rows[run.info.run_id] = row
+                started = pd.to_datetime(run.info.start_time, unit="ms", utc=True, errors="coerce")
+                rows[run.info.run_id] = {"name": run.info.run_name, "status": run.info.status, "started": started} | {
+                    f"{kind}.{key}": value
+                    for kind in ("params", "tags", "metrics")
+                    for key, value in getattr(run.data, kind).items()
+                }
             if not (token := page.token):
                 return pd.DataFrame.from_dict(rows, orient="index")
 
@@ -300,7 +275,7 @@ class MlflowReader:
         from mlflow.exceptions import MlflowException
 
         place = str(self._client.get_run(run_id).info.artifact_uri)
-        if self._is_local and urlsplit(place).scheme not in ("", "file"):
+        if self.is_local and urlsplit(place).scheme not in ("", "file"):
             raise InputError(f"run {run_id} says that its files are at {place!r}, from where none are fetched.")
         try:
             return Path(self._client.download_artifacts(run_id, name))

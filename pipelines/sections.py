@@ -1,8 +1,6 @@
 """Sections of the reproduction report in Markdown: results of the stored sweeps and of the paper."""
 
-import shlex
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Callable
 
 import numpy as np
 import pandas as pd
@@ -10,14 +8,12 @@ import pandas as pd
 from lmd.core.words import as_code, escaped, markdown_table
 from lmd.evaluation.comparison import compared, comparison_markdown
 from lmd.objectives.coverage import Coverage
-from lmd.plot.charts import save_comparison_figure, save_heat_map
-from lmd.plot.common import new_figure
+from lmd.plot.charts import save_comparison_figure, save_heat_map, save_landmark_count_figure
 from lmd.plot.orientations import save_cap_figure
 from lmd.plot.scenes import save_deployments_figure
 
-from ..app import command_of
-from .paper import TABLE_2, TABLE_3, Printed
-from .source import BUDGET, COUNT, GRID_FREE, INDICES, PAIR, PARENT, RATIO, Source
+from .app import command_of
+from .stored_runs import BUDGET, COUNT, GRID_FREE, INDICES, PAIR, PARENT, RATIO, TABLE_2, TABLE_3, Printed, Source
 
 # Commands of the sweeps of a report, with what follows `experiment=` and the name.
 COMMANDS = {
@@ -33,14 +29,13 @@ TABLE_2_RUNS = {
     "initial": ("table2_baselines", "tags.choice.deployment", "random"),
 }
 PANELS = ("initial", "EGA", "SGA", "uniform")  # the order of the paper's figure
-OVERRIDE = "tags.override."
 NO_VALUE = "–"  # cell without runs
 
 
 def sections(source: Source) -> str:
     """All sections in order; a section without runs names the command that makes the runs."""
-    built = {
-        "Convergence": ("table2", _convergence),
+    built: dict[str, tuple[str, Callable[[Source, pd.DataFrame], list[str]]]] = {
+        "Convergence": ("table2", lambda source, jobs: _curves(source, "convergence", jobs, "EGA and SGA")),
         "An n-ple coverage spherical cap": ("table2", _cap),
         "Table III: one deployment, nine pairs (n, thold_p)": ("table3", _table_3),
         "Every pair optimised for itself": ("table3_reoptimised", _each_for_itself),
@@ -67,10 +62,6 @@ def _table_2(source: Source) -> list[str]:
     return [*blocks, markdown_table(["deployment", *_beside_head()], rows), picture]
 
 
-def _convergence(source: Source, jobs: pd.DataFrame) -> list[str]:
-    return _curves(source, "convergence", jobs, "EGA and SGA")
-
-
 def _cap(source: Source, jobs: pd.DataFrame) -> list[str]:
     jobs = _of_row(jobs, "EGA")
     if jobs.empty:
@@ -90,15 +81,15 @@ def _table_3(source: Source, jobs: pd.DataFrame) -> list[str]:
 
 
 def _each_for_itself(source: Source, own: pd.DataFrame) -> list[str]:
-    by_source = {"one deployment, re-scored": source.jobs("table3"), "each pair for itself": own}
-    columns = {"printed": pd.Series({pair: row.qualified_ratio for pair, row in TABLE_3.items()})}
-    for name, jobs in by_source.items():
-        columns[name] = pd.Series({pair: _of_pair(jobs, *pair)[RATIO].median() for pair in TABLE_3})
-    rows = []
-    for (n, p), row in TABLE_3.items():
-        found = [_spread(_of_pair(jobs, n, p)[RATIO]) for jobs in by_source.values()]
-        rows.append([f"{n}", f"{p:.2f}", f"{row.qualified_ratio:.2%}", *found])
-    tables = {name: column.unstack().rename_axis(index="n", columns="thold_p") for name, column in columns.items()}
+    columns = {"printed": {pair: pd.Series([row.qualified_ratio]) for pair, row in TABLE_3.items()}}
+    for name, jobs in {"one deployment, re-scored": source.jobs("table3"), "each pair for itself": own}.items():
+        columns[name] = {pair: _of_pair(jobs, *pair)[RATIO] for pair in TABLE_3}
+    rows = [[f"{n}", f"{p:.2f}", *(_spread(column[n, p]) for column in columns.values())] for n, p in TABLE_3]
+    tables = {
+        name: pd.Series({pair: ratios.median() for pair, ratios in column.items()}).unstack()
+        for name, column in columns.items()
+    }
+    tables = {name: table.rename_axis(index="n", columns="thold_p") for name, table in tables.items()}
     table, labels = markdown_table(["n", "thold_p", *columns], rows), ("Qualified ratio", "qualified ratio")
     picture = source.picture("pairs", "Qualified ratio over n and thold_p", save_heat_map, tables, *labels)
     return [_origin(source, "table3_reoptimised", own), table, picture]
@@ -131,10 +122,7 @@ def _curves(source: Source, name: str, jobs: pd.DataFrame, title: str) -> list[s
     """Picture of the convergence of optimisers; none if no run has its files."""
     if not (runs := source.optimiser_runs(jobs)):
         return []
-    caption = (
-        "Best fitness against evaluations, the median of the seeds with a band from the worst to the best, and the "
-        "share of seeds and targets that were reached"
-    )
+    caption = "Best fitness against evaluations, median and range of the seeds, and the share of targets reached"
     return [source.picture(name, caption, save_comparison_figure, runs, "evaluations", Coverage.headline, title)]
 
 
@@ -145,19 +133,11 @@ def _origin(source: Source, sweep: str, jobs: pd.DataFrame) -> str:
         made_by = as_code(f"{command_of(command)} experiment={sweep}{more}")
         return f"There are no finished runs of the sweep {as_code(sweep)}; {made_by} makes them."
     began = f"the last began on {jobs['started'].max():%Y-%m-%d at %H:%M} UTC"
-    if (sweep_id := jobs[PARENT].iloc[-1]) not in source.runs.index:
-        gone = f"whose own run, {as_code(sweep_id)}, is gone from the store"
-        return f"{len(jobs)} runs of a sweep {as_code(sweep)}, {gone}; {began}."
-    parent = source.runs.loc[sweep_id]
-    given = {str(key).removeprefix(OVERRIDE): value for key, value in parent.filter(like=OVERRIDE).dropna().items()}
-    overrides = sorted(given.items(), key=lambda item: item[0] != "experiment")
-    asked = shlex.join(f"{key}={value}" for key, value in overrides)
-    command = as_code(f"{command_of(str(parent.get('tags.pipeline', 'optimise')))} {asked}")
-    planned = parent.get("metrics.jobs", np.nan)  # known after the end of the sweep
-    share = f"{len(jobs)}" if pd.isna(planned) else f"{len(jobs)} of {planned:.0f}"
+    parent = source.runs.loc[[each for each in source.runs.index if each == jobs[PARENT].iloc[-1]]]
+    command = as_code(parent["tags.command"].iloc[0]) if len(parent) else f"the sweep {as_code(sweep)}"
     spent = jobs[BUDGET].dropna().unique()
     budget = f" with a budget of {escaped(' or '.join(map(str, spent)))} evaluations" if len(spent) else ""
-    return f"{share} runs of {command}{budget}; {began}."
+    return f"{len(jobs)} runs of {command}{budget}; {began}."
 
 
 def _of_row(jobs: pd.DataFrame, name: str) -> pd.DataFrame:
@@ -198,29 +178,3 @@ def _spread(ratios: "pd.Series[float]") -> str:
 
 def _percent(ratio: float) -> str:
     return NO_VALUE if np.isnan(ratio) else f"{ratio:.2%}"
-
-
-def save_landmark_count_figure(
-    path: str | Path, ratios: pd.DataFrame, references: Mapping[str, tuple[int, float]], title: str
-) -> None:
-    """Write a PNG: the qualified ratio against the number of landmarks K.
-
-    Args:
-        ratios: one row per run with the columns `count` (K) and `qualified_ratio` (fraction); a line joins the medians
-            of each K.
-        references: points (K, qualified ratio) for comparison, by name.
-    """
-    from matplotlib.ticker import PercentFormatter
-
-    figure = new_figure((8.0, 4.8))
-    axes = figure.add_subplot(title=title, xlabel="landmarks K", ylabel="qualified ratio")
-    medians = ratios.groupby("count")["qualified_ratio"].median()
-    axes.plot(medians.index, medians, color="C2", label="median of the runs")
-    axes.plot(ratios["count"], ratios["qualified_ratio"], "o", color="C2", markersize=5, alpha=0.6, label="run")
-    for i, (name, (count, ratio)) in enumerate(references.items()):
-        axes.plot(count, ratio, marker="D", color=f"C{3 + i}", linestyle="none", label=name)
-    axes.set_ylim(0.0, 1.0)
-    axes.yaxis.set_major_formatter(PercentFormatter(1.0))
-    axes.grid(alpha=0.3)
-    axes.legend(loc="lower right")
-    figure.savefig(path)

@@ -1,1 +1,0 @@
-"""Comparison of the paper's tables and figures with the results of the stored sweeps."""
