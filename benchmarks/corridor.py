@@ -21,7 +21,7 @@ from lmd.formats.detection_formats import read_detections
 from lmd.formats.detections import DetectedTags
 from lmd.formats.trajectories import TrajectoryFile
 from lmd.geometry.camera import Camera
-from lmd.geometry.se3 import act, exp, inverse, rigid_alignment
+from lmd.geometry.se3 import act, exp, inverse, rigid_alignment, skew
 from lmd.geometry.trajectory import Trajectory
 from lmd.scene.tag import Tag
 from lmd.survey.knowledge import PriorKnowledge
@@ -32,6 +32,7 @@ HEADER = (
     "off / stated, root mean square | beside the nearest group, mm | s |\n| " + " | ".join(["---"] * 10) + " |"
 )
 Given = tuple[DetectedTags, list[Camera], Tag, CornerErrors]
+NEAREST = 6  # number of tags of other groups beside which a tag is compared
 DRIFT = (0.01, 0.0087)  # metres and rad after a metre
 
 
@@ -49,9 +50,25 @@ def row(seed: int, by: str, found: Survey, ids: IntArray, places: FloatArray, se
             f"{1e3 * np.median(sigma):.1f}",
             f"{np.sqrt(np.mean((off / sigma) ** 2)):.2f}",
         ]
-    beside = "-" if found.joined is None else f"{1e3 * np.median(found.joined.sigma):.1f}"
+    beside = f"{1e3 * np.median(between):.1f}" if (between := beside_groups(found)) else "-"
     counts = [str(found.placed.sum()), str(groups.max()), str(len(groups))]
     print(f"| {' | '.join([str(seed), by, *counts, *text, beside, f'{seconds:.1f}'])} |", flush=True)
+
+
+def beside_groups(found: Survey) -> list[float]:
+    """Standard deviation of each group that only motion joins beside the nearest tag of another, metres."""
+    tags, covariance, best = found.found.poses.tags, found.found.covariance, {}
+    for k in np.flatnonzero(found.joined >= 0).tolist():
+        others = np.flatnonzero((found.joined >= 0) & (found.joined != found.joined[k]))
+        near = others[np.argsort(np.linalg.norm(tags[others, :3, 3] - tags[k, :3, 3], axis=1))[:NEAREST]]
+        for other in near.tolist():
+            between = inverse(tags[k]) @ tags[other]
+            slope = np.hstack([skew(between[:3, 3]), -np.eye(3), np.zeros((3, 3)), between[:3, :3]])
+            rows = np.r_[6 * k : 6 * k + 6, 6 * other : 6 * other + 6]
+            square = slope @ covariance[np.ix_(rows, rows)] @ slope.T
+            sigma = float(np.sqrt(np.linalg.eigvalsh(square)[-1]))
+            best[found.joined[k]] = min(best.get(found.joined[k], np.inf), sigma)
+    return list(best.values())
 
 
 def attempt(seed: int, by: str, known: PriorKnowledge, ids: IntArray, places: FloatArray, given: Given) -> None:

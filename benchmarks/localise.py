@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lmd.adjust.gauge import align_tags
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.detection.corner_errors import CORNER_ERRORS
 from lmd.formats.calibrations import calibrated_camera
@@ -24,7 +25,6 @@ from lmd.geometry.se3 import camera_pose, inverse, log
 from lmd.localise.fixed_map import LEAST_SIGMA, FixedMap
 from lmd.localise.localise import localise
 from lmd.scene.tag import Tag
-from lmd.survey.gauge import align_tags
 from lmd.survey.knowledge import PriorKnowledge
 from lmd.survey.results import map_covariance
 from lmd.survey.survey import Survey, survey
@@ -84,15 +84,17 @@ def real(folder: Path, edge: float) -> None:
             assert motion is not None
             true, smoothed = inverse(motion) @ truth.found.poses.frames, result.smoothed
             row = f"{name} | {beside}"
-            print(line(f"{row} | single", *squares(result.found.frames, result.found.covariances, true)))
+            print(line(f"{row} | single", *squares(result.found.poses.frames, result.found.frame_covariances, true)))
             if smoothed is not None:
-                print(line(f"{row} | smoothed", *squares(smoothed.frames, smoothed.covariances, true)), flush=True)
-        changes = result.changes
-        moved = ", ".join(f"{one.tag} by {1e3 * one.metres:.1f} mm, chi² {one.chi_square:.0f}" for one in changes.moved)
+                print(
+                    line(f"{row} | smoothed", *squares(smoothed.poses.frames, smoothed.frame_covariances, true)),
+                    flush=True,
+                )
+        moved = [one for one in result.changes if one.kind == "moved"]
+        named = (f"{one.tag} by {1e3 * np.linalg.norm(one.shift):.1f} mm, chi² {one.chi_square:.0f}" for one in moved)
         told.append(
-            f"map of {name}: {len(changes.moved)} of {len(changes.compared)} moved ({moved}); "
-            f"{changes.contradicted} contradict; vanished: {result.vanished or 'none'}; "
-            f"inflation {changes.inflation:.1f}; {seconds:.1f} s"
+            f"map of {name}: {len(moved)} of {len(result.compared)} moved ({', '.join(named)}); "
+            f"{result.contradicted} contradict; inflation {result.found.inflation:.1f}; {seconds:.1f} s"
         )
     print("\n".join(told))
 
@@ -120,7 +122,7 @@ def speed(frames: int, tags: int, each: int) -> None:
     took = time.process_time() - began
     assert result.smoothed is not None
     print(f"{len(times)} frames, {len(some)} sightings of {tags} tags: {took:.1f} s of one processor, "
-          f"{result.found.localised.sum()} localised")  # fmt: skip
+          f"{result.found.poses.known_frames.sum()} localised")  # fmt: skip
 
 
 def changes(drives: int, moved: float) -> None:
@@ -135,14 +137,14 @@ def changes(drives: int, moved: float) -> None:
         shift = np.r_[np.zeros(3), moved / 1e3 * way / np.linalg.norm(way)]
         walk = localisations.walked(seed, moved={tag: shift} if seed % 2 else None)
         result = localisations.localised(walk)
-        named = {one.tag: one.metres for one in result.changes.moved}
+        named = {one.tag: float(np.linalg.norm(one.shift)) for one in result.changes if one.kind == "moved"}
         if seed % 2:
             tried += 1
             if tag in named:
                 found += 1
                 off.append(abs(1e3 * named.pop(tag) - moved))
-        alarms, gone = alarms + len(named), gone + len(result.vanished)
-        compared += len(result.changes.compared)
+        alarms, gone = alarms + len(named), gone + sum(one.kind == "vanished" for one in result.changes)
+        compared += len(result.compared)
     print(f"{drives} walks: {alarms} false alarms of {compared} tags, {gone} taken for vanished; "
           f"moved by {moved:g} mm: found {found} of {tried}, "
           f"distance off by at most {max(off, default=np.nan):.1f} mm")  # fmt: skip
@@ -160,7 +162,7 @@ def truth(seeds: int) -> None:
             walk = localisations.scenario(name, seed)
             result = walk.localised()
             if result.smoothed is not None:
-                rows.append((*localisations.figures(walk, result), float(result.smoothed.localised.mean())))
+                rows.append((*localisations.figures(walk, result), float(result.smoothed.poses.known_frames.mean())))
         square, off, stated, localised = np.array(rows).T
         low, middle, high = np.quantile(square, (0.1, 0.5, 0.9))
         cells = [f"{low:.2f}, {middle:.2f}, {high:.2f}", f"{((square > 0.2) & (square < 3.0)).mean():.0%}"]

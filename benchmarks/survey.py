@@ -83,8 +83,8 @@ def aviary(folder: Path, boards: float | None, calibrate: bool | None) -> None:
     from lmd.formats.detection_formats import read_detections
     from lmd.scene.tag import Tag
     from lmd.survey.knowledge import Boards, PriorKnowledge
+    from lmd.survey.results import to_text
     from lmd.survey.survey import survey
-    from lmd.survey.terminal import to_text
 
     ids = np.arange(6, 114)
     row, column = np.divmod((ids - 6) % 6, 3)
@@ -136,8 +136,8 @@ def perch(folder: Path, calibrate: bool | None) -> None:
     from lmd.geometry.se3 import act, rigid_alignment
     from lmd.scene.tag import Tag
     from lmd.survey.knowledge import PriorKnowledge
+    from lmd.survey.results import to_text
     from lmd.survey.survey import survey
-    from lmd.survey.terminal import to_text
 
     cameras = [calibrated_camera(str(folder / "cameras.yaml"), name) for name in ("cam0", "cam1")]
     began = time.process_time()

@@ -54,13 +54,12 @@ def localise(cfg: DictConfig) -> Study:
     drive = Drive(given.mounted if isinstance(given, Rig) else None, is_mounted, odometry, steady)
     with keyed("localise", detections=source, cameras="camera", map="map"), doing("localising"):
         found = find(seen, given.cameras, tag, detector.corner_errors, known, drive, room, calibrate)
-    about = f"localisation of {found.found.localised.sum()} of {len(seen.times)} frames"
-    smoothed = None if found.smoothed is None else found.smoothed.frames
+    about = f"localisation of {found.found.poses.known_frames.sum()} of {len(seen.times)} frames"
     files: dict[str, Any] = {
         "poses.csv": results.image_columns(found),
-        "poses.tum": results.tum_text(found, found.found.frames),
+        "poses.tum": results.tum_text(found, found.found),
         "smoothed.csv": results.smoothed_columns(found),
-        "smoothed.tum": results.tum_text(found, smoothed),
+        "smoothed.tum": results.tum_text(found, found.smoothed),
         "changes.csv": results.change_columns(found),
         "localise.json": results.localise_document(found),
     }
@@ -95,8 +94,9 @@ def _map(cfg: DictConfig, tag: "Tag") -> "FixedMap":
     Raises:
         InputError: there is no map, there are two, or the file is refused.
     """
+    from lmd.adjust.prior import Hanging
     from lmd.core.checks import InputError
-    from lmd.localise.fixed_map import FixedMap, MapErrors
+    from lmd.localise.fixed_map import FixedMap
 
     node, settings = settings_of(cfg, "deployment"), settings_of(cfg, "localise")
     if "path" not in node:
@@ -110,7 +110,8 @@ def _map(cfg: DictConfig, tag: "Tag") -> "FixedMap":
         path = str(folder / (SURVEYED if (folder / SURVEYED).exists() else RUN_FILES[1]))
     names = {"axes": "deployment.axes", "columns": "deployment.columns", "edge": "tag.edge", "family": "tag.family"}
     with keyed("localise", map=key, **names):
-        found = FixedMap.read(path, tag, MapErrors(settings.place, settings.turn), **table_in(node))
+        errors = Hanging(*2 * (settings.place, settings.turn))
+        found = FixedMap.read(path, tag, errors, **table_in(node))
     note(found.note)
     return found
 

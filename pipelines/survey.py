@@ -44,10 +44,9 @@ def survey(cfg: DictConfig) -> Study:
     from lmd.evaluation.audit import audited, in_the_open
     from lmd.evaluation.verdicts import verdicts
     from lmd.survey.keyframes import select_keyframes
-    from lmd.survey.results import map_of, metrics
+    from lmd.survey.results import map_of, metrics, to_text
     from lmd.survey.survey import SurveyStage
     from lmd.survey.survey import survey as find
-    from lmd.survey.terminal import to_text
 
     from .progress import Stages
 
@@ -126,10 +125,11 @@ def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "PriorKnowledg
     Raises:
         InputError: a file cannot be read, or a number is refused.
     """
+    from lmd.adjust.prior import Hanging
     from lmd.core.checks import InputError, boolean, integer
     from lmd.formats.tag_maps import read_deployment
     from lmd.scene.rig import Rig
-    from lmd.survey.knowledge import Boards, Hanging, MeasuredPoints, PriorKnowledge
+    from lmd.survey.knowledge import Boards, MeasuredPoints, PriorKnowledge
 
     settings = plain(settings_of(cfg, "survey"))
     odometry = odometry_of(settings.get("odometry"), "survey.odometry")

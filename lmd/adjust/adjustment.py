@@ -1,27 +1,17 @@
 """Bundle adjustment: the poses of tags, frames and cameras that minimise the robust reprojection error.
 
-A sighting has eight residuals e, pixels, and chi^2 = |e|^2 / sigma^2, see `lmd.adjust.corners` and `lmd.adjust.noise`.
-Levenberg-Marquardt steps, with the weights of reweighted least squares, minimise the sum of the Student losses of
-sightings, and the losses of priors and of links of motion.
+A sighting has eight residuals e, pixels, and chi^2 = |e|^2 / sigma^2, see `lmd.adjust.corners`. Levenberg-Marquardt
+steps, with the weights of reweighted least squares, minimise the sum of the Student losses of sightings, and the losses
+of priors and of links of motion.
 
-The *kept* unknowns are tags, mounts except the first, and nuisance parameters; frames are eliminated
-(`lmd.adjust.frames`). With the blocks H_ff, H_kk and H_kf, the step of the kept unknowns solves
+The *kept* unknowns are tags, mounts except the first, the bias of odometry, and nuisance parameters; frames are
+eliminated (`lmd.adjust.frames`). With the blocks H_ff, H_kk and H_kf, the step of the kept unknowns solves
 
     (H_kk - H_kf H_ff^-1 H_fk) d_k = g_k - H_kf H_ff^-1 g_f.
 
-The spread s of a motion is estimated by maximum evidence: with theta = log s^2,
-
-    d chi^2 / d theta + d log |Q| / d theta + d log |H| / d theta = 0,
-
-where chi^2 and Q are the errors of the links and their covariance, and H is the matrix of all unknowns. The prior of s
-has the weight of `ASSUMED_LINKS` links.
-
-Source: Triggs et al., "Bundle Adjustment - A Modern Synthesis"; MacKay, "Bayesian Interpolation".
+Source: Triggs et al., "Bundle Adjustment - A Modern Synthesis".
 """
 
-from collections.abc import Callable
-from copy import copy
-from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from typing import NamedTuple
@@ -29,18 +19,19 @@ from typing import NamedTuple
 import numpy as np
 
 from lmd.adjust.corners import (
+    LEAST_DAMPING,
     Poses,
     Reprojection,
+    efficiency,
+    floor_of,
     squared_errors,
     student_loss,
     student_weight,
     sums_by,
     weighted_product,
 )
-from lmd.adjust.frames import LEAST_DAMPING, Frames, LinkedFrames, Part, SeparateFrames
-from lmd.adjust.links import Links
-from lmd.adjust.motion import Motion
-from lmd.adjust.noise import efficiency, floor_of
+from lmd.adjust.frames import LinkedFrames, Part, SeparateFrames
+from lmd.adjust.motion import Links
 from lmd.adjust.prior import Kept, Prior
 from lmd.adjust.sightings import RESIDUALS, Sightings
 from lmd.core.checks import FloatArray, IntArray
@@ -50,11 +41,7 @@ FRAME_CHUNK = 128  # frames whose equations are made at once
 LEAST_SHARE = 0.1  # least share of the squared errors that is assumed to remain after a fit
 FIRST_DAMPING, MOST_DAMPING = 1e-4, 1e6
 LEAST_GAIN = 1e-7  # the iteration ends when a step decreases the loss per sighting by less
-ASSUMED_LINKS = 3.0  # weight of the prior of a spread, as a number of links
 CHANGE = 1e-3  # relative change for derivatives of determinants
-# Estimate of a spread: maximum number of steps, largest factor on its square in a step, and relative change of the
-# square that ends the estimate.
-SPREAD_STEPS, MOST_CHANGE, SETTLED = 3, 10.0, 0.03
 
 
 class System(NamedTuple):
@@ -64,39 +51,37 @@ class System(NamedTuple):
     """`(6 kept, 6 kept)`."""
     right: FloatArray
     """`(kept, 6)` right side."""
-    parts: list[Part]
-    """Equations of the frames."""
-    frames: Frames
+    frames: SeparateFrames | LinkedFrames
     """The eliminated frames."""
 
     @property
-    def informed(self) -> IntArray:
-        """Rows of the kept unknowns with information."""
-        return np.flatnonzero(np.diag(self.matrix) > 0.0)
-
-    @property
-    def informed_matrix(self) -> FloatArray:
-        """Matrix of the kept unknowns with information."""
-        return self.matrix[np.ix_(self.informed, self.informed)]
+    def informed(self) -> tuple[IntArray, FloatArray]:
+        """Rows of the kept unknowns with information, `(n,)`, and their matrix, `(n, n)`."""
+        rows = np.flatnonzero(np.diag(self.matrix) > 0.0)
+        return rows, self.matrix[np.ix_(rows, rows)]
 
     @property
     def covariance(self) -> FloatArray:
         """Covariance of the kept unknowns, `(6 kept, 6 kept)`; NaN for those without information."""
-        whole = np.full_like(self.matrix, np.nan)
-        whole[np.ix_(self.informed, self.informed)] = np.linalg.inv(self.informed_matrix)
+        (rows, matrix), whole = self.informed, np.full_like(self.matrix, np.nan)
+        whole[np.ix_(rows, rows)] = np.linalg.inv(matrix)
         return whole
 
     @property
     def log_determinant(self) -> float:
         """Log-determinant of the matrix of all unknowns with information."""
-        return float(np.linalg.slogdet(self.informed_matrix)[1]) + self.frames.log_determinant
+        return float(np.linalg.slogdet(self.informed[1])[1]) + self.frames.log_determinant
+
+    def reached(self, kept: FloatArray) -> FloatArray:
+        """H_fk x for values x `(kept, 6, ...)` of all kept unknowns, `(F, 6, ...)`."""
+        return np.concatenate([part.reached(kept) for part in self.frames.parts])
 
 
 class Adjustment:
     """Bundle adjustment of some sightings, all of whose tags and frames have a pose.
 
-    Kept unknowns are in blocks of six: twists of tags, twists of mounts, nuisance parameters of each camera, and shapes
-    of tags.
+    Kept unknowns are in blocks of six: twists of tags, twists of mounts, the bias of odometry, nuisance parameters of
+    each camera, and shapes of tags.
 
     Args:
         sightings: the sightings.
@@ -108,33 +93,33 @@ class Adjustment:
 
     def __init__(self, sightings: Sightings, prior: Prior, nuisances: bool = False, inflation: float = 1.0) -> None:
         self.sightings, self.prior, self.inflation = sightings, prior, inflation
-        self.mounts = sightings.cameras - 1 if prior.has_unknown_mounts else 0  # number of unknown mounts
-        self.posed = len(sightings.ids) + self.mounts  # number of blocks of poses
+        self.seen, first = np.unique(sightings.frame, return_index=True)
+        self.links: Links | None = None if prior.motion is None else prior.motion.links(self.seen)
+        tags, mounts = len(sightings.ids), sightings.cameras - 1 if prior.has_unknown_mounts else 0
+        self.mounts = slice(tags, tags + mounts)  # blocks of the unknown mounts
+        self.first_lens = tags + mounts + (self.links is not None and self.links.by_bias is not None)
         self.lens_blocks = sightings.lens.shape[2] // 6 if nuisances else 0  # number of blocks of each camera
-        self.first_shape = self.posed + sightings.cameras * self.lens_blocks
-        self.kept = self.first_shape + (len(sightings.ids) if nuisances and sightings.shape_sigma else 0)
+        self.first_shape = self.first_lens + sightings.cameras * self.lens_blocks
+        self.kept = self.first_shape + (tags if nuisances and sightings.shape_sigma else 0)
         # Prior information of nuisance parameters in units of their standard deviations. Shapes also absorb errors that
         # are common to all sightings of a tag, so the inflation must not weaken sightings relative to the priors of
         # shapes.
-        lenses = np.arange(self.posed, self.kept) < self.first_shape
+        lenses = np.arange(self.first_lens, self.kept) < self.first_shape
         self.nuisance_information = np.where(lenses, 1.0, inflation**-2.0)
-        self.seen, first = np.unique(sightings.frame, return_index=True)
         ends = np.append(first[::FRAME_CHUNK], len(sightings))
         self._chunks = [sightings.of(slice(*between)) for between in pairwise(ends)]
-        self.links: Links | None = None if prior.motion is None else prior.motion.links(self.seen)
-        poses = len(self.seen) + len(np.unique(sightings.tag)) + self.mounts
-        unknowns = 6 * poses + sightings.taken
+        unknowns = 6 * (len(self.seen) + len(np.unique(sightings.tag)) + mounts) + sightings.taken
         self.share = max(1.0 - unknowns / (RESIDUALS * len(sightings)), LEAST_SHARE)  # of the squares, after a fit
 
     def _jacobians(self, some: Sightings, at: Reprojection) -> list[tuple[IntArray, FloatArray]]:
         """Kept block of each sighting, `(n,)`, and Jacobian by this block, `(n, 8, 6)`, for each kind of unknowns."""
         found = [(some.tag, at.by_tag)]
-        if self.mounts:
+        if self.mounts.stop > self.mounts.start:
             others = some.camera > 0
-            index = len(some.ids) + np.where(others, some.camera - 1, 0)
+            index = self.mounts.start + np.where(others, some.camera - 1, 0)
             found.append((index, at.by_mount * others[:, None, None]))
         for block in range(self.lens_blocks):
-            index = self.posed + self.lens_blocks * some.camera + block
+            index = self.first_lens + self.lens_blocks * some.camera + block
             found.append((index, some.lens[:, :, 6 * block : 6 * block + 6]))
         if self.kept > self.first_shape:
             found.append((self.first_shape + some.tag, some.shape_sigmas[some.tag, None] * at.by_shape))
@@ -149,39 +134,27 @@ class Adjustment:
             damping: relative growth of diagonals.
             weight: weight of every sighting and prior; None for robust weights.
         """
-        kept, parts = Kept(self.kept), []
-        for some in self._chunks:
-            at = Reprojection(some, *poses.of(some))
-            variance = some.variance(floor)
-            trust = student_weight(at.squared / variance) if weight is None else weight
-            product = partial(weighted_product, weight=trust / variance / self.inflation**2)
-            frames, owner = np.unique(some.frame, return_inverse=True)
-            summed = sums_by(owner, len(frames))
-            parts.append(self._part(some, at, kept, product, summed, owner, damping))
-        frames_of = SeparateFrames() if self.links is None else self._linked(poses, weight is None)
-        frames_of.eliminate(parts, kept.matrix, kept.right)
-        self.prior.add_to(kept, poses, weight is None)
-        kept.add(slice(self.posed, self.kept), self.nuisance_information[:, None] * np.ones(6), np.zeros(6))
+        kept, is_robust = Kept(self.kept), weight is None
+        parts = [self._part(some, poses, floor, damping, weight, kept) for some in self._chunks]
+        frames: SeparateFrames | LinkedFrames = SeparateFrames(parts)
+        if self.links is not None:
+            frames = LinkedFrames(parts, self.links, poses.frames[self.seen], is_robust, kept, self.first_lens - 1)
+        frames.eliminate(kept.matrix, kept.right)
+        self.prior.add_to(kept, poses, is_robust)
+        kept.add(slice(self.first_lens, self.kept), self.nuisance_information[:, None] * np.ones(6), np.zeros(6))
         each = np.arange(self.kept)
         kept.cells[each, each] += kept.diagonal * (1.0 + damping * np.eye(6))
-        return System(kept.matrix, kept.right, parts, frames_of)
-
-    def _linked(self, poses: Poses, is_robust: bool) -> LinkedFrames:
-        assert self.links is not None
-        return LinkedFrames(self.links, poses.frames[self.seen], is_robust)
+        return System(kept.matrix, kept.right, frames)
 
     def _part(
-        self,
-        some: Sightings,
-        at: Reprojection,
-        kept: Kept,
-        product: Callable[[FloatArray, FloatArray], FloatArray],
-        summed: Callable[[FloatArray], FloatArray],
-        owner: IntArray,
-        damping: float,
+        self, some: Sightings, poses: Poses, floor: float, damping: float, weight: float | None, kept: Kept
     ) -> Part:
         """Add the equations of the kept unknowns of some sightings, and return those of their frames."""
-        error = -at.error[..., None]
+        at, variance = Reprojection(some, *poses.of(some)), some.variance(floor)
+        trust = student_weight(at.squared / variance) if weight is None else weight
+        product = partial(weighted_product, weight=trust / variance / self.inflation**2)
+        frames, owner = np.unique(some.frame, return_inverse=True)
+        summed, error = sums_by(owner, len(frames)), -at.error[..., None]
         block = summed(product(at.by_frame, at.by_frame))
         block += damping * block * np.eye(6)
         jacobians = self._jacobians(some, at)
@@ -201,18 +174,17 @@ class Adjustment:
 
     def _moved(self, poses: Poses, kept: FloatArray, system: System) -> Poses:
         """Poses after a step `(kept, 6)` of the kept unknowns, with frames by back-substitution."""
-        frames, mounts, count = poses.frames.copy(), poses.mounts.copy(), len(self.sightings.ids)
-        twists = system.frames.steps(np.concatenate([part.reached(kept) for part in system.parts]))
-        frames[self.seen] = frames[self.seen] @ exp(twists)
-        mounts[1 : 1 + self.mounts] = mounts[1 : 1 + self.mounts] @ exp(kept[count : self.posed])
-        return Poses(poses.tags @ exp(kept[:count]), frames, mounts)
+        frames, mounts, twists = poses.frames.copy(), poses.mounts.copy(), kept[self.mounts]
+        frames[self.seen] = frames[self.seen] @ exp(system.frames.steps(system.reached(kept)))
+        mounts[1 : 1 + len(twists)] = mounts[1 : 1 + len(twists)] @ exp(twists)
+        return Poses(poses.tags @ exp(kept[: len(poses.tags)]), frames, mounts)
 
     def step(self, poses: Poses, floor: float, damping: float) -> Poses:
         """Poses after one step; unknowns without information do not change."""
-        system = self.system(poses, floor, damping)
-        some, kept = system.informed_matrix, np.zeros(6 * self.kept)
-        some[np.diag_indices_from(some)] *= 1.0 + LEAST_DAMPING
-        kept[system.informed] = np.linalg.solve(some, system.right.ravel()[system.informed])
+        system, kept = self.system(poses, floor, damping), np.zeros(6 * self.kept)
+        rows, matrix = system.informed
+        matrix[np.diag_indices_from(matrix)] *= 1.0 + LEAST_DAMPING
+        kept[rows] = np.linalg.solve(matrix, system.right.ravel()[rows])
         return self._moved(poses, kept.reshape(-1, 6), system)
 
     def joint_step(
@@ -229,11 +201,11 @@ class Adjustment:
             poses; step of the nuisance parameters, and their variances, `(n, 6)` each.
         """
         system = self.system(poses, floor, damping)
-        system.right[self.posed :] -= self.nuisance_information[:, None] * off
+        system.right[self.first_lens :] -= self.nuisance_information[:, None] * off
         covariance = np.nan_to_num(system.covariance)
         step = (covariance @ system.right.ravel()).reshape(-1, 6)
         variance = np.diag(covariance).reshape(-1, 6)
-        return self._moved(poses, step, system), step[self.posed :], variance[self.posed :]
+        return self._moved(poses, step, system), step[self.first_lens :], variance[self.first_lens :]
 
     def loss(self, poses: Poses, floor: float, sightings: Sightings | None = None) -> float:
         """Total loss of sightings, priors and links, or with equally many `sightings` through other cameras."""
@@ -241,11 +213,7 @@ class Adjustment:
         return self._loss(squared_errors(some, poses), self._prior_loss(poses), floor)
 
     def _prior_loss(self, poses: Poses) -> float:
-        loss = self.prior.loss(poses)
-        if self.links is not None:
-            at = self.links.at(poses.frames[self.seen])
-            loss += self.links.loss(self.links.squares(at.error)) + 0.5 * float(at.bias @ at.bias)
-        return loss
+        return self.prior.loss(poses) + (0.0 if self.links is None else self.links.loss(poses.frames[self.seen]))
 
     def _loss(self, error: FloatArray, prior_loss: float, floor: float) -> float:
         return prior_loss + student_loss(error / self.sightings.variance(floor)) / self.inflation**2
@@ -264,8 +232,7 @@ class Adjustment:
         """
         self._update_share(poses, floor)
         damping, most, some = FIRST_DAMPING, floor if most is None else most, self.sightings
-        error, priors = squared_errors(some, poses), self._prior_loss(poses)
-        loss = self._loss(error, priors, floor)
+        loss = self.loss(poses, floor)
         for _ in range(steps):
             tried = self.step(poses, floor, damping)
             error, priors = squared_errors(some, tried), self._prior_loss(tried)
@@ -288,13 +255,9 @@ class Adjustment:
         return self.system(poses, floor, 0.0, slope**2 / spread)
 
     def efficiency(self, poses: Poses, floor: float) -> tuple[float, float]:
-        """See `lmd.adjust.noise.efficiency`."""
+        """See `lmd.adjust.corners.efficiency`."""
         self._update_share(poses, floor)
         return efficiency(squared_errors(self.sightings, poses) / self.sightings.variance(floor) / self.share)
-
-    def covariance(self, poses: Poses, floor: float) -> FloatArray:
-        """Marginal covariance of the kept unknowns, `(6 kept, 6 kept)`; NaN for tags without sightings."""
-        return self.fixed_system(poses, floor).covariance
 
     def frame_covariances(self, poses: Poses, floor: float) -> FloatArray:
         """Marginal covariance of the right-hand twist of each frame of `seen`, `(F, 6, 6)`.
@@ -305,8 +268,7 @@ class Adjustment:
         system = self.fixed_system(poses, floor)
         values, vectors = np.linalg.eigh(np.nan_to_num(system.covariance))
         root = (vectors * np.sqrt(np.maximum(values, 0.0))).reshape(self.kept, 6, -1)
-        share = self.inflation**-2.0 if self.links is None else 1.0
-        return system.frames.covariances(np.concatenate([part.reached(root) for part in system.parts]), share)
+        return system.frames.covariances(system.reached(root), self.inflation**-2.0 if self.links is None else 1.0)
 
     def _update_share(self, poses: Poses, floor: float) -> None:
         """Set the share of the squared errors that remains after a fit, if links or a map hold some unknowns."""
@@ -315,53 +277,9 @@ class Adjustment:
             taken = (there - here) / np.log1p(CHANGE)
             self.share = max(1.0 - taken / (RESIDUALS * len(self.sightings)), LEAST_SHARE)
 
-    def with_motion(self, motion: Motion) -> "Adjustment":
-        """Copy with another spread of the motion, and equal pairs of linked frames."""
-        assert self.links is not None
-        other, first = copy(self), self.seen[self.links.first]
-        other.prior = replace(self.prior, motion=motion)
-        information = motion.information(first, self.seen[self.links.first + 1])
-        other.links = replace(self.links, information=information)
-        return other
-
-    def estimate_motion(self, poses: Poses, floor: float) -> Motion:
-        """Motion with the spread of maximum evidence."""
-        motion, links = self.prior.motion, self.links
-        assert motion is not None
-        assert links is not None
-        if not len(links.first):
-            return motion
-        assumed, found = motion.assumed, self
-        error = links.at(poses.frames[self.seen]).error
-        for _ in range(SPREAD_STEPS):
-            growths, own = [], motion.spread
-            here, size = found._evidence(poses, floor, error), links.size
-            for which in range(2):
-                turn, place = (s * (1.0 + CHANGE) ** (0.5 * (k == which)) for k, s in enumerate(own))
-                there = found.with_motion(replace(motion, spread=(turn, place)))._evidence(poses, floor, error)
-                square, volume, fit = (there - here) / np.log1p(CHANGE)
-                count = ASSUMED_LINKS * size / 2.0
-                most = volume + fit + count  # degrees of freedom of the errors after the fit
-                growth = (count * (assumed[which] / own[which]) ** 2 - square) / max(most, count)
-                growths.append(float(np.clip(growth, 1.0 / MOST_CHANGE, MOST_CHANGE)))
-            turn, place = (s * growth**0.5 for s, growth in zip(own, growths, strict=True))
-            motion = replace(motion, spread=(turn, place))
-            found = found.with_motion(motion)
-            if max(abs(growth - 1.0) for growth in growths) < SETTLED:
-                break
-        return motion
-
-    def _evidence(self, poses: Poses, floor: float, error: FloatArray) -> FloatArray:
-        """Terms of the evidence for a spread, chi^2 of the links, log |Q| and log |H|, `(3,)`."""
-        assert self.links is not None
-        squares = self.links.squares(error)
-        fit = self.system(poses, floor, 0.0, 1.0).log_determinant
-        return np.array([float((self.links.weights(squares) * squares).sum()), self.links.log_determinant, fit])
-
 
 def _orthonormal(poses: FloatArray) -> FloatArray:
     """Poses with their rotations made orthonormal again, as products accumulate rounding errors; NaN stays NaN."""
-    result = poses.copy()
-    known = np.isfinite(poses).all(axis=(1, 2))
+    result, known = poses.copy(), np.isfinite(poses).all(axis=(1, 2))
     result[known] = pose_of(nearest_rotations(poses[known, :3, :3]), poses[known, :3, 3])
     return result

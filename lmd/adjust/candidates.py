@@ -1,29 +1,32 @@
-"""Candidate poses of frames by known tags, or of tags by known frames, from single sightings.
+"""Candidate poses of frames by known tags, or of tags by known frames, from single sightings; and rough mounts.
 
 Two poses of a tag in front of a camera look alike (IPPE), so each sighting proposes two poses.
 
 Source: Collins and Bartoli, "Infinitesimal Plane-Based Pose Estimation".
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from lmd.adjust.corners import Poses, Reprojection, normal_equations, sums_by
-from lmd.adjust.frames import solved
+from lmd.adjust.corners import Poses, Reprojection, agreeing, newton_step, sums_by
+from lmd.adjust.motion import turn_twist
 from lmd.adjust.sightings import Sightings
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
+from lmd.core.checks import FloatArray, InputError, IntArray
 from lmd.core.optional import optional
-from lmd.geometry.se3 import exp, inverse, pose_of
+from lmd.geometry.se3 import exp, inverse, log, median_pose, pose_of
 
 ASSUMED_PIXELS = 0.3  # pixels, added in quadrature to the detector's standard deviation for the odds of the two poses
-# A sighting agrees with a pose if the RMS error is at most `AGREES` times its size plus `AGREES_PIXELS`, pixels.
-AGREES, AGREES_PIXELS = 0.15, 2.0
 # Maximum numbers, for a frame or tag, of sightings that propose poses, of sightings that judge poses (the largest
 # sightings are used), and of poses that are refined.
 PROPOSING, JUDGING, REFINED = 8, 60, 3
 REFINING_STEPS, WIDE, NARROW = 12, 40.0, 3.0  # Gauss-Newton steps; first and last scale of the loss, pixels
 DAMPING = 1e-6
+# A mount is doubted if at least `FEWEST_FRAMES` frames put the camera farther from it than `OFF_M`, metres, or than
+# `OFF_RAD`, rad, which calibrations explain, and than `OFF_SIGMAS` standard deviations.
+FEWEST_FRAMES, OFF_M, OFF_RAD, OFF_SIGMAS = 5, 0.05, 0.012, 5.0
+OF_MEDIAN = 1.86  # standard deviation of a median of n values, times sqrt(n), over their median absolute deviation
 
 
 @dataclass(frozen=True)
@@ -50,28 +53,22 @@ def single_poses(sightings: Sightings) -> SinglePoses:
     turned = np.stack([side, np.cross(axis, side), axis], axis=1)  # rotation from the camera to the turned camera
     rays = sightings.directions @ np.swapaxes(turned, 1, 2)
     flat = rays[..., :2] / rays[..., 2:]
-    found = np.empty((len(sightings), 2, 4, 4))
+    turns, ways = np.empty((2, len(sightings), 2, 3))
     for index, (corners, image) in enumerate(zip(sightings.corners, flat, strict=True)):
-        _, turns, ways, _ = cv2.solvePnPGeneric(corners, image, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE)
-        if not turns:
-            seen = f"tag {sightings.ids[sightings.tag[index]]}"
-            text = f"detections: the corners of {seen} form no square in a frame; list them around the tag."
-            raise InputError(text, "detections")
-        for which in range(2):
-            turn = cv2.Rodrigues(turns[which % len(turns)])[0]
-            found[index, which] = pose_of(turn, np.ravel(ways[which % len(ways)]))
+        _, turn, way, _ = cv2.solvePnPGeneric(corners, image, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE)
+        if not turn:
+            tag = f"tag {sightings.ids[sightings.tag[index]]}"
+            raise InputError(
+                f"detections: the corners of {tag} form no square in a frame; list them around the tag.", "detections"
+            )
+        turns[index], ways[index] = (np.reshape([each[0], each[-1]], (2, 3)) for each in (turn, way))
+    found = pose_of(exp(turn_twist(turns))[..., :3, :3], ways)
     poses = pose_of(np.swapaxes(turned, 1, 2), np.zeros(3))[:, None] @ found
     still = np.broadcast_to(np.eye(4), (len(sightings), 4, 4))
     error = np.stack([Reprojection(sightings, poses[:, which], still, still).squared for which in range(2)], axis=1)
-    order = np.argsort(error, axis=1)
-    poses = np.take_along_axis(poses, order[..., None, None], axis=1)
+    poses = np.take_along_axis(poses, np.argsort(error, axis=1)[..., None, None], axis=1)
     gap = np.diff(np.sort(error, axis=1), axis=1)[:, 0]
     return SinglePoses(poses, gap / (2.0 * sightings.variance(ASSUMED_PIXELS)))
-
-
-def agreeing(sightings: Sightings, error: FloatArray) -> BoolArray:
-    """True for sightings with squared errors `(N,)` that agree with a rough pose; False for NaN."""
-    return np.asarray(np.sqrt(error / 4.0) < AGREES * sightings.sizes + AGREES_PIXELS)
 
 
 class Candidates:
@@ -88,7 +85,7 @@ class Candidates:
         self._tags, self._frames, self._mounts = poses.of(some)
         owner = some.frame if by_frame else some.tag
         self.owners, self.owner, self.counts = np.unique(owner, return_inverse=True, return_counts=True)
-        self._order = np.argsort(self.owner, kind="stable")
+        self._order, self._begins = np.argsort(self.owner, kind="stable"), np.cumsum(self.counts) - self.counts
 
     def proposed(self, index: IntArray, single: FloatArray) -> FloatArray:
         """Poses of the owners of the sightings `index`, `(2 n, 4, 4)`, from the two poses of each tag in its camera,
@@ -99,45 +96,43 @@ class Candidates:
             return np.asarray(self._tags[index, None] @ inverse(single) @ inverse(mounts)).reshape(-1, 4, 4)
         return np.asarray(self._frames[index, None] @ mounts @ single).reshape(-1, 4, 4)
 
-    def _pairs(self, owner: IntArray) -> tuple[IntArray, IntArray]:
-        """Indices of all pairs of a pose and a sighting of its owner; `owner` `(P,)` has the owner of each pose."""
-        counts = self.counts[owner]
-        pose = np.repeat(np.arange(len(owner)), counts)
-        within = np.arange(len(pose)) - np.repeat(np.cumsum(counts) - counts, counts)
-        return self._order[(np.cumsum(self.counts) - self.counts)[owner][pose] + within], pose
+    def _judges(self, owner: IntArray) -> tuple[Sightings, IntArray, Callable[[FloatArray], Reprojection]]:
+        """Sightings that judge poses of the owners `(P,)`, the index of the pose that each judges, and a function from
+        poses `(P, 4, 4)` to the reprojection of these sightings.
+        """
+        pose = np.repeat(np.arange(len(owner)), self.counts[owner])
+        pairs = self._order[self._begins[owner[pose]] + rank_within(pose)]
+        some, tags, frames, mounts = self.some.of(pairs), self._tags[pairs], self._frames[pairs], self._mounts[pairs]
 
-    def _at(self, poses: FloatArray, pairs: IntArray, pose: IntArray) -> Reprojection:
-        """Reprojection of each pair of a sighting and a pose."""
-        own, mounts = poses[pose], self._mounts[pairs]
-        tags, frames = (self._tags[pairs], own) if self.by_frame else (own, self._frames[pairs])
-        return Reprojection(self.some.of(pairs), tags, frames, mounts)
+        def at(poses: FloatArray) -> Reprojection:
+            own = poses[pose]
+            return Reprojection(some, tags if self.by_frame else own, own if self.by_frame else frames, mounts)
 
-    def losses(self, poses: FloatArray, owner: IntArray) -> FloatArray:
-        """Robust losses `(P,)` of poses `(P, 4, 4)` of the owners `(P,)`."""
-        pairs, pose = self._pairs(owner)
-        error = self._at(poses, pairs, pose).squared
-        return np.asarray(np.bincount(pose, np.log1p(error / (4.0 * NARROW**2)), minlength=len(poses)))
+        return some, pose, at
 
     def agreed(self, poses: FloatArray) -> FloatArray:
         """Number of sightings of each of M owners that agree with the owner's pose `(M, 4, 4)`, `(M,)`."""
-        pairs, pose = self._pairs(np.arange(len(self.owners)))
-        agree = agreeing(self.some.of(pairs), self._at(poses, pairs, pose).squared)
-        return np.asarray(np.bincount(pose, agree, minlength=len(self.owners)))
+        some, pose, at = self._judges(np.arange(len(self.owners)))
+        return np.asarray(np.bincount(pose, agreeing(some, at(poses).squared), minlength=len(self.owners)))
 
     def best(self, poses: FloatArray, owner: IntArray, count: int) -> IntArray:
-        """Indices of the `count` poses of each owner with the least losses, sorted by owner, then by loss."""
-        order = np.lexsort((self.losses(poses, owner), owner))
+        """Indices of the `count` poses `(P, 4, 4)` of each owner `(P,)` with the least robust losses, sorted by owner,
+        then by loss.
+        """
+        _, pose, at = self._judges(owner)
+        losses = np.bincount(pose, np.log1p(at(poses).squared / (4.0 * NARROW**2)), minlength=len(poses))
+        order = np.lexsort((losses, owner))
         return np.asarray(order[rank_within(owner[order]) < count])
 
     def refined(self, poses: FloatArray, owner: IntArray) -> FloatArray:
         """Poses after Gauss-Newton steps with robust losses of decreasing scale."""
-        pairs, pose = self._pairs(owner)
+        _, pose, at = self._judges(owner)
         summed = sums_by(pose, len(poses))
         for scale in np.geomspace(WIDE, NARROW, REFINING_STEPS):
-            at = self._at(poses, pairs, pose)
-            weight = 1.0 / (1.0 + (at.error**2).mean(axis=1) / scale**2)
-            matrix, right = normal_equations(at.by_frame if self.by_frame else at.by_tag, at.error, weight, summed)
-            poses = np.asarray(poses @ exp(-solved(matrix + DAMPING * np.eye(6), right)))
+            here = at(poses)
+            weight = 1.0 / (1.0 + (here.error**2).mean(axis=1) / scale**2)
+            jacobian = here.by_frame if self.by_frame else here.by_tag
+            poses = np.asarray(poses @ exp(newton_step(jacobian, here.error, weight, summed, DAMPING * np.eye(6))[0]))
         return poses
 
     def proposals(self, single: FloatArray) -> tuple[FloatArray, IntArray]:
@@ -185,11 +180,10 @@ def place(
 def placed_tags(some: Sightings, poses: Poses, fewest: int, share: float) -> FloatArray:
     """Poses of the tags of some sightings with all frames fixed, `(K, 4, 4)`; NaN if not placed, see `place`."""
     nowhere = np.full((len(some.ids), 4, 4), np.nan)
-    some = some.of(np.isfinite(poses.frames[some.frame, 0, 0]))
-    if len(some):
-        around = Poses(nowhere, poses.frames, poses.mounts)
-        tags, found = place(some, single_poses(some).poses, around, False, fewest, share)
-        nowhere[tags] = found
+    some = some.of(poses.known_frames[some.frame])
+    around = Poses(nowhere, poses.frames, poses.mounts)
+    tags, found = place(some, single_poses(some).poses, around, False, fewest, share)
+    nowhere[tags] = found
     return nowhere
 
 
@@ -206,25 +200,34 @@ def rank_within(owner: IntArray) -> IntArray:
     return np.asarray(np.arange(len(owner)) - np.searchsorted(owner, owner))
 
 
-def best_sequence(costs: FloatArray, between: FloatArray) -> IntArray:
-    """Choose one of the two poses of each of n sightings in a sequence, at the least total cost (Viterbi).
+def measured_mounts(views: FloatArray, mounts: FloatArray) -> tuple[FloatArray, list[str]]:
+    """Mounts by frames in which two cameras show tags, and sentences on cameras that are mounted elsewhere.
 
     Args:
-        costs: cost of each pose, `(n, 2)`.
-        between: cost of pose a after pose b of the previous sighting, `(n, 2, 2)`.
+        views: poses of each camera in each frame by its own images, `(C, F, 4, 4)`; NaN if not known.
+        mounts: poses of the cameras on the body, which is the first camera, `(C, 4, 4)`.
 
     Returns:
-        index of the chosen pose of each sighting, 0 or 1, `(n,)`.
+        the given mounts, `(C, 4, 4)`, but the measured ones of cameras that are mounted elsewhere.
     """
-    chosen = np.zeros(costs.shape, dtype=np.int64)
-    total = costs[0]
-    for k in range(1, len(costs)):
-        ways = between[k] + total
-        chosen[k] = np.argmin(ways, axis=1)
-        total = costs[k] + ways.min(axis=1)
-        total = total - total.min()
-    which = np.zeros(len(costs), dtype=np.int64)
-    which[-1] = np.argmin(total)
-    for k in range(len(costs) - 1, 0, -1):
-        which[k - 1] = chosen[k, which[k]]
-    return which
+    found, doubts = mounts.copy(), []
+    for camera in range(1, len(mounts)):
+        between = inverse(views[0]) @ views[camera]
+        between = between[np.isfinite(between[:, 0, 0])]
+        if len(between) < FEWEST_FRAMES:
+            continue
+        middle = median_pose(between)
+        spread = np.median(np.abs(log(inverse(middle) @ between)), axis=0) * OF_MEDIAN / np.sqrt(len(between))
+        sure, off = OFF_SIGMAS * spread.reshape(2, 3), log(inverse(middle) @ mounts[camera])
+        least = np.maximum((OFF_RAD, OFF_M), np.linalg.norm(sure, axis=1))
+        if (np.linalg.norm(off.reshape(2, 3), axis=1) > least).any():
+            found[camera] = middle
+            doubts.append(mount_doubt(camera, off, f"by {len(between)} frames in which camera 1 sees tags, too"))
+    return found, doubts
+
+
+def mount_doubt(camera: int, off: FloatArray, by: str) -> str:
+    """Sentence on a camera that is a twist `off` `(6,)` from its mount."""
+    turn, way = np.linalg.norm(off.reshape(2, 3), axis=1)
+    where = f"camera {camera + 1} is {1e3 * way:.0f} mm and {np.degrees(turn):.3g} degrees from its mount, {by}"
+    return f"{where}: is the rig right in sign, unit and order?"

@@ -1,8 +1,12 @@
-"""Reprojection errors of sightings: residuals, Jacobians, robust weights and normal equations.
+"""Reprojection errors of sightings: residuals, Jacobians, noise, robust weights, and Gauss-Newton steps.
 
 A sighting has 8 residuals e, pixels, see `lmd.adjust.sightings`. Errors are modelled by a multivariate Student
 distribution with nu degrees of freedom. With chi^2 = |e|^2 / sigma^2 of d residuals, the robust loss is (nu + d) / 2
 log(1 + chi^2 / nu), and the weight in iteratively reweighted least squares is (nu + d) / (nu + chi^2).
+
+The variance of a coordinate of a corner is the sum of the detector's variance and of the squared *floor*, which stands
+for errors of lenses and bodies. The floor is estimated so that the weighted mean of chi^2 has the value expected for
+normal errors.
 
 Source: Lange et al., "Robust Statistical Modeling Using the t Distribution".
 """
@@ -13,16 +17,23 @@ from functools import cached_property
 
 import numpy as np
 
-from lmd.adjust.frames import LEAST_DAMPING, solved
 from lmd.adjust.sightings import RESIDUALS, SHAPES, Sightings
-from lmd.core.checks import FloatArray, IntArray
+from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.geometry.se3 import cross, exp, inverse
 
 DEGREES_OF_FREEDOM = 4.0  # nu
 # Minimum depth of a corner in front of the camera, metres. Nearer corners, and corners behind the camera, have
 # residuals of NOWHERE pixels.
 NEAREST, NOWHERE = 1e-3, 1e4
-RESECTION_STEPS = 10  # Gauss-Newton steps of resection
+RESECTION_STEPS, LEAST_DAMPING = 10, 1e-9  # Gauss-Newton steps of resection; least growth of diagonals in a solution
+# Mean of (nu + 8) x / (nu + x) for x with the chi^2 distribution with 8 degrees of freedom.
+NORMAL_MEAN = 7.5625
+FLOOR_BISECTIONS = 40
+# A sighting is an outlier if its chi^2, with eight degrees of freedom, exceeds `OUTLIER_CHI_SQUARE`, and its RMS error
+# exceeds `OUTLIER_PIXELS` and the share `OUTLIER_SHARE` of its shortest side. Blur and lenses cause smaller errors.
+OUTLIER_CHI_SQUARE, OUTLIER_PIXELS, OUTLIER_SHARE = 60.0, 1.0, 0.02
+# A sighting agrees with a rough pose if its RMS error is at most `AGREES` times its size plus `AGREES_PIXELS`, pixels.
+AGREES, AGREES_PIXELS = 0.15, 2.0
 
 
 @dataclass(frozen=True)
@@ -40,9 +51,15 @@ class Poses:
         """Poses `(N, 4, 4)` of the tag, the frame and the mount of each sighting."""
         return self.tags[sightings.tag], self.frames[sightings.frame], self.mounts[sightings.camera]
 
-    def with_tags(self, tags: FloatArray) -> "Poses":
-        """Poses with other poses of the tags, `(K, 4, 4)`."""
-        return replace(self, tags=tags)
+    @property
+    def known_tags(self) -> BoolArray:
+        """True for tags with a pose, `(K,)`."""
+        return np.isfinite(self.tags[:, 0, 0])
+
+    @property
+    def known_frames(self) -> BoolArray:
+        """True for frames with a pose, `(F,)`."""
+        return np.isfinite(self.frames[:, 0, 0])
 
 
 class Reprojection:
@@ -95,7 +112,17 @@ class Reprojection:
     @cached_property
     def by_tag(self) -> FloatArray:
         """Jacobian of the residuals by the pose of the tag, `(N, 8, 6)`."""
-        return self._rows(cross(self._corners[:, :, None], self._by_corner), self._by_corner)
+        return -_by_twist(self._by_corner, self._corners)
+
+    @cached_property
+    def by_frame(self) -> FloatArray:
+        """Jacobian of the residuals by the pose of the body, `(N, 8, 6)`."""
+        return _by_twist(self._by_body, self._body)
+
+    @cached_property
+    def by_mount(self) -> FloatArray:
+        """Jacobian of the residuals by the pose of the camera on the body, `(N, 8, 6)`."""
+        return _by_twist(self._by_seen, self._seen)
 
     @cached_property
     def by_shape(self) -> FloatArray:
@@ -105,21 +132,12 @@ class Reprojection:
     @cached_property
     def by_size(self) -> FloatArray:
         """Derivative of the residuals by the logarithm of the tag's edge, `(N, 8, 1)`."""
-        way = self.by_tag[..., 3:].reshape(-1, 4, 2, 3)
-        return np.asarray(way @ self._corners[..., None]).reshape(-1, RESIDUALS, 1)
+        return np.asarray(self._by_corner @ self._corners[..., None]).reshape(-1, RESIDUALS, 1)
 
-    @cached_property
-    def by_frame(self) -> FloatArray:
-        """Jacobian of the residuals by the pose of the body, `(N, 8, 6)`."""
-        return self._rows(cross(self._by_body, self._body[:, :, None]), -self._by_body)
 
-    @cached_property
-    def by_mount(self) -> FloatArray:
-        """Jacobian of the residuals by the pose of the camera on the body, `(N, 8, 6)`."""
-        return self._rows(cross(self._by_seen, self._seen[:, :, None]), -self._by_seen)
-
-    def _rows(self, turn: FloatArray, way: FloatArray) -> FloatArray:
-        return np.concatenate([turn, way], axis=-1).reshape(-1, RESIDUALS, 6)
+def _by_twist(slope: FloatArray, points: FloatArray) -> FloatArray:
+    """Jacobian `(N, 8, 6)` by a twist of the frame of `points` `(N, 4, 3)`, from that by the points `(N, 4, 2, 3)`."""
+    return np.concatenate([cross(slope, points[:, :, None]), -slope], axis=-1).reshape(-1, RESIDUALS, 6)
 
 
 def squared_errors(sightings: Sightings, poses: Poses) -> FloatArray:
@@ -127,27 +145,65 @@ def squared_errors(sightings: Sightings, poses: Poses) -> FloatArray:
     return Reprojection(sightings, *poses.of(sightings)).squared
 
 
+def agreeing(sightings: Sightings, error: FloatArray) -> BoolArray:
+    """True for sightings with squared errors `(N,)` that agree with a rough pose; False for NaN."""
+    return np.asarray(np.sqrt(error / 4.0) < AGREES * sightings.sizes + AGREES_PIXELS)
+
+
+def fitting(sightings: Sightings, error: FloatArray, floor: float) -> BoolArray:
+    """Mask of the sightings that are no outliers, from their squared errors `(N,)`; False for NaN."""
+    near = np.sqrt(error / 4.0) <= np.maximum(OUTLIER_PIXELS, OUTLIER_SHARE * sightings.sizes)
+    return np.asarray((error / sightings.variance(floor) <= OUTLIER_CHI_SQUARE) | near)
+
+
 def student_weight(square: FloatArray, residuals: int | IntArray = RESIDUALS) -> FloatArray:
     """Weights (nu + d) / (nu + chi^2) for d residuals."""
     return np.asarray((DEGREES_OF_FREEDOM + residuals) / (DEGREES_OF_FREEDOM + square))
 
 
+def student_losses(square: FloatArray, residuals: int = RESIDUALS) -> FloatArray:
+    """Losses (nu + d) / 2 log(1 + chi^2 / nu) for d residuals."""
+    return np.asarray((DEGREES_OF_FREEDOM + residuals) / 2.0 * np.log1p(square / DEGREES_OF_FREEDOM))
+
+
 def student_loss(square: FloatArray, residuals: int = RESIDUALS) -> float:
-    """Sum of the losses (nu + d) / 2 log(1 + chi^2 / nu) for d residuals."""
-    return float((DEGREES_OF_FREEDOM + residuals) / 2.0 * np.log1p(square / DEGREES_OF_FREEDOM).sum())
+    """Sum of the `student_losses`."""
+    return float(student_losses(square, residuals).sum())
+
+
+def floor_of(error: FloatArray, noise: FloatArray, most: float) -> float:
+    """Floor, pixels, at most `most`, at which the squared errors have their expected mean, by bisection.
+
+    Args:
+        error: squared errors |e|^2 of sightings before a fit takes a part of them, pixels^2, `(N,)`.
+        noise: standard deviation of a coordinate of a corner according to the detector, pixels, `(N,)`.
+        most: greatest floor, pixels.
+    """
+    low, high = 0.0, most
+    for _ in range(FLOOR_BISECTIONS):
+        middle = (low + high) / 2.0
+        square = error / (noise**2 + middle**2)
+        if (student_weight(square) * square).mean() > NORMAL_MEAN:
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+def efficiency(square: FloatArray) -> tuple[float, float]:
+    """Mean slope of the estimating equations and variance of their right side (sandwich formula), by chi^2 `(N,)`.
+
+    With weights w(chi^2), the slope is the mean of w + 2 w' chi^2 / 8, and the variance is the mean of w^2 chi^2 / 8.
+    Least squares with the weight slope^2 / variance of all sightings has the covariance of the robust fit.
+    """
+    weight = student_weight(square)
+    slope = (weight - 2.0 / RESIDUALS * square * weight / (DEGREES_OF_FREEDOM + square)).mean()
+    return float(slope), float((weight**2 * square).mean() / RESIDUALS)
 
 
 def weighted_product(one: FloatArray, other: FloatArray, weight: FloatArray) -> FloatArray:
     """A^T w B of each sighting, `(N, a, b)`, for A `(N, r, a)`, B `(N, r, b)` and weights `(N,)`."""
     return np.asarray((np.swapaxes(one, 1, 2) * weight[:, None, None]) @ other)
-
-
-def normal_equations(
-    jacobian: FloatArray, error: FloatArray, weight: FloatArray, summed: Callable[[FloatArray], FloatArray]
-) -> tuple[FloatArray, FloatArray]:
-    """Sums of J^T w J `(n, m, m)` and J^T w e `(n, m)` by owner, for J `(N, r, m)`, e `(N, r)`; see `sums_by`."""
-    right = weighted_product(jacobian, error[..., None], weight)[..., 0]
-    return summed(weighted_product(jacobian, jacobian, weight)), summed(right)
 
 
 def sums_by(owner: IntArray, count: int) -> Callable[[FloatArray], FloatArray]:
@@ -163,15 +219,36 @@ def sums_by(owner: IntArray, count: int) -> Callable[[FloatArray], FloatArray]:
     return summed
 
 
+def solved(matrices: FloatArray, right: FloatArray) -> FloatArray:
+    """Solutions `(n, m)` of n systems `(n, m, m)`."""
+    return np.asarray(np.linalg.solve(matrices, right[..., None])[..., 0], dtype=np.float64)
+
+
+def newton_step(
+    jacobian: FloatArray,
+    error: FloatArray,
+    weight: FloatArray,
+    summed: Callable[[FloatArray], FloatArray],
+    damping: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Gauss-Newton steps `(n, m)` of n owners of sightings, and their normal matrices `(n, m, m)`.
+
+    Args:
+        jacobian, error, weight: of each sighting, `(N, r, m)`, `(N, r)` and `(N,)`.
+        summed: sum over the sightings of each owner, see `sums_by`.
+        damping: added to the matrices, `(m, m)`.
+    """
+    matrix = summed(weighted_product(jacobian, jacobian, weight)) + damping
+    return -solved(matrix, summed(weighted_product(jacobian, error[..., None], weight)[..., 0])), matrix
+
+
 def resected(sightings: Sightings, poses: Poses, floor: float) -> Poses:
     """Poses with the frames of some sightings refined, while tags and mounts are fixed (resection)."""
     seen, owner = np.unique(sightings.frame, return_inverse=True)
-    summed, variance = sums_by(owner, len(seen)), sightings.variance(floor)
+    summed, variance, frames = sums_by(owner, len(seen)), sightings.variance(floor), poses.frames.copy()
     for _ in range(RESECTION_STEPS):
-        at = Reprojection(sightings, *poses.of(sightings))
+        at = Reprojection(sightings, *replace(poses, frames=frames).of(sightings))
         weight = student_weight(at.squared / variance) / variance
-        matrix, right = normal_equations(at.by_frame, at.error, weight, summed)
-        frames = poses.frames.copy()
-        frames[seen] = frames[seen] @ exp(-solved(matrix + LEAST_DAMPING * np.eye(6), right))
-        poses = replace(poses, frames=frames)
-    return poses
+        step, _ = newton_step(at.by_frame, at.error, weight, summed, LEAST_DAMPING * np.eye(6))
+        frames[seen] = frames[seen] @ exp(step)
+    return replace(poses, frames=frames)

@@ -18,11 +18,12 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from lmd.adjust.adjustment import Adjustment
-from lmd.adjust.corners import Poses, squared_errors
-from lmd.adjust.gauge import diagonal_blocks, gauge_free, in_world, rows_of
-from lmd.adjust.noise import fitting
+from lmd.adjust.corners import Poses, fitting, squared_errors
+from lmd.adjust.drive import spread_motion
+from lmd.adjust.gauge import diagonal_blocks, gauge_free, rows_of, worst_sigmas
+from lmd.adjust.intrinsics import Calibrated, Optics
 from lmd.adjust.prior import EXACT_SIGMA, Prior
-from lmd.adjust.sightings import Sightings
+from lmd.adjust.sightings import Observations, Sightings
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 
 FLOOR_PIXELS = 3.0  # maximum of the floor, pixels
@@ -39,11 +40,25 @@ LEAST_PART = 1e-9  # minimum eigenvalue of a block's information, relative to th
 
 
 @dataclass(frozen=True)
+class Lenses:
+    """Nuisance parameters of the cameras, see `lmd.adjust.refinement`."""
+
+    seen: Observations
+    """Detections, and the given cameras."""
+    optics: tuple[Optics, ...]
+    """Refined optics of the cameras."""
+    sigmas: tuple[FloatArray, ...]
+    """Prior standard deviations of each camera's values, see `Optics.values`, `(P + 2,)`."""
+    off: FloatArray
+    """`(C, 6 L)` distance of the cameras' values from the given values, in prior standard deviations."""
+
+
+@dataclass(frozen=True)
 class Estimate:
     """Estimated poses of the tags of some sightings."""
 
     sightings: Sightings
-    """All sightings."""
+    """All sightings, with the shapes of tags."""
     prior: Prior
     """Prior of the unknowns."""
     poses: Poses
@@ -56,10 +71,53 @@ class Estimate:
     """`(N,)` inliers: sightings from which the map is made."""
     misfits: BoolArray
     """`(N,)` outliers: sightings, of tags and in frames of the map, that do not fit the pose of their tag."""
-    floor: float
+    floor: float = FLOOR_PIXELS
     """Standard deviation of corners beyond the detector's own, pixels."""
     inflation: float = 1.0
     """Factor of the standard deviations of sightings, see `inflation`."""
+    lenses: Lenses | None = None
+    """Nuisance parameters of the cameras; None if cameras are exact."""
+
+    @classmethod
+    def adjusted_from(
+        cls, sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, most: float = FLOOR_PIXELS
+    ) -> "Estimate":
+        """Estimate that is `adjusted` from rough `poses`; arguments as the fields."""
+        nothing = np.zeros(len(sightings), dtype=bool)
+        return cls(sightings, prior, poses, group, nothing, nothing).adjusted(most)
+
+    def adjusted(self, most: float = FLOOR_PIXELS) -> "Estimate":
+        """Estimate in which the poses of the map, which is group 0, are adjusted; `most` is the maximum of the floor.
+
+        Raises:
+            InputError: no sightings agree.
+        """
+        sightings, prior, poses, group, floor = self.sightings, self.prior, self.poses, self.group, most
+        of_map = (group[sightings.tag] == 0) & poses.known_frames[sightings.frame]
+        used = of_map = constraining(sightings, of_map, prior)
+        misfits = np.zeros_like(used)
+        sheets = None if prior.sheets is None else prior.sheets.of((group == 0) & (sightings.counts(of_map) > 0))
+        prior = replace(prior, information=np.where((group == 0)[:, None], prior.information, 0.0), sheets=sheets)
+        for steps in (STEPS, FINAL_STEPS):
+            used = constraining(sightings, used, prior)
+            if not used.any() and prior.joint is not None:
+                break
+            if not used.any():
+                raise InputError(
+                    "detections: no two tags of a frame agree with one pose of the camera; are the corners in another "
+                    "order, or the calibration another one?",
+                    "detections",
+                )
+            joint = Adjustment(sightings.of(used), prior, inflation=self.inflation)
+            poses, floor = joint.run(poses, floor, steps)
+            if joint.links is not None and steps == STEPS:
+                prior = replace(prior, motion=spread_motion(joint, poses, floor))
+            misfits = of_map & ~fitting(sightings, squared_errors(sightings, poses), floor)
+            used = of_map & ~misfits
+        used = constraining(sightings, used, prior)
+        shown = np.isin(np.arange(sightings.frames), sightings.frame[used])
+        poses = replace(poses, frames=np.where(shown[:, None, None], poses.frames, np.nan))
+        return replace(self, prior=prior, poses=poses, used=used, misfits=misfits, floor=floor)
 
     @property
     def adjustment(self) -> Adjustment:
@@ -70,7 +128,7 @@ class Estimate:
     def covariance(self) -> FloatArray:
         """Covariance of the kept unknowns, see `Adjustment`; twists are in the frames of the tags and cameras."""
         with threadpool_limits(limits=ONE_THREAD):
-            return self.adjustment.covariance(self.poses, self.floor)
+            return self.adjustment.fixed_system(self.poses, self.floor).covariance
 
     @property
     def known(self) -> BoolArray:
@@ -78,12 +136,30 @@ class Estimate:
         of_tags = np.diag(self.covariance)[: 6 * len(self.group)].reshape(-1, 6)
         return np.asarray((self.group == 0) & np.isfinite(of_tags).all(axis=1))
 
+    def _blocks(self, first: int, last: int, size: int = 6) -> FloatArray:
+        """Covariances of the kept blocks from `first` to `last`."""
+        return diagonal_blocks(self.covariance[6 * first : 6 * last, 6 * first : 6 * last], size)
+
     @property
     def covariances(self) -> FloatArray:
         """Marginal covariance of the twist of each tag, `(K, 6, 6)`; NaN for tags not in the map."""
-        size = 6 * len(self.group)
-        blocks = diagonal_blocks(self.covariance[:size, :size], len(self.group))
-        return np.where(self.known[:, None, None], blocks, np.nan)
+        return np.where(self.known[:, None, None], self._blocks(0, len(self.group)), np.nan)
+
+    @property
+    def lens_covariances(self) -> FloatArray:
+        """Covariance of each camera's nuisance parameters, in the units of `Sightings.lens`, `(C, 6 L, 6 L)`."""
+        joint = self.adjustment
+        return self._blocks(joint.first_lens, joint.first_shape, 6 * joint.lens_blocks)
+
+    @cached_property
+    def frame_covariances(self) -> FloatArray:
+        """Marginal covariance of the twist of each frame, `(F, 6, 6)`; NaN for frames without a pose."""
+        found = np.full((self.sightings.frames, 6, 6), np.nan)
+        if self.used.any():
+            with threadpool_limits(limits=ONE_THREAD):
+                joint = self.adjustment
+                found[joint.seen] = joint.frame_covariances(self.poses, self.floor)
+        return np.where(self.poses.known_frames[:, None, None], found, np.nan)
 
     @cached_property
     def gauge_free_covariance(self) -> FloatArray:
@@ -96,22 +172,26 @@ class Estimate:
     def gauge_free_covariances(self) -> FloatArray:
         """Covariance of the twist of each tag relative to the other tags, see `gauge_free`, `(K, 6, 6)`."""
         known, found = self.known, np.full((len(self.group), 6, 6), np.nan)
-        found[known] = diagonal_blocks(self.gauge_free_covariance, int(known.sum()))
+        found[known] = diagonal_blocks(self.gauge_free_covariance)
         return found
 
     @property
-    def mount_covariances(self) -> FloatArray:
-        """Covariance of the twist of each unknown mount, `(C - 1, 6, 6)`; empty if mounts are exact."""
-        first, system = len(self.group), self.adjustment
-        own = slice(6 * first, 6 * system.posed)
-        return diagonal_blocks(self.covariance[own, own], system.mounts) if system.mounts else np.empty((0, 6, 6))
+    def sigmas(self) -> FloatArray:
+        """Standard deviation of each tag's place relative to the other tags, in the worst direction, metres, `(K,)`."""
+        return worst_sigmas(self.gauge_free_covariances)[:, 0]
 
     @property
-    def lens_covariances(self) -> FloatArray:
-        """Covariance of each camera's nuisance parameters, in the units of `Sightings.lens`, `(C, 6 L, 6 L)`."""
-        system = self.adjustment
-        own = slice(6 * system.posed, 6 * system.first_shape)
-        return diagonal_blocks(self.covariance[own, own], self.sightings.cameras)
+    def calibrated(self) -> tuple[Calibrated, ...]:
+        """Cameras beside the given ones, with their covariances; empty if cameras are exact."""
+        if self.lenses is None or not self.used.any():
+            return ()
+        lenses = self.lenses
+        sizes = map(len, lenses.sigmas)
+        scaled = [
+            own[:n, :n] * np.outer(s, s) for own, n, s in zip(self.lens_covariances, sizes, lenses.sigmas, strict=True)
+        ]
+        each = zip(lenses.seen.optics, lenses.optics, scaled, strict=True)
+        return tuple(Calibrated(given.camera, one.camera, one.shifts[0], own) for given, one, own in each)
 
     @property
     def frames(self) -> IntArray:
@@ -119,30 +199,9 @@ class Estimate:
         return np.unique(self.sightings.frame[self.used])
 
     @property
-    def sigmas(self) -> FloatArray:
-        """Standard deviation of each tag's place relative to the other tags, in the worst direction, metres, `(K,)`."""
-        known = np.asarray(np.isfinite(self.gauge_free_covariances).all(axis=(1, 2)))
-        result = np.full(len(known), np.nan)
-        largest = np.linalg.eigvalsh(self.gauge_free_covariances[known][:, 3:, 3:])[:, -1]
-        result[known] = np.sqrt(np.maximum(largest, 0.0))
-        return result
-
-    def in_world(self, covariances: FloatArray) -> FloatArray:
-        """Covariances of position and rotation in the world frame, m^2 and rad^2, `(K, 6, 6)`.
-
-        Args:
-            covariances: covariances of the twists of tags in their own frames, `(K, 6, 6)`.
-        """
-        return in_world(self.poses.tags, covariances)
-
-    def moved(self, motion: FloatArray) -> "Estimate":
-        """Estimate after a motion `(4, 4)` of the world."""
-        poses = replace(self.poses, tags=motion @ self.poses.tags, frames=motion @ self.poses.frames)
-        return replace(self, poses=poses, prior=replace(self.prior, tags=motion @ self.prior.tags))
-
-    def adjusted(self, poses: Poses) -> "Estimate":
-        """Estimate that is adjusted again, from `poses`."""
-        return adjust(self.sightings, self.prior, poses, self.group, self.floor, self.inflation)
+    def squares(self) -> FloatArray:
+        """Squared error of each sighting, pixels^2, `(N,)`; NaN if its tag or frame has no pose."""
+        return squared_errors(self.sightings, self.poses)
 
     @property
     def are_astray(self) -> BoolArray:
@@ -150,68 +209,31 @@ class Estimate:
         counts = self.sightings.counts(self.misfits)
         return np.asarray((counts >= FEWEST_MISFITS) & (counts > self.sightings.counts(self.used)))
 
-    def errors(self) -> FloatArray:
-        """RMS reprojection errors of the inliers, pixels, `(n,)`."""
-        return np.asarray(np.sqrt(self.squares[self.used] / 4.0))
+    def with_tags(self, chosen: IntArray | BoolArray, tags: FloatArray) -> "Estimate":
+        """Estimate with other poses of the `chosen` tags, `(n, 4, 4)`."""
+        every = self.poses.tags.copy()
+        every[chosen] = tags
+        return replace(self, poses=replace(self.poses, tags=every))
 
-    @property
-    def squares(self) -> FloatArray:
-        """Squared error of each sighting, pixels^2, `(N,)`; NaN if its tag or frame has no pose."""
-        return squared_errors(self.sightings, self.poses)
+    def moved(self, motion: FloatArray) -> "Estimate":
+        """Estimate after a motion `(4, 4)` of the world."""
+        poses = replace(self.poses, tags=motion @ self.poses.tags, frames=motion @ self.poses.frames)
+        return replace(self, poses=poses, prior=replace(self.prior, tags=motion @ self.prior.tags))
 
 
-def constraining(sightings: Sightings, used: BoolArray, prior: Prior | None = None) -> BoolArray:
+def constraining(sightings: Sightings, used: BoolArray, prior: Prior) -> BoolArray:
     """True for the `used` sightings that constrain the map, `(N,)`.
 
     A single sighting in its frame constrains the map only if the frame is linked to another frame; in a map that is
     known (`Prior.joint`), it tells where the frame is.
     """
-    if prior is not None and prior.joint is not None:
+    if prior.joint is not None:
         return used
-    motion = None if prior is None else prior.motion
     counts = np.bincount(sightings.frame[used], minlength=sightings.frames)
-    enough = counts >= 2
-    if motion is not None:
-        frames = np.flatnonzero(counts)
-        enough[frames[motion.linked(frames)]] = True
+    enough, frames = counts >= 2, np.flatnonzero(counts)
+    if prior.motion is not None:
+        enough[frames[prior.motion.linked(frames)]] = True
     return np.asarray(used & enough[sightings.frame])
-
-
-def adjust(
-    sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, floor: float, inflation: float = 1.0
-) -> Estimate:
-    """Adjust the map, which is group 0, from initial `poses`; arguments as in `Estimate`.
-
-    Raises:
-        InputError: no sightings agree.
-    """
-    of_map = (group[sightings.tag] == 0) & np.isfinite(poses.frames[sightings.frame, 0, 0])
-    of_map = used = constraining(sightings, of_map, prior)
-    misfits = np.zeros(len(sightings), dtype=bool)
-    sheets = None if prior.sheets is None else prior.sheets.of((group == 0) & (sightings.counts(of_map) > 0))
-    information = np.where((group == 0)[:, None], prior.information, 0.0)
-    prior = replace(prior, information=information, sheets=sheets if sheets is not None and len(sheets.tag) else None)
-    for steps in (STEPS, FINAL_STEPS):
-        used = constraining(sightings, used, prior)
-        if not used.any() and prior.joint is not None:
-            break
-        if not used.any():
-            raise InputError(
-                "detections: no two tags of a frame agree with one pose of the camera; are the corners in another "
-                "order, or the calibration another one?",
-                "detections",
-            )
-        adjustment = Adjustment(sightings.of(used), prior, inflation=inflation)
-        poses, floor = adjustment.run(poses, floor, steps)
-        if adjustment.links is not None and steps == STEPS:
-            prior = replace(prior, motion=adjustment.estimate_motion(poses, floor))
-        misfits = of_map & ~fitting(sightings, squared_errors(sightings, poses), floor)
-        used = of_map & ~misfits
-    used = constraining(sightings, used, prior)
-    frames = np.full_like(poses.frames, np.nan)
-    frames[np.unique(sightings.frame[used])] = poses.frames[np.unique(sightings.frame[used])]
-    poses = replace(poses, frames=frames)
-    return Estimate(sightings, prior, poses, group, used, misfits, floor, inflation)
 
 
 def inflation(found: Estimate, report: Callable[[int, int], object]) -> float:
@@ -230,18 +252,16 @@ def inflation(found: Estimate, report: Callable[[int, int], object]) -> float:
         return 1.0
     with threadpool_limits(limits=ONE_THREAD):
         blocks = _blocks_of_time(found)
-        efficiency = Adjustment(found.sightings.of(found.used), found.prior).efficiency(found.poses, found.floor)
+        slope, spread = Adjustment(found.sightings.of(found.used), found.prior).efficiency(found.poses, found.floor)
         off: list[FloatArray] = []
         for frames in blocks:
             report(len(off), len(blocks))
-            off.append(_off(found, frames, *efficiency))
+            off.append(_off(found, frames, slope, spread))
     square = (np.stack(off) ** 2).sum(axis=(0, 2))
     stated = np.trace(found.gauge_free_covariances[found.known][:, 3:, 3:], axis1=1, axis2=2)
     known = stated > 0.0
-    if not known.any():
-        return 1.0
     ratio = np.maximum(square[known] / stated[known], LEAST_RATIO)
-    return float(max(np.exp(np.log(ratio).mean() / 2.0), 1.0))
+    return float(max(np.exp(np.log(ratio).mean() / 2.0), 1.0)) if known.any() else 1.0
 
 
 def _blocks_of_time(found: Estimate) -> list[IntArray]:
@@ -259,7 +279,7 @@ def _without_links(found: Estimate) -> Estimate:
     from scipy.sparse.csgraph import connected_components
 
     some, count = found.sightings, len(found.group)
-    used = constraining(some, found.used)
+    used = constraining(some, found.used, replace(found.prior, motion=None, joint=None))
     ends = (some.tag[used], count + some.frame[used])
     whole = coo_array((np.ones(used.sum()), ends), shape=(count + some.frames,) * 2)
     _, part = connected_components(whole, directed=False)
@@ -288,7 +308,8 @@ def _off(found: Estimate, frames: IntArray, slope: float, spread: float) -> Floa
     part = Adjustment(some, nothing, nuisances=True)
     own = part.system(found.poses, found.floor, 0.0, slope**2 / spread).matrix
     right = part.system(found.poses, found.floor).right
-    own[6 * part.posed :, 6 * part.posed :] -= np.eye(len(own) - 6 * part.posed)  # the prior of nuisance parameters
+    first = 6 * part.first_lens
+    own[first:, first:] -= np.eye(len(own) - first)  # the prior of nuisance parameters
     covariance = found.covariance
     rows = np.flatnonzero((np.diag(own) > 0.0) & np.isfinite(np.diag(covariance)))
     values, vectors = np.linalg.eigh(own[np.ix_(rows, rows)])

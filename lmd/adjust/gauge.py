@@ -1,14 +1,15 @@
-"""Covariances that do not depend on the choice of the world frame."""
+"""The gauge of a map, the choice of its world frame: covariances that do not depend on it, and maps laid on others."""
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, IntArray
-from lmd.geometry.se3 import adjoint_matrix, inverse
+from lmd.core.checks import BoolArray, FloatArray, IntArray
+from lmd.geometry.se3 import adjoint_matrix, inverse, log, pose_of
 
-AXES = ("x", "y", "z", "rx", "ry", "rz")  # of positions and rotations in the world
-TWISTS = ("tilt_x", "tilt_y", "turn", "right", "up", "out")  # components of a twist in the frame of a tag
-# Columns of the standard deviations of a tag beside the other tags, along its own axes, rad and metres.
-SIGMA_COLUMNS = tuple(f"sigma_{name}" for name in TWISTS)
+ARM = 0.1  # distance of a point on a tag's normal from the centre, metres; the point represents the normal in fits
+NO_TURN = 0.05**2  # points with a smaller sum of squared distances from a line, m^2, determine no rotation
+PLACE_SCALE, NORMAL_SCALE = 0.05, 0.2  # scales of the robust loss of centres, metres, and of normals, rad
+PAIRS = 600  # maximum number of pairs of tags that propose a motion
+REFINING_STEPS = 8
 
 
 def rows_of(tags: IntArray) -> IntArray:
@@ -16,10 +17,11 @@ def rows_of(tags: IntArray) -> IntArray:
     return np.asarray((6 * tags[:, None] + np.arange(6)).ravel())
 
 
-def diagonal_blocks(covariance: FloatArray, count: int) -> FloatArray:
-    """The `count` equal blocks on the diagonal of a matrix, `(count, m, m)`."""
-    size = len(covariance) // count
-    return np.stack([covariance[size * k : size * (k + 1), size * k : size * (k + 1)] for k in range(count)])
+def diagonal_blocks(covariance: FloatArray, size: int = 6) -> FloatArray:
+    """Blocks of a size on the diagonal of a matrix, `(n, size, size)`."""
+    count = len(covariance) // size
+    each = np.arange(count)
+    return np.asarray(covariance.reshape(count, size, count, size)[each, :, each])
 
 
 def gauge_free(tags: FloatArray) -> FloatArray:
@@ -46,19 +48,84 @@ def in_world(poses: FloatArray, covariances: FloatArray) -> FloatArray:
         poses: poses, `(n, 4, 4)`.
         covariances: covariances of their right-hand twists, `(n, 6, 6)`.
     """
-    turned = poses[:, :3, :3]
-    whole = np.zeros((len(poses), 6, 6))
-    whole[:, :3, 3:] = whole[:, 3:, :3] = turned
+    whole = world_from_twists(poses)
     return np.asarray(whole @ covariances @ np.swapaxes(whole, 1, 2))
 
 
-def covariance_columns(covariances: FloatArray) -> dict[str, FloatArray]:
-    """Columns of the upper triangles of covariances in the world `(n, 6, 6)`, row by row."""
-    return {f"cov_{AXES[i]}_{AXES[j]}": covariances[:, i, j] for i in range(6) for j in range(i, 6)}
+def world_from_twists(poses: FloatArray) -> FloatArray:
+    """Matrices from right-hand twists of poses to shifts and rotations about the axes of the world, `(n, 6, 6)`."""
+    whole = np.zeros((len(poses), 6, 6))
+    whole[:, :3, 3:] = whole[:, 3:, :3] = poses[:, :3, :3]
+    return whole
 
 
-def quantiles(name: str, values: FloatArray) -> dict[str, float]:
-    """Median and 90 % quantile; empty without values."""
-    if not values.size:
-        return {}
-    return {f"{name}/{share}": float(np.quantile(values, share / 100.0)) for share in (50, 90)}
+def worst_sigmas(covariances: FloatArray) -> FloatArray:
+    """Standard deviations of shift, metres, and rotation, rad, in their worst directions, of twists, `(n, 2)`; NaN
+    where `covariances` `(n, 6, 6)` are.
+    """
+    found, known = np.full((len(covariances), 2), np.nan), np.isfinite(covariances).all(axis=(1, 2))
+    for column, part in enumerate((slice(3, 6), slice(0, 3))):
+        largest = np.linalg.eigvalsh(covariances[known][:, part, part])[:, -1]
+        found[known, column] = np.sqrt(np.maximum(largest, 0.0))
+    return found
+
+
+def twists_between(here: FloatArray, there: FloatArray) -> FloatArray:
+    """Twists from poses `here` to poses `there`, `(n, 6)`; NaN where one of the two is not known."""
+    twists, known = np.full((len(here), 6), np.nan), np.isfinite(here[:, 0, 0]) & np.isfinite(there[:, 0, 0])
+    twists[known] = log(inverse(here[known]) @ there[known])
+    return twists
+
+
+def align_tags(here: FloatArray, there: FloatArray) -> FloatArray | None:
+    """Motion `(4, 4)` that aligns centres and normals of the tags `here` with the tags `there`, by a robust fit.
+
+    Pairs of tags propose motions. The motion with the least loss is refined by reweighted least squares over all tags.
+
+    Args:
+        here, there: poses of K tags in two worlds, `(K, 4, 4)`; rotations about the normals do not matter.
+
+    Returns:
+        None if the tags determine no rotation.
+    """
+    points, others = (tags[:, None, :3, 3] + [[0.0], [ARM]] * tags[:, None, :3, 2] for tags in (here, there))
+    one, other = np.triu_indices(len(here), 1)
+    some = np.unique(np.linspace(0, len(one) - 1, PAIRS).astype(np.int64)) if len(one) else one
+    pairs = np.stack([one[some], other[some]], axis=1)
+    motions, fixed = _fitted(points[pairs].reshape(-1, 4, 3), others[pairs].reshape(-1, 4, 3), np.ones((1, 4)))
+    if not fixed.any():
+        return None
+
+    def squares(motion: FloatArray) -> FloatArray:
+        """Squared distances of centres and normals after a motion, relative to their scales, `(K,)`."""
+        moved = motion @ here
+        away = np.linalg.norm(moved[:, :3, 3] - there[:, :3, 3], axis=1) / PLACE_SCALE
+        return np.asarray(away**2 + (angle_between_normals(moved, there) / NORMAL_SCALE) ** 2)
+
+    best: FloatArray = min(motions[fixed], key=lambda motion: float(np.log1p(squares(motion)).sum()))
+    for _ in range(REFINING_STEPS):
+        weights = np.repeat(1.0 / (1.0 + squares(best)), 2)[None]
+        motions, fixed = _fitted(points.reshape(1, -1, 3), others.reshape(1, -1, 3), weights)
+        if not fixed[0]:
+            break
+        best = motions[0]
+    return best
+
+
+def angle_between_normals(here: FloatArray, there: FloatArray) -> FloatArray:
+    """Angles between the normals of tags, rad, `(K,)`."""
+    return np.asarray(np.arccos(np.clip((here[:, :3, 2] * there[:, :3, 2]).sum(axis=1), -1.0, 1.0)))
+
+
+def _fitted(points: FloatArray, others: FloatArray, weights: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Least-squares motions `(n, 4, 4)` from points `(n, m, 3)` to others (Kabsch), and True where the points determine
+    the rotation, `(n,)`.
+    """
+    share = weights / weights.sum(axis=1, keepdims=True)
+    middles = [(share[..., None] * each).sum(axis=1, keepdims=True) for each in (points, others)]
+    away, towards = points - middles[0], others - middles[1]
+    left, spread, right = np.linalg.svd(np.swapaxes(weights[..., None] * away, 1, 2) @ towards)
+    right[:, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
+    turns = np.swapaxes(left @ right, 1, 2)
+    ways = middles[1][:, 0] - (turns @ middles[0][:, 0, :, None])[..., 0]
+    return pose_of(turns, ways), spread[:, 1] > NO_TURN

@@ -1,6 +1,7 @@
 """Intrinsics of cameras and shifts of corners: priors, derivatives, and estimates with their standard deviations."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ from lmd.core.checks import FloatArray
 from lmd.geometry.camera import PIXEL_CENTRE, Camera
 from lmd.geometry.lens import Lens
 from lmd.geometry.projection import bearings, slope
+from lmd.geometry.se3 import skew
 
 # Prior standard deviations of a rough guess: focal length, as a share of itself; principal point, as a share of the
 # image's size; coefficients.
@@ -53,33 +55,32 @@ class Calibrated:
     """Camera before the estimate."""
     found: Camera
     """Camera after the estimate."""
-    sigma: FloatArray
-    """`(P,)` standard deviations of `intrinsics_of(found)`."""
     shift: float
     """Shift of corners inward in the camera's images, pixels."""
-    shift_sigma: float
-    """Standard deviation of `shift`, pixels."""
-    unsure: float
-    """Standard deviation of image points due to the intrinsics, without the effect of a rotation: median over the
-    image, pixels."""
+    covariance: FloatArray
+    """`(P + n, P + n)` covariance of `intrinsics_of(found)`, then of n shifts."""
 
-    @classmethod
-    def of(cls, given: Camera, found: Camera, shift: float, covariance: FloatArray) -> "Calibrated":
-        """Calibrated camera.
+    @property
+    def sigma(self) -> FloatArray:
+        """Standard deviations of `intrinsics_of(found)`, `(P,)`."""
+        return np.sqrt(np.diag(self.covariance))[: len(intrinsics_of(self.found))]
 
-        Args:
-            given: camera before the estimate.
-            found, shift: camera and shift of corners after the estimate.
-            covariance: covariance of the P intrinsics, then of n shifts, `(P + n, P + n)`.
+    @property
+    def shift_sigma(self) -> float:
+        """Standard deviation of `shift`, pixels."""
+        return float(np.sqrt(np.diag(self.covariance))[len(self.sigma)])
+
+    @cached_property
+    def unsure(self) -> float:
+        """Standard deviation of image points due to the intrinsics, without the effect of a rotation: median over the
+        image, pixels.
         """
-        size = len(intrinsics_of(found))
-        bundle = _bundle(found)
-        moved = parameter_slopes(found, bundle).reshape(-1, size)
-        turned = np.einsum("nij,anj->nia", slope(found, bundle), np.cross(np.eye(3)[:, None], bundle)).reshape(-1, 3)
+        size, bundle = len(self.sigma), _bundle(self.found)
+        moved = parameter_slopes(self.found, bundle).reshape(-1, size)
+        turned = (slope(self.found, bundle) @ skew(bundle)).reshape(-1, 3)
         moved -= turned @ np.linalg.lstsq(turned, moved, rcond=None)[0]
-        square = np.einsum("np,pq,nq->n", moved, covariance[:size, :size], moved).reshape(-1, 2).sum(axis=1)
-        sigma = np.sqrt(np.diag(covariance))
-        return cls(given, found, sigma[:size], shift, float(sigma[size]), float(np.sqrt(np.median(square))))
+        square = np.einsum("np,pq,nq->n", moved, self.covariance[:size, :size], moved).reshape(-1, 2).sum(axis=1)
+        return float(np.sqrt(np.median(square)))
 
     @property
     def is_fixed(self) -> bool:
@@ -96,13 +97,9 @@ class Calibrated:
 
     def to_text(self) -> str:
         """Sentence for a terminal."""
-        was, now = intrinsics_of(self.given), intrinsics_of(self.found)
-
-        def pair(values: FloatArray) -> str:
-            return f"{values[0]:.1f} x {values[1]:.1f}"
-
-        text = f"focal length {pair(now)} pixels (given {pair(was)}), centre {pair(now[2:])} ({pair(was[2:])})"
-        text += f"; the image is known to {self.unsure:.2g} pixels"
+        (f_u, f_v, u, v), (f_u0, f_v0, u0, v0) = (intrinsics_of(one)[:4] for one in (self.found, self.given))
+        text = f"focal length {f_u:.1f} x {f_v:.1f} pixels (given {f_u0:.1f} x {f_v0:.1f}), "
+        text += f"centre {u:.1f} x {v:.1f} ({u0:.1f} x {v0:.1f}); the image is known to {self.unsure:.2g} pixels"
         if not self.shift_sigma:
             return text
         way = "inward" if self.shift > 0.0 else "outward"
@@ -126,10 +123,8 @@ def with_intrinsics(camera: Camera, values: FloatArray) -> Camera:
         InputError: no camera has these intrinsics.
     """
     width, height = (camera.focal_length / float(pixels) for pixels in values[:2])
-    u, v, *coefficients = values[2:].tolist()
-    return replace(
-        camera, pixel_width=width, pixel_height=height, principal_point=(u, v), distortion=tuple(coefficients)
-    )
+    u, v, *lens = values[2:].tolist()
+    return replace(camera, pixel_width=width, pixel_height=height, principal_point=(u, v), distortion=tuple(lens))
 
 
 def camera_info(camera: Camera) -> dict[str, Any]:
@@ -155,9 +150,8 @@ def prior_sigmas(camera: Camera, rough: bool = False) -> FloatArray:
     """
     focal, size = camera.focal_pixels, np.array([camera.image_width, camera.image_height])
     if rough:
-        return np.concatenate(
-            [FOCAL_SIGMA * focal, CENTRE_SIGMA * size, np.full(len(_coefficients(camera)), COEFFICIENT_SIGMA)]
-        )
+        lens = np.full(len(_coefficients(camera)), COEFFICIENT_SIGMA)
+        return np.concatenate([FOCAL_SIGMA * focal, CENTRE_SIGMA * size, lens])
     moved = np.linalg.norm(parameter_slopes(camera, _bundle(camera))[..., 4:], axis=1).max(axis=0)
     lens = CALIBRATED_SHARE * focal.mean() / moved if camera.distortion else np.array(UNDISTORTED)
     return np.concatenate([CALIBRATED_SHARE * focal, CALIBRATED_SHARE * size, lens])
@@ -165,9 +159,9 @@ def prior_sigmas(camera: Camera, rough: bool = False) -> FloatArray:
 
 def _bundle(camera: Camera) -> FloatArray:
     """Directions of a grid of places in the image, without places beyond the image of the lens, `(n, 3)`."""
-    across, down = np.meshgrid(np.linspace(0.0, 1.0, GRID_SIDE), np.linspace(0.0, 1.0, GRID_SIDE))
-    image = np.stack([across * camera.image_width, down * camera.image_height], axis=-1).reshape(-1, 2)
-    bundle = bearings(camera, image)
+    places = np.linspace(0.0, 1.0, GRID_SIDE)
+    image = np.stack(np.meshgrid(places * camera.image_width, places * camera.image_height), axis=-1)
+    bundle = bearings(camera, image.reshape(-1, 2))
     return np.asarray(bundle[np.isfinite(bundle).all(axis=-1)])
 
 

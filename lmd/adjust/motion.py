@@ -14,20 +14,19 @@ frames. A frame that shows a single tag thus places the tag relative to the tags
   as a camera carried straight ahead may turn on the way.
 
 Real bodies are not driven by white noise, so the errors across long gaps do not follow from the errors of short links.
-The errors across long gaps are measured in stretches of the drive without gaps: see `with_bridged_gaps`.
+They are measured in stretches of the drive without gaps, see `lmd.adjust.drive`.
 
 Source: Barfoot, "State Estimation for Robotics".
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
-from lmd.adjust.links import Links, turn_twist
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
-from lmd.geometry.se3 import adjoint_matrix, exp, inverse, log
+from lmd.geometry.se3 import adjoint_matrix, exp, inverse, left_jacobian, log
 from lmd.geometry.trajectory import Trajectory
 
 # Prior standard deviations of rotation and translation; they are re-estimated from the drive.
@@ -43,9 +42,131 @@ SHORTEST_GAP = 0.3  # a constant velocity bridges gaps shorter than this, second
 LONGEST_STEP = 1.0  # maximum seconds between poses of odometry; longer gaps cut the odometry into pieces
 # Least value of times since 1970 in ns, us or ms, and the factor that converts them to seconds.
 UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
-LONGEST_GAP, GAPS = 5.0, 13  # longest length of a gap that is tried, seconds, and number of lengths that are tried
-FEWEST_GAPS = 6  # minimum number of artificial gaps of a length in stretches without gaps
-LEAST_PACE = 0.2  # minimum time over which the velocity on each side of a gap is measured, seconds
+# chi^2 above which a link of odometry has less weight; normal errors exceed this value once in a thousand times.
+MOST_SQUARE = 22.5
+BIAS_ROUNDS = 3  # reweighted least-squares rounds for the bias of odometry
+LEAST_STIFFNESS = 1e-9  # information on a velocity without links
+# Odometry belongs to another camera or drive if the share of links that do not fit exceeds `MOST_OFF`, or if the bias
+# exceeds `MOST_BIAS`, in units of `BIAS`.
+MOST_OFF, MOST_BIAS = 0.5, 8.0
+
+
+class LinkErrors(NamedTuple):
+    """Errors of M links with r components, and their Jacobians by the b unknowns of each frame."""
+
+    error: FloatArray
+    """`(M, r)` errors."""
+    by_first: FloatArray
+    """`(M, r, b)` Jacobian by the first frame: its right-hand twist, and its turn rate and velocity if b = 12."""
+    by_second: FloatArray
+    """`(M, r, b)` Jacobian by the second frame."""
+    by_bias: FloatArray
+    """`(M, r, 6)` Jacobian by `bias`; `(M, r, 0)` for a constant velocity."""
+    bias: FloatArray
+    """`(6,)` error common to all metres of odometry, in units of `BIAS`; `(0,)` for a constant velocity."""
+
+
+@dataclass(frozen=True)
+class Links:
+    """M links between F frames; a link connects a frame with the next frame."""
+
+    size: int
+    """Number b of unknowns of a frame: 6, or 12 with its turn rate and velocity."""
+    first: IntArray
+    """`(M,)` index of the first frame of each link; the second frame has the next index."""
+    seconds: FloatArray
+    """`(M,)` time between the two frames, seconds."""
+    information: FloatArray
+    """`(M, r, r)` inverse of the covariance of the error."""
+    steps: FloatArray | None = None
+    """`(M, 4, 4)` relative poses by odometry; None for a constant velocity."""
+    by_bias: FloatArray | None = None
+    """`(M, 6, 6)` derivatives of the relative poses by the bias of odometry; None for a constant velocity."""
+
+    def at(self, poses: FloatArray) -> LinkErrors:
+        """Errors of the links, and Jacobians, at poses of the frames, `(F, 4, 4)`."""
+        before, after = poses[self.first], poses[self.first + 1]
+        between = inverse(before) @ after
+        if self.steps is not None and self.by_bias is not None:
+            error = log(inverse(self.steps) @ between)
+            slope, bias = np.asarray(np.linalg.inv(left_jacobian(-error)), dtype=np.float64), np.zeros(6)
+            for _ in range(BIAS_ROUNDS):  # links that do not fit have little weight
+                weights = self.weights(self.squares(error - self.by_bias @ bias))
+                turned = np.swapaxes(self.by_bias, 1, 2) @ (self.information * weights[:, None, None])
+                matrix = np.eye(6) + (turned @ self.by_bias).sum(axis=0)
+                bias = np.linalg.solve(matrix, (turned @ error[..., None]).sum(axis=0)[:, 0])
+            by_first = -slope @ adjoint_matrix(inverse(between))
+            return LinkErrors(error - self.by_bias @ bias, by_first, slope, -self.by_bias, bias)
+        rates, way = self._rates(poses), self._ways(poses)
+        change = rates[self.first + 1] - rates[self.first]
+        off = way - self.seconds[:, None] * rates[self.first]
+        by_first, by_second = np.zeros((2, len(self.first), 12, 12))
+        turn = turn_twist(way[:, :3])
+        by_second[:, :3, :3] = np.linalg.inv(left_jacobian(-turn)[:, :3, :3])
+        by_first[:, :3, :3] = -np.linalg.inv(left_jacobian(turn)[:, :3, :3])
+        by_second[:, 3:6, 3:6], by_first[:, 3:6, 3:6] = after[:, :3, :3], -before[:, :3, :3]
+        by_second[:, 6:, 6:], by_first[:, 6:, 6:] = np.eye(6), -np.eye(6)
+        by_first[:, :6, 6:] = -self.seconds[:, None, None] * np.eye(6)
+        nothing = np.zeros((len(self.first), 12, 0))
+        return LinkErrors(np.concatenate([off, change], axis=1), by_first, by_second, nothing, np.zeros(0))
+
+    def _ways(self, poses: FloatArray) -> FloatArray:
+        """Rotation vector, and shift in the world, between the frames of each link, `(M, 6)`."""
+        before, after = poses[self.first], poses[self.first + 1]
+        return np.hstack([log(inverse(before) @ after)[:, :3], after[:, :3, 3] - before[:, :3, 3]])
+
+    def _rates(self, poses: FloatArray) -> FloatArray:
+        """Turn rates and velocities that fit poses best, `(F, 6)`: derivatives of natural cubic splines."""
+        from scipy.linalg import solveh_banded
+
+        h, pull = self.seconds, 6.0 * self._ways(poses) / self.seconds[:, None] ** 2
+        banded, right = np.full((2, len(poses)), LEAST_STIFFNESS), np.zeros((len(poses), 6))
+        banded[1] = 0.0
+        for place in (self.first, self.first + 1):
+            banded[0, place] += 4.0 / h
+            right[place] += pull
+        banded[1, self.first] = 2.0 / h
+        return np.asarray(solveh_banded(banded, right, lower=True))
+
+    def velocities(self, poses: FloatArray) -> FloatArray:
+        """Turn rates and velocities in the body's frame, `(F, 6)`; NaN for frames without links."""
+        rates = self._rates(poses)
+        result = np.concatenate([rates[:, :3], (rates[:, None, 3:] @ poses[:, :3, :3])[:, 0]], axis=1)
+        result[~np.isin(np.arange(len(poses)), [self.first, self.first + 1])] = np.nan
+        return result
+
+    def squares(self, error: FloatArray) -> FloatArray:
+        """chi^2 of each link, `(M,)`, by its error `(M, r)`."""
+        return np.asarray(np.einsum("mi,mij,mj->m", error, self.information, error))
+
+    def loss(self, poses: FloatArray) -> float:
+        """Sum of the losses of the links and of the bias at poses of the frames, `(F, 4, 4)`; the loss is robust
+        against large errors of odometry, as wheels slip.
+        """
+        at = self.at(poses)
+        squares, bias = self.squares(at.error), float(at.bias @ at.bias)
+        if self.steps is None:
+            return 0.5 * float(squares.sum())
+        least = np.minimum(squares, MOST_SQUARE)
+        slipped = MOST_SQUARE * np.log(np.maximum(squares, MOST_SQUARE) / MOST_SQUARE)
+        return 0.5 * float((least + slipped).sum()) + 0.5 * bias
+
+    def weights(self, squares: FloatArray) -> FloatArray:
+        """Robust weights of the links, `(M,)`, by chi^2."""
+        return np.ones(len(squares)) if self.steps is None else MOST_SQUARE / np.maximum(squares, MOST_SQUARE)
+
+    def check(self, poses: FloatArray) -> None:
+        """Raise `InputError` if odometry contradicts the images, by poses of the frames, `(F, 4, 4)`."""
+        if self.steps is None or not len(self.first):
+            return
+        at = self.at(poses)
+        off = float((self.squares(at.error) > MOST_SQUARE).mean())
+        if off > MOST_OFF or np.abs(at.bias).max() > MOST_BIAS:
+            raise InputError(
+                "odometry does not move as the images do: does it need a mount or frame=body, as it describes a body "
+                "and not the (first) camera, or is it of another drive?",
+                "odometry",
+            )
 
 
 @dataclass(frozen=True)
@@ -54,7 +175,7 @@ class Motion:
 
     times: FloatArray
     """`(F,)` seconds, ascending; NaN for frames without a time."""
-    spread: tuple[float, float]
+    spread: tuple[float, float] = STEADY
     """Standard deviations of rotation and translation in the units of `STEADY` or `DRIFT`."""
     path: FloatArray | None = None
     """`(F, 4, 4)` poses of the body by odometry, NaN for frames without odometry; None for a constant velocity."""
@@ -65,18 +186,9 @@ class Motion:
     piece: IntArray | None = None
     """`(F,)` piece of each frame; frames of different pieces are not linked. None for one piece."""
     gaps: FloatArray | None = None
-    """`(n,)` lengths of gaps, seconds, ascending, for which a constant velocity was tested in stretches without
-    gaps.
+    """`(n, 3)` lengths of gaps, seconds, ascending, for which a constant velocity was tested in stretches without gaps,
+    and the spreads that explain the errors across them; longer gaps are not bridged. None without tests.
     """
-    bridged: FloatArray | None = None
-    """`(n, 2)` spreads that explain the errors across the tested gaps; longer gaps are not bridged. None without
-    tests.
-    """
-
-    @classmethod
-    def steady(cls, times: FloatArray) -> "Motion":
-        """Motion at a nearly constant velocity."""
-        return cls(times, STEADY)
 
     @classmethod
     def by_odometry(cls, times: FloatArray, odometry: Trajectory) -> "Motion":
@@ -99,30 +211,30 @@ class Motion:
         steps = log(inverse(poses[:-1]) @ poses[1:])
         far = np.linalg.norm(steps[:, 3:], axis=1) + METRES_PER_RAD * np.linalg.norm(steps[:, :3], axis=1)
         far += METRES_PER_SECOND * np.diff(own)
-        ahead = adjoint_matrix(poses[1:])  # steps are short, so the error of a step is applied at its end
-        added = np.stack([far[:, None, None] * ahead[..., part] @ np.swapaxes(ahead[..., part], 1, 2)
-                          for part in (slice(0, 3), slice(3, 6))], axis=1)  # fmt: skip
-        biased = far[:, None, None] * ahead
-        sums, bias_sums = (np.concatenate([0.0 * each[:1], np.cumsum(each, axis=0)]) for each in (added, biased))
         at = np.where(covered, times, own[0])
         place = np.clip(np.searchsorted(own, at, side="right") - 1, 0, len(own) - 2)
-        share = ((at - own[place]) / (own[place + 1] - own[place]))[:, None]
+        share = (at - own[place]) / (own[place + 1] - own[place])
+
+        def at_frames(added: FloatArray) -> FloatArray:
+            """Sums over the steps `(T - 1, 6, 6)` before each frame, `(F, 6, 6)`."""
+            sums = np.concatenate([0.0 * added[:1], np.cumsum(added, axis=0)])
+            return np.asarray(sums[place] + share[:, None, None] * added[place])
+
+        ahead = adjoint_matrix(poses[1:])  # steps are short, so the error of a step is applied at its end
+        turned = [ahead[..., part] @ np.swapaxes(ahead[..., part], 1, 2) for part in (slice(0, 3), slice(3, 6))]
+        *drift, bias = (at_frames(far[:, None, None] * each) for each in (*turned, ahead))
         path = np.tile(np.eye(4), (len(times), 1, 1))
         path[:, :3, :3] = Slerp(own, Rotation.from_matrix(poses[:, :3, :3]))(at).as_matrix()
-        path[:, :3, 3] = (1.0 - share) * poses[place, :3, 3] + share * poses[place + 1, :3, 3]
-        drift = sums[place] + share[..., None, None] * added[place]
-        bias = bias_sums[place] + share[..., None] * biased[place]
+        path[:, :3, 3] = (1.0 - share)[:, None] * poses[place, :3, 3] + share[:, None] * poses[place + 1, :3, 3]
         gaps = np.diff(own) > LONGEST_STEP
-        covered &= ~gaps[place] | (share[:, 0] == 0.0)
-        path[~covered] = np.nan
-        return cls(times, DRIFT, path, drift, bias, np.concatenate([[0], np.cumsum(gaps)])[place])
+        path[~covered | (gaps[place] & (share != 0.0))] = np.nan
+        return cls(times, DRIFT, path, np.stack(drift, axis=1), bias, np.concatenate([[0], np.cumsum(gaps)])[place])
 
     def of(self, frames: IntArray, part: IntArray) -> "Motion":
         """Motion between some of the frames, `(n,)`, without links between frames of different parts, `(n,)`."""
         piece = part if self.piece is None else part * (self.piece.max() + 1) + self.piece[frames]
-        names = ("times", "path", "drift", "bias_sums")
-        chosen: dict[str, Any] = {name: own[frames] for name in names if (own := getattr(self, name)) is not None}
-        return replace(self, piece=piece, **chosen)
+        path, drift, bias = (None if own is None else own[frames] for own in (self.path, self.drift, self.bias_sums))
+        return replace(self, times=self.times[frames], piece=piece, path=path, drift=drift, bias_sums=bias)
 
     @property
     def is_odometry(self) -> bool:
@@ -130,26 +242,20 @@ class Motion:
         return self.path is not None
 
     @property
-    def assumed(self) -> tuple[float, float]:
-        """Prior spread."""
-        return DRIFT if self.is_odometry else STEADY
-
-    @property
     def longest(self) -> float:
         """Longest gap that a constant velocity bridges, seconds."""
-        turn, place = self.spread
-        if self.gaps is None or self.bridged is None:
-            return float(min((12.0 * MOST_TURN**2 / turn**2) ** (1 / 3), (12.0 * MOST_PLACE**2 / place**2) ** (1 / 3)))
-        off = self.bridged * np.sqrt(self.gaps[:, None] ** 3 / 12.0)
+        if self.gaps is None:
+            return float(min((12.0 * np.square((MOST_TURN, MOST_PLACE)) / np.square(self.spread)) ** (1 / 3)))
+        off = self.gaps[:, 1:] * np.sqrt(self.gaps[:, :1] ** 3 / 12.0)
         good = np.logical_and.accumulate((off <= (MOST_TURN, MOST_PLACE)).all(axis=1))
-        return float(max(self.gaps[good], default=SHORTEST_GAP))
+        return float(max(self.gaps[good, 0], default=SHORTEST_GAP))
 
     def _spreads(self, seconds: FloatArray) -> FloatArray:
         """Spreads of a constant velocity over gaps `(M,)`, `(M, 2)`."""
         spreads = np.broadcast_to(self.spread, (len(seconds), 2))
-        if self.gaps is None or self.bridged is None or not len(self.gaps):
+        if self.gaps is None or not len(self.gaps):
             return spreads
-        measured = np.stack([np.interp(seconds, self.gaps, each) for each in self.bridged.T], axis=1)
+        measured = np.stack([np.interp(seconds, self.gaps[:, 0], each) for each in self.gaps.T[1:]], axis=1)
         return np.where((seconds > SHORTEST_GAP)[:, None], np.maximum(spreads, measured), spreads)
 
     def relates(self, i: IntArray, j: IntArray) -> BoolArray:
@@ -177,7 +283,7 @@ class Motion:
         i, j = frames[first], frames[first + 1]
         seconds, information = self.times[j] - self.times[i], self.information(i, j)
         if self.path is None or self.bias_sums is None:
-            return Links(12, first, seconds, information, None, None)
+            return Links(12, first, seconds, information)
         bias = adjoint_matrix(inverse(self.path[j])) @ (self.bias_sums[j] - self.bias_sums[i]) * np.repeat(BIAS, 3)
         return Links(6, first, seconds, information, inverse(self.path[i]) @ self.path[j], bias)
 
@@ -190,8 +296,7 @@ class Motion:
             spline = np.block([[12.0 / h**3, -6.0 / h**2], [-6.0 / h**2, 4.0 / h]])
             axes = np.repeat(self._spreads(seconds) ** -2.0, 3, axis=1)[:, None] * np.eye(6)
             return np.asarray(np.einsum("mij,mkl->mikjl", spline, axes).reshape(-1, 12, 12))
-        back = adjoint_matrix(inverse(self.path[j]))
-        grown = self.drift[j] - self.drift[i]
+        back, grown = adjoint_matrix(inverse(self.path[j])), self.drift[j] - self.drift[i]
         covariance = back @ (turn**2 * grown[:, 0] + place**2 * grown[:, 1]) @ np.swapaxes(back, 1, 2)
         return np.asarray(np.linalg.inv((covariance + np.swapaxes(covariance, 1, 2)) / 2.0))
 
@@ -205,57 +310,19 @@ class Motion:
         """
         if self.path is not None:
             return np.asarray(inverse(self.path[i]) @ self.path[j])
-        seconds = self.times[j] - self.times[i]
         if velocities is None:
             return np.tile(np.eye(4), (len(i), 1, 1))
-        pair = np.stack([velocities[i], velocities[j]])
+        seconds, pair = self.times[j] - self.times[i], np.stack([velocities[i], velocities[j]])
         known = np.isfinite(pair)
         mean = np.where(known, pair, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-        lost = ~known.any(axis=0) & (seconds != 0.0)[:, None]
         result = exp(seconds[:, None] * mean)
-        result[lost.any(axis=1)] = np.nan
+        result[~known.any(axis=(0, 2)) & (seconds != 0.0)] = np.nan
         return np.asarray(result)
 
 
-def with_bridged_gaps(motion: Motion, poses: FloatArray) -> Motion:
-    """Motion at a constant velocity, with the errors across gaps as measured in stretches of the drive without gaps.
-
-    For two frames that are the length of a gap apart, the velocities before and after predict the relative pose. The
-    error of the prediction is its difference from the pose estimated with the frames between the two.
-
-    Args:
-        motion: motion at a constant velocity, in pieces.
-        poses: poses of the frames, `(F, 4, 4)`; frames of one piece are contiguous and have a common world.
-    """
-    assert motion.piece is not None
-    gaps, bridged, clock = [], [], motion.times - np.nanmin(motion.times)
-    clock = clock + motion.piece * (np.nanmax(clock) + 10.0 * LONGEST_GAP)
-
-    def nearest(seconds: FloatArray) -> IntArray:
-        """Index of the frame nearest to each time of `clock`."""
-        after = np.clip(np.searchsorted(clock, seconds), 1, len(clock) - 1)
-        return np.asarray(after - (seconds - clock[after - 1] < clock[after] - seconds))
-
-    pace = max(LEAST_PACE, float(np.median(np.diff(clock))))
-    for gap in np.geomspace(SHORTEST_GAP, LONGEST_GAP, GAPS):
-        ends = np.stack([nearest(clock + by) for by in (-pace, 0.0, gap, gap + pace)])
-        before, lasts, after = np.diff(clock[ends], axis=0)
-        fits = (np.abs(lasts - gap) < 0.13 * gap) & (np.abs(before - pace) < 0.5 * pace)
-        fits &= np.abs(after - pace) < 0.5 * pace
-        if len(np.unique((clock[ends[1][fits]] / gap).astype(np.int64))) < FEWEST_GAPS:
-            continue
-        first, i, j, last = poses[ends[:, fits]]
-        into, out = (
-            log(inverse(one) @ other)[:, :3] / h[fits, None] for one, other, h in ((first, i, before), (j, last, after))
-        )
-        moving = (i - first)[:, :3, 3] / before[fits, None], (last - j)[:, :3, 3] / after[fits, None]
-        half = lasts[fits, None] / 2.0
-        turn = log(exp(-turn_twist(half * (into + out))) @ inverse(i) @ j)[:, :3]
-        place = (j - i)[:, :3, 3] - half * (moving[0] + moving[1])
-        squares = np.array([(turn**2).sum(axis=1).mean(), (place**2).sum(axis=1).mean()])
-        gaps.append(gap)
-        bridged.append(np.sqrt(12.0 * squares / gap**3))
-    return replace(motion, gaps=np.array(gaps), bridged=np.array(bridged).reshape(-1, 2))
+def turn_twist(turn: FloatArray) -> FloatArray:
+    """Twists of rotations alone, `(..., 3)` -> `(..., 6)`."""
+    return np.concatenate([turn, 0.0 * turn], axis=-1)
 
 
 def seconds_of(times: Sequence[str]) -> FloatArray:

@@ -1,17 +1,25 @@
-"""Prior of the unknowns of a bundle adjustment: tags, printed sheets, mounts, motion."""
+"""Prior of the unknowns of a bundle adjustment: tags, printed sheets, mounts, motion.
+
+*Sheets* hold several tags. The poses of the tags on a sheet are known; the pose of the sheet is not. Tag k has the pose
+R_k on its sheet (x to the right, y up, z out of the sheet) and the pose T_k = B R_k exp(d_k) in the world, where B is
+the pose of the sheet and d_k a twist due to printing and bending. Sheets are no unknowns of the bundle adjustment, as B
+is eliminated. With A_k = Ad(R_k^-1) and the information D of d, the tags of a sheet have the joint information D - D A
+(A' D A)^-1 A' D.
+"""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
-from lmd.adjust.corners import Poses, student_loss, student_weight
+from lmd.adjust.corners import DEGREES_OF_FREEDOM, Poses, solved, student_loss, student_weight
 from lmd.adjust.motion import Motion
-from lmd.adjust.mounts import Mounts
-from lmd.adjust.sheets import Sheets
-from lmd.core.checks import BoolArray, FloatArray, IntArray
-from lmd.geometry.se3 import inverse, log
+from lmd.core.checks import BoolArray, Checked, FloatArray, IntArray, Positive
+from lmd.geometry.se3 import adjoint_matrix, exp, inverse, log
 
 EXACT_SIGMA = 1e-6  # standard deviation of poses that count as exact, metres and rad
+FEWEST = 2  # minimum number of tags of a sheet
+STEPS = 6  # Gauss-Newton steps for the pose of a sheet
 
 
 class Kept:
@@ -26,6 +34,122 @@ class Kept:
         """Add independent priors `(n, 6)` on the unknowns `index`, which are off by `off` `(n, 6)`."""
         self.diagonal[index] += information[..., None] * np.eye(6)
         self.right[index] -= information * off
+
+
+@dataclass(frozen=True)
+class Sheets:
+    """M tags of a survey that are on sheets."""
+
+    tag: IntArray
+    """`(M,)` indices of the tags in the survey."""
+    board: IntArray
+    """`(M,)` index of the sheet of each tag."""
+    poses: FloatArray
+    """`(M, 4, 4)` poses R_k of the tags on their sheets."""
+    information: FloatArray
+    """`(6,)` inverse variances of the components of d_k."""
+
+    def of(self, placed: BoolArray) -> "Sheets | None":
+        """Sheets of the tags that are `placed`, `(K,)`, at least two for each sheet; None if there are none."""
+        own = placed[self.tag]
+        own &= np.bincount(self.board[own], minlength=self.board.max(initial=0) + 1)[self.board] >= FEWEST
+        board = np.unique(self.board[own], return_inverse=True)[1]
+        return Sheets(self.tag[own], board, self.poses[own], self.information) if own.any() else None
+
+    @cached_property
+    def turned(self) -> FloatArray:
+        """A_k, `(M, 6, 6)`."""
+        return adjoint_matrix(inverse(self.poses))
+
+    @cached_property
+    def pairs(self) -> tuple[IntArray, IntArray]:
+        """Indices of all pairs of tags on one sheet, including each tag with itself."""
+        one, other = np.nonzero(self.board[:, None] == self.board)
+        return one, other
+
+    def fitted(self, tags: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Twists d_k `(M, 6)` of tags at `tags` `(K, 4, 4)` with each sheet at its best pose, and their chi^2 `(M,)`.
+
+        The fit of a sheet starts with the pose that follows from the tag with which the other tags agree most.
+        """
+
+        def off(sheets: FloatArray, which: IntArray | slice) -> tuple[FloatArray, FloatArray]:
+            twists = log(inverse(sheets @ self.poses[which]) @ tags[self.tag[which]])
+            return twists, (self.information * twists**2).sum(axis=1)
+
+        one, other = self.pairs
+        proposed = tags[self.tag] @ inverse(self.poses)
+        loss = np.bincount(one, np.log1p(off(proposed[one], other)[1] / DEGREES_OF_FREEDOM))
+        order = np.lexsort((loss, self.board))
+        sheets = proposed[order[np.unique(self.board[order], return_index=True)[1]]]
+        for _ in range(STEPS):
+            twists, squares = off(sheets[self.board], slice(None))
+            scaled = self.information * student_weight(squares, 6)[:, None]
+            right = self._summed(np.einsum("mij,mi->mj", self.turned, scaled * twists))
+            sheets = sheets @ exp(solved(self._normal(scaled), right))
+        return off(sheets[self.board], slice(None))
+
+    def _normal(self, scaled: FloatArray) -> FloatArray:
+        """A' D A of each sheet, `(S, 6, 6)`, for D `(M, 6)`."""
+        return self._summed(np.swapaxes(self.turned, 1, 2) @ (scaled[..., None] * self.turned))
+
+    def _summed(self, values: FloatArray) -> FloatArray:
+        """Sums of values `(M, ...)` over the tags of each sheet."""
+        result = np.zeros((self.board.max() + 1, *values.shape[1:]))
+        np.add.at(result, self.board, values)
+        return result
+
+    def add_to(self, kept: Kept, tags: FloatArray, is_robust: bool) -> None:
+        """Add the joint information of the tags, linearised at `tags` `(K, 4, 4)`."""
+        (twists, squares), (one, other) = self.fitted(tags), self.pairs
+        scaled = self.information * (student_weight(squares, 6)[:, None] if is_robust else np.ones((len(squares), 1)))
+        kept.add(self.tag, scaled, twists)
+        wide, inverted = scaled[..., None] * self.turned, np.linalg.inv(self._normal(scaled))
+        couplings = wide[one] @ inverted[self.board[one]] @ np.swapaxes(wide[other], 1, 2)
+        np.subtract.at(kept.cells, (self.tag[one], self.tag[other]), couplings)
+
+
+@dataclass(frozen=True)
+class Hanging(Checked):
+    """Standard deviations of the poses of tags from their expected poses, along the axes of each tag.
+
+    Raises:
+        InputError: a standard deviation is not positive.
+    """
+
+    place: Positive = 0.02
+    """Shift in the plane of the wall, metres."""
+    turn: Positive = 0.05
+    """Rotation in the plane of the wall, rad."""
+    depth: Positive = 0.005
+    """Shift off the wall, metres."""
+    tilt: Positive = 0.02
+    """Tilt out of the wall, rad."""
+
+    @property
+    def deviations(self) -> FloatArray:
+        """Standard deviations of rotations about x, y and z of a tag, and of shifts along them, `(6,)`."""
+        return np.array([self.tilt, self.tilt, self.turn, self.place, self.place, self.depth])
+
+
+@dataclass(frozen=True)
+class Mounts:
+    """Poses of C cameras on the body, which is the first camera."""
+
+    poses: FloatArray
+    """`(C, 4, 4)` expected poses, camera to body."""
+    sigmas: tuple[float, float] | None = None
+    """Standard deviations of rotation, rad, and position, metres; None for exact mounts."""
+
+    @property
+    def information(self) -> FloatArray:
+        """Inverse variances of a twist of each of the C - 1 unknown mounts, `(C - 1, 6)`."""
+        assert self.sigmas is not None
+        return np.tile(np.repeat(self.sigmas, 3) ** -2.0, (len(self.poses) - 1, 1))
+
+    def off(self, mounts: FloatArray) -> FloatArray:
+        """Twists from the expected poses to `mounts` `(C, 4, 4)`, `(C - 1, 6)`."""
+        return log(inverse(self.poses[1:]) @ mounts[1:])
 
 
 @dataclass(frozen=True)
@@ -48,6 +172,11 @@ class Prior:
     """
 
     @property
+    def known(self) -> BoolArray:
+        """True for tags with a prior, `(K,)`."""
+        return np.asarray(self.information.any(axis=1))
+
+    @property
     def exact(self) -> BoolArray:
         """True for tags with exactly known poses, `(K,)`: no sighting moves them."""
         return np.asarray((self.information >= 0.5 * EXACT_SIGMA**-2.0).all(axis=1))
@@ -64,47 +193,42 @@ class Prior:
 
     def off(self, tags: FloatArray) -> FloatArray:
         """Twists from the expected poses to `tags`, `(K, 6)`; 0 for tags without a prior."""
-        known = self.information.any(axis=1)
         twists = np.zeros((len(tags), 6))
-        twists[known] = log(inverse(self.tags[known]) @ tags[known])
+        twists[self.known] = log(inverse(self.tags[self.known]) @ tags[self.known])
         return twists
 
     def squares(self, off: FloatArray) -> FloatArray:
         """chi^2 of each tag, `(K,)`, by its twist `off`."""
         return np.asarray((self.information * off**2).sum(axis=1))
 
-    def _tag_loss(self, off: FloatArray) -> float:
-        if self.joint is not None:
-            return 0.5 * float(off.ravel() @ self.joint @ off.ravel())
-        exact, squares = self.exact, self.squares(off)
-        return student_loss(squares[~exact], 6) + float(student_weight(np.zeros(1), 6)[0] / 2.0 * squares[exact].sum())
-
     def loss(self, poses: Poses) -> float:
         """Sum of the losses of tags, sheets and mounts; exact and correlated tags, and mounts, have a quadratic loss,
         the others a robust one.
         """
-        loss = self._tag_loss(self.off(poses.tags))
+        off, exact = self.off(poses.tags), self.exact
+        if self.joint is not None:
+            loss = 0.5 * float(off.ravel() @ self.joint @ off.ravel())
+        else:
+            squares = self.squares(off)
+            most = float(student_weight(np.zeros(1), 6)[0])
+            loss = student_loss(squares[~exact], 6) + most / 2.0 * float(squares[exact].sum())
         if self.sheets is not None:
-            loss += student_loss(self.sheets.fitted(poses.tags).squares, 6)
+            loss += student_loss(self.sheets.fitted(poses.tags)[1], 6)
         if self.mounts is not None and self.mounts.sigmas is not None:
             loss += 0.5 * float((self.mounts.information * self.mounts.off(poses.mounts) ** 2).sum())
         return loss
 
     def add_to(self, kept: Kept, poses: Poses, is_robust: bool) -> None:
         """Add the information on tags, then on mounts, linearised at `poses`; exact poses keep the full weight."""
-        count, off, known = len(self.tags), self.off(poses.tags), self.information
+        count, off = len(self.tags), self.off(poses.tags)
         if self.joint is not None:
             kept.cells[:count, :count] += self.joint.reshape(count, 6, count, 6).transpose(0, 2, 1, 3)
             kept.right[:count] -= (self.joint @ off.ravel()).reshape(count, 6)
         else:
-            weights = student_weight(np.where(self.exact, 0.0, self.squares(off)), 6) if is_robust else 1.0
-            kept.add(slice(count), known * np.reshape(weights, (-1, 1)), off)
-        if (sheets := self.sheets) is not None:
-            fit = sheets.fitted(poses.tags)
-            weights = fit.weights if is_robust else np.ones(len(sheets.tag))
-            kept.add(sheets.tag, sheets.information * weights[:, None], fit.off)
-            one, other = sheets.pairs
-            np.subtract.at(kept.cells, (sheets.tag[one], sheets.tag[other]), sheets.couplings(weights))
+            weights = student_weight(np.where(self.exact, 0.0, self.squares(off)), 6) if is_robust else np.ones(count)
+            kept.add(slice(count), self.information * weights[:, None], off)
+        if self.sheets is not None:
+            self.sheets.add_to(kept, poses.tags, is_robust)
         if self.mounts is not None and self.mounts.sigmas is not None:
             own = slice(count, count + len(self.mounts.poses) - 1)
             kept.add(own, self.mounts.information, self.mounts.off(poses.mounts))

@@ -11,16 +11,15 @@ All nuisance parameters have priors, so that the covariance of the poses account
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from lmd.adjust.adjustment import Adjustment
-from lmd.adjust.corners import Poses, Reprojection, student_loss
-from lmd.adjust.estimate import FLOOR_PIXELS, ONE_THREAD, Estimate, adjust, constraining, inflation
-from lmd.adjust.intrinsics import Calibrated, Optics, parameter_slopes, prior_sigmas
-from lmd.adjust.noise import fitting
+from lmd.adjust.corners import Poses, Reprojection, fitting
+from lmd.adjust.estimate import FLOOR_PIXELS, ONE_THREAD, Estimate, Lenses, constraining, inflation
+from lmd.adjust.intrinsics import Optics, parameter_slopes, prior_sigmas
 from lmd.adjust.sightings import MODES, RESIDUALS, Observations, Sightings, shift_basis
 from lmd.core.checks import BoolArray, FloatArray, InputError
 from lmd.detection.corner_errors import inward, shortest_side
@@ -34,10 +33,9 @@ SLACK = 1e-3  # maximum increase of the loss by an accepted step
 SETTLED_SIGMAS = 0.3  # the rounds end when a step is smaller, in standard deviations
 SETTLED_SHAPES = 0.1  # the rounds end when the standard deviation of shapes changes by less, relative
 NEAR_PIXELS = 5.0  # maximum error, pixels, of tags whose edges are taken from their poses
-# Another edge is tried `EDGE_ROUNDS` times if it differs by `LEAST_GROWTH`, relative, and `FEWEST_SCALED` tags tell the
-# scale. An explanation is better if its loss is smaller by `BETTER`, a log-likelihood.
-EDGE_ROUNDS, LEAST_GROWTH, FEWEST_SCALED, BETTER = 3, 0.004, 3, 10.0
-SMALLEST_M, LEAST_SHIFT = 1e-3, 1e-3  # least distance of tags, metres, and prior standard deviation of shifts, pixels
+# The edge is doubted if its relative error is `LEAST_GROWTH` and `SURE_SIGMAS` standard deviations; its prior standard
+# deviation is `GROWTH_SIGMA`. `FEWEST_SCALED` tags tell the scale.
+LEAST_GROWTH, SURE_SIGMAS, GROWTH_SIGMA, FEWEST_SCALED = 0.004, 4.0, 0.1, 3
 MOST_HALVINGS = 6  # maximum number of halvings of a step that leads to no valid camera
 
 
@@ -46,165 +44,114 @@ def _never(_done: int, _most: int) -> bool:
     return False
 
 
-@dataclass(frozen=True)
-class Refined:
-    """Estimate with nuisance parameters."""
+def with_lenses(found: Estimate, seen: Observations, is_rough: bool = False) -> Estimate:
+    """Estimate with the given cameras, in which nuisance parameters are unknown; they begin at their prior means.
 
-    seen: Observations
-    """Detections, and the given cameras."""
-    sigmas: tuple[FloatArray, ...]
-    """Prior standard deviations of each camera's values, see `Optics.values`, `(P + 2,)`."""
-    found: Estimate
-    """Poses; its sightings have the shapes of tags."""
-    optics: tuple[Optics, ...]
-    """Refined optics of the cameras."""
-    off: FloatArray
-    """`(C, 6 L)` distance of the cameras' values from the given values, in prior standard deviations."""
+    Args:
+        found: estimate with the given cameras.
+        seen: detections.
+        is_rough: True if the given intrinsics are a rough guess.
+    """
+    shift = [seen.errors.inward_spread, SMALL_SHARE * seen.errors.inward_spread]
+    sigmas = tuple(np.append(prior_sigmas(one.camera, is_rough), shift) for one in seen.optics)
+    width = 6 * -(-max(map(len, sigmas)) // 6)  # filled up to a multiple of 6
+    lenses = Lenses(seen, seen.optics, sigmas, np.zeros((len(sigmas), width)))
+    flat = replace(found.sightings, shape_sigma=SHAPE_SIGMA)
+    return _through(replace(found, sightings=flat), lenses)
 
-    @classmethod
-    def begin(cls, found: Estimate, seen: Observations, is_rough: bool = False) -> "Refined":
-        """Begin with the given cameras and with flat tags.
 
-        Args:
-            found: estimate with the given cameras.
-            seen: detections.
-            is_rough: True if the given intrinsics are a rough guess.
-        """
-        shift = [seen.errors.inward_spread, SMALL_SHARE * seen.errors.inward_spread]
-        sigmas = tuple(np.append(prior_sigmas(one.camera, is_rough), shift) for one in seen.optics)
-        width = 6 * -(-max(map(len, sigmas)) // 6)  # filled up to a multiple of 6
-        begun = cls(seen, sigmas, found, seen.optics, np.zeros((len(sigmas), width)))
-        flat = replace(found.sightings, shape_sigma=SHAPE_SIGMA)
-        return begun._at(seen.optics, begun.off, flat, found.poses)
+def _lenses_of(found: Estimate) -> Lenses:
+    assert found.lenses is not None
+    return found.lenses
 
-    @classmethod
-    def exact(cls, found: Estimate, seen: Observations) -> "Refined":
-        """Exact cameras and flat tags, without nuisance parameters."""
-        return cls(seen, (), found, seen.optics, np.zeros((len(seen.optics), 0)))
 
-    def _at(self, optics: Sequence[Optics], off: FloatArray, like: Sightings, poses: Poses) -> "Refined":
-        """Sightings through other optics, with the shapes of the sightings `like`, at `poses`."""
-        names = ("edges", "shapes", "shape_sigma", "size_sigmas", "taken")
-        some = replace(self.seen.through(optics), **{name: getattr(like, name) for name in names})
-        some = with_nuisances(some, optics, self.sigmas, poses)
-        found = replace(self.found, sightings=some, poses=poses)
-        return replace(self, optics=tuple(optics), off=off, found=found)
+def _through(found: Estimate, lenses: Lenses) -> Estimate:
+    """Estimate whose sightings are seen through `lenses`, with their shapes of tags."""
+    names = ("edges", "shapes", "shape_sigma", "size_sigmas", "taken")
+    some = replace(lenses.seen.through(lenses.optics), **{name: getattr(found.sightings, name) for name in names})
+    some = with_nuisances(some, lenses.optics, lenses.sigmas, found.poses)
+    return replace(found, sightings=some, lenses=lenses)
 
-    @property
-    def units(self) -> FloatArray:
-        """Distances of all parameters from their prior means, in prior standard deviations, `(n, 6)`."""
-        some, cameras = self.found.sightings, self.off.reshape(-1, 6)
-        if not some.shape_sigma:
-            return cameras
-        return np.concatenate([cameras, some.shapes / np.maximum(some.shape_sigmas, LEAST_SHAPE_SIGMA)])
 
-    @property
-    def calibrated(self) -> tuple[Calibrated, ...]:
-        """Cameras beside the given ones, with their covariances; empty if cameras are exact."""
-        if not self.sigmas or not self.found.used.any():
-            return ()
-        return tuple(
-            Calibrated.of(
-                given.camera, one.camera, one.shifts[0], own[: len(sigma), : len(sigma)] * np.outer(sigma, sigma)
-            )
-            for given, one, own, sigma in zip(
-                self.seen.optics, self.optics, self.found.lens_covariances, self.sigmas, strict=True
-            )
-        )
+def nuisances_off(found: Estimate) -> FloatArray:
+    """Distances of all nuisance parameters from their prior means, in prior standard deviations, `(n, 6)`."""
+    if found.lenses is None:
+        return np.zeros((0, 6))
+    some, cameras = found.sightings, found.lenses.off.reshape(-1, 6)
+    return np.concatenate([cameras, some.shapes / np.maximum(some.shape_sigmas, LEAST_SHAPE_SIGMA)])
 
-    def surprises(self, least: float) -> list[str]:
-        """Sentences on focal lengths and centres that are estimated `least` or more prior standard deviations off."""
-        said = []
-        for number, (one, off) in enumerate(zip(self.calibrated, self.off, strict=False), 1):
-            if np.abs(off[:4]).max() >= least:
-                camera = "the camera" if len(self.off) == 1 else f"camera {number}"
-                most = f"{np.abs(off[:4]).max():.2g} standard deviations of a calibration"
-                said.append(
-                    f"{camera} is {most} from the given one ({one.to_text().partition(';')[0]}): is it its own?"
-                )
-        return said
 
-    def minimised(self, is_stopped: Callable[[int, int], bool] = _never) -> "Refined":
-        """Take joint steps of all unknowns until the steps are small."""
-        now, damping = self, 0.0
-        with threadpool_limits(limits=ONE_THREAD):
-            for done in range(MOST_ROUNDS):
-                if is_stopped(done, MOST_ROUNDS):
-                    break
-                found, some = now.found, now.found.sightings
-                of_map = (found.group[some.tag] == 0) & np.isfinite(found.squares)
-                used = of_map & fitting(some, found.squares, found.floor)
-                used = constraining(some, used, found.prior)
-                if not used.any():
-                    break
-                joint = Adjustment(some.of(used), found.prior, True, found.inflation)
-                rest = Adjustment(joint.sightings, found.prior, False, found.inflation)
-                poses, floor = rest.run(found.poses, found.floor, ROUND_STEPS, FLOOR_PIXELS)
-                now = replace(now, found=replace(found, poses=poses, floor=floor))
-                if (tried := now._stepped(joint, used, damping)) is None:
-                    break
-                following, step, variance, damping = tried
-                lenses, some = self.off.size // 6, following.found.sightings
-                squares = (some.shapes / some.shape_sigma) ** 2 + variance[lenses:] / found.inflation**2
-                grown = float(np.sqrt(squares[joint.sightings.counts() > 0, :MODES].mean()))
-                taken = float((1.0 - joint.nuisance_information[:, None] * variance).sum())
-                sigma = max(grown * some.shape_sigma, LEAST_SHAPE_SIGMA)
-                some = replace(some, shape_sigma=sigma, taken=taken)
-                now = replace(following, found=replace(following.found, sightings=some))
-                is_settled = (step[:lenses] ** 2 <= SETTLED_SIGMAS**2 * variance[:lenses]).all()
-                if is_settled and abs(grown - 1.0) < SETTLED_SHAPES:
-                    break
-        return now
+def minimised(found: Estimate, is_stopped: Callable[[int, int], bool] = _never) -> Estimate:
+    """Take joint steps of all unknowns until the steps are small."""
+    now, damping, cameras = found, 0.0, _lenses_of(found).off.size // 6
+    with threadpool_limits(limits=ONE_THREAD):
+        for done in range(MOST_ROUNDS):
+            some, squares = now.sightings, now.squares
+            used = (now.group[some.tag] == 0) & np.isfinite(squares) & fitting(some, squares, now.floor)
+            used = constraining(some, used, now.prior)
+            if is_stopped(done, MOST_ROUNDS) or not used.any():
+                break
+            joint = Adjustment(some.of(used), now.prior, True, now.inflation)
+            rest = Adjustment(joint.sightings, now.prior, False, now.inflation)
+            poses, floor = rest.run(now.poses, now.floor, ROUND_STEPS, FLOOR_PIXELS)
+            now = replace(now, poses=poses, floor=floor)
+            if (tried := _stepped(now, joint, used, damping)) is None:
+                break
+            now, step, variance, damping = tried
+            some = now.sightings
+            spread = (some.shapes / some.shape_sigma) ** 2 + variance[cameras:] / now.inflation**2
+            grown = float(np.sqrt(spread[joint.sightings.counts() > 0, :MODES].mean()))
+            taken = float((1.0 - joint.nuisance_information[:, None] * variance).sum())
+            sigma = max(grown * some.shape_sigma, LEAST_SHAPE_SIGMA)
+            now = replace(now, sightings=replace(some, shape_sigma=sigma, taken=taken))
+            is_settled = (step[:cameras] ** 2 <= SETTLED_SIGMAS**2 * variance[:cameras]).all()
+            if is_settled and abs(grown - 1.0) < SETTLED_SHAPES:
+                break
+    return now
 
-    def _stepped(
-        self, joint: Adjustment, used: BoolArray, damping: float
-    ) -> tuple["Refined", FloatArray, FloatArray, float] | None:
-        """Take one joint step, by the sightings `used`, `(N,)`, with more damping until the loss does not increase.
 
-        Returns:
-            state after the step; step of the nuisance parameters and their variances, `(n, 6)` each; next damping. None
-            if no damping is enough.
-        """
-        poses, floor = self.found.poses, self.found.floor
-        most = self._nuisance_loss(joint) + joint.loss(poses, floor) + SLACK
-        for _ in range(MOST_TRIALS):
-            there, step, variance = joint.joint_step(poses, floor, damping, self.units)
-            tried = self._after(step, there)
-            some = tried.found.sightings
-            # A new lens may image other corners; losses can then not be compared.
-            is_other = len(some) != len(used)
-            if is_other or tried._nuisance_loss(joint) + joint.loss(there, floor, some.of(used)) <= most:
-                return tried, step, variance, damping / 10.0
-            damping = max(10.0 * damping, FIRST_DAMPING)
-        return None
+def _stepped(
+    found: Estimate, joint: Adjustment, used: BoolArray, damping: float
+) -> tuple[Estimate, FloatArray, FloatArray, float] | None:
+    """Take one joint step, by the sightings `used`, `(N,)`, with more damping until the loss does not increase.
 
-    def _edge_loss(self, floor: float) -> float:
-        """Loss of sightings, priors of poses, and shifts of corners."""
-        found = self.found
-        square = found.squares / found.sightings.variance(floor)
-        placed = np.isfinite(square) & (found.group[found.sightings.tag] == 0)
-        sigmas = np.array([np.maximum(sigma[-2:], LEAST_SHIFT) for sigma in self.sigmas])
-        off = np.array([one.shifts for one in self.optics]) / sigmas
-        return student_loss(square[placed]) + found.prior.loss(found.poses) + 0.5 * float((off**2).sum())
+    Returns:
+        state after the step; step of the nuisance parameters and their variances, `(n, 6)` each; next damping. None if
+        no damping is enough.
+    """
 
-    def _nuisance_loss(self, joint: Adjustment) -> float:
-        """Loss of the priors of nuisance parameters."""
-        return 0.5 * float((joint.nuisance_information[:, None] * self.units**2).sum())
+    def loss(one: Estimate, some: Sightings | None = None) -> float:
+        """Loss of all sightings and priors."""
+        nuisances = 0.5 * float((joint.nuisance_information[:, None] * nuisances_off(one) ** 2).sum())
+        return nuisances + joint.loss(one.poses, found.floor, some)
 
-    def _after(self, step: FloatArray, poses: Poses) -> "Refined":
-        """State after a step `(n, 6)`; the step of the optics is halved until it leads to valid cameras."""
-        lenses, some = self.off.size // 6, self.found.sightings
-        some = replace(some, shapes=some.shapes + some.shape_sigmas * step[lenses:])
-        for halving in range(MOST_HALVINGS + 1):
-            factor = 0.5**halving if halving < MOST_HALVINGS else 0.0
-            off = self.off + factor * step[:lenses].reshape(self.off.shape)
-            rows = zip(self.seen.optics, self.sigmas, off, strict=True)
-            try:
-                optics = tuple(one.at(one.values + row[: len(sigma)] * sigma) for one, sigma, row in rows)
-            except InputError:
-                continue
-            return self._at(optics, off, some, poses)
-        raise AssertionError("the present cameras are valid")
+    most = loss(found) + SLACK
+    for _ in range(MOST_TRIALS):
+        there, step, variance = joint.joint_step(found.poses, found.floor, damping, nuisances_off(found))
+        tried = _after(found, step, there)
+        some = tried.sightings
+        # A new lens may image other corners; losses can then not be compared.
+        if len(some) != len(used) or loss(tried, some.of(used)) <= most:
+            return tried, step, variance, damping / 10.0
+        damping = max(10.0 * damping, FIRST_DAMPING)
+    return None
+
+
+def _after(found: Estimate, step: FloatArray, poses: Poses) -> Estimate:
+    """Estimate after a step `(n, 6)`; the step of the optics is halved until it leads to valid cameras."""
+    lenses, some = _lenses_of(found), found.sightings
+    cameras = lenses.off.size // 6
+    shaped = replace(some, shapes=some.shapes + some.shape_sigmas * step[cameras:])
+    for halving in range(MOST_HALVINGS + 1):
+        factor = 0.5**halving if halving < MOST_HALVINGS else 0.0
+        off = lenses.off + factor * step[:cameras].reshape(lenses.off.shape)
+        rows = zip(lenses.seen.optics, lenses.sigmas, off, strict=True)
+        try:
+            optics = tuple(one.at(one.values + row[: len(sigma)] * sigma) for one, sigma, row in rows)
+        except InputError:
+            continue
+        return _through(replace(found, sightings=shaped, poses=poses), replace(lenses, optics=optics, off=off))
+    raise AssertionError("the present cameras are valid")
 
 
 def with_nuisances(
@@ -235,70 +182,54 @@ def with_nuisances(
 
 
 def refine(
-    begun: Refined,
+    found: Estimate,
     keep: bool = False,
     is_stopped: Callable[[int, int], bool] = _never,
     on_block: Callable[[int, int], object] = _never,
-) -> Refined:
+) -> Estimate:
     """Estimate poses and nuisance parameters together.
 
     Args:
-        begun: see `Refined.begin`.
+        found: see `with_lenses`.
         keep: True to keep cameras and shapes; their uncertainty still counts.
         is_stopped: called before each round with its number and the most rounds; True to stop with the present state.
         on_block: called with the number of finished blocks of time, and the number of all blocks.
     """
-    now = begun
     for _ in range(PASSES):
-        if not keep:
-            now = now.minimised(is_stopped)
-        now = now._at(now.optics, now.off, now.found.sightings, now.found.poses)
-        found = now.found
-        found = adjust(found.sightings, found.prior, found.poses, found.group, FLOOR_PIXELS, found.inflation)
-        now = replace(now, found=found)
+        found = found if keep else minimised(found, is_stopped)
+        found = _through(found, _lenses_of(found)).adjusted()
         if found.inflation > 1.0 or (grown := inflation(found, on_block)) == 1.0:
             break
-        now = replace(now, found=replace(found, inflation=grown))
-    return now
+        found = replace(found, inflation=grown)
+    return found
 
 
-def edge_doubts(now: Refined, is_rough: bool = False) -> list[str]:
-    """Sentence on the edge of all tags, if another one explains the images and the known places at least as well.
+def edge_doubts(found: Estimate) -> list[str]:
+    """Sentence on the edge of all tags, if another one explains the images and the known places better.
 
-    The estimate is made again with the edges that the shift of corners and the scale of the map suggest. Larger edges
-    move corners outward in proportion to the size of a tag in the image; a shift is alike near and far.
+    The growth of all tags is one more unknown. Larger edges move corners outward in proportion to the size of a tag in
+    the image; a shift is alike near and far.
 
     Args:
-        now: result of `refine`.
-        is_rough: see `Refined.begin`.
+        found: result of `refine`.
     """
-    found, edges = now.found, now.found.sightings.edges
-    known = np.flatnonzero(found.prior.information[:, 3:].all(axis=1) & (found.group == 0))
-    if len(known) < FEWEST_SCALED:
+    lenses, used = _lenses_of(found), found.sightings.of(found.used)
+    known = found.prior.information[:, 3:].all(axis=1) & (found.group == 0)
+    if known.sum() < FEWEST_SCALED or not len(used):
         return []  # nothing but the tags has a scale
-    first, second = np.triu_indices(len(known), 1)
-    tried, growth = now, 0.0
-    for _ in range(EDGE_ROUNDS):
-        places = np.stack([found.prior.tags[known, :3, 3], tried.found.poses.tags[known, :3, 3]])
-        expected, mapped = np.linalg.norm(places[:, first] - places[:, second], axis=2)
-        some = tried.found.sightings
-        shift = np.array([one.shifts[0] for one in tried.optics])[some.camera]
-        outward = float(np.median((-2.0 * shift / some.sizes)[tried.found.used]))
-        more = float(np.log(np.median(expected / np.maximum(mapped, SMALLEST_M)))) + outward
-        if abs(more) < LEAST_GROWTH:
-            break
-        growth += more
-        some = replace(now.seen.through(), edges=edges * np.exp(growth))
-        begun = adjust(some, found.prior, found.poses, found.group, FLOOR_PIXELS)
-        tried = refine(Refined.begin(begun, now.seen, is_rough))
-    if abs(growth) < LEAST_GROWTH:
+    by_growth = GROWTH_SIGMA * Reprojection(used, *found.poses.of(used)).by_size
+    wider = np.concatenate([used.lens, np.pad(by_growth, ((0, 0), (0, 0), (0, 5)))], axis=2)
+    joint = Adjustment(replace(used, lens=wider), found.prior, True, found.inflation)
+    cameras = np.pad(lenses.off, ((0, 0), (0, 6))).reshape(-1, 6)
+    off = np.concatenate([cameras, nuisances_off(found)[lenses.off.size // 6 :]])
+    _, step, variance = joint.joint_step(found.poses, found.floor, 0.0, off)
+    each = slice(joint.lens_blocks - 1, len(cameras), joint.lens_blocks)  # growth as the images of each camera tell it
+    weights = 1.0 / (GROWTH_SIGMA**2 * variance[each, 0])
+    growth = float(GROWTH_SIGMA * (weights * step[each, 0]).sum() / weights.sum())
+    if abs(growth) < max(LEAST_GROWTH, SURE_SIGMAS * float(weights.sum()) ** -0.5):
         return []
-    before, after = (one._edge_loss(found.floor) for one in (now, tried))
-    if after > before + BETTER:
-        return []
-    was, edge = (1e3 * float(np.median(one.found.sightings.edges)) for one in (now, tried))
-    most = max((one.shifts[0] for one in now.optics), key=abs)
-    way = f"corners {abs(most):.2g} pixels {'inward' if most > 0.0 else 'outward'} do"
-    how = "better than" if after < before - BETTER else "as well as"
-    explained = f"tags with {edge:.4g} mm in place of {was:.4g} mm explain images and known places"
-    return [f"{explained} {how} {way}: measure the edge of a tag"]
+    edge = 1e3 * float(np.median(used.edges))
+    better = (
+        f"tags with {edge * np.exp(growth):.4g} mm in place of {edge:.4g} mm explain images and known places better"
+    )
+    return [f"{better}: measure the edge of a tag"]

@@ -97,8 +97,7 @@ class Sightings:
     def of(self, chosen: IntArray | BoolArray | slice) -> "Sightings":
         """Sightings that `chosen` selects; tags and frames keep their indices."""
         names = ("frame", "camera", "tag", "image", "directions", "tangents", "sizes", "pitch", "noise", "lens")
-        rest = {name: getattr(self, name)[chosen] for name in names}
-        return replace(self, **rest)
+        return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 
     def with_separate_cameras(self) -> "Sightings":
         """Sightings with every camera as a body of its own: C F frames, ordered by camera."""
@@ -124,10 +123,6 @@ class Sightings:
     def present_edges(self) -> FloatArray:
         """Edges with the growth of each tag, metres, `(K,)`."""
         return np.asarray(self.edges + 2.0 * self.shapes[:, MODES] / np.linalg.norm(SQUARE))
-
-    def grown(self, growth: FloatArray) -> "Sightings":
-        """Sightings of tags whose edges have grown by the factors exp(growth), `(K,)`."""
-        return replace(self, edges=self.edges * np.exp(growth))
 
     def variance(self, floor: float) -> FloatArray:
         """Variance of a coordinate of a corner, pixels^2, `(N,)`; `floor`, pixels, is added in quadrature."""
@@ -158,10 +153,10 @@ def outside_doubts(seen: "Observations") -> list[str]:
         beyond = ~whole[detected.camera == index]
         if beyond.sum() > MOST_OUTSIDE * len(beyond):
             size = f"{camera.image_width:g} x {camera.image_height:g} pixels"
-            outside = (
-                f"{beyond.sum()} of {len(beyond)} detections of camera {index + 1} are not within its image of {size}"
+            some = f"{beyond.sum()} of {len(beyond)} detections of camera {index + 1}"
+            doubts.append(
+                f"{some} are not within its image of {size}: is it the calibration of another camera or size?"
             )
-            doubts.append(f"{outside}: is it the calibration of another camera or size?")
     return doubts
 
 
@@ -190,6 +185,11 @@ class Observations:
         if len(self.optics) != len(self.detected.cameras):
             named = ", ".join(map(repr, self.detected.cameras))
             raise InputError(f"cameras must be one for each of {named}, got {len(self.optics)}.", "cameras")
+
+    def renumbered(self, quarters: IntArray | int) -> "Observations":
+        """Detections in which the first corner of each tag moves back by `quarters` corners, `(K,)` or for all."""
+        every = np.broadcast_to(quarters, len(self.ids))
+        return replace(self, detected=self.detected.renumbered(self.ids, every))
 
     def through(self, optics: Sequence[Optics] | None = None) -> Sightings:
         """Sightings through other optics; detections with a corner outside the image or the domain of the lens model

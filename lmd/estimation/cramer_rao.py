@@ -17,12 +17,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from lmd.adjust.corners import sums_by
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.estimation.estimators import Errors
 from lmd.estimation.recording import Recording
 from lmd.geometry.camera import Camera
-from lmd.geometry.projection import slope
-from lmd.geometry.se3 import adjoint_matrix, axis_and_right, camera_pose, inverse, seen_by_twist
+from lmd.geometry.pose import image_slopes
+from lmd.geometry.projection import to_camera
+from lmd.geometry.se3 import axis_and_right, camera_pose
 from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator, averaged
@@ -34,23 +36,15 @@ SINGULAR_EIGENVALUE = 1e-9
 POSE_CHUNK = 1 << 14
 
 
-def image_jacobians(poses: FloatArray, points: FloatArray, camera: Camera) -> FloatArray:
-    """J of the image of a point for each pose, by the body twist (w, v), `(M, 2, 6)`, pixels.
-
-    Args:
-        poses: X, `(M, 4, 4)`.
-        points: world frame, metres, `(M, 3)`; they must be in front of the camera.
-        camera: intrinsics and distortion.
-    """
-    offset = points - poses[:, :3, 3]
-    seen = (offset[:, None, :] @ poses[:, :3, :3])[:, 0]  # R^T (C - p)
-    return np.asarray(slope(camera, seen) @ seen_by_twist(seen))
-
-
 def pose_information(
-    poses: FloatArray, landmarks: FloatArray, seen: BoolArray, camera: Camera, noise: FloatArray | None = None
+    poses: FloatArray,
+    landmarks: FloatArray,
+    seen: BoolArray,
+    camera: Camera,
+    noise: FloatArray | None = None,
+    mounted: FloatArray | None = None,
 ) -> FloatArray:
-    """Information on the pose of each frame for one pixel of noise, `(F, 6, 6)`, of body twists (w, v).
+    """Information on the pose of a camera, or of its body, in each frame, `(F, 6, 6)`, of body twists (w, v).
 
     Args:
         poses: X, `(F, 4, 4)`.
@@ -58,17 +52,13 @@ def pose_information(
         seen: mask of the landmarks in view, `(F, K)`; they must be in front of the camera.
         camera: intrinsics and distortion.
         noise: standard deviation of each image in the order of `np.nonzero(seen)`, pixels, `(M,)`; None for one pixel.
+        mounted: pose of the camera in the frame of the body, `(4, 4)`; None for a camera alone.
     """
+    mounted = np.eye(4) if mounted is None else mounted
     frame, landmark = np.nonzero(seen)
-    jacobian = image_jacobians(poses[frame], landmarks[landmark], camera)
-    if noise is not None:
-        jacobian /= noise[:, None, None]
-    information = np.zeros((len(poses), 6, 6))
-    some = seen.any(axis=1)
-    if some.any():
-        first = np.searchsorted(frame, np.flatnonzero(some))
-        information[some] = np.add.reduceat(np.swapaxes(jacobian, 1, 2) @ jacobian, first, axis=0)
-    return information
+    y = to_camera((poses @ mounted)[frame], landmarks[landmark, None])[:, 0]
+    jacobian = image_slopes(camera, mounted, y) / (1.0 if noise is None else noise[:, None, None])
+    return sums_by(frame, len(poses))(np.swapaxes(jacobian, 1, 2) @ jacobian)
 
 
 def moment_information(
@@ -89,12 +79,8 @@ def moment_information(
         seen: mask of the landmarks in view of each camera, `(C, F, K)`.
         noise: noise of each camera as in `pose_information`.
     """
-    total = np.zeros((len(poses), 6, 6))
-    for c, camera in enumerate(cameras):
-        moved = adjoint_matrix(inverse(extrinsics[c]))
-        its = pose_information(poses @ extrinsics[c], landmarks, seen[c], camera, None if noise is None else noise[c])
-        total += moved.T @ its @ moved
-    return total
+    each = zip(seen, cameras, [None] * len(cameras) if noise is None else noise, extrinsics, strict=True)
+    return np.asarray(sum(pose_information(poses, landmarks, *one) for one in each))
 
 
 def determines_pose(information: FloatArray) -> BoolArray:
@@ -154,9 +140,9 @@ class CramerRaoMap:
         """Write a CSV with the columns `x,y,z,share,position,attitude`, one row per position; infinite bounds are
         empty.
         """
-        values = np.column_stack([self.positions, self.share, self.position, self.attitude])
-        columns = ["x", "y", "z", "share", "position", "attitude"]
-        pd.DataFrame(values, columns=columns).replace(np.inf, np.nan).to_csv(path, index=False)
+        bounds = {"share": self.share, "position": self.position, "attitude": self.attitude}
+        columns = dict(zip("xyz", self.positions.T, strict=True)) | bounds
+        pd.DataFrame(columns).replace(np.inf, np.nan).to_csv(path, index=False)
 
 
 def cramer_rao_map(scene: Scene, evaluator: Evaluator, deployment: Deployment) -> CramerRaoMap:
@@ -209,7 +195,7 @@ class CramerRaoBound:
             camera = np.nonzero(recording.seen[s])[1] // count  # camera of each detection
             its = relative[recording.detections(s)]
             noise = [its[camera == c].repeat(corners) for c in range(cameras)]
-            bounds = cramer_rao_bound(moment_information(*body, poses, points, seen, noise))
-            runs.append([np.where(np.isfinite(bound), bound, np.nan) for bound in bounds])
-        position, attitude = largest * np.array(runs).transpose(1, 0, 2)
+            runs.append(cramer_rao_bound(moment_information(*body, poses, points, seen, noise)))
+        bounds = np.array(runs).transpose(1, 0, 2)
+        position, attitude = largest * np.where(np.isfinite(bounds), bounds, np.nan)
         return Errors(position**2 + 2.0 * attitude**2, position, attitude)

@@ -76,8 +76,7 @@ class BiasFilter(Uncertainty, ABC):
         gyro = np.repeat([1.0, 0.0], 3)
         spread = np.concatenate([self.initial, known.gyro_bias * gyro])
         density = np.concatenate([self.drift(recording), known.gyro_walk * gyro])
-        from_body = np.kron(np.eye(2), np.linalg.inv(self.to_body(start)))
-        state = State(start, np.zeros(6), from_body @ np.diag(spread**2) @ from_body.T)
+        state = State(start, np.zeros(6), self._from_body(start, spread**2))
         yield state
         for t, step in enumerate(np.diff(recording.time), start=1):
             state = self.predicted(state, recording.twists[s, t - 1], step, density)
@@ -97,9 +96,13 @@ class BiasFilter(Uncertainty, ABC):
         moved = step * (twist - state.bias)
         pose = state.pose @ exp(moved)
         transition = self.transition(state.pose, moved, step)
-        from_body = np.kron(np.eye(2), np.linalg.inv(self.to_body(pose)))
-        noise = from_body @ np.diag(step * density**2) @ from_body.T
+        noise = self._from_body(pose, step * density**2)
         return State(pose, state.bias, transition @ state.covariance @ transition.T + noise)
+
+    def _from_body(self, pose: FloatArray, squares: FloatArray) -> FloatArray:
+        """Covariance `(12, 12)` in the coordinates of the filter, from variances in the body's frame `(12,)`."""
+        turn = np.kron(np.eye(2), np.linalg.inv(self.to_body(pose)))
+        return np.asarray(turn @ np.diag(squares) @ turn.T)
 
     def corrected(self, state: State, seen: CameraPoints) -> State:
         """Correct a state by measured positions of landmarks."""

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from lmd.core.optional import optional
 from lmd.estimation.estimators import Errors, errors_of
 from lmd.estimation.recording import Recording
 from lmd.geometry.pose import PointImage, Solution, body_solutions
-from lmd.geometry.projection import project, to_camera
+from lmd.geometry.projection import project
 from lmd.geometry.se3 import exp
 
 AMBIGUOUS = ("odometry", "refuse")
@@ -51,8 +50,11 @@ class PerspectiveNPoint:
         The covariance is the inverse of the Fisher information of the frame's images at the estimate.
         """
         for t, pose in enumerate(self._run(recording, s)):
-            known = np.isfinite(pose).all()
-            yield pose, _covariance(pose, images_of(recording, s, t)) if known else np.full((6, 6), np.nan)
+            covariance = np.full((6, 6), np.nan)
+            if np.isfinite(pose).all():
+                slopes = np.concatenate([image.scaled_slope(pose) for image in images_of(recording, s, t)])
+                covariance = np.linalg.inv((np.swapaxes(slopes, 1, 2) @ slopes).sum(axis=0))
+            yield pose, covariance
 
     def _run(self, recording: Recording, s: int) -> FloatArray:
         """Estimates of run s, `(T, 4, 4)`; NaN for frames without an estimate."""
@@ -66,26 +68,14 @@ class PerspectiveNPoint:
             if len(candidates) == 1:
                 expected = estimates[t] = candidates[0]
             elif candidates and expected is not None and self.ambiguous == "odometry":
-                estimates[t] = min(candidates, key=partial(_distance, expected))
+                off = [float(((one - expected) ** 2).sum()) for one in candidates]
+                estimates[t] = candidates[int(np.argmin(off))]
         return estimates
 
 
 def likely(found: list[Solution]) -> list[FloatArray]:
     """Poses that are not distinguishable from the best pose."""
     return [solution.pose for solution in found if solution.square - found[0].square < TOLD_APART]
-
-
-def _distance(one: FloatArray, other: FloatArray) -> float:
-    return float(((one - other) ** 2).sum())
-
-
-def _covariance(pose: FloatArray, images: list[PointImage]) -> FloatArray:
-    """Inverse of the Fisher information of images on a pose of the body, `(6, 6)`."""
-    information = np.zeros((6, 6))
-    for image in images:
-        slope = image.slope(to_camera(pose @ image.mounted, image.points)) / image.noise[:, None, None]
-        information += (np.swapaxes(slope, 1, 2) @ slope).sum(axis=0)
-    return np.asarray(np.linalg.inv(information))
 
 
 def images_of(recording: Recording, s: int, t: int) -> list[PointImage]:

@@ -25,16 +25,19 @@ With w_t = 1 / sigma_t^2, Q = I, and without shifts and P this is the Cramer-Rao
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.sparse import bsr_array
 
+from lmd.adjust.gauge import in_world
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.detection.corner_errors import MODES, CornerErrors, MeasuredCorners, incidence, inward, pitch
-from lmd.estimation.cramer_rao import determines_pose, image_jacobians
+from lmd.estimation.cramer_rao import determines_pose
 from lmd.geometry.camera import Camera
+from lmd.geometry.pose import image_slopes
 from lmd.geometry.projection import project, slope, to_camera
-from lmd.geometry.se3 import adjoint_matrix, inverse, skew
+from lmd.geometry.se3 import seen_by_twist
 from lmd.geometry.squares import corners
 from lmd.scene.deployment import Deployment
 from lmd.scene.tag import Tag
@@ -107,23 +110,22 @@ class TagImages:
         """Number of tags in the images of each frame, `(F,)`."""
         return np.bincount(self.frame, minlength=self.frames)
 
-    @property
-    def _parts(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        return self.information, self.noise + self.places, self.shifts
-
-    def _summed(self, parts: FloatArray) -> FloatArray:
-        """Sums of `(P, ...)` over the pairs of each frame, `(F, ...)`."""
-        total = np.zeros((self.frames, *parts.shape[1:]))
-        np.add.at(total, self.frame, parts)
-        return total
+    @cached_property
+    def _sums(self) -> list[FloatArray]:
+        """Sums of the information, errors and shifts over the pairs of each frame, `(F, ...)`."""
+        sums = []
+        for parts in (self.information, self.noise + self.places, self.shifts):
+            sums.append(np.zeros((self.frames, *parts.shape[1:])))
+            np.add.at(sums[-1], self.frame, parts)
+        return sums
 
     def covariances(self) -> FloatArray:
         """Covariance of the body twist (w, v) in each frame, `(F, 6, 6)`; infinite if the pose is undetermined."""
-        return _covariances(*(self._summed(part) for part in self._parts))
+        return _covariances(*self._sums)
 
     def covariances_without(self) -> FloatArray:
         """Covariance of the body twist (w, v) in the frame of each pair without the tag of the pair, `(P, 6, 6)`."""
-        information, errors, shifts = (self._summed(part)[self.frame] for part in self._parts)
+        information, errors, shifts = (total[self.frame] for total in self._sums)
         left = errors - self.noise - self.places - self.others
         return _covariances(information - self.information, left, shifts - self.shifts)
 
@@ -167,20 +169,26 @@ def tag_images(
         own = number[first : first + len(frame)]
         first += len(frame)
         at, centres, normals = poses[frame] @ mounted, deployment.places[which], deployment.normals[which]
-        sigma, mean_shift = errors.at(*_pitch_and_incidence(camera, at, centres, normals, tag, edges[which]))
+        turned = (normals[:, None, :] @ at[:, :3, :3])[:, 0]
+        where = np.eye(4), to_camera(at, centres[:, None])[:, 0], turned
+        angles = np.asarray(pitch(camera, *where, tag, edges[which])), np.asarray(incidence(*where))
+        sigma, mean_shift = errors.at(*angles)
         weight = 1.0 / sigma**2 if errors.weights == "noise" else np.ones_like(sigma)
         points = corners(centres, normals, deployment.ups[which], edges[which])
-        jacobian = image_jacobians(at.repeat(4, axis=0), points.reshape(-1, 3), camera).reshape(-1, 8, 6)
-        jacobian = jacobian @ adjoint_matrix(inverse(mounted))
+        y = to_camera(at, points)
+        jacobian = image_slopes(camera, mounted, y).reshape(-1, 8, 6)
+        # A corner at the offset q from the centre moves by p - [q]x r with a motion (p, r) of the tag in the world.
+        moved_corners = -seen_by_twist(points - centres[:, None])[..., [3, 4, 5, 0, 1, 2]]
+        by_place = (slope(camera, y) @ np.swapaxes(at[:, None, :3, :3], -1, -2) @ moved_corners).reshape(-1, 8, 6)
         weighted = np.swapaxes(jacobian, 1, 2) * weight[:, None, None]
         square = weighted @ jacobian
         information[own] += square
         spread = np.swapaxes(weighted * sigma[:, None, None], 1, 2)
         noise[own] += np.swapaxes(spread, 1, 2) @ errors.modes @ spread
-        moved = (weighted @ inward(project(camera, at, points)).reshape(-1, 8, 1))[..., 0]
+        moved = (weighted @ inward(project(camera, np.eye(4), y)).reshape(-1, 8, 1))[..., 0]
         shifts[own, 0] += mean_shift[:, None] * moved
         shifts[own, 1 + c] = errors.shift * moved
-        by_map[own] += weighted @ _map_jacobians(camera, at, points, centres)
+        by_map[own] += weighted @ by_place
         sigmas[own] = np.maximum(sigmas[own], sigma)
     frame, which = np.divmod(pairs, count)
     places, others = _by_map(by_map, frame, which, len(poses), errors)
@@ -207,28 +215,6 @@ def _by_map(
     return alone + summed, np.swapaxes(summed, 1, 2) - own
 
 
-def _pitch_and_incidence(
-    camera: Camera, poses: FloatArray, centres: FloatArray, normals: FloatArray, tag: Tag, edges: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """`lmd.detection.corner_errors` of tag m in a camera at pose m: pitch and incidence angle, `(M,)` each."""
-    seen = to_camera(poses, centres[:, None])[:, 0]
-    turned = (normals[:, None, :] @ poses[:, :3, :3])[:, 0]
-    where = np.eye(4), seen, turned
-    return np.asarray(pitch(camera, *where, tag, edges)), np.asarray(incidence(*where))
-
-
-def _map_jacobians(camera: Camera, poses: FloatArray, points: FloatArray, centres: FloatArray) -> FloatArray:
-    """M of tags with corners `(M, 4, 3)`, by a motion (p, r) of the tag in the world frame, `(M, 8, 6)`.
-
-    A corner at the offset q from the centre moves by p - [q]x r.
-    """
-    moved = np.concatenate(
-        [np.broadcast_to(np.eye(3), (*points.shape[:2], 3, 3)), -skew(points - centres[:, None])], -1
-    )
-    turned = np.swapaxes(poses[:, None, :3, :3], -1, -2) @ moved
-    return np.asarray((slope(camera, to_camera(poses, points)) @ turned).reshape(len(points), 8, 6))
-
-
 def world_covariances(poses: FloatArray, covariances: FloatArray) -> FloatArray:
     """Covariances of (p, r), position and rotation in the world frame, of body twists (w, v), `(F, 6, 6)`.
 
@@ -236,10 +222,6 @@ def world_covariances(poses: FloatArray, covariances: FloatArray) -> FloatArray:
         poses: X, `(F, 4, 4)`.
         covariances: of the body twist, `(F, 6, 6)`; infinite matrices stay infinite.
     """
-    turn = poses[:, :3, :3]
-    whole = np.zeros((len(poses), 6, 6))
-    whole[:, :3, 3:] = whole[:, 3:, :3] = turn
-    found = np.full(covariances.shape, np.inf)
-    known = np.isfinite(covariances).all(axis=(1, 2))
-    found[known] = whole[known] @ covariances[known] @ np.swapaxes(whole[known], 1, 2)
+    found, known = np.full(covariances.shape, np.inf), np.isfinite(covariances).all(axis=(1, 2))
+    found[known] = in_world(poses[known], covariances[known])
     return found

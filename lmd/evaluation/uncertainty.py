@@ -9,11 +9,12 @@ true pose; `none` if it shows no tag.
 """
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, check_fields, choice, integer, real
+from lmd.core.checks import Checked, Count, FloatArray, InputError, IntArray, NotNegative, choice
 from lmd.core.memory import check_memory
 from lmd.detection.corner_errors import CORNER_ERRORS, CornerErrors, MeasuredCorners
 from lmd.detection.frames import draw_poses
@@ -41,36 +42,31 @@ LESS = 1.0 - 1e-3  # greatest ratio of two standard deviations of which the firs
 
 
 @dataclass(frozen=True)
-class UncertaintyStudy:
+class UncertaintyStudy(Checked):
     """Settings of a study of the uncertainty.
 
     Raises:
         InputError: a value is out of range.
     """
 
-    corners: str = AUTO
+    corners: Annotated[str, partial(choice, options=CORNERS)] = AUTO
     """Noise of corners: a detector in `CORNER_ERRORS`, by pitch, as measured with another camera; `objective` for its
     constant `pixel_noise`; `rendered` for the errors of the visibility model's detector in rendered images of the
     deployment; `auto` for `rendered` where it can be had, else for the table of that detector, or `objective` if its
     corner errors are unknown.
     """
-    shift: float | None = None
+    shift: NotNegative | None = None
     """Standard deviation of the shift of edges that all tags of an image share, pixels; None for the detector's
     `CornerErrors.inward_spread`, and 0 for `objective`.
     """
-    weights: str = "equal"
+    weights: Annotated[str, partial(choice, options=WEIGHTS)] = "equal"
     """Weights of corners in the solver, see `lmd.estimation.pose_covariance`."""
-    views: int = 20000
+    views: Count = 20000
     """Number of random views."""
-    frames: int = 200
+    frames: Count = 200
     """Number of rendered images."""
 
-    def __post_init__(self) -> None:
-        choice("corners", self.corners, CORNERS)
-        choice("weights", self.weights, WEIGHTS)
-        if self.shift is not None:
-            check_fields(self, real, "shift", low=0.0)
-        check_fields(self, integer, "views", "frames", low=1)
+    def _validate(self) -> None:
         check_memory(VIEW_BYTES * self.views, f"views = {self.views}", "views")
 
     def _reader(self, problem: Problem) -> str:
@@ -186,9 +182,21 @@ def uncertainty_at(problem: Problem, deployment: Deployment, errors: TagErrors, 
     covariances = world_covariances(poses, images.covariances())
     counts = images.counts
     away = np.linalg.norm(deployment.places[images.tag] - poses[images.frame, :3, 3], axis=1)
-    mirrored = np.full(len(poses), np.nan)
-    alone = np.flatnonzero(counts[images.frame] == 1)
-    mirrored[images.frame[alone]] = _mirrored(problem, deployment, poses, seen, images, images.frame[alone], alone)
+    ups, half = deployment.ups, deployment.edges_of(scene.tag)[:, None] / 2.0
+    sides = half * np.stack([cross(ups, deployment.normals), ups])
+
+    def mirrored_of(pairs: IntArray, others: IntArray) -> FloatArray:
+        """Probability that the mirrored pose of the tags of `pairs` fits better without the tags of `others`, `(N,)`,
+        which are in view in the same frames.
+        """
+        which, frames = images.tag[pairs], images.frame[others]
+        looks = seen[:, frames, which]
+        return mirrored_probabilities(
+            scene, poses[frames], deployment.places[which], sides[:, which], looks, images.sigma[pairs]
+        )
+
+    mirrored, alone = np.full(len(poses), np.nan), np.flatnonzero(counts[images.frame] == 1)
+    mirrored[images.frame[alone]] = mirrored_of(alone, alone)
     yaw, pitch, roll = angles_of(np.swapaxes(poses[:, :3, :3], 1, 2))
     with np.errstate(invalid="ignore"):  # no tags
         distance = np.bincount(images.frame, away, len(poses)) / counts
@@ -199,7 +207,10 @@ def uncertainty_at(problem: Problem, deployment: Deployment, errors: TagErrors, 
         "pose": np.where(counts == 0, NONE, np.where(mirrored > 1.0 - CONFIDENCE, TWO, ONE)),
         "mirrored": mirrored,
     }
-    tags = _without_each(problem, deployment, poses, seen, images, covariances)
+    # Of two tags in view one is left, which must have one pose. The pairs of a frame are successive.
+    two = np.flatnonzero(counts[images.frame] == 2)
+    left = mirrored_of(two.reshape(-1, 2)[:, ::-1].reshape(-1), two)
+    tags = _without_each(images, covariances, two[left > 1.0 - CONFIDENCE], deployment.ids)
     return Uncertainty(pd.DataFrame(rows), tags, poses, covariances)
 
 
@@ -212,59 +223,25 @@ def level_deviations(covariances: FloatArray, yaw: FloatArray) -> FloatArray:
     """
     sine, cosine, zero = np.sin(yaw), np.cos(yaw), np.zeros_like(yaw)
     forward, left, up = (sine, cosine, zero), (-cosine, sine, zero), (zero, zero, zero + 1.0)
-    axes = np.stack([np.stack(axis, axis=-1) for axis in (forward, left, up)], axis=1)
-    known = np.isfinite(covariances).all(axis=(1, 2))
-    found = np.full((len(yaw), 6), np.nan)
-    turned = axes[known] @ covariances[known][:, 3:, 3:] @ np.swapaxes(axes[known], 1, 2)
-    found[known, :3] = np.sqrt(np.diagonal(covariances[known][:, :3, :3], axis1=1, axis2=2))
-    found[known, 3:] = np.sqrt(np.diagonal(turned, axis1=1, axis2=2))
-    return found
+    axes = np.moveaxis(np.array([forward, left, up]), -1, 0)
+    known, squares = np.isfinite(covariances).all(axis=(1, 2)), np.full((len(yaw), 6), np.nan)
+    squares[known, :3] = np.diagonal(covariances[known][:, :3, :3], axis1=1, axis2=2)
+    squares[known, 3:] = np.einsum("vij,vjk,vik->vi", axes[known], covariances[known][:, 3:, 3:], axes[known])
+    return np.asarray(np.sqrt(squares))
 
 
-def _mirrored(
-    problem: Problem,
-    deployment: Deployment,
-    poses: FloatArray,
-    seen: BoolArray,
-    images: TagImages,
-    frames: IntArray,
-    pairs: IntArray,
-) -> FloatArray:
-    """Probability that the mirrored pose of the tags of `pairs` fits better in `frames` without other tags, `(N,)`."""
-    which = images.tag[pairs]
-    normals, ups = deployment.normals[which], deployment.ups[which]
-    half = deployment.edges_of(problem.scene.tag)[which, None] / 2.0
-    sides = half * np.stack([cross(ups, normals), ups])
-    looks = seen[:, frames, which]
-    return mirrored_probabilities(
-        problem.scene, poses[frames], deployment.places[which], sides, looks, images.sigma[pairs]
-    )
-
-
-def _without_each(
-    problem: Problem,
-    deployment: Deployment,
-    poses: FloatArray,
-    seen: BoolArray,
-    images: TagImages,
-    covariances: FloatArray,
-) -> "pd.DataFrame":
-    """Table `Uncertainty.tags`."""
+def _without_each(images: TagImages, covariances: FloatArray, lost: IntArray, ids: IntArray) -> "pd.DataFrame":
+    """Table `Uncertainty.tags` of the tags `ids`; without the tags of the pairs `lost` two poses are left."""
     import pandas as pd
 
-    counts = images.counts[images.frame]
     with_all = np.sqrt(np.trace(covariances[images.frame][:, :3, :3], axis1=1, axis2=2))
     without = np.sqrt(np.trace(images.covariances_without()[:, 3:, 3:], axis1=1, axis2=2))
-    # Of two tags in view one is left, which must have one pose. The pairs of a frame are successive.
-    two = np.flatnonzero(counts == 2)
-    partner = two.reshape(-1, 2)[:, ::-1].reshape(-1)
-    left = _mirrored(problem, deployment, poses, seen, images, images.frame[two], partner)
-    without[two[left > 1.0 - CONFIDENCE]] = np.inf
-    several = counts > 1
+    without[lost] = np.inf
+    several = images.counts[images.frame] > 1
     ratio = without[several] / with_all[several]
     table = pd.DataFrame({"tag": images.tag[several], "improves": ratio < LESS, "ratio": ratio}).groupby("tag")
     rows = table.agg(views=("ratio", "size"), improves=("improves", "mean"), ratio=("ratio", "median"))
-    rows = rows.reindex(range(len(deployment)))
+    rows = rows.reindex(range(len(ids)))
     rows["views"] = rows.views.fillna(0).astype(int)
-    rows.insert(0, "id", deployment.ids)
+    rows.insert(0, "id", ids)
     return rows.assign(misleads=(rows.ratio < LESS).to_numpy()).reset_index(drop=True)

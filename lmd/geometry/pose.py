@@ -1,6 +1,6 @@
 """Pose of a camera or a rig from the images of known points (PnP), by OpenCV."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import combinations
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ from lmd.core.checks import BoolArray, FloatArray
 from lmd.core.optional import optional
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import bearings, intrinsics, project, slope, to_camera
-from lmd.geometry.se3 import adjoint_matrix, angle_between, exp, inverse, seen_by_twist
+from lmd.geometry.se3 import adjoint_matrix, angle_between, exp, inverse, pose_of, seen_by_twist
 
 # Fewest points that determine a pose, such as the corners of a tag.
 FEWEST_POINTS = 4
@@ -55,7 +55,24 @@ class PointImage(NamedTuple):
 
     def slope(self, y: FloatArray) -> FloatArray:
         """Jacobian of the images of points y `(M, 3)` (camera frame) by a body twist (w, v), pixels, `(M, 2, 6)`."""
-        return np.asarray(slope(self.camera, y) @ seen_by_twist(y) @ adjoint_matrix(inverse(self.mounted)))
+        return image_slopes(self.camera, self.mounted, y)
+
+    def scaled_slope(self, pose: FloatArray) -> FloatArray:
+        """Jacobian of `off` by a body twist, `(M, 2, 6)`."""
+        return np.asarray(self.slope(to_camera(pose @ self.mounted, self.points)) / self.noise[:, None, None])
+
+
+def image_slopes(camera: Camera, mounted: FloatArray, y: FloatArray) -> FloatArray:
+    """Jacobian of the images of points y `(..., 3)` in a camera's frame by a twist (w, v) of its body, `(..., 2, 6)`.
+
+    A twist of the camera moves y by y x w - v; the camera with the pose M on the body moves by Ad_{M^-1} (w, v).
+
+    Args:
+        camera: intrinsics and lens.
+        mounted: M, `(4, 4)`.
+        y: metres, in front of the camera.
+    """
+    return np.asarray(slope(camera, y) @ seen_by_twist(y) @ adjoint_matrix(inverse(mounted)))
 
 
 def body_solutions(images: Sequence[PointImage]) -> list[Solution]:
@@ -65,21 +82,22 @@ def body_solutions(images: Sequence[PointImage]) -> list[Solution]:
     The list is empty if no camera has four points.
     """
     images = [image for image in images if len(image.points)]
+    own = [
+        one.pose @ inverse(image.mounted)
+        for image in images
+        for one in solutions(image.camera, image.points, image.pixels, image.noise)
+    ]
+    return _best(images, own if len(images) == 1 else [_refined(images, pose) for pose in own])
+
+
+def _best(images: Sequence[PointImage], poses: Iterable[FloatArray]) -> list[Solution]:
+    """Different poses with a finite error, least error first."""
     found: list[Solution] = []
-    for image in images:
-        camera, mounted, *seen = image
-        own = [one._replace(pose=one.pose @ inverse(mounted)) for one in solutions(camera, *seen)]
-        if len(images) == 1:
-            return own
-        for pose in (_refined(images, one.pose) for one in own):
-            _add(found, pose, float(sum((each.off(pose) ** 2).sum() for each in images)))
+    for pose in poses:
+        square = float(sum((image.off(pose) ** 2).sum() for image in images))
+        if np.isfinite(square) and all(np.abs(pose - other.pose).max() > SAME_POSE for other in found):
+            found.append(Solution(pose, square))
     return sorted(found, key=lambda solution: solution.square)
-
-
-def _add(found: list[Solution], pose: FloatArray, square: float) -> None:
-    """Append a pose unless its error is not finite or an equal pose is in the list."""
-    if np.isfinite(square) and all(np.abs(pose - other.pose).max() > SAME_POSE for other in found):
-        found.append(Solution(pose, square))
 
 
 def solutions(camera: Camera, points: FloatArray, image: FloatArray, noise: ArrayLike = 1.0) -> list[Solution]:
@@ -98,42 +116,28 @@ def solutions(camera: Camera, points: FloatArray, image: FloatArray, noise: Arra
     if len(points) < FEWEST_POINTS:
         return []
     world, pixels = (np.ascontiguousarray(part, dtype=np.float64) for part in (points, image))
-    if camera.lens is None:
-        candidates = _without_lens(camera, world, pixels)
-    else:
-        candidates = _through_lens(camera, world, pixels, noise)
-    found: list[Solution] = []
-    for pose in candidates:
-        _add(found, pose, float((((project(camera, pose, world) - image) / np.reshape(noise, (-1, 1))) ** 2).sum()))
-    return sorted(found, key=lambda solution: solution.square)
+    whole = PointImage(camera, np.eye(4), world, pixels, np.broadcast_to(np.asarray(noise, dtype=float), len(world)))
+    return _best([whole], _without_lens(whole) if camera.lens is None else _through_lens(whole))
 
 
-def _without_lens(camera: Camera, world: FloatArray, pixels: FloatArray) -> Iterator[FloatArray]:
-    """Poses of a camera without distortion, each a local optimum; arguments as in `solutions`."""
-    cv2, matrix = optional("cv2", "estimators"), intrinsics(camera)
-    for turn, shift in _candidates(world, pixels, matrix):
-        turn, shift = cv2.solvePnPRefineLM(world, pixels, matrix, None, turn, shift)
-        yield inverse(_motion(cv2.Rodrigues(turn)[0], shift))
+def _without_lens(image: PointImage) -> Iterator[FloatArray]:
+    """Poses of a camera without distortion, each a local optimum."""
+    cv2, matrix = optional("cv2", "estimators"), intrinsics(image.camera)
+    for start in _candidates(image.points, image.pixels, matrix):
+        turn, shift = cv2.solvePnPRefineLM(image.points, image.pixels, matrix, None, *start)
+        yield inverse(pose_of(cv2.Rodrigues(turn)[0], np.ravel(shift)))
 
 
-def _through_lens(camera: Camera, world: FloatArray, pixels: FloatArray, noise: ArrayLike) -> Iterator[FloatArray]:
+def _through_lens(image: PointImage) -> Iterator[FloatArray]:
     """Poses of a camera with distortion: undistort into a virtual pinhole aimed at the points, solve, and refine."""
     cv2 = optional("cv2", "estimators")
-    turned, within, rays = straightened(bearings(camera, pixels))
+    turned, within, rays = straightened(bearings(image.camera, image.pixels))
     if np.count_nonzero(within) < FEWEST_POINTS:
         return
-    whole = PointImage(camera, np.eye(4), world, pixels, np.broadcast_to(np.asarray(noise, dtype=float), len(world)))
-    near, seen = np.ascontiguousarray(world[within]), np.ascontiguousarray(rays[within])
+    near, seen = np.ascontiguousarray(image.points[within]), np.ascontiguousarray(rays[within])
     for turn, shift in _candidates(near, seen, np.eye(3)):
-        start = _motion(turned.T @ cv2.Rodrigues(turn)[0], turned.T @ shift)
-        yield _refined([whole], inverse(start))
-
-
-def _motion(turn: FloatArray, shift: FloatArray) -> FloatArray:
-    """Rigid motion y = turn x + shift, `(4, 4)`."""
-    motion = np.eye(4)
-    motion[:3, :3], motion[:3, 3] = turn, np.ravel(shift)
-    return motion
+        start = pose_of(turned.T @ cv2.Rodrigues(turn)[0], np.ravel(turned.T @ shift))
+        yield _refined([image], inverse(start))
 
 
 def _candidates(world: FloatArray, pixels: FloatArray, matrix: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
@@ -180,10 +184,8 @@ def _refined(images: Sequence[PointImage], pose: FloatArray) -> FloatArray:
         if not (square := float((off**2).sum())) < least * (1.0 - GAIN):  # NaN if a point has no image
             break
         best, least = pose, square
-        slopes = [
-            image.slope(to_camera(pose @ image.mounted, image.points)) / image.noise[:, None, None] for image in images
-        ]
-        pose = pose @ exp(np.linalg.lstsq(np.concatenate(slopes).reshape(-1, 6), -off.ravel())[0])
+        slopes = np.concatenate([image.scaled_slope(pose) for image in images])
+        pose = pose @ exp(np.linalg.lstsq(slopes.reshape(-1, 6), -off.ravel())[0])
     return best if np.isfinite(least) else pose
 
 

@@ -6,6 +6,6 @@ Modules in the order of a localisation, each with its result:
 - `fixed_map` has the map: poses of the tags, with standard deviations.
 - `images` finds rough poses of single images, and the reasons why images are refused.
 - `changes` estimates all poses with the map as the prior (`lmd.adjust`), without tags that were moved, and finds new
-  tags; `vanished` finds tags that are gone.
+  tags and tags that are gone.
 - `results` makes tables and text.
 """

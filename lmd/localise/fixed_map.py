@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag
 
-from lmd.adjust.gauge import SIGMA_COLUMNS, rows_of
-from lmd.core.checks import FloatArray, InputError, IntArray, check_fields, real
+from lmd.adjust.gauge import rows_of, world_from_twists
+from lmd.adjust.prior import Hanging, Mounts, Prior
+from lmd.adjust.tables import SIGMA_COLUMNS
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.core.files import read_text
 from lmd.core.tables import read_table
 from lmd.formats.tag_maps import FILE, read_deployment, read_map_covariance
@@ -19,23 +21,6 @@ from lmd.scene.tag import Tag
 
 SAME_SIGMA = 1e-3  # largest relative difference between standard deviations in two files of one map
 LEAST_SIGMA = 1e-5  # least standard deviation of a tag of the map, metres and rad
-
-
-@dataclass(frozen=True)
-class MapErrors:
-    """Standard deviations of the tags of a map that states none.
-
-    Raises:
-        InputError: a standard deviation is not positive.
-    """
-
-    place: float = 0.001
-    """Position along each axis, metres."""
-    turn: float = 0.003
-    """Rotation about each axis, rad."""
-
-    def __post_init__(self) -> None:
-        check_fields(self, real, "place", "turn", above=0.0)
 
 
 @dataclass(frozen=True)
@@ -49,7 +34,7 @@ class FixedMap:
     ids: IntArray
     """`(K,)` ids, ascending."""
     poses: FloatArray
-    """`(K, 4, 4)` tag (x right, y up, z out) to map."""
+    """`(K, 4, 4)` tag (x right, y up, z out) to map; NaN for tags that the map lacks, see `among`."""
     edges: FloatArray
     """`(K,)` edges of the black squares, metres."""
     sigmas: FloatArray
@@ -68,8 +53,31 @@ class FixedMap:
         """Covariance of the twists of all tags, `(6 K, 6 K)`, tag by tag."""
         return np.diag(self.sigmas.ravel() ** 2) if self.covariance is None else self.covariance
 
+    @property
+    def has(self) -> BoolArray:
+        """Mask of the tags that the map has, `(K,)`."""
+        return np.isfinite(self.poses[:, 0, 0])
+
+    def among(self, ids: IntArray, edge: float) -> "FixedMap":
+        """Map of the tags `ids` `(n,)`, ascending; those that this map lacks have the edge `edge`, metres."""
+        _, there, own = np.intersect1d(self.ids, ids, return_indices=True)
+        poses, edges, sigmas = np.full((len(ids), 4, 4), np.nan), np.full(len(ids), edge), np.zeros((len(ids), 6))
+        poses[own], edges[own], sigmas[own] = self.poses[there], self.edges[there], self.sigmas[there]
+        return FixedMap(ids, poses, edges, sigmas, spread(self.joint, there, own, len(ids)))
+
+    def prior(self, moved: BoolArray, mounts: Mounts | None = None) -> Prior:
+        """Prior of all tags but those that were `moved`, mask `(K,)`, and of the mounts.
+
+        A motion of all tags, that has no variance in a surveyed map, gets the least one.
+        """
+        trusted, tags = self.has & ~moved, np.where(self.has[:, None, None], self.poses, np.eye(4))
+        own, rows = np.flatnonzero(trusted), rows_of(np.flatnonzero(trusted))
+        information = np.linalg.inv(self.joint[np.ix_(rows, rows)] + LEAST_SIGMA**2 * np.eye(len(rows)))
+        joint = spread(np.asarray(information, dtype=np.float64), np.arange(len(own)), own, len(trusted))
+        return Prior(tags, np.repeat(trusted[:, None], 6, axis=1).astype(float), None, mounts, joint=joint)
+
     @classmethod
-    def read(cls, path: Any, tag: Tag, errors: MapErrors, **table: Any) -> "FixedMap":
+    def read(cls, path: Any, tag: Tag, errors: Hanging, **table: Any) -> "FixedMap":
         """Read a map in any format of `lmd.formats.tag_maps`; the standard deviations of a surveyed `map.csv` are kept.
 
         Args:
@@ -83,23 +91,24 @@ class FixedMap:
         """
         deployment = read_deployment(path, "map", tag.family, **table)
         order = np.argsort(deployment.ids, kind="stable")
-        sigmas = np.repeat([[errors.turn, errors.place]], 3, axis=1) * np.ones((len(order), 1))
-        edges = np.where(np.isfinite(deployment.edges), deployment.edges, np.nan if tag.is_point else tag.size)
+        ids, poses, edges = deployment.ids[order], poses_of(deployment)[order], deployment.edges[order]
+        edges = np.where(np.isfinite(edges), edges, np.nan if tag.is_point else tag.size)
         if np.isnan(edges).any():
-            lacking = deployment.ids[np.isnan(edges)][0]
-            message = (
-                f"edge must be given, in metres: the map has no edge of tag {lacking}; it is that of the {tag.square}."
-            )
-            raise InputError(message, "edge")
-        stated, covariance = _stated_sigmas(path), None
-        if stated is not None:
-            ids, values = stated
-            rows = np.searchsorted(ids, deployment.ids[order])
-            known = np.isfinite(values[rows])
-            sigmas = np.where(known, np.maximum(values[rows], LEAST_SIGMA), sigmas)
-            covariance = _stated_covariance(path, deployment.ids[order], sigmas)
-        ids, poses = deployment.ids[order], poses_of(deployment)[order]
-        return cls(ids, poses, edges[order], sigmas, covariance, deployment.note)
+            which = f"the map has no edge of tag {ids[np.isnan(edges)][0]}; it is that of the {tag.square}"
+            raise InputError(f"edge must be given, in metres: {which}.", "edge")
+        sigmas, covariance = np.tile(errors.deviations, (len(ids), 1)), None
+        if (stated := _stated_sigmas(path)) is not None:
+            values = stated[1][np.searchsorted(stated[0], ids)]
+            sigmas = np.where(np.isfinite(values), np.maximum(values, LEAST_SIGMA), sigmas)
+            covariance = _stated_covariance(path, ids, sigmas)
+        return cls(ids, poses, edges, sigmas, covariance, deployment.note)
+
+
+def spread(matrix: FloatArray, chosen: IntArray, places: IntArray, count: int) -> FloatArray:
+    """Matrix of `count` tags, six rows each, that holds the rows of the tags `chosen` at `places`, and else 0."""
+    result, rows, own = np.zeros((6 * count, 6 * count)), rows_of(places), rows_of(chosen)
+    result[np.ix_(rows, rows)] = matrix[np.ix_(own, own)]
+    return result
 
 
 def surveyed_covariance(path: Any, deployment: Deployment) -> FloatArray | None:
@@ -117,26 +126,15 @@ def surveyed_covariance(path: Any, deployment: Deployment) -> FloatArray | None:
     """
     if (stated := _stated_sigmas(path)) is None:
         return None
-    ids, values = stated
-    there = np.isin(ids, deployment.ids)
-    ids, sigmas = ids[there], np.maximum(values[there], LEAST_SIGMA)
+    there = np.isin(stated[0], deployment.ids)
+    ids, sigmas = stated[0][there], np.maximum(stated[1][there], LEAST_SIGMA)
     if (lacking := ids[~np.isfinite(sigmas).all(axis=1)]).size:
         raise InputError(f"map: tag {lacking[0]} in {str(path)!r} has no standard deviation: take it out.", "map")
-    among = _stated_covariance(path, ids, sigmas)
-    own = np.flatnonzero(np.isin(deployment.ids, ids))
-    rows, chosen = rows_of(own), rows_of(np.searchsorted(ids, deployment.ids[own]))
-    joint = np.zeros((6 * len(deployment), 6 * len(deployment)))
+    among, own = _stated_covariance(path, ids, sigmas), np.flatnonzero(np.isin(deployment.ids, ids))
     whole = np.diag(sigmas.ravel() ** 2) if among is None else among
-    joint[np.ix_(rows, rows)] = whole[np.ix_(chosen, chosen)]
-    turned = np.zeros((len(deployment), 6, 6))
-    turned[:, :3, 3:] = turned[:, 3:, :3] = poses_of(deployment)[:, :3, :3]
-    turn = block_diag(*turned)
+    joint = spread(whole, np.searchsorted(ids, deployment.ids[own]), own, len(deployment))
+    turn = block_diag(*world_from_twists(poses_of(deployment)))
     return np.asarray(turn @ joint @ turn.T)
-
-
-def information_of(covariance: FloatArray) -> FloatArray:
-    """Inverse of a covariance of tags, `(6 n, 6 n)`; a motion of all tags, that has no variance, gets the least one."""
-    return np.asarray(np.linalg.inv(covariance + LEAST_SIGMA**2 * np.eye(len(covariance))))
 
 
 def _stated_sigmas(path: Any) -> tuple[IntArray, FloatArray] | None:
@@ -176,6 +174,5 @@ def _stated_covariance(path: Any, ids: IntArray, sigmas: FloatArray) -> FloatArr
     if not np.allclose(np.maximum(own, LEAST_SIGMA), sigmas[of], rtol=SAME_SIGMA):
         text = f"map: {str(beside)!r} is of another map than {Path(str(path)).name!r}: take both from one survey"
         raise InputError(f"{text}, or remove it.", "map")
-    result, rows, others = np.diag(sigmas.ravel() ** 2), rows_of(of), rows_of(there)
-    result[np.ix_(rows, rows)] = covariance[np.ix_(others, others)]
-    return result
+    alone = np.where(np.isin(np.arange(len(ids)), of)[:, None], 0.0, sigmas**2)
+    return np.diag(alone.ravel()) + spread(covariance, there, of, len(ids))

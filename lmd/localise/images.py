@@ -5,18 +5,18 @@ likeliest proposals are refined with all tags in view. If another pose is nearly
 is refused.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import Enum
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
-from lmd.adjust.candidates import Candidates, agreeing
-from lmd.adjust.corners import DEGREES_OF_FREEDOM, Poses, Reprojection, resected, squared_errors
+from lmd.adjust.candidates import Candidates, measured_mounts, single_poses
+from lmd.adjust.corners import Poses, Reprojection, agreeing, resected, squared_errors, student_losses
 from lmd.adjust.estimate import Estimate
-from lmd.adjust.mounts import measured_mounts
-from lmd.adjust.second_places import FEWEST_SIGHTINGS
-from lmd.adjust.sightings import RESIDUALS, Sightings
+from lmd.adjust.faults import FEWEST_SIGHTINGS
+from lmd.adjust.sightings import Sightings
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.geometry.se3 import angle_between
 
@@ -39,55 +39,51 @@ class State(Enum):
     RESIDUAL = "residual too large"
 
 
-@dataclass(frozen=True)
-class RoughPoses:
+class RoughPoses(NamedTuple):
     """Rough poses of F frames."""
 
     poses: Poses
     """Poses; tags are NaN if they are not in the map or contradict it, frames if they show no other tag."""
     others: FloatArray
     """`(F, 4, 4)` the best pose that differs from the pose of the frame; NaN if there is none."""
+    gross: BoolArray
+    """`(K,)` True for tags that contradict the others."""
+    agreed: int
+    """Number of sightings that agree with the poses."""
 
-    def agreed(self, sightings: Sightings) -> int:
-        """Number of sightings that agree with the poses."""
-        return int(agreeing(sightings, squared_errors(sightings, self.poses)).sum())
 
-
-def rough_poses(
-    sightings: Sightings, single: FloatArray, poses: Poses, sigmas: FloatArray
-) -> tuple[RoughPoses, BoolArray]:
-    """Find rough poses of the frames, and the mask of the tags that contradict the others, `(K,)`.
+def rough_poses(sightings: Sightings, poses: Poses, sigmas: FloatArray) -> RoughPoses:
+    """Find rough poses of the frames, and tags that contradict the others.
 
     A sighting that does not fit the pose of its image counts fully, and all sightings of an image without a majority
     count half. Tags with the largest share of such sightings are taken out, and images are localised again.
 
     Args:
         sightings: all sightings.
-        single: two poses of the tag of each sighting in its camera, `(N, 2, 4, 4)`.
         poses: poses of tags in the map, NaN if not in the map, and expected mounts; a mount that frames show to be
             elsewhere begins there.
         sigmas: standard deviations of the tags in the map, `(K, 6)`.
     """
-    gross = np.zeros(len(poses.tags), dtype=bool)
+    gross, single = np.zeros(len(poses.tags), dtype=bool), single_poses(sightings).poses
     if sightings.cameras > 1:
         order = np.argsort(sightings.frame + sightings.camera * sightings.frames, kind="stable")
         apart = sightings.with_separate_cameras()
-        views = _proposed(apart, replace(poses, mounts=np.eye(4)[None]), single[order]).poses.frames
-        views = views.reshape(sightings.cameras, -1, 4, 4)
+        best, _ = _proposed(apart, replace(poses, mounts=np.eye(4)[None]), single[order])
+        views = best.frames.reshape(sightings.cameras, -1, 4, 4)
         poses = replace(poses, mounts=measured_mounts(views, poses.mounts)[0])
     for _ in range(MOST_ROUNDS):
-        found = _proposed(sightings, poses, single)
-        share = _blame(sightings, found.poses, sigmas)
+        best, others = _proposed(sightings, poses, single)
+        share = _blame(sightings, best, sigmas)
         if share.max(initial=0.0) < CONTRADICTS:
             break
         gross |= (share >= SURELY) | (share == share.max())
         poses = replace(poses, tags=np.where(gross[:, None, None], np.nan, poses.tags))
-    return found, gross
+    return RoughPoses(best, others, gross, int(agreeing(sightings, squared_errors(sightings, best)).sum()))
 
 
 def _blame(sightings: Sightings, poses: Poses, sigmas: FloatArray) -> FloatArray:
     """Share of the sightings of each tag, among those beside other tags, that contradict these tags, `(K,)`."""
-    some = sightings.of(np.flatnonzero(np.isfinite(poses.tags[sightings.tag, 0, 0])))
+    some = sightings.of(poses.known_tags[sightings.tag])
     at = Reprojection(some, *poses.of(some))
     expected = ((at.by_tag * sigmas[some.tag, None]) ** 2).sum(axis=(1, 2))
     fits = agreeing(some, np.maximum(at.squared - SIGMAS**2 * expected, 0.0))
@@ -99,9 +95,9 @@ def _blame(sightings: Sightings, poses: Poses, sigmas: FloatArray) -> FloatArray
     return np.where(total < FEWEST_SIGHTINGS / 2.0, 0.0, share)
 
 
-def _proposed(sightings: Sightings, poses: Poses, single: FloatArray) -> RoughPoses:
-    """Best pose of each frame, and the best pose that differs from it."""
-    known = np.flatnonzero(np.isfinite(poses.tags[sightings.tag, 0, 0]))
+def _proposed(sightings: Sightings, poses: Poses, single: FloatArray) -> tuple[Poses, FloatArray]:
+    """Poses with the best pose of each frame, and the best pose that differs from it, `(F, 4, 4)`."""
+    known = np.flatnonzero(poses.known_tags[sightings.tag])
     best, other = np.full((2, sightings.frames, 4, 4), np.nan)
     poses = replace(poses, frames=best)
     _, first = np.unique(sightings.frame[known], return_index=True)
@@ -117,7 +113,7 @@ def _proposed(sightings: Sightings, poses: Poses, single: FloatArray) -> RoughPo
         away = _mean_distances(sightings.of(own), replace(poses, frames=best))[trial.owners[owner]]
         differ = np.flatnonzero(_are_apart(found[at], found, away))[::-1]
         other[trial.owners[owner[differ]]] = found[differ]  # the last assignment of each frame is its best one
-    return RoughPoses(replace(poses, frames=best), other)
+    return replace(poses, frames=best), other
 
 
 def _are_apart(one: FloatArray, two: FloatArray, away: FloatArray) -> BoolArray:
@@ -134,14 +130,15 @@ def states_of(found: Estimate, others: FloatArray) -> tuple[list[State], FloatAr
         found: estimate with a pose of each frame that shows a tag of the map.
         others: other poses of the frames, `(F, 4, 4)`; NaN if there is none.
     """
-    some = found.sightings.of(np.isfinite(found.poses.tags[found.sightings.tag, 0, 0]))
+    some = found.sightings.of(found.poses.known_tags[found.sightings.tag])
     seen = np.bincount(some.frame, minlength=some.frames)
     tried = some.of(np.isfinite(others[some.frame, 0, 0]))
     poses = resected(tried, replace(found.poses, frames=others), found.floor)
-    gap = _losses(tried, poses, found.floor) - _losses(tried, found.poses, found.floor)
+    losses = (student_losses(squared_errors(tried, one) / tried.variance(found.floor)) for one in (poses, found.poses))
+    gap = np.subtract(*(np.bincount(tried.frame, loss, minlength=tried.frames) for loss in losses))
     here, there = found.poses.frames, poses.frames
     away = _mean_distances(tried, found.poses)
-    alike = (seen > 0) & np.isfinite(here[:, 0, 0]) & (gap < TOLD_APART) & _are_apart(here, there, away)
+    alike = (seen > 0) & found.poses.known_frames & (gap < TOLD_APART) & _are_apart(here, there, away)
     states = np.array([State.LOCALISED if shown else State.NO_TAG for shown in seen])
     states[alike & (seen == 1)], states[alike & (seen > 1)] = State.TWO_POSES, State.ALIKE
     both = np.where((gap < 0.0)[:, None, None, None], np.stack([there, here], 1), np.stack([here, there], 1))
@@ -153,10 +150,3 @@ def _mean_distances(some: Sightings, poses: Poses) -> FloatArray:
     away = np.linalg.norm(poses.tags[some.tag, :3, 3] - poses.frames[some.frame, :3, 3], axis=1)
     counts = np.bincount(some.frame, minlength=some.frames)
     return np.asarray(np.bincount(some.frame, away, minlength=some.frames) / np.maximum(counts, 1))
-
-
-def _losses(some: Sightings, poses: Poses, floor: float) -> FloatArray:
-    """Negative log-likelihood of each frame, `(F,)`."""
-    square = squared_errors(some, poses) / some.variance(floor)
-    each = (DEGREES_OF_FREEDOM + RESIDUALS) / 2.0 * np.log1p(square / DEGREES_OF_FREEDOM)
-    return np.asarray(np.bincount(some.frame, each, minlength=len(poses.frames)))

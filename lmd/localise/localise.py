@@ -12,31 +12,31 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from lmd.adjust.adjustment import Adjustment
-from lmd.adjust.candidates import single_poses
+from lmd.adjust.candidates import mount_doubt, placed_tags, single_poses
 from lmd.adjust.corners import Poses
-from lmd.adjust.estimate import FLOOR_PIXELS, ONE_THREAD, STEPS, Estimate, adjust
+from lmd.adjust.drive import Nodes, measured_motion, smoothest, spread_motion, with_motion
+from lmd.adjust.estimate import FLOOR_PIXELS, ONE_THREAD, STEPS, Estimate
+from lmd.adjust.faults import FEWEST_SIGHTINGS, odd_sizes, other_sizes, second_places
 from lmd.adjust.intrinsics import Calibrated, Optics
-from lmd.adjust.motion import Motion, seconds_of, with_bridged_gaps
-from lmd.adjust.mounts import Mounts, mount_doubt
-from lmd.adjust.refinement import Refined, edge_doubts
-from lmd.adjust.second_places import FEWEST_SIGHTINGS
-from lmd.adjust.sequence import Nodes, smoothest
+from lmd.adjust.motion import Motion, seconds_of
+from lmd.adjust.prior import Mounts
+from lmd.adjust.refinement import edge_doubts, minimised, with_lenses
 from lmd.adjust.sightings import Observations, outside_doubts
-from lmd.adjust.sizes import odd_sizes
-from lmd.core.checks import BoolArray, FloatArray, InputError
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.detection.corner_errors import CornerErrors
 from lmd.formats.detections import DetectedTags
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import inverse, log
 from lmd.geometry.trajectory import Trajectory
-from lmd.localise.changes import Changes, MapPrior, compare
+from lmd.localise.changes import Change, compare, vanished_tags
 from lmd.localise.fixed_map import FixedMap
 from lmd.localise.images import RoughPoses, State, rough_poses, states_of
-from lmd.localise.vanished import vanished_tags
 from lmd.scene.tag import Tag
 from lmd.space.space import Space
 
-FEWEST_BELIEVED = 2  # minimum number of sightings of a tag that the map lacks, as ids may be misread
+# Minimum number, and share, of the sightings of a tag that must agree on its pose if the map lacks it, as ids may be
+# misread.
+FEWEST_BELIEVED, LEAST_SHARE = 2, 0.3
 TRIED_FRAMES = 40  # frames of several tags by which the first corner of detections is found
 FEWEST_FRAMES = 3  # minimum number of frames of a drive that is smoothed
 SURPRISING = 3.0  # standard deviations of its prior beyond which an estimated mount or camera is named
@@ -57,55 +57,18 @@ class Drive:
     steady: bool | None = None
     """False if the velocity may change at once, so that poses are not smoothed without odometry."""
 
-    def prior(self) -> Mounts | None:
+    @property
+    def prior(self) -> Mounts:
         """Prior of the mounts."""
-        return None if self.mounts is None else Mounts(self.mounts, None if self.is_mounted else MOUNT_SIGMAS)
+        mounts = np.eye(4)[None] if self.mounts is None else self.mounts
+        return Mounts(mounts, None if self.mounts is None or self.is_mounted else MOUNT_SIGMAS)
 
     def motion(self, detected: DetectedTags) -> Motion | None:
         """Motion between the frames; None if it is unknown."""
         seconds = seconds_of(detected.times)
         if self.odometry is not None:
             return Motion.by_odometry(seconds, self.odometry)
-        return Motion.steady(seconds) if self.steady is not False and np.isfinite(seconds).all() else None
-
-
-@dataclass(frozen=True)
-class FramePoses:
-    """Poses of F frames."""
-
-    estimate: Estimate
-    """Estimate of all poses; frames without a pose are NaN."""
-    covariances: FloatArray
-    """`(F, 6, 6)` covariance of the right-hand twist of each pose, rad and metres; NaN without a pose."""
-    states: tuple[State, ...]
-    """Outcome of each frame by itself."""
-
-    @classmethod
-    def of(cls, found: Estimate, states: Sequence[State]) -> "FramePoses":
-        """Poses of the frames of an estimate that are not refused."""
-        count = found.sightings.frames
-        covariances, keep = np.full((count, 6, 6), np.nan), np.isfinite(found.poses.frames[:, 0, 0])
-        if found.used.any():
-            with threadpool_limits(limits=ONE_THREAD):
-                final = found.adjustment
-                covariances[final.seen] = final.frame_covariances(found.poses, found.floor)
-        covariances[~keep] = np.nan
-        return cls(found, covariances, tuple(states))
-
-    @property
-    def frames(self) -> FloatArray:
-        """Poses of the body, `(F, 4, 4)`; NaN if unknown."""
-        return self.estimate.poses.frames
-
-    @property
-    def used(self) -> BoolArray:
-        """Sightings that fit, `(N,)`."""
-        return self.estimate.used
-
-    @property
-    def localised(self) -> BoolArray:
-        """True for frames with a pose, `(F,)`."""
-        return np.isfinite(self.frames[:, 0, 0])
+        return Motion(seconds) if self.steady is not False and np.isfinite(seconds).all() else None
 
 
 @dataclass(frozen=True)
@@ -118,17 +81,25 @@ class Localisation:
     """The map."""
     renumbered: int
     """Number of corners by which the first corner of all detections was moved back."""
-    found: FramePoses
-    """Poses of single images."""
-    smoothed: FramePoses | None
-    """Smoothed poses; None if the motion between frames is unknown."""
-    changes: Changes
-    """Tags that were moved since the map was made, and new tags."""
-    vanished: dict[int, int] | None
-    """Number of views in which each tag that vanished should have been detected, by id; None in an unknown room."""
+    found: Estimate
+    """Estimate of the poses of single images; frames that are refused have no pose."""
+    states: tuple[State, ...]
+    """Outcome of each image."""
+    smoothed: Estimate | None
+    """Estimate of the smoothed poses; None if the motion between frames is unknown."""
+    changes: tuple[Change, ...]
+    """Tags that were moved, that vanished, and that are new, by kind, then by id."""
+    compared: IntArray
+    """Ids of the tags of the map that the images could compare with the others."""
     calibrated: tuple[Calibrated, ...]
     """Cameras as refined by the drive; empty if cameras are exact."""
-    doubts: tuple[str, ...] = ()
+    contradicted: int
+    """See `lmd.localise.changes.Comparison`."""
+    sizes: dict[int, float]
+    """Estimated edges of the tags with another edge than stated, metres, by id."""
+    in_room: bool
+    """True if the room is known, so that tags that vanished were looked for."""
+    doubts: tuple[str, ...]
     """Sentences on what contradicts the images: calibrations, mounts, tags of one id."""
 
 
@@ -158,60 +129,51 @@ def localise(
         InputError: no detection has a tag of the map, the cameras are others, or odometry contradicts the images.
     """
     drive = drive or Drive()
-    motion, seen = drive.motion(detected), _observed(detected, cameras, tag, errors, known)
-    prior = MapPrior.of(known, seen.ids, drive.prior())
-    quarters = 0 if detected.in_order else _quarters(seen, prior)
-    seen = replace(seen, detected=detected.renumbered(seen.ids, np.full(len(seen.ids), quarters)))
-    sightings = seen.through()
-    if not prior.in_map[sightings.tag].any():
+    motion, mounts, here = drive.motion(detected), drive.prior, _map_of(detected, tag, known)
+    seen = Observations(detected, tuple(map(Optics, cameras)), here.ids, here.edges, tag.modules, errors)
+    if not here.has[seen.through().tag].any():
         raise InputError("detections has no tag of the map wholly within an image; is it another camera?", "detections")
     with threadpool_limits(limits=ONE_THREAD):
-        seen, rough, gross, odd = _begun(seen, prior)
-        sightings = seen.through()
-        group = np.where(np.isnan(rough.poses.tags[:, 0, 0]), -1, 0)
-        begun = adjust(sightings, prior.prior(gross), rough.poses, group, FLOOR_PIXELS)
+        seen, quarters = (seen, 0) if detected.in_order else _in_order(seen, here, mounts)
+        seen, rough, odd = _begun(seen, here, mounts)
+        group = np.where(rough.poses.known_tags, 0, -1)
+        begun = Estimate.adjusted_from(seen.through(), here.prior(rough.gross, mounts), rough.poses, group)
         states, both = states_of(begun, rough.others)
-        frames = np.where(np.isfinite(both[:, 0]), np.nan, begun.poses.frames)
-        begun = replace(begun, poses=replace(begun.poses, frames=frames))
-        comparison = compare(seen, prior, begun, gross, odd, calibrate)
-    now, changes = comparison.now, comparison.changes(prior)
-    alone = FramePoses.of(*_refused(now.found, states))
-    linked = None if motion is None else smoothed(now, motion, both)
-    best = linked or now
-    doubts = outside_doubts(seen) or [*_surprises(now, drive), *(edge_doubts(now) if calibrate else ())]
+        begun = _with_all_tags(begun, rough, both)
+        begun = with_lenses(begun, seen) if calibrate else begun
+        compared = compare(begun, here, mounts, rough.gross, odd)
+    found = compared.found
+    alone, states = _refused(found, states)
+    linked = None if motion is None else smoothed(found, motion, both)
+    doubts = outside_doubts(seen) or [*_surprises(found, mounts), *(edge_doubts(found) if calibrate else ())]
+    stay = found.misfits & (here.has & ~compared.moved)[found.sightings.tag]
     doubts += [
-        f"tag {seen.ids[place.tag]} hangs at ({', '.join(f'{x:.2f}' for x in place.pose[:3, 3])}) as well, by "
+        f"tag {here.ids[place.tag]} hangs at ({', '.join(f'{x:.2f}' for x in place.pose[:3, 3])}) as well, by "
         f"{place.sightings} images: has another tag its id, or was it moved on the way?"
-        for place in changes.twice
+        for place in second_places(found, stay)
     ]
-    vanished = None if room is None else vanished_tags(alone.estimate, known, now.optics, room)
-    result = None if linked is None else FramePoses.of(linked.found, states)
+    optics = seen.optics if found.lenses is None else found.lenses.optics
+    gone = [] if room is None else vanished_tags(alone, known, optics, room)
+    changes = sorted([*compared.changes(here), *gone], key=lambda one: ("moved", "vanished", "new").index(one.kind))
     return Localisation(
-        seen.detected, known, quarters, alone, result, changes, vanished, best.calibrated, tuple(doubts)
+        detected=seen.detected,
+        known=known,
+        renumbered=quarters,
+        found=alone,
+        states=tuple(states),
+        smoothed=linked,
+        changes=tuple(changes),
+        compared=here.ids[np.isfinite(compared.squares)],
+        calibrated=(linked or found).calibrated,
+        contradicted=compared.contradicted,
+        sizes=other_sizes(found, compared.odd),
+        in_room=room is not None,
+        doubts=tuple(doubts),
     )
 
 
-def _begun(seen: Observations, prior: MapPrior) -> tuple[Observations, RoughPoses, BoolArray, BoolArray]:
-    """Rough poses and the mask of the tags that contradict the others, `(K,)`, with the detections of tags of another
-    edge than the map states, and the mask of these, `(K,)`: those by which more sightings agree.
-    """
-    sightings = seen.through()
-    single = single_poses(sightings).poses
-    rough, gross = rough_poses(sightings, single, prior.begin, prior.sigmas)
-    factors, odd = odd_sizes(sightings, single[:, 0])
-    if gross.any() and odd.any():
-        other = replace(seen, edges=seen.edges * factors)
-        resized = other.through()
-        again, fewer = rough_poses(resized, single_poses(resized).poses, prior.begin, prior.sigmas)
-        if again.agreed(resized) > rough.agreed(sightings) + FEWEST_SIGHTINGS:
-            return other, again, fewer, odd
-    return seen, rough, gross, np.zeros_like(odd)
-
-
-def _observed(
-    detected: DetectedTags, cameras: Sequence[Camera], tag: Tag, errors: CornerErrors, known: FixedMap
-) -> Observations:
-    """Detections of the tags of the map that are seen, and of other tags that are seen twice.
+def _map_of(detected: DetectedTags, tag: Tag, known: FixedMap) -> FixedMap:
+    """Map of the tags of the map that are seen, and of other tags that are seen twice.
 
     Raises:
         InputError: no detection has a tag of the map.
@@ -221,54 +183,71 @@ def _observed(
         raise InputError(f"detections has no tag of the map, only others such as {shown}.", "detections")
     several, counts = np.unique(detected.ids[detected.ids < tag.ids], return_counts=True)
     ids = np.union1d(several[counts >= FEWEST_BELIEVED], np.intersect1d(known.ids, detected.ids))
-    edges = np.full(len(ids), np.median(known.edges) if tag.is_point else tag.size)
-    _, own, there = np.intersect1d(ids, known.ids, return_indices=True)
-    edges[own] = known.edges[there]
-    return Observations(detected, tuple(map(Optics, cameras)), ids, edges, tag.modules, errors)
+    return known.among(ids, float(np.median(known.edges)) if tag.is_point else tag.size)
 
 
-def _quarters(seen: Observations, prior: MapPrior) -> int:
-    """Quarter turns by which the corners of detections are numbered from another corner: those with which most
-    sightings of frames with several tags of the map fit; 0 in a tie.
+def _rough(seen: Observations, here: FixedMap, mounts: Mounts) -> RoughPoses:
+    return rough_poses(seen.through(), Poses(here.poses, np.empty((0, 4, 4)), mounts.poses), here.sigmas)
+
+
+def _in_order(seen: Observations, here: FixedMap, mounts: Mounts) -> tuple[Observations, int]:
+    """Detections whose corners begin at the top left, and the number of corners by which the first one was moved back:
+    the one by which most sightings of frames with several tags of the map fit; 0 in a tie.
     """
     detected = seen.detected
-    of_map = np.flatnonzero(np.isin(detected.ids, seen.ids[prior.in_map]))
-    counts = np.bincount(detected.frame[of_map], minlength=len(detected.times))
-    several = np.flatnonzero(counts > 1)
+    of_map = np.flatnonzero(np.isin(detected.ids, here.ids[here.has]))
+    several = np.flatnonzero(np.bincount(detected.frame[of_map]) > 1)
     tried = several[:: max(1, len(several) // TRIED_FRAMES)]
     if not len(tried):
-        return 0
-    some, agreed = detected.of(of_map[np.isin(detected.frame[of_map], tried)]), []
-    for quarters in range(4):
-        turned = some.renumbered(seen.ids, np.full(len(seen.ids), quarters))
-        sightings = replace(seen, detected=turned).through()
-        rough, _ = rough_poses(sightings, single_poses(sightings).poses, prior.begin, prior.sigmas)
-        agreed.append(rough.agreed(sightings))
-    return int(np.argmax(agreed))
+        return seen, 0
+    some = replace(seen, detected=detected.of(of_map[np.isin(detected.frame[of_map], tried)]))
+    best = int(np.argmax([_rough(some.renumbered(quarters), here, mounts).agreed for quarters in range(4)]))
+    return seen.renumbered(best), best
+
+
+def _begun(seen: Observations, here: FixedMap, mounts: Mounts) -> tuple[Observations, RoughPoses, BoolArray]:
+    """Rough poses, with the detections of tags of another edge than the map states, and the mask of these, `(K,)`:
+    those by which more sightings agree.
+    """
+    rough, sightings = _rough(seen, here, mounts), seen.through()
+    factors, odd = odd_sizes(sightings, single_poses(sightings).poses[:, 0])
+    if rough.gross.any() and odd.any():
+        other = replace(seen, edges=seen.edges * factors)
+        again = _rough(other, here, mounts)
+        if again.agreed > rough.agreed + FEWEST_SIGHTINGS:
+            return other, again, odd
+    return seen, rough, np.zeros_like(odd)
+
+
+def _with_all_tags(begun: Estimate, rough: RoughPoses, both: FloatArray) -> Estimate:
+    """Estimate with the tags that have no rough pose, and without the frames of `both` poses, `(F, 2, 4, 4)`."""
+    some, lost = begun.sightings, ~rough.poses.known_tags
+    frames = np.where(np.isfinite(both[:, 0]), np.nan, begun.poses.frames)
+    begun = replace(begun, poses=replace(begun.poses, tags=rough.poses.tags, frames=frames))
+    begun = begun.with_tags(lost, placed_tags(some.of(lost[some.tag]), begun.poses, FEWEST_BELIEVED, LEAST_SHARE)[lost])
+    return replace(begun, group=np.where(begun.poses.known_tags, 0, -1))
 
 
 def _refused(found: Estimate, states: Sequence[State]) -> tuple[Estimate, list[State]]:
     """Estimate without the frames of which most sightings do not fit, and the outcomes of all frames."""
-    of_map = np.isfinite(found.poses.tags[found.sightings.tag, 0, 0])
-    seen, used = (
-        np.bincount(found.sightings.frame[which], minlength=found.sightings.frames) for which in (of_map, found.used)
-    )
+    some = found.sightings
+    of_map = found.poses.known_tags[some.tag]
+    seen, used = (np.bincount(some.frame[which], minlength=some.frames) for which in (of_map, found.used))
     wrong = (seen > 0) & (2 * used <= seen) & ~((used == 1) & (seen == 1))
     after = [
         State.RESIDUAL if state is State.LOCALISED and is_wrong else state
         for state, is_wrong in zip(states, wrong, strict=True)
     ]
     refused = np.array([state is not State.LOCALISED for state in after])
-    frames = np.where(refused[:, None, None], np.nan, found.poses.frames)
-    used_frames = found.used & ~refused[found.sightings.frame]
-    return replace(found, poses=replace(found.poses, frames=frames), used=used_frames), after
+    poses = replace(found.poses, frames=np.where(refused[:, None, None], np.nan, found.poses.frames))
+    return replace(found, poses=poses, used=found.used & ~refused[some.frame]), after
 
 
-def smoothed(now: Refined, motion: Motion, both: FloatArray) -> Refined | None:
+def smoothed(found: Estimate, motion: Motion, both: FloatArray) -> Estimate | None:
     """Estimate in which motion links the frames.
 
     Args:
-        now: estimate of single images.
+        found: estimate of single images.
         motion: motion between the frames.
         both: `(F, 2, 4, 4)` poses of frames that two poses fit, NaN for others; the smoothest sequence decides.
 
@@ -279,34 +258,25 @@ def smoothed(now: Refined, motion: Motion, both: FloatArray) -> Refined | None:
         InputError: odometry contradicts the images.
     """
     with threadpool_limits(limits=ONE_THREAD):
-        poses = _decided(now.found, motion, both)
-        there = np.flatnonzero(np.isfinite(poses.frames[:, 0, 0]))
+        poses, some = _decided(found, motion, both), found.sightings
+        there = np.flatnonzero(poses.known_frames)
         if len(there) < FEWEST_FRAMES or not motion.follows(there).any():
             return None
-        found, prior = now.found, replace(now.found.prior, motion=motion)
-        posed = np.isfinite(poses.frames[found.sightings.frame, 0, 0]) & (found.group[found.sightings.tag] == 0)
-        used = posed & (found.used | np.isfinite(both[found.sightings.frame, 0, 0, 0]))
-        rough = Adjustment(found.sightings.of(used), prior, inflation=found.inflation)
-        rough = rough.with_motion(rough.estimate_motion(poses, FLOOR_PIXELS))
+        posed = poses.known_frames[some.frame] & (found.group[some.tag] == 0)
+        used = posed & (found.used | np.isfinite(both[some.frame, 0, 0, 0]))
+        rough = Adjustment(some.of(used), replace(found.prior, motion=motion), inflation=found.inflation)
+        rough = with_motion(rough, spread_motion(rough, poses, FLOOR_PIXELS))
         poses, floor = rough.run(poses, FLOOR_PIXELS, STEPS)
-        assert rough.links is not None
-        rough.links.check(poses.frames[rough.seen])
-        motion = rough.estimate_motion(poses, floor)
-        if not motion.is_odometry:
-            part = motion.of(rough.seen, np.zeros(len(rough.seen), dtype=np.int64))
-            tested = with_bridged_gaps(part, poses.frames[rough.seen])
-            motion = replace(motion, gaps=tested.gaps, bridged=tested.bridged)
-        prior = replace(prior, motion=motion)
-        found = adjust(found.sightings, prior, poses, found.group, FLOOR_PIXELS, found.inflation)
-        linked = replace(now, found=found)
-    return linked.minimised() if now.sigmas else linked
+        prior = replace(found.prior, motion=measured_motion(rough, poses, floor))
+        linked = replace(found, prior=prior, poses=poses).adjusted()
+    return linked if linked.lenses is None else minimised(linked)
 
 
 def _decided(found: Estimate, motion: Motion, both: FloatArray) -> Poses:
     """Poses of the frames; of two poses of an open frame, the one nearer to the smoothest sequence."""
     frames, opened = found.poses.frames.copy(), np.flatnonzero(np.isfinite(both[:, 0, 0, 0]))
     if opened.size:
-        some = found.sightings.of(np.isfinite(found.poses.tags[found.sightings.tag, 0, 0]))
+        some = found.sightings.of(found.poses.known_tags[found.sightings.tag])
         nodes = Nodes.of(some, np.zeros(len(some.ids), dtype=np.int64), motion)
         views = np.full_like(frames, np.nan)
         views[nodes.frame] = smoothest(nodes, found.poses).frames
@@ -318,12 +288,19 @@ def _decided(found: Estimate, motion: Motion, both: FloatArray) -> Poses:
     return replace(found.poses, frames=frames)
 
 
-def _surprises(now: Refined, drive: Drive) -> list[str]:
-    """Sentences on mounts and cameras that are estimated beyond `SURPRISING` standard deviations of their priors."""
-    said, prior = [], drive.prior()
-    if prior is not None and prior.sigmas is not None:
-        off = log(inverse(now.found.poses.mounts[1:]) @ prior.poses[1:])
-        for camera, twist in enumerate(off, 1):
-            if (np.abs(twist) > SURPRISING * np.repeat(prior.sigmas, 3)).any():
-                said.append(mount_doubt(camera, twist, "by the images"))
-    return said + now.surprises(SURPRISING)
+def _surprises(found: Estimate, mounts: Mounts) -> list[str]:
+    """Sentences on mounts, focal lengths and centres that are estimated beyond `SURPRISING` standard deviations of
+    their priors.
+    """
+    said = []
+    if mounts.sigmas is not None:
+        off = -mounts.off(found.poses.mounts)
+        odd = np.flatnonzero((np.abs(off) > SURPRISING * mounts.information**-0.5).any(axis=1)).tolist()
+        said = [mount_doubt(camera + 1, off[camera], "by the images") for camera in odd]
+    for number, camera in enumerate(found.calibrated, 1):
+        assert found.lenses is not None
+        if (most := np.abs(found.lenses.off[number - 1, :4]).max()) >= SURPRISING:
+            name = "the camera" if len(found.calibrated) == 1 else f"camera {number}"
+            text = f"{most:.2g} standard deviations of a calibration from the given one"
+            said.append(f"{name} is {text} ({camera.to_text().partition(';')[0]}): is it its own?")
+    return said

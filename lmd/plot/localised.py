@@ -9,7 +9,6 @@ from lmd.adjust.gauge import in_world
 from lmd.adjust.motion import seconds_of
 from lmd.core.checks import FloatArray
 from lmd.localise.localise import Localisation
-from lmd.localise.results import changes_of
 from lmd.plot.common import LANDMARK, draw_plan, literal, new_figure, shrink
 from lmd.plot.plans import ELLIPSE_SIGMAS, edge_lines, ellipse
 from lmd.space.space import Space
@@ -42,11 +41,8 @@ def save_localised_figure(path: str | Path, result: Localisation, room: Space | 
 
 def _ways(result: Localisation) -> list[tuple[str, str, FloatArray, FloatArray]]:
     """Name, colour, poses and covariances, of single images and of the smoothed drive."""
-    found, smoothed = result.found, result.smoothed
-    ways = [("single images", SINGLE, found.frames, found.covariances)]
-    if smoothed is not None:
-        ways.append(("smoothed", SMOOTHED, smoothed.frames, smoothed.covariances))
-    return ways
+    every = ("single images", SINGLE, result.found), ("smoothed", SMOOTHED, result.smoothed)
+    return [(name, colour, one.poses.frames, one.frame_covariances) for name, colour, one in every if one is not None]
 
 
 def _draw_way(axes: Any, result: Localisation, room: Space | None) -> None:
@@ -54,7 +50,7 @@ def _draw_way(axes: Any, result: Localisation, room: Space | None) -> None:
     if room is not None:
         draw_plan(axes, room, lw=0.8, zorder=1)
         axes.lines[0].set_label("room")
-    known, every = result.known, changes_of(result)
+    known, every = result.known, result.changes
     lines = axes.plot(*edge_lines(known.poses, known.edges), color=LANDMARK, linewidth=2.0, zorder=2)
     lines[0].set_label("tag of the map")
     same = ~np.isin(known.ids, [change.tag for change in every])
@@ -83,10 +79,7 @@ def _draw_way(axes: Any, result: Localisation, room: Space | None) -> None:
         own_changes = [change for change in every if change.kind == kind]
         if not own_changes:
             continue
-        at = np.array([
-            known.poses[np.searchsorted(known.ids, one.tag)] if one.found is None else one.found.pose
-            for one in own_changes
-        ])  # fmt: skip
+        at = np.array([one.before if kind == "vanished" else one.pose for one in own_changes])
         axes.plot(*at[:, :2, 3].T, MARKERS[kind], color=colour, markersize=8, zorder=5, label=kind)
         for change, pose in zip(own_changes[:MOST_NAMED], at, strict=False):
             axes.annotate(f" {change.tag}", pose[:2, 3], color=colour, fontsize=10)
@@ -103,7 +96,7 @@ def _draw_deviations(axes: Any, result: Localisation) -> None:
         there = np.flatnonzero(np.isfinite(frames[:, 0, 0]))
         worst = np.sqrt(np.linalg.eigvalsh(covariances[there][:, 3:, 3:])[:, -1])
         axes.semilogy(along[there], 1e3 * worst, ".", color=colour, label=name, markersize=4)
-    refused = np.flatnonzero(~result.found.localised)
+    refused = np.flatnonzero(~result.found.poses.known_frames)
     if len(refused):
         axes.plot(along[refused], np.zeros(len(refused)), "|", color=CHANGED["vanished"], markersize=10,
                   transform=axes.get_xaxis_transform(), label="refused", clip_on=False)  # fmt: skip

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lmd.adjust.gauge import in_world
 from lmd.core.checks import FloatArray
 from lmd.evaluation.accuracy import plan_of_errors
 from lmd.plot import common
@@ -128,7 +129,7 @@ def save_survey_figure(path: str | Path, survey: "Survey", room: Space | None, t
     figure = new_figure((15.0, 7.0))
     left, right = figure.subplots(1, 2)
     _draw_above(left, survey, room)
-    if survey.planned is None:
+    if survey.known.plan is None:
         _draw_sigmas(right, survey)
     else:
         _draw_offsets(right, survey)
@@ -147,10 +148,10 @@ def _draw_above(axes: Any, survey: "Survey", room: Space | None) -> None:
     tags = survey.found.poses.tags
     axes.plot(*edge_lines(tags[placed], survey.found.sightings.edges[placed]), color=LANDMARK, linewidth=2.0, zorder=3)
     size = np.ptp(tags[placed][:, :2, 3], axis=0).max(initial=1.0)
-    covariances = survey.found.in_world(survey.found.gauge_free_covariances)
+    covariances = in_world(tags, survey.found.gauge_free_covariances)
     sigma = 1e3 * np.nanmedian(np.sqrt(covariances[placed][:, 0, 0] + covariances[placed][:, 1, 1]))
     scale = ARROW_SHARE * size
-    if planned is not None:
+    if survey.known.plan is not None:
         both = placed & np.isfinite(planned[:, 0, 0])
         way = tags[both][:, :2, 3] - planned[both][:, :2, 3]
         length = np.linalg.norm(way, axis=1)

@@ -6,10 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from lmd.adjust.mounts import Mounts
-from lmd.adjust.prior import EXACT_SIGMA, Prior
-from lmd.adjust.sheets import FEWEST, Sheets
-from lmd.core.checks import FloatArray, InputError, IntArray, boolean, check_fields, integer, real
+from lmd.adjust.prior import EXACT_SIGMA, FEWEST, Hanging, Mounts, Prior, Sheets
+from lmd.core.checks import Checked, FloatArray, InputError, IntArray, Positive, integer, real
 from lmd.core.tables import read_table
 from lmd.geometry.se3 import pose_of
 from lmd.geometry.trajectory import Trajectory
@@ -23,37 +21,6 @@ FEWEST_POINTS, NO_LINE = 3, 0.05
 # Standard deviations of tags on a bent sheet: shift out of the plane, metres; tilt out of the plane, rad; rotation in
 # the plane, rad.
 BENT, TILTED, TURNED = 0.001, 0.005, 0.001
-
-
-@dataclass(frozen=True)
-class Hanging:
-    """Standard deviations of the poses of tags from their planned poses, along the axes of each tag.
-
-    Raises:
-        InputError: a standard deviation is not positive.
-    """
-
-    place: float = 0.02
-    """Shift in the plane of the wall, metres."""
-    turn: float = 0.05
-    """Rotation in the plane of the wall, rad."""
-    flush: bool = True
-    """True if tags lie flat on their walls, so that `depth` and `tilt` hold; else `place` and `turn` hold for all axes.
-    """
-    depth: float = 0.005
-    """Shift off the wall, metres, if `flush`."""
-    tilt: float = 0.02
-    """Tilt out of the wall, rad, if `flush`."""
-
-    def __post_init__(self) -> None:
-        check_fields(self, real, "place", "turn", "depth", "tilt", above=0.0)
-        boolean("flush", self.flush)
-
-    @property
-    def deviations(self) -> FloatArray:
-        """Standard deviations of rotations about x, y and z of a tag, and of shifts along them, `(6,)`."""
-        tilt, depth = (self.tilt, self.depth) if self.flush else (self.turn, self.place)
-        return np.array([tilt, tilt, self.turn, self.place, self.place, depth])
 
 
 def are_in_line(places: FloatArray) -> bool:
@@ -95,7 +62,7 @@ class MeasuredPoints:
 
 
 @dataclass(frozen=True)
-class Boards:
+class Boards(Checked):
     """Flat sheets of several tags each, all tags with the same side up.
 
     Raises:
@@ -108,11 +75,10 @@ class Boards:
     """`(M,)` ids of the tags."""
     places: FloatArray
     """`(M, 2)` centres on the sheet, to the right and up, metres."""
-    printed: float
+    printed: Positive
     """Standard deviation of `places`, metres."""
 
-    def __post_init__(self) -> None:
-        check_fields(self, real, "printed", above=0.0)
+    def _validate(self) -> None:
         numbers, counts = np.unique(self.ids, return_counts=True)
         if (counts > 1).any():
             raise InputError(f"boards has tag {numbers[counts > 1][0]} twice.", "boards")
@@ -193,41 +159,39 @@ class PriorKnowledge:
     def edges(self, ids: IntArray, tag: Tag) -> FloatArray:
         """Edges of tags, metres: from `sizes`, or the plan or the fixed tags, else the edge of `tag`."""
         edges = np.full(len(ids), tag.size)
-        for known in (self.plan, self.fixed):
-            if known is not None:
-                own = dict(zip(known.ids.tolist(), known.edges.tolist(), strict=True))
-                given = np.array([own.get(number, np.nan) for number in ids.tolist()])
-                edges = np.where(np.isnan(given), edges, given)
-        return np.array([self.sizes.get(number, edge) for number, edge in zip(ids.tolist(), edges, strict=True)])
+        stated = [(known.ids, known.edges) for known in (self.plan, self.fixed) if known is not None]
+        for known, own in (*stated, (np.array(list(self.sizes), dtype=int), np.array(list(self.sizes.values())))):
+            given = _among(ids, known, own)
+            edges = np.where(np.isnan(given), edges, given)
+        return edges
 
-    def planned(self, ids: IntArray) -> FloatArray | None:
-        """Planned poses, `(K, 4, 4)`; NaN for tags that are not in the plan, None without a plan."""
-        if self.plan is None:
-            return None
-        poses = np.full((len(ids), 4, 4), np.nan)
-        of, among = _shared(ids, self.plan.ids)
-        poses[of] = poses_of(self.plan)[among]
-        return poses
+    def planned(self, ids: IntArray) -> FloatArray:
+        """Planned poses, `(K, 4, 4)`; NaN for tags that are not in the plan."""
+        nothing = np.full((len(ids), 4, 4), np.nan)
+        return nothing if self.plan is None else _among(ids, self.plan.ids, poses_of(self.plan))
 
     def prior(self, ids: IntArray) -> Prior:
         """Prior of the tags `ids` `(K,)`, ascending, and of the mounts; fixed tags override points, and points override
         the plan.
         """
         tags, information = np.tile(np.eye(4), (len(ids), 1, 1)), np.zeros((len(ids), 6))
-        if self.plan is not None:
-            of, among = _shared(ids, self.plan.ids)
-            tags[of], information[of] = poses_of(self.plan)[among], self.hanging.deviations**-2.0
+        planned = np.isfinite(self.planned(ids)[:, 0, 0])
+        tags[planned], information[planned] = self.planned(ids)[planned], self.hanging.deviations**-2.0
         if self.points is not None:
-            of, among = _shared(ids, self.points.ids)
-            tags[of, :3, 3], information[of, 3:] = self.points.places[among], TAPE_SIGMA_M**-2.0
+            places = _among(ids, self.points.ids, self.points.places)
+            of = np.isfinite(places[:, 0])
+            tags[of, :3, 3], information[of, 3:] = places[of], TAPE_SIGMA_M**-2.0
         if self.fixed is not None:
-            of, among = _shared(ids, self.fixed.ids)
-            tags[of], information[of] = poses_of(self.fixed)[among], EXACT_SIGMA**-2.0
+            poses = _among(ids, self.fixed.ids, poses_of(self.fixed))
+            of = np.isfinite(poses[:, 0, 0])
+            tags[of], information[of] = poses[of], EXACT_SIGMA**-2.0
         sheets = None if self.boards is None else self.boards.among(ids)
         return Prior(tags, information, sheets, None if self.mounts is None else Mounts(self.mounts))
 
 
-def _shared(ids: IntArray, known: IntArray) -> tuple[IntArray, IntArray]:
-    """Indices of the common ids in `ids` and in `known`."""
-    _, of, among = np.intersect1d(ids, known, return_indices=True)
-    return of, among
+def _among(ids: IntArray, known: IntArray, values: FloatArray) -> FloatArray:
+    """Values `(K, ...)` of the tags `ids`, from values `(n, ...)` of `known` tags; NaN for other tags."""
+    found = np.full((len(ids), *values.shape[1:]), np.nan)
+    _, of, own = np.intersect1d(ids, known, return_indices=True)
+    found[of] = values[own]
+    return found

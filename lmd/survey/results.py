@@ -1,14 +1,27 @@
-"""Tables, figures and the JSON document of a survey; `lmd.survey.terminal` has its text."""
+"""Tables, figures, the JSON document and the text of a survey."""
 
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lmd.adjust.gauge import SIGMA_COLUMNS, TWISTS, covariance_columns, quantiles
+from lmd.adjust.gauge import twists_between
+from lmd.adjust.tables import (
+    SIGMA_COLUMNS,
+    TWISTS,
+    a_few,
+    both,
+    covariance_columns,
+    document_of,
+    figures_of,
+    lines_of,
+    plain,
+    pose_columns,
+    quantiles,
+)
 from lmd.core.checks import FloatArray, IntArray
-from lmd.geometry.se3 import ROW, inverse, log
-from lmd.scene.deployment import COLUMNS, UP_COLUMNS, Deployment
+from lmd.core.words import labelled
+from lmd.scene.deployment import COLUMNS, UP_COLUMNS, Deployment, poses_of
 from lmd.scene.labels import EDGE, ID, Labels, Surveyed
 from lmd.survey.survey import Survey
 
@@ -19,59 +32,52 @@ FEW, LOOSE = 3, 3.0
 # A tag is far from its plan if its distance exceeds `FAR` times the median distance, and `FAR_SIGMAS` assumed standard
 # deviations.
 FAR, FAR_SIGMAS = 5.0, 3.0
+TURNS = ("a quarter turn clockwise", "half a turn", "a quarter turn counter-clockwise")
+
+
+def _tags(poses: FloatArray, ids: IntArray, counts: IntArray, edges: FloatArray) -> Deployment:
+    """Tags with their numbers of inliers."""
+    labels = Labels(ids, {SIGHTINGS: [str(count) for count in counts.tolist()]})
+    places = poses[:, :3, 3]
+    surveyed = Surveyed(places, places, poses[:, :3, 1])
+    return Deployment(places, poses[:, :3, 2], labels=labels, surveyed=surveyed, edges=edges)
 
 
 def map_of(survey: Survey) -> Deployment:
     """Tags of the map as they hang, with their edges and numbers of inliers."""
-    found, chosen = survey.found, np.flatnonzero(survey.placed)
+    found, chosen = survey.found, survey.placed
     edges = np.array([float(f"{edge:.6g}") for edge in found.sightings.present_edges[chosen]])
-    labels = Labels(survey.ids[chosen], {SIGHTINGS: [str(count) for count in survey.used[chosen]]})
-    poses = found.poses.tags[chosen]
-    places = poses[:, :3, 3]
-    surveyed = Surveyed(places, places, poses[:, :3, 1])
-    return Deployment(places, poses[:, :3, 2], labels=labels, surveyed=surveyed, edges=edges)
+    return _tags(found.poses.tags[chosen], survey.ids[chosen], survey.used[chosen], edges)
 
 
 def measured_of(survey: Survey) -> Deployment | None:
     """Tags of the plan, in its order, at their measured poses, or at their planned poses if not placed; None without a
     plan.
     """
-    plan = survey.known.plan
-    if plan is None:
+    if (plan := survey.known.plan) is None:
         return None
-    found = map_of(survey)
-    index = {number: k for k, number in enumerate(found.ids.tolist())}
-    own = np.array([index.get(number, -1) for number in plan.ids.tolist()])
-    there = own >= 0
-
-    def either(measured: FloatArray, planned: FloatArray) -> FloatArray:
-        return np.where(there[:, None] if planned.ndim > 1 else there, measured[own], planned)
-
-    places, ups = either(found.places, plan.places), either(found.ups, plan.ups)
-    counts = survey.used[np.searchsorted(survey.ids, plan.ids)]
-    labels = Labels(plan.ids, {SIGHTINGS: [str(count) for count in counts.tolist()]})
-    normals = either(found.normals, plan.normals)
-    edges = either(found.edges, plan.edges)
-    return Deployment(places, normals, labels=labels, surveyed=Surveyed(places, places, ups), edges=edges)
+    found, counts = map_of(survey), survey.used[np.searchsorted(survey.ids, plan.ids)]
+    _, own, there = np.intersect1d(plan.ids, found.ids, return_indices=True)
+    poses, edges = poses_of(plan), plan.edges.copy()
+    poses[own], edges[own] = poses_of(found)[there], found.edges[there]
+    return _tags(poses, plan.ids, counts, edges)
 
 
 def map_columns(survey: Survey) -> dict[str, ArrayLike]:
     """Columns of `map.csv`: tags; standard deviations beside the other tags, rad and metres, in the frames of the tags;
     covariances of positions, m^2, and rotations, rad^2, in the world frame.
     """
-    tags = map_of(survey)
+    tags, found, placed = map_of(survey), survey.found, survey.placed
     vectors = np.hstack([tags.places, tags.normals, tags.ups])
-    covariances = survey.found.in_world(survey.found.covariances)[survey.placed]
-    squares = np.diagonal(survey.found.gauge_free_covariances[survey.placed], axis1=1, axis2=2)
-    own = dict(zip(SIGMA_COLUMNS, np.sqrt(np.maximum(squares, 0.0)).T, strict=True))
-    assert tags.labels is not None
-    columns = {ID: tags.ids, **dict(zip((*COLUMNS, *UP_COLUMNS), vectors.T, strict=True)), EDGE: tags.edges}
+    squares = np.diagonal(found.gauge_free_covariances[placed], axis1=1, axis2=2)
     return {
-        **columns,
-        **tags.labels.columns,
-        "sigma": survey.found.sigmas[survey.placed],
-        **own,
-        **covariance_columns(covariances),
+        ID: tags.ids,
+        **dict(zip((*COLUMNS, *UP_COLUMNS), vectors.T, strict=True)),
+        EDGE: tags.edges,
+        SIGHTINGS: survey.used[placed],
+        "sigma": found.sigmas[placed],
+        **dict(zip(SIGMA_COLUMNS, np.sqrt(np.maximum(squares, 0.0)).T, strict=True)),
+        **covariance_columns(found.poses.tags[placed], found.covariances[placed]),
     }
 
 
@@ -89,15 +95,10 @@ def frame_columns(survey: Survey) -> dict[str, ArrayLike]:
 
     Quaternions rotate the camera's frame (x right, y down, z the optical axis) to the world frame.
     """
-    from scipy.spatial.transform import Rotation
-
     found, used = survey.found, survey.found.frames
-    poses = found.poses.frames[used]
-    turns = Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
-    rows = np.hstack([poses[:, :3, 3], turns])
     counts = np.bincount(found.sightings.frame[found.used], minlength=found.sightings.frames)
     times = [survey.detected.times[frame] for frame in used.tolist()]
-    return {"time": times, **dict(zip(ROW, rows.T, strict=True)), "tags": counts[used]}
+    return {"time": times, **pose_columns(found.poses.frames[used]), "tags": counts[used]}
 
 
 def tag_columns(survey: Survey) -> dict[str, ArrayLike]:
@@ -106,45 +107,27 @@ def tag_columns(survey: Survey) -> dict[str, ArrayLike]:
     `error` is the median of the tag's reprojection errors, pixels; for `sigma` see `Estimate.sigmas`; `right`, `up` and
     `out` are metres in the tag's frame, `tilt_x`, `tilt_y` and `turn` rad about its axes.
     """
-    found, owner = survey.found, survey.found.sightings.tag
-    error = np.sqrt(found.squares / 4.0)
-    own = [error[found.used & (owner == k)] for k in range(len(survey.ids))]
-    moved = np.full((len(survey.ids), 6), np.nan)
-    if (planned := survey.planned) is not None:
-        both = survey.placed & np.isfinite(planned[:, 0, 0])
-        moved[both] = log(inverse(planned[both]) @ found.poses.tags[both])
+    found, some, placed = survey.found, survey.found.sightings, survey.placed
+    seen, error = some.counts(), np.where(found.used, np.sqrt(found.squares / 4.0), np.nan)
+    own = [error[found.used & (some.tag == k)] for k in range(len(survey.ids))]
+    moved = np.where(placed[:, None], twists_between(survey.planned, found.poses.tags), np.nan)
+    groups = [f"in group {group}" for group in found.group.tolist()]
+    states = [placed, seen == 0, survey.loose, found.group > 0, seen == 1]
     return {
         ID: survey.ids,
-        "state": [_tag_state(survey, k) for k in range(len(survey.ids))],
-        "seen": found.sightings.counts(),
+        "state": np.select(states, ["placed", "not seen", "hardly known", groups, "seen once"], "not placed"),
+        "seen": seen,
         SIGHTINGS: survey.used,
-        "misfits": found.sightings.counts(found.misfits),
+        "misfits": some.counts(found.misfits),
+        "misread": survey.faults.misread,
         "error": [np.median(errors) if errors.size else np.nan for errors in own],
-        "sigma": np.where(survey.placed, found.sigmas, np.nan),
+        "sigma": np.where(placed, found.sigmas, np.nan),
         **dict(zip(TWISTS, moved.T, strict=True)),
     }
 
 
-def _tag_state(survey: Survey, k: int) -> str:
-    """State of the tag of index k, in words."""
-    if survey.placed[k]:
-        return "placed"
-    seen = np.count_nonzero(survey.found.sightings.tag == k)
-    if not seen:
-        return "not seen"
-    if survey.known.plan is not None and survey.ids[k] not in survey.known.ids:
-        return "not believed"
-    if survey.loose[k]:
-        return "hardly known"
-    if survey.found.group[k] > 0:
-        return f"in group {survey.found.group[k]}"
-    return "seen once" if seen == 1 else "not placed"
-
-
 def distances_from_plan(survey: Survey) -> FloatArray:
     """Distance of each tag of the map from its planned place, metres, `(K,)`; NaN for tags without a plan."""
-    if survey.planned is None:
-        return np.full(len(survey.ids), np.nan)
     away = np.linalg.norm((survey.found.poses.tags - survey.planned)[:, :3, 3], axis=1)
     return np.where(survey.placed, away, np.nan)
 
@@ -152,10 +135,8 @@ def distances_from_plan(survey: Survey) -> FloatArray:
 def far_from_plan(survey: Survey) -> IntArray:
     """Indices of the tags that hang much farther from their plan than most tags and than is assumed, farthest first."""
     away = distances_from_plan(survey)
-    if np.isnan(away).all():
-        return np.empty(0, dtype=np.int64)
-    least = max(FAR * float(np.nanmedian(away)), FAR_SIGMAS * survey.known.hanging.place)
-    far = np.flatnonzero(away > least)
+    most = FAR * float(np.median(away[np.isfinite(away)])) if np.isfinite(away).any() else np.inf
+    far = np.flatnonzero(away > max(most, FAR_SIGMAS * survey.known.hanging.place))
     return far[np.argsort(-away[far])]
 
 
@@ -163,11 +144,10 @@ def needing_photographs(survey: Survey) -> IntArray:
     """Indices of the tags that need another photograph: tags not placed, tags with few inliers, and tags with a large
     sigma.
     """
-    sigma = survey.found.sigmas
-    known = sigma[survey.placed]
-    loose = sigma > LOOSE * np.median(known) if known.size else np.zeros(len(sigma), dtype=bool)
-    expected = np.isin(survey.ids, survey.known.ids) | survey.placed
-    return np.flatnonzero(expected & (~survey.placed | (survey.used < FEW) | loose))
+    sigma, placed = survey.found.sigmas, survey.placed
+    loose = sigma > LOOSE * np.median(sigma[placed])
+    expected = np.isin(survey.ids, survey.known.ids) | placed
+    return np.flatnonzero(expected & (~placed | (survey.used < FEW) | loose))
 
 
 def metrics(survey: Survey) -> dict[str, float]:
@@ -175,44 +155,42 @@ def metrics(survey: Survey) -> dict[str, float]:
 
     `differs` is the expected median distance between the places of a tag in two maps from walks like this walk.
     """
-    found = survey.found
-    square = 2.0 * np.trace(found.gauge_free_covariances[survey.placed][:, 3:, 3:], axis1=1, axis2=2)
+    found, placed = survey.found, survey.placed
+    square = 2.0 * np.trace(found.gauge_free_covariances[placed][:, 3:, 3:], axis1=1, axis2=2)
     figures = {
-        "tags": float(survey.placed.sum()),
+        "tags": float(placed.sum()),
         "frames": float(len(found.frames)),
-        SIGHTINGS: float(found.used.sum()),
         "misfits": float(found.misfits.sum()),
-        "corner_floor": found.floor,
         "tag_shape": found.sightings.shape_sigma,
-        "inflation": found.inflation,
-        "differs": float(np.sqrt(np.median(square))) if square.size else np.nan,
-        **quantiles("sigma", found.sigmas[survey.placed]),
-        **quantiles("error", found.errors()),
+        "differs": float(np.sqrt(np.median(square))),
+        **figures_of(found),
+        **quantiles("sigma", found.sigmas[placed]),
+        **quantiles("moved", distances_from_plan(survey)),
     }
-    away = distances_from_plan(survey)
-    figures |= quantiles("moved", away[np.isfinite(away)])
     for name, frames in survey.localised.items():
         figures |= quantiles(f"held_out_error_{name}", frames.errors)
         figures |= quantiles(f"held_out_shift_{name}", frames.shifts)
-    return {name: value for name, value in figures.items() if np.isfinite(value)}
+    return figures
 
 
 def survey_document(survey: Survey) -> dict[str, Any]:
     """Content of `survey.json`."""
     found, ids, times, columns = survey.found, survey.ids, survey.detected.times, tag_columns(survey)
+    motion, joined = found.prior.motion, [ids[survey.joined == g].tolist() for g in range(survey.joined.max() + 1)]
     return {
         "figures": metrics(survey),
         "interrupted": None if survey.interrupted is None else survey.interrupted.value,
         "doubts": list(survey.doubts),
-        "frames": len(times),
-        "blurred": dict(survey.detected.blurred),
-        "copies": dict(survey.detected.copies),
-        "left_out": list(survey.detected.left_out),
-        "used_frames": [times[frame] for frame in found.frames.tolist()],
         "cameras": dict(zip(survey.detected.cameras, found.poses.mounts.tolist(), strict=True)),
-        "intrinsics": [camera.document() for camera in survey.calibrated],
-        "motion": _motion_document(survey),
-        "groups": [ids[found.group == g].tolist() for g in range(1, found.group.max(initial=0) + 1)],
+        "motion": None
+        if motion is None
+        else {
+            "by": "odometry" if motion.is_odometry else "constant velocity",
+            "turn": motion.spread[0],
+            "place": motion.spread[1],
+            "longest": None if motion.is_odometry else motion.longest,
+            "joined": joined,
+        },
         "another_photograph": ids[needing_photographs(survey)].tolist(),
         "second_places": [
             {
@@ -224,29 +202,89 @@ def survey_document(survey: Survey) -> dict[str, Any]:
             }
             for place in survey.faults.second_places
         ],
-        "sizes": {str(ids[tag]): edge for tag, edge in survey.faults.sizes.items()},
-        "misread": {str(ids[k]): int(survey.faults.misread[k]) for k in np.flatnonzero(survey.faults.misread)},
-        "tags": [dict(zip(columns, row, strict=True)) for row in zip(*map(_plain, columns.values()), strict=True)],
+        "tags": [dict(zip(columns, row, strict=True)) for row in zip(*map(plain, columns.values()), strict=True)],
+        **document_of(found.calibrated, survey.detected, survey.faults.sizes),
     }
 
 
-def _motion_document(survey: Survey) -> dict[str, Any] | None:
-    """Entry of `survey.json` on the motion between frames; None without."""
-    motion, joined = survey.found.prior.motion, survey.joined
-    if motion is None:
-        return None
-    turn, place = motion.spread
-    groups = joined.group if joined is not None else np.full(len(survey.ids), -1)
+def to_text(survey: Survey) -> str:
+    """Lines for a terminal; those that need attention come last."""
+    figures, found, ids, placed = metrics(survey), survey.found, survey.ids, survey.placed
+    expected = placed | survey.loose | np.isin(ids, survey.known.ids)
+    sigma = f"{both(figures, 'sigma')} mm beside each other, one standard deviation"
+    lines = {
+        "tags": f"{placed.sum()} of {expected.sum()} placed",
+        "frames": f"{len(found.frames)} of {len(survey.detected.times)}, with {found.used.sum()} sightings",
+        "known to": f"{sigma}; a map of another such walk would differ by {1e3 * figures['differs']:.2g} mm (median)",
+    }
+    if survey.detected.left_out:
+        lines["frames"] += f"; {len(survey.detected.left_out)} were left out (survey.every)"
+    if (motion := found.prior.motion) is not None:
+        turn, place = (1e3 * spread for spread in motion.spread)
+        if motion.is_odometry:
+            lines["odometry"] = f"drifts {place:.2g} mm and {turn:.2g} mrad within a metre, as the drive tells"
+        else:
+            lines["motion"] = f"the velocity changes by {place:.2g} mm/s and {turn:.2g} mrad/s within a second, as the "
+            lines["motion"] += f"drive tells; frames up to {motion.longest:.2g} s apart are linked"
+        if (count := len(np.unique(survey.joined[survey.joined >= 0]))) > 1:
+            lines["joined"] = f"{count} groups of tags that no image connects, by motion alone"
+    if "moved/50" in figures:
+        lines["they hang"] = f"{both(figures, 'moved', digits='.3g')} mm off their plan"
+        away = 1e3 * distances_from_plan(survey)
+        if far := [f"{ids[k]} ({away[k]:.3g} mm)" for k in far_from_plan(survey)]:
+            lines["they hang"] += f"; farthest: {a_few(far)}: is the plan right there?"
+    for number, camera in enumerate(found.calibrated, 1):
+        if not camera.is_fixed:
+            label = "not fixed" + f" {number}" * (len(found.calibrated) > 1)
+            lines[label] = "the camera: photograph tags on several walls at once, also held upright"
+    if "measured" in survey.localised:
+        lines["held out"] = f"{len(survey.localised['measured'].shifts)} frames: corners "
+        lines["held out"] += f"{both(figures, 'held_out_error_measured', 1.0)} pixels off by a map made from the others"
+    if "planned" in survey.localised:
+        lines["planned"] = (
+            f"by the planned map {both(figures, 'held_out_error_planned', 1.0)} pixels off, and the camera"
+        )
+        lines["planned"] += f" {both(figures, 'held_out_shift_planned', digits='.3g')} mm elsewhere"
+    if (stage := survey.interrupted) is not None:
+        lines["interrupted"] = f"told to stop while {stage.value}; " + (
+            "what comes after that is left out" if stage.has_final_map else "the map is not final"
+        )
+    states = np.asarray(tag_columns(survey)["state"])
+    lines |= {str(state): a_few(ids[states == state]) for state in np.unique(states) if state != "placed"}
+    lines |= lines_of(found, found.calibrated, survey.detected, survey.faults.sizes, survey.doubts)
+    return labelled(lines | {label: text for label, text in _troubles(survey).items() if text})
+
+
+def _troubles(survey: Survey) -> dict[str, str]:
+    """Texts on faults and missing photographs by kind; empty for kinds that do not occur."""
+    ids, times, faults, sigma = survey.ids, survey.detected.times, survey.faults, survey.found.sigmas
+    unplanned = survey.placed & ~np.isin(ids, survey.known.ids) & (survey.known.plan is not None)
+    worst = [f"{ids[k]} ({1e3 * sigma[k]:.2g} mm)" for k in needing_photographs(survey) if survey.placed[k]]
+    moved = [place for place in faults.second_places if place.moved is not None]
+    off = [
+        f"{number} ({f'{1e3 * metres:.2g} mm' if metres == metres else f'{np.degrees(rad):.2g} degrees'})"
+        for number, (metres, rad) in zip(ids, survey.off_fixed, strict=True)
+        if metres == metres or rad == rad
+    ]
+    asked = "; elsewhere in the photographs: is the file exact, and each edge right?"
     return {
-        "by": "odometry" if motion.is_odometry else "constant velocity",
-        "turn": turn,
-        "place": place,
-        "longest": None if motion.is_odometry else motion.longest,
-        "joined": [survey.ids[groups == g].tolist() for g in range(groups.max(initial=-1) + 1)],
-        "sigma": [] if joined is None else joined.sigma.tolist(),
+        "turned": _turned(survey),
+        "fixed": a_few(off) + asked * bool(off),
+        "not planned": a_few(ids[unplanned]),
+        "moved": a_few(f"{ids[place.tag]} from {times[place.moved or 0]} on" for place in moved),
+        "twice": a_few(ids[place.tag] for place in faults.second_places if place.moved is None),
+        "misread": a_few(f"{ids[k]} ({faults.misread[k]} x)" for k in np.flatnonzero(faults.misread)),
+        "photograph": a_few(worst) + "; known worst" * bool(worst),
     }
 
 
-def _plain(values: ArrayLike) -> list[Any]:
-    """Values for JSON: null for NaN."""
-    return [None if value != value else value for value in np.asarray(values).tolist()]
+def _turned(survey: Survey) -> str:
+    """Tags that are turned beside their plan, and the treatment of their turns."""
+    turns, shown = survey.turns, survey.found.sightings.counts() > 0
+    hung = np.where(turns.beside_plan, turns.beside_plan, turns.beside_sheets)
+    return ". ".join(
+        f"{words}: {a_few(survey.ids[own])}; {made}"
+        for made, by in (("their corners are renumbered", turns.renumbered), ("they hang so in the map", hung))
+        for quarters, words in enumerate(TURNS, 1)
+        if (own := (by == quarters) & shown).any()
+    )

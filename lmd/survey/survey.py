@@ -1,41 +1,46 @@
-"""Survey: all steps from detections to a map of tags, in order."""
+"""Survey: all steps from detections to a map of tags, in order.
+
+*Faults*: if the outliers of a tag (`Estimate.misfits`) agree on a second pose, the tag was moved or two tags have its
+id. If they do not agree, the id was misread. A tag has a wrong size if its sightings agree on another size, with all
+frames fixed.
+
+*Held-out frames* are localised by a map from the other frames, and by the plan.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from lmd.adjust.candidates import agreeing, single_poses
-from lmd.adjust.estimate import FLOOR_PIXELS, ONE_THREAD, Estimate, adjust
+from lmd.adjust.candidates import measured_mounts, single_poses
+from lmd.adjust.corners import agreeing, resected, squared_errors
+from lmd.adjust.estimate import FEWEST_FRAMES, ONE_THREAD, Estimate, constraining
+from lmd.adjust.faults import FEWEST_SIGHTINGS, SecondPlace, odd_sizes, other_sizes, resized, second_places, with_sizes
 from lmd.adjust.intrinsics import Calibrated, Optics
 from lmd.adjust.motion import Motion, seconds_of
-from lmd.adjust.mounts import measured_mounts
 from lmd.adjust.prior import Prior
-from lmd.adjust.refinement import Refined, edge_doubts, refine
-from lmd.adjust.second_places import FEWEST_SIGHTINGS
+from lmd.adjust.refinement import edge_doubts, refine, with_lenses
 from lmd.adjust.sightings import Observations, Sightings, outside_doubts
-from lmd.adjust.sizes import odd_sizes, with_sizes
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.detection.corner_errors import CornerErrors
 from lmd.formats.detections import DetectedTags
 from lmd.geometry.camera import Camera
 from lmd.scene.tag import Tag
-from lmd.survey.faults import Faults, errors_of_fixed, find_faults
-from lmd.survey.gauge import into_world, motion_to_floor
-from lmd.survey.groups import JoinedGroups, joined_groups
-from lmd.survey.held_out import HeldOut, hold_out
-from lmd.survey.initialisation import Start, initialise, of_body
 from lmd.survey.knowledge import PriorKnowledge
-from lmd.survey.turns import Turns, turns_of
+from lmd.survey.start import Start, in_one_world, initialise
+from lmd.survey.world import Turns, errors_of_fixed, motion_to_floor, turns_of
 
 FEWEST_BELIEVED = 2  # minimum number of agreeing sightings to accept a tag without prior, as ids may be misread
 TURNING_STEPS = 3  # maximum number of initialisations; further turns may be found once other turns are known
 # With linked frames, a tag is not placed if its standard deviation relative to the others exceeds `LOOSE_M`, metres,
 # and the share `LOOSE_SHARE` of the map's extent.
 LOOSE_M, LOOSE_SHARE = 0.25, 0.01
+LOOSE_SIGMA = 1.0  # prior standard deviation, metres and rad, of fixed tags in the map used for comparison
+HELD_OUT_STEP = 5  # every fifth frame is held out
 
 
 class SurveyStage(Enum):
@@ -65,6 +70,26 @@ class SurveyStage(Enum):
 Observer = Callable[[SurveyStage, int, int], bool]
 
 
+class Faults(NamedTuple):
+    """Faults of a survey."""
+
+    second_places: list[SecondPlace]
+    """Second poses of tags that were moved or hang twice."""
+    sizes: dict[int, float]
+    """Estimated edges of tags with a wrong size, metres, by id."""
+    misread: IntArray
+    """`(K,)` number of sightings with each id that fit no pose of the tag."""
+
+
+class HeldOut(NamedTuple):
+    """Held-out frames, localised by a map."""
+
+    errors: FloatArray
+    """`(n,)` RMS reprojection errors of the sightings in held-out frames, pixels."""
+    shifts: FloatArray
+    """`(M,)` distance of each frame from its place in the whole survey, metres."""
+
+
 @dataclass(frozen=True)
 class Survey:
     """Result of a survey; tags in the order of `found.sightings.ids`."""
@@ -79,18 +104,16 @@ class Survey:
     """Tags that were moved, hang twice, or have a wrong size or id."""
     placed: BoolArray
     """`(K,)` True for tags in the map."""
+    loose: BoolArray
+    """`(K,)` True for tags that are not placed because their covariance is too large."""
     localised: dict[str, HeldOut]
-    """Held-out frames, see `lmd.survey.held_out.hold_out`."""
+    """Held-out frames by `measured` and `planned` map; empty if there are too few frames."""
     turns: Turns
     """Quarter turns of tags beside their plan."""
     off_fixed: FloatArray
-    """`(K, 2)` errors of fixed tags, see `lmd.survey.faults.errors_of_fixed`."""
-    loose: BoolArray
-    """`(K,)` True for tags that are not placed because their covariance is too large."""
-    joined: JoinedGroups | None
-    """Groups that only motion joins; None if frames are not linked."""
-    calibrated: tuple[Calibrated, ...]
-    """Cameras as estimated from photographs."""
+    """`(K, 2)` errors of fixed tags, see `lmd.survey.world.errors_of_fixed`."""
+    joined: IntArray
+    """`(K,)` group of each tag of the map as images alone connect them, if frames are linked; else -1."""
     doubts: tuple[str, ...] = ()
     """Sentences on what contradicts the photographs: calibrations, mounts, the tags' edge."""
     interrupted: SurveyStage | None = None
@@ -107,9 +130,14 @@ class Survey:
         return self.found.sightings.counts(self.found.used)
 
     @property
-    def planned(self) -> FloatArray | None:
+    def planned(self) -> FloatArray:
         """See `PriorKnowledge.planned`."""
         return self.known.planned(self.ids)
+
+    @property
+    def calibrated(self) -> tuple[Calibrated, ...]:
+        """Cameras as estimated from photographs."""
+        return self.found.calibrated
 
 
 def survey(
@@ -145,22 +173,25 @@ def survey(
     found = _estimate(seen, prior, known, start)
     found, odd = with_sizes(found, odd, others=0.0, tried=bool(odd.any()))
     on_round, on_block = (partial(observer, stage) for stage in (SurveyStage.REFINING, SurveyStage.COMPARING))
-    refined = refine(Refined.begin(found, seen, bool(calibrate)), calibrate is False, on_round, on_block)
-    doubts = outside_doubts(seen) or _mount_doubts(seen, start, known)
-    doubts += [] if calibrate is False or doubts else edge_doubts(refined, bool(calibrate))
+    found = refine(with_lenses(found, seen, bool(calibrate)), calibrate is False, on_round, on_block)
+    doubts = outside_doubts(seen)
+    if not doubts and known.mounts is not None:
+        _, doubts = measured_mounts(start.views(seen.through()), known.mounts)
+    doubts += [] if calibrate is False or doubts else edge_doubts(found)
     observer(SurveyStage.CHECKING, 0, 0)
-    found, faults = find_faults(refined.found, odd)
-    off_fixed = errors_of_fixed(found, start)
+    with threadpool_limits(limits=ONE_THREAD):
+        found, faults = without_faults(found, odd)
+        off_fixed = _off_fixed(found, start)
     if known.floor:
-        first = int(np.flatnonzero(found.prior.information.any(axis=1))[0])
+        first = int(np.flatnonzero(found.prior.known)[0])
         found = found.moved(motion_to_floor(found.poses.tags, np.flatnonzero(np.isin(ids, known.floor)), first))
     placed, loose = _placed(found, known)
-    localised = {} if observer(SurveyStage.HOLDING_OUT, 0, 0) else hold_out(found, known.planned(ids))
-    calibrated = replace(refined, found=found).calibrated
-    joined = None if found.prior.motion is None else joined_groups(found, start.group)
-    return Survey(
-        detected, known, found, faults, placed, localised, turns, off_fixed, loose, joined, calibrated, tuple(doubts)
-    )
+    localised = {} if observer(SurveyStage.HOLDING_OUT, 0, 0) else _held_out(found, known.planned(ids))
+    joined = np.full(len(ids), -1)
+    if found.prior.motion is not None:  # tags that no image connects with others are groups of their own
+        own = np.where(start.group < 0, len(ids) + np.arange(len(ids)), start.group)
+        joined[found.known] = np.unique(own[found.known], return_inverse=True)[1]
+    return Survey(detected, known, found, faults, placed, loose, localised, turns, off_fixed, joined, tuple(doubts))
 
 
 def _believed(detected: DetectedTags, tag: Tag, known: PriorKnowledge) -> IntArray:
@@ -194,17 +225,16 @@ def _started(seen: Observations, known: PriorKnowledge) -> tuple[Observations, P
 
 def _turned(seen: Observations, known: PriorKnowledge) -> tuple[Observations, Prior, Turns, Start]:
     """Initial poses, with detections and prior after quarter turns of tags, and these turns."""
-    sightings, ids, detected = seen.through(), seen.ids, seen.detected
-    prior, turns = replace(known.prior(ids), motion=_motion(seen, known)), Turns.none(len(ids))
+    given = replace(known.prior(seen.ids), motion=_motion(seen, known))
+    turned, prior, turns = seen, given, Turns(*np.zeros((3, len(seen.ids)), dtype=np.int64))
     for _ in range(TURNING_STEPS):
-        start = initialise(sightings, prior)
-        more = turns_of(start.poses, start.group, prior, detected.in_order)
-        if not more:
-            return seen, prior, turns, start
-        turns = turns + more
-        seen = replace(seen, detected=detected.renumbered(ids, turns.renumbered))
-        sightings, prior = seen.through(), turns.applied(replace(known.prior(ids), motion=prior.motion))
-    return seen, prior, turns, initialise(sightings, prior)
+        start = initialise(turned.through(), prior)
+        more = turns_of(start.poses.tags, start.group, prior, seen.detected.in_order)
+        if not np.any(more):
+            return turned, prior, turns, start
+        turns = Turns(*(np.add(turns, more) % 4))
+        turned, prior = seen.renumbered(turns.renumbered), turns.applied(given)
+    return turned, prior, turns, initialise(turned.through(), prior)
 
 
 def estimate_map(sightings: Sightings, prior: Prior, origin: int | None = None, start: Start | None = None) -> Estimate:
@@ -221,8 +251,8 @@ def estimate_map(sightings: Sightings, prior: Prior, origin: int | None = None, 
     """
     start = initialise(sightings, prior) if start is None else start
     with threadpool_limits(limits=ONE_THREAD):
-        poses, group, prior = into_world(sightings, *of_body(sightings, start, prior), origin)
-        return adjust(sightings, prior, poses, group, FLOOR_PIXELS)
+        poses, group, prior = in_one_world(sightings, start, prior, origin)
+        return Estimate.adjusted_from(sightings, prior, poses, group)
 
 
 def _estimate(seen: Observations, prior: Prior, known: PriorKnowledge, start: Start) -> Estimate:
@@ -249,21 +279,40 @@ def _motion(seen: Observations, known: PriorKnowledge) -> Motion | None:
 
 def _steady(seen: Observations, known: PriorKnowledge) -> Motion | None:
     """Nearly constant velocity; None if the user rules it out, or if no frames are near in time."""
-    motion = Motion.steady(seconds_of(seen.detected.times))
+    motion = Motion(seconds_of(seen.detected.times))
     near = np.isfinite(motion.times).all() and motion.follows(np.unique(seen.through().frame)).any()
     return motion if near and known.steady is not False else None
 
 
-def _mount_doubts(seen: Observations, start: Start, known: PriorKnowledge) -> list[str]:
-    """Sentences on cameras that are mounted elsewhere than the user says, by frames whose tags are in one group."""
-    if known.mounts is None:
-        return []
-    sightings = seen.through()
-    apart, views = sightings.with_separate_cameras(), start.poses.frames.copy()
-    group = np.full(len(views), -1)
-    group[apart.frame] = start.group[apart.tag]
-    views[group != np.tile(group[: sightings.frames], sightings.cameras)] = np.nan
-    return measured_mounts(views.reshape(-1, sightings.frames, 4, 4), known.mounts)[1]
+def without_faults(found: Estimate, odd: BoolArray) -> tuple[Estimate, Faults]:
+    """Estimate with corrected sizes and the later pose of each tag that was moved, and all faults.
+
+    Args:
+        found: estimate.
+        odd: mask of the tags whose size is an unknown of the estimate, `(K,)`.
+    """
+    found, changed = resized(found, np.zeros_like(odd), ~odd)
+    edges = found.sightings.edges[changed].tolist()
+    sizes = dict(zip(found.sightings.ids[changed].tolist(), edges, strict=True)) | other_sizes(found, odd)
+    error = found.squares
+    gross = found.misfits & np.isfinite(error) & ~agreeing(found.sightings, error)
+    places, misread = second_places(found, gross), found.sightings.counts(gross)
+    for place in places:
+        misread[place.tag] = max(misread[place.tag] - place.sightings, 0)
+    if last := [place for place in places if place.moved is not None and place.later]:
+        moved = found.with_tags(np.array([place.tag for place in last]), np.stack([place.pose for place in last]))
+        found = moved.adjusted(found.floor)
+    return found, Faults(places, sizes, misread)
+
+
+def _off_fixed(found: Estimate, start: Start) -> FloatArray:
+    """Errors of fixed tags, see `errors_of_fixed`, from a map in which they are hardly known."""
+    known = found.prior.exact & (found.group == 0)
+    if known.sum() < 2:
+        return np.full((len(known), 2), np.nan)
+    loose = replace(found.prior, information=np.where(known[:, None], LOOSE_SIGMA**-2.0, np.zeros(6)))
+    poses, group, _ = in_one_world(found.sightings, start, found.prior, None)
+    return errors_of_fixed(found, Estimate.adjusted_from(found.sightings, loose, poses, group))
 
 
 def _placed(found: Estimate, known: PriorKnowledge) -> tuple[BoolArray, BoolArray]:
@@ -279,14 +328,35 @@ def _placed(found: Estimate, known: PriorKnowledge) -> tuple[BoolArray, BoolArra
     placed = (found.group == 0) & (found.sightings.counts(agreed) >= fewest)
     loose = np.zeros(len(ids), dtype=bool)
     if found.prior.motion is not None:
-        places = found.poses.tags[found.group == 0, :3, 3]
-        extent = float(np.linalg.norm(np.ptp(places[np.isfinite(places[:, 0])], axis=0)))
+        places = found.poses.tags[(found.group == 0) & found.poses.known_tags, :3, 3]
+        extent = float(np.linalg.norm(np.ptp(places, axis=0)))
         loose = placed & (found.sigmas > max(LOOSE_M, LOOSE_SHARE * extent))
     placed &= ~loose
-    if not placed.any() and loose.any():
-        best = float(np.nanmin(found.sigmas[loose]))
-        raise InputError(f"detections: no tag is known to better than {best:.2g} m beside the others.", "detections")
     if not placed.any():
-        text = f"detections: no tag is placed, as no {FEWEST_BELIEVED} sightings of one agree: more frames are needed."
-        raise InputError(text, "detections")
+        text = f"no tag is placed, as no {FEWEST_BELIEVED} sightings of one agree: more frames are needed."
+        if loose.any():
+            text = f"no tag is known to better than {float(np.nanmin(found.sigmas[loose])):.2g} m beside the others."
+        raise InputError(f"detections: {text}", "detections")
     return placed, loose
+
+
+def _held_out(found: Estimate, planned: FloatArray) -> dict[str, HeldOut]:
+    """Hold every fifth frame out, and localise it by the map made from the other frames, and by the `planned` poses of
+    tags, `(K, 4, 4)`.
+    """
+    if len(found.frames) < FEWEST_FRAMES:
+        return {}
+    every, result = found.sightings, {}
+    out = np.isin(every.frame, found.frames[HELD_OUT_STEP // 2 :: HELD_OUT_STEP])
+    with threadpool_limits(limits=ONE_THREAD):
+        others = every.of(~out)
+        rest = replace(found, sightings=others).adjusted(found.floor)
+        measured = np.where((others.counts(rest.used) > 0)[:, None, None], rest.poses.tags, np.nan)
+        for name, tags in (("measured", measured), ("planned", planned)):
+            known = out & found.used & np.isfinite(tags[every.tag, 0, 0])
+            some = every.of(constraining(every, known, Prior(tags, found.prior.information)))
+            if len(some):
+                poses, there = resected(some, replace(found.poses, tags=tags), found.floor), np.unique(some.frame)
+                away = np.linalg.norm((poses.frames - found.poses.frames)[there, :3, 3], axis=1)
+                result[name] = HeldOut(np.sqrt(squared_errors(some, poses) / 4.0), away)
+    return result

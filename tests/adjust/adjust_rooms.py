@@ -8,10 +8,8 @@ from support import walks
 from lmd.adjust.corners import Poses
 from lmd.adjust.intrinsics import Optics, prior_sigmas
 from lmd.adjust.motion import Motion
-from lmd.adjust.mounts import Mounts
-from lmd.adjust.prior import Prior
+from lmd.adjust.prior import Mounts, Prior, Sheets
 from lmd.adjust.refinement import with_nuisances
-from lmd.adjust.sheets import Sheets
 from lmd.adjust.sightings import Observations
 from lmd.geometry.se3 import camera_pose, exp, pose_of
 from lmd.geometry.trajectory import Trajectory

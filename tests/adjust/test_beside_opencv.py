@@ -35,6 +35,6 @@ def test_intrinsics_and_poses_are_those_of_calibrate_camera():
     np.testing.assert_array_less(np.abs(intrinsics_of(camera.found)[:4] - other), 0.5 * camera.sigma[:4])
     turned = np.stack([cv2.Rodrigues(turn)[0] for turn in turns])
     poses = inverse(pose_of(turned, np.array(ways)[..., 0]))
-    off = log(inverse(found.found.frames[frames]) @ poses)
-    sigma = np.sqrt(np.diagonal(found.found.covariances[frames], axis1=1, axis2=2))
+    off = log(inverse(found.found.poses.frames[frames]) @ poses)
+    sigma = np.sqrt(np.diagonal(found.found.frame_covariances[frames], axis1=1, axis2=2))
     assert np.median(np.abs(off) / sigma) < 0.3

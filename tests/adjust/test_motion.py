@@ -17,7 +17,7 @@ def some_motion(rng, count, kind):
         path.append(path[-1] @ exp(twist))
     path = np.stack(path)
     if kind == "steady":
-        return Motion.steady(times), path
+        return Motion(times), path
     return Motion.by_odometry(times, Trajectory(times, path)), exp(rng.normal(0.0, 0.5, 6)) @ path
 
 
@@ -64,7 +64,7 @@ def test_a_constant_velocity_has_no_error():
     times = np.array([0.0, 0.1, 0.15, 0.4])
     turning = exp(times[:, None] * np.array([0.0, 0.3, 0.1, 0.0, 0.0, 0.0]))
     turning[:, :3, 3] = times[:, None] * [0.7, 0.1, 0.0]
-    links = Motion.steady(times).links(np.arange(4))
+    links = Motion(times).links(np.arange(4))
     np.testing.assert_allclose(links.at(turning).error, 0.0, atol=1e-8)
 
 
@@ -120,9 +120,9 @@ def test_odometry_does_not_link_frames_across_a_gap():
 
 
 def test_frames_far_apart_in_time_are_not_linked_by_their_velocity():
-    motion = Motion.steady(np.array([0.0, 0.1, 5.0, np.nan, 5.1]))
+    motion = Motion(np.array([0.0, 0.1, 5.0, np.nan, 5.1]))
     assert motion.follows(np.arange(5)).tolist() == [True, False, False, False]
-    assert not Motion.steady(np.full(3, np.nan)).follows(np.arange(3)).any()
+    assert not Motion(np.full(3, np.nan)).follows(np.arange(3)).any()
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from support import localisations as ld
 
 from lmd.adjust.adjustment import Adjustment
 from lmd.adjust.gauge import rows_of
+from lmd.localise.changes import displacements, twists_from
 from lmd.localise.fixed_map import LEAST_SIGMA
 
 TAGS, MOVED = 6, 4
@@ -29,9 +30,9 @@ def test_displacements_are_those_of_generalised_least_squares(kind, seed):
     walk = ld.walked(seed, TAGS, frames=40)
     joint = covariance_of(kind, np.random.default_rng(seed))
     walk = walk._replace(known=replace(walk.known, covariance=joint))
-    prior, now = ld.compared(walk, (MOVED,))
-    values, covariances = prior.displacements(now)
-    found, twists = now.found, prior.twists(now)
+    found, known = ld.compared(walk, (MOVED,))
+    values, covariances = displacements(found, known)
+    twists = twists_from(found, known)
     blank = replace(found.prior, joint=0.0 * found.prior.joint)
     slope, spread = found.adjustment.efficiency(found.poses, found.floor)
     alone = Adjustment(found.sightings.of(found.used), blank)
@@ -44,8 +45,8 @@ def test_displacements_are_those_of_generalised_least_squares(kind, seed):
         select = np.zeros((len(with_prior), 6 * TAGS + 6))
         select[np.arange(len(with_prior)), with_prior] = 1.0
         select[np.isin(with_prior, rows_of(np.array([k]))), -6:] = -np.eye(6)
-        known = joint[np.ix_(with_prior, with_prior)] + LEAST_SIGMA**2 * np.eye(len(with_prior))
-        whole = select.T @ np.linalg.inv(known) @ select
+        stated = joint[np.ix_(with_prior, with_prior)] + LEAST_SIGMA**2 * np.eye(len(with_prior))
+        whole = select.T @ np.linalg.inv(stated) @ select
         whole[:-6, :-6] += images
         expected = np.linalg.solve(whole, np.append(pull, np.zeros(6)))[-6:]
         spread = np.linalg.inv(whole)[-6:, -6:]

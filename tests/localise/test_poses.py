@@ -8,13 +8,14 @@ from scipy.stats import chi2
 from support import drives, walks
 from support import localisations as ld
 
-from lmd.adjust.gauge import SIGMA_COLUMNS
 from lmd.adjust.intrinsics import intrinsics_of, with_intrinsics
+from lmd.adjust.prior import Hanging
+from lmd.adjust.tables import SIGMA_COLUMNS
 from lmd.core.checks import InputError
 from lmd.detection.corner_errors import inward
 from lmd.formats.tag_maps import write_map_covariance
 from lmd.geometry.se3 import angle_between, camera_pose, exp, inverse, log
-from lmd.localise.fixed_map import FixedMap, MapErrors, surveyed_covariance
+from lmd.localise.fixed_map import FixedMap, surveyed_covariance
 from lmd.localise.images import State
 from lmd.localise.localise import Drive, localise
 from lmd.localise.results import image_columns, localise_document, smoothed_columns, to_text, tum_text
@@ -29,8 +30,8 @@ def test_normalised_errors_of_single_images_are_within_their_bounds():
     for seed in range(6):
         walk = ld.walked(seed, place=1e-5, turn=1e-5)
         found = ld.localised(walk, calibrate=False).found
-        assert found.localised.sum() > 50
-        every.append(ld.squares(found.frames, found.covariances, walk.frames))
+        assert found.poses.known_frames.sum() > 50
+        every.append(ld.squares(found.poses.frames, found.frame_covariances, walk.frames))
     for column, freedom in enumerate((6, 3, 3)):
         ld.check_bounds(np.concatenate(every)[:, column], freedom)
 
@@ -41,7 +42,7 @@ def test_errors_of_the_map_are_in_the_covariance():
     for seed in range(24):
         walk = ld.walked(seed, frames=3, place=0.004, turn=0.008)
         found = ld.localised(walk, calibrate=False).found
-        first.append(ld.squares(found.frames, found.covariances, walk.frames)[0])
+        first.append(ld.squares(found.poses.frames, found.frame_covariances, walk.frames)[0])
     for column, freedom in enumerate((6, 3, 3)):
         ld.check_bounds(np.stack(first)[:, column], freedom)
 
@@ -61,7 +62,7 @@ def test_a_calibration_that_is_off_is_refined():
         detected = replace(walk.detected, corners=inner)
         for calibrate, found in ((True, first), (False, exact)):
             some = localise(detected, [given], Tag(walks.EDGE), errors, walk.known, calibrate=calibrate).found
-            found.append(ld.squares(some.frames, some.covariances, walk.frames)[0])
+            found.append(ld.squares(some.poses.frames, some.frame_covariances, walk.frames)[0])
     for column, freedom in enumerate((6, 3, 3)):
         ld.check_bounds(np.stack(first)[:, column], freedom)
     assert np.stack(exact)[:, 0].mean() > 60.0
@@ -81,14 +82,14 @@ def test_smoothed_poses_are_nearer_and_their_covariances_hold(by):
     single, smoothed = result.found, result.smoothed
     assert smoothed is not None
     away = [np.nanmedian(np.linalg.norm(one[:, :3, 3] - driven.frames[:, :3, 3], axis=1))
-            for one in (single.frames, smoothed.frames)]  # fmt: skip
+            for one in (single.poses.frames, smoothed.poses.frames)]  # fmt: skip
     assert away[1] < 0.6 * away[0]
-    square = ld.squares(smoothed.frames, smoothed.covariances, driven.frames)[:, 0]
+    square = ld.squares(smoothed.poses.frames, smoothed.frame_covariances, driven.frames)[:, 0]
     seconds = round(len(driven.times) / drives.RATE)
     low, high = chi2.ppf([0.005, 0.995], 6 * seconds) / (6 * seconds)
     assert low < square.mean() / 6.0 < high
-    lines = tum_text(result, smoothed.frames).splitlines()
-    assert len(lines) == 1 + np.isfinite(smoothed.frames[:, 0, 0]).sum()
+    lines = tum_text(result, smoothed).splitlines()
+    assert len(lines) == 1 + smoothed.poses.known_frames.sum()
     assert "smoothed" in to_text(result)
     assert set(smoothed_columns(result)["state"]) == {"smoothed", State.NO_TAG.value}
 
@@ -107,14 +108,14 @@ def test_one_distant_tag_from_in_front_has_two_poses():
     far = ahead @ exp(np.array([0, 0, 0, 0, 0, -3.5]))
     aside = ahead @ exp(np.array([0, 1.0, 0, 0, 0, 0])) @ exp(np.array([0, 0, 0, 0, 0, -1.0]))
     result = ld.localised(walk, shown(walk, np.stack([far, aside])))
-    assert result.found.states == (State.TWO_POSES, State.LOCALISED)
-    assert angle_between(result.found.frames[1], aside) < 0.02
+    assert result.states == (State.TWO_POSES, State.LOCALISED)
+    assert angle_between(result.found.poses.frames[1], aside) < 0.02
     assert localise_document(result)["refused"] == {"0.png": State.TWO_POSES.value}
     assert "1 (0.png): one tag, whose two poses cannot be told apart" in to_text(result)
     table = image_columns(result)
     assert table["tags"][1] == 1
     assert np.isnan(table["cov_x_x"][0])
-    assert tum_text(result, result.found.frames).splitlines()[1] == "# the images have no times"
+    assert tum_text(result, result.found).splitlines()[1] == "# the images have no times"
 
 
 def test_images_are_refused_without_a_tag_and_where_tags_contradict_each_other():
@@ -126,10 +127,10 @@ def test_images_are_refused_without_a_tag_and_where_tags_contradict_each_other()
     ids[detected.frame == unknown] += 100
     corners[np.flatnonzero(detected.frame == contradicted)[0]] += [150.0, 90.0]
     result = ld.localised(walk, replace(detected, ids=ids, corners=corners))
-    assert result.found.states[unknown] is State.NO_TAG
-    assert result.found.states[contradicted] in (State.RESIDUAL, State.ALIKE)
-    assert np.isnan(result.found.covariances[[unknown, contradicted]]).all()
-    assert result.found.localised.sum() > 50
+    assert result.states[unknown] is State.NO_TAG
+    assert result.states[contradicted] in (State.RESIDUAL, State.ALIKE)
+    assert np.isnan(result.found.frame_covariances[[unknown, contradicted]]).all()
+    assert result.found.poses.known_frames.sum() > 50
 
 
 @pytest.mark.parametrize("quarters", [1, 2, 3])
@@ -139,7 +140,7 @@ def test_corners_that_begin_elsewhere_are_renumbered(quarters):
     result = ld.localised(walk, turned)
     assert (result.renumbered + quarters) % 4 == 0
     expected = ld.localised(walk)
-    np.testing.assert_allclose(result.found.frames, expected.found.frames, atol=1e-9)
+    np.testing.assert_allclose(result.found.poses.frames, expected.found.poses.frames, atol=1e-9)
 
 
 @pytest.mark.parametrize(("turn", "said"), [(-2.0, "131 degrees"), (2.08, "4.5"), (2.01, ""), (2.0, "")])
@@ -155,9 +156,12 @@ def test_a_camera_that_is_mounted_elsewhere_is_found_and_named(turn, said):
     result = localise(detected, *arguments)
     assert [doubt.partition(" mm and ")[2][: len(said)] for doubt in result.doubts] == [said] * bool(said)
     assert all(doubt in to_text(result) for doubt in result.doubts)
-    off = log(inverse(mounts[1]) @ result.found.estimate.poses.mounts[1])
-    assert off @ np.linalg.solve(result.found.estimate.mount_covariances[0], off) < chi2.ppf(0.999, 6)
-    ld.check_bounds(ld.squares(result.found.frames, result.found.covariances, walk.frames)[::6, 0], 6, slack=1.3)
+    off = log(inverse(mounts[1]) @ result.found.poses.mounts[1])
+    own = slice(6 * len(result.found.group), 6 * len(result.found.group) + 6)
+    assert off @ np.linalg.solve(result.found.covariance[own, own], off) < chi2.ppf(0.999, 6)
+    ld.check_bounds(
+        ld.squares(result.found.poses.frames, result.found.frame_covariances, walk.frames)[::6, 0], 6, slack=1.3
+    )
     assert len(smoothed_columns(result)["x"]) == len(detected.times)  # where the motion is unknown, too
 
 
@@ -173,18 +177,18 @@ def test_a_surveyed_map_brings_its_standard_deviations(tmp_path):
     text = "id,x,y,z,nx,ny,nz,edge,sigma_tilt_x,sigma_tilt_y,sigma_turn,sigma_right,sigma_up,sigma_out\n"
     file = tmp_path / "map.csv"
     file.write_text(f"{text}5,0,0,1,0,1,0,0.1,.01,.02,.03,.001,.002,.003\n2,1,0,1,0,1,0,0.1,,,,,,\n")
-    known = FixedMap.read(file, Tag(0.2), MapErrors(place=0.01, turn=0.05))
+    known = FixedMap.read(file, Tag(0.2), Hanging(0.01, 0.05, 0.01, 0.05))
     assert known.ids.tolist() == [2, 5]
     np.testing.assert_allclose(known.sigmas, [[0.05] * 3 + [0.01] * 3, [0.01, 0.02, 0.03, 0.001, 0.002, 0.003]])
     file.write_text(f"{text}5,0,0,1,0,1,0,0.1,.01,.02,.03,.001,.002,x\n")
     with pytest.raises(InputError, match=r"map\.csv: a standard deviation of a tag is no number"):
-        FixedMap.read(file, Tag(0.2), MapErrors())
+        FixedMap.read(file, Tag(0.2), Hanging())
     file.write_text("id,x,y,z,nx,ny,nz\n1,0,0,1,0,1,0\n1,1,0,1,0,1,0\n")
     with pytest.raises(InputError, match=r"\b1\b"):
-        FixedMap.read(file, Tag(0.2), MapErrors())
+        FixedMap.read(file, Tag(0.2), Hanging())
     file.write_text("id,x,y,z,nx,ny,nz\n1,0,0,1,0,1,0\n")
     with pytest.raises(InputError, match=r"edge must be given, in metres: the map has no edge of tag 1"):
-        FixedMap.read(file, Tag(None), MapErrors())
+        FixedMap.read(file, Tag(None), Hanging())
 
 
 def test_a_surveyed_map_brings_the_covariance_of_all_its_tags(tmp_path):
@@ -194,22 +198,22 @@ def test_a_surveyed_map_brings_the_covariance_of_all_its_tags(tmp_path):
     covariance = half @ half.T
     first, second = (",".join(map(repr, row.tolist())) for row in np.sqrt(np.diag(covariance)).reshape(2, 6))
     file.write_text(f"{names}\n5,0,0,1,0,1,0,0.1,{second}\n2,1,0,1,0,1,0,0.1,{first}\n9,2,0,1,0,1,0,.1,,,,,,\n")
-    assert FixedMap.read(file, Tag(0.2), MapErrors()).covariance is None
+    assert FixedMap.read(file, Tag(0.2), Hanging()).covariance is None
     write_map_covariance(beside, np.array([2, 5]), covariance)
-    known = FixedMap.read(file, Tag(0.2), MapErrors(place=0.01, turn=0.05))
+    known = FixedMap.read(file, Tag(0.2), Hanging(0.01, 0.05, 0.01, 0.05))
     np.testing.assert_allclose(known.joint[:12, :12], covariance, rtol=1e-6)
     np.testing.assert_allclose(known.joint[12:, 12:], np.diag([0.05**2] * 3 + [0.01**2] * 3))
     assert not known.joint[12:, :12].any()
     write_map_covariance(beside, np.array([2, 5]), 2.0 * covariance)
     with pytest.raises(InputError, match=r"map\.npz' is of another map than 'map\.csv'"):
-        FixedMap.read(file, Tag(0.2), MapErrors())
+        FixedMap.read(file, Tag(0.2), Hanging())
     for content in (b"", b"PK\x03\x04", beside.read_bytes()[:200]):
         beside.write_bytes(content)
         with pytest.raises(InputError, match=r"map\.npz' is no covariance of a map"):
-            FixedMap.read(file, Tag(0.2), MapErrors())
+            FixedMap.read(file, Tag(0.2), Hanging())
     np.savez(beside, ids=np.array([2, 5]), upper=np.full(78, np.nan))
     with pytest.raises(InputError, match=r"map\.npz' is no covariance of a map"):
-        FixedMap.read(file, Tag(0.2), MapErrors())
+        FixedMap.read(file, Tag(0.2), Hanging())
 
 
 def test_other_tags_than_those_of_the_map_are_refused():

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from support import bags, processes, walks
 from support import localisations as ld
 
-from lmd.adjust.gauge import SIGMA_COLUMNS
+from lmd.adjust.tables import SIGMA_COLUMNS
 from lmd.core.tables import write_table
 from lmd.formats.detection_formats import write_detections
 from lmd.formats.trajectories import TrajectoryFile

@@ -9,15 +9,13 @@ import numpy as np
 from scipy.stats import chi2
 
 from lmd.adjust.corners import Poses
-from lmd.adjust.estimate import adjust
+from lmd.adjust.estimate import Estimate
 from lmd.adjust.intrinsics import Optics
-from lmd.adjust.refinement import Refined
 from lmd.adjust.sightings import Observations
 from lmd.core.checks import FloatArray
 from lmd.formats.detections import DetectedTags
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import camera_pose, exp, inverse, log, pose_of
-from lmd.localise.changes import MapPrior
 from lmd.localise.fixed_map import FixedMap
 from lmd.localise.localise import Drive, Localisation, localise
 from lmd.scene.tag import Tag
@@ -66,15 +64,13 @@ def localised(walk: Walked, detected: DetectedTags | None = None, **more) -> Loc
     return localise(detected or walk.detected, [walks.CAMERA], Tag(walks.EDGE), errors, walk.known, **more)
 
 
-def compared(walk: Walked, moved: Sequence[int] = ()) -> tuple[MapPrior, Refined]:
-    """Map as a prior, and an estimate beside it with exact cameras, in which the tags `moved` have no prior."""
+def compared(walk: Walked, moved: Sequence[int] = ()) -> tuple[Estimate, FixedMap]:
+    """Estimate with exact cameras in which the tags `moved` have no prior, and the map."""
     ids = walk.known.ids
     optics, errors = (Optics(walks.CAMERA),), walks.constant_errors(NOISE)
     seen = Observations(walk.detected, optics, ids, walk.known.edges, 8, errors)
-    prior, some = MapPrior.of(walk.known, ids, None), seen.through()
-    poses = Poses(walk.known.poses, walk.frames, np.eye(4)[None])
-    found = adjust(some, prior.prior(np.isin(ids, moved)), poses, np.zeros(len(ids), dtype=np.int64), 0.0)
-    return prior, Refined.exact(found, seen)
+    prior, poses = walk.known.prior(np.isin(ids, moved)), Poses(walk.known.poses, walk.frames, np.eye(4)[None])
+    return Estimate.adjusted_from(seen.through(), prior, poses, np.zeros(len(ids), dtype=np.int64), 0.0), walk.known
 
 
 def squares(poses: FloatArray, covariances: FloatArray, true: FloatArray) -> FloatArray:
@@ -232,8 +228,8 @@ def figures(one: Scenario, result: Localisation) -> tuple[float, float, float]:
     """Mean chi^2/6 of the smoothed poses, and medians of their errors and of their stated errors, metres."""
     found = result.smoothed
     assert found is not None
-    known = found.localised
-    off, own = log(inverse(found.frames[known]) @ one.frames[known]), found.covariances[known]
+    known = found.poses.known_frames
+    off, own = log(inverse(found.poses.frames[known]) @ one.frames[known]), found.frame_covariances[known]
     square = np.einsum("ni,nij,nj->n", off, np.linalg.inv(own), off) / 6.0
     stated = np.sqrt(np.linalg.eigvalsh(own[:, 3:, 3:])[:, -1])
     return float(square.mean()), float(np.median(np.linalg.norm(off[:, 3:], axis=1))), float(np.median(stated))

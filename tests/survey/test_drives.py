@@ -11,9 +11,8 @@ from lmd.core.checks import InputError
 from lmd.geometry.se3 import act, adjoint_matrix, inverse, log, pose_of, rigid_alignment
 from lmd.scene.tag import Tag
 from lmd.survey.knowledge import PriorKnowledge
-from lmd.survey.results import survey_document, tag_columns
+from lmd.survey.results import survey_document, tag_columns, to_text
 from lmd.survey.survey import survey
-from lmd.survey.terminal import to_text
 
 LENGTH, COUNT = 12.0, 9
 SLACK = 1.15  # factor of chi^2, as each drive estimates its spread from some hundred links
@@ -60,7 +59,7 @@ def test_covariances_across_joined_groups_hold(by):
             lean = (0.01, 0.003) if by.startswith("leaning") else (0.0, 0.0)
             known = PriorKnowledge(odometry=drives.odometry(driven, rng, lean=lean))
         found = found_of(driven, known)
-        assert found.joined is not None
+        assert found.joined.max() >= 0
         assert found.placed.sum() >= (3 if by == "constant velocity" else COUNT - 3)
         squares.append(square_of(found, driven.tags))
     total, freedom = np.sum(squares, axis=0)
@@ -122,8 +121,7 @@ def test_frames_of_several_tags_do_not_depend_on_motion():
     close = replace(detected, times=tuple(f"{0.1 * k:.1f}" for k in range(len(detected.times))))
     cameras, tag, errors = [walks.CAMERA], Tag(walks.EDGE), walks.constant_errors(0.2)
     one, other = (survey(some, cameras, tag, errors, PriorKnowledge()) for some in (detected, close))
-    assert one.joined is None
-    assert other.joined is None
+    assert one.joined.max() == other.joined.max() == -1
     assert (one.found.poses.tags == other.found.poses.tags).all()
     assert np.array_equal(one.found.covariances, other.found.covariances, equal_nan=True)
 

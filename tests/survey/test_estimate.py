@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from support import walks
 
-from lmd.adjust.mounts import Mounts
-from lmd.adjust.prior import Prior
+from lmd.adjust.prior import Mounts, Prior
 from lmd.geometry.se3 import exp, inverse, log
 from lmd.scene.deployment import Deployment
 from lmd.survey.knowledge import PriorKnowledge

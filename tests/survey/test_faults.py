@@ -8,8 +8,7 @@ from support import walks
 
 from lmd.adjust.prior import Prior
 from lmd.geometry.se3 import exp, inverse
-from lmd.survey.faults import find_faults
-from lmd.survey.survey import estimate_map
+from lmd.survey.survey import estimate_map, without_faults
 
 COUNT, FRAMES, MOVED = 24, 64, 5
 IDS = np.arange(COUNT)
@@ -24,7 +23,7 @@ def room():
 
 
 def found_in(detected):
-    return find_faults(estimate_map(walks.sightings(detected, IDS), NOTHING), np.zeros(COUNT, dtype=bool))
+    return without_faults(estimate_map(walks.sightings(detected, IDS), NOTHING), np.zeros(COUNT, dtype=bool))
 
 
 def off(found, true):
@@ -37,7 +36,7 @@ def off(found, true):
 def test_a_walk_without_faults_has_none(room):
     found, faults = found_in(walks.photographed(*room, np.random.default_rng(1)))
     assert (found.group == 0).all()
-    assert faults.second_places == ()
+    assert not faults.second_places
     assert faults.sizes == {}
     assert not faults.misread.any()
 

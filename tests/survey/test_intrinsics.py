@@ -12,8 +12,7 @@ from lmd.formats.calibrations import calibrated_camera
 from lmd.formats.tag_map import write_yaml
 from lmd.geometry.se3 import camera_pose
 from lmd.scene.deployment import Deployment
-from lmd.survey.results import survey_document
-from lmd.survey.terminal import to_text
+from lmd.survey.results import survey_document, to_text
 
 COUNT, FRAMES = 24, 40
 TRUE = replace(walks.CAMERA, distortion=(-0.1, 0.03, 0.0005, -0.0003, 0.0))

@@ -11,7 +11,7 @@ from lmd.adjust.intrinsics import intrinsics_of, with_intrinsics
 from lmd.adjust.sightings import MODES, SHAPES, SQUARE, Observations
 from lmd.detection.corner_errors import inward
 from lmd.geometry.projection import project
-from lmd.survey.terminal import to_text
+from lmd.survey.results import to_text
 
 TAGS, FRAMES, SIGMA, SPREAD = 16, 60, 0.2, 0.2
 TRUE = replace(walks.CAMERA, distortion=(-0.1, 0.03, 0.0005, -0.0003, 0.0))

@@ -15,8 +15,7 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.labels import Labels, Surveyed
 from lmd.scene.tag import Tag
 from lmd.survey.knowledge import MeasuredPoints, PriorKnowledge, poses_of
-from lmd.survey.results import map_columns, map_of, measured_of, metrics, survey_document
-from lmd.survey.terminal import to_text
+from lmd.survey.results import map_columns, map_of, measured_of, metrics, survey_document, to_text
 
 COUNT, FRAMES, SIGMA = 24, 60, 0.2
 UNSEEN, UNPLANNED, ODD = 7, 23, 11

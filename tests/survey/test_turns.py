@@ -13,8 +13,7 @@ from lmd.formats.detections import DetectedTags
 from lmd.scene.deployment import Deployment
 from lmd.scene.labels import Labels, Surveyed
 from lmd.survey.knowledge import Boards
-from lmd.survey.results import map_of
-from lmd.survey.terminal import to_text
+from lmd.survey.results import map_of, to_text
 
 IDS = np.array([2, 3, 5, 7, 11])
 PLACES = np.array([[0.5, 0.0, 1.0], [1.0, 0.0, 1.4], [1.6, 0.0, 0.9], [2.0, 0.0, 1.5], [0.0, 0.7, 1.2]])

@@ -12,21 +12,21 @@ With a plan, initialisation starts with the tags at their planned poses, and is 
 As detectors may number corners from another corner, all planned tags are tried at each of the four quarter turns.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from lmd.adjust.adjustment import Adjustment
-from lmd.adjust.candidates import SinglePoses, agreeing, place, single_poses
-from lmd.adjust.corners import Poses, squared_errors
+from lmd.adjust.candidates import SinglePoses, place, single_poses
+from lmd.adjust.corners import Poses, agreeing, squared_errors
 from lmd.adjust.estimate import FLOOR_PIXELS, ONE_THREAD
-from lmd.adjust.mounts import Mounts
 from lmd.adjust.prior import Prior
 from lmd.adjust.sightings import QUARTERS, Sightings
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.geometry.se3 import inverse, median_pose
 from lmd.survey.groups import join_groups
+from lmd.survey.world import into_world
 
 # Least log-likelihood ratios of the two poses of a sighting at which the better pose is beyond doubt, and is likely.
 BEYOND_DOUBT, LIKELY = 6.0, 1.5
@@ -53,6 +53,16 @@ class Start:
         apart = sightings.with_separate_cameras()
         return int(agreeing(apart, squared_errors(apart, self.poses)).sum())
 
+    def views(self, sightings: Sightings) -> FloatArray:
+        """Poses of each camera in each frame, `(C, F, 4, 4)`; NaN where its tags are in another group than those of the
+        first camera.
+        """
+        apart, views = sightings.with_separate_cameras(), self.poses.frames.copy()
+        group = np.full(len(views), -1)
+        group[apart.frame] = self.group[apart.tag]
+        views[group != np.tile(group[: sightings.frames], sightings.cameras)] = np.nan
+        return views.reshape(sightings.cameras, sightings.frames, 4, 4)
+
 
 def initialise(sightings: Sightings, prior: Prior) -> Start:
     """Find initial poses.
@@ -64,32 +74,27 @@ def initialise(sightings: Sightings, prior: Prior) -> Start:
         apart = sightings.with_separate_cameras()
         # To find unknown mounts, frames of two cameras must be placed, even by single sightings.
         is_linked = prior.motion is not None and (sightings.cameras == 1 or prior.mounts is not None)
-        rough, group = place_all(apart, np.where(prior.is_posed[:, None, None], prior.tags, np.nan), is_linked)
+        placed = place_all(apart, np.where(prior.is_posed[:, None, None], prior.tags, np.nan), is_linked)
         if prior.motion is None:
-            _check_groups(group)
-        return Start(_turned_as_seen(apart, rough), group)
+            _check_groups(placed.group)
+        # Each tag gets the quarter turn at which most of its sightings agree.
+        each = [replace(placed.poses, tags=placed.tags @ quarter) for quarter in QUARTERS]
+        counts = [apart.counts(agreeing(apart, squared_errors(apart, one))) for one in each]
+        return Start(replace(placed.poses, tags=placed.tags @ QUARTERS[np.argmax(counts, axis=0)]), placed.group)
 
 
-def _turned_as_seen(sightings: Sightings, poses: Poses) -> Poses:
-    """Poses with each tag at the quarter turn at which most of its sightings agree."""
-    turned = [poses.tags @ quarter for quarter in QUARTERS]
-    each = [Poses(tags, poses.frames, poses.mounts) for tags in turned]
-    counts = [sightings.counts(agreeing(sightings, squared_errors(sightings, one))) for one in each]
-    return Poses(poses.tags @ QUARTERS[np.argmax(counts, axis=0)], poses.frames, poses.mounts)
-
-
-def of_body(sightings: Sightings, start: Start, prior: Prior) -> tuple[Poses, IntArray, Prior]:
-    """Initial poses of the body, groups joined by motion, and the prior with the estimated spread of the motion.
+def in_one_world(sightings: Sightings, start: Start, prior: Prior, origin: int | None) -> tuple[Poses, IntArray, Prior]:
+    """Initial poses of the body in the world of the prior, groups joined by motion, and the prior with the estimated
+    spread of the motion; arguments as in `into_world`.
 
     Raises:
-        InputError: a camera was never placed together with the first camera.
+        InputError: a camera was never placed together with the first camera, or there is no world.
     """
-    rough = _mounted(sightings, start.poses, prior.mounts)
-    if prior.motion is None:
-        return rough, start.group, prior
-    poses, group, prior = join_groups(sightings, rough, start.group, prior)
-    _check_groups(group)
-    return poses, group, prior
+    poses, group = _mounted(sightings, start.poses, None if prior.mounts is None else prior.mounts.poses), start.group
+    if prior.motion is not None:
+        poses, group, prior = join_groups(sightings, poses, group, prior)
+        _check_groups(group)
+    return into_world(sightings, poses, group, prior, origin)
 
 
 def _check_groups(group: IntArray) -> None:
@@ -98,13 +103,13 @@ def _check_groups(group: IntArray) -> None:
         raise InputError("detections never show two tags at once, of which one leaves no doubt.", "detections")
 
 
-def _mounted(sightings: Sightings, apart: Poses, mounts: Mounts | None) -> Poses:
+def _mounted(sightings: Sightings, apart: Poses, mounts: FloatArray | None) -> Poses:
     """Poses of the body from the poses of its cameras.
 
     Args:
         sightings: sightings of the body.
         apart: poses for `sightings.with_separate_cameras()`.
-        mounts: mounts of the cameras; None to estimate them.
+        mounts: mounts of the cameras, `(C, 4, 4)`; None to estimate them.
 
     Raises:
         InputError: a camera was never placed together with the first camera.
@@ -112,16 +117,14 @@ def _mounted(sightings: Sightings, apart: Poses, mounts: Mounts | None) -> Poses
     views = apart.frames.reshape(sightings.cameras, sightings.frames, 4, 4)
     found, frames = np.tile(np.eye(4), (sightings.cameras, 1, 1)), views[0].copy()
     for camera in range(1, sightings.cameras):
-        there = np.isfinite(views[camera, :, 0, 0])
-        both = there & np.isfinite(frames[:, 0, 0])
+        there, here = np.isfinite(views[camera, :, 0, 0]), np.isfinite(frames[:, 0, 0])
         if mounts is not None:
-            found[camera] = mounts.poses[camera]
-        elif both.any():
-            found[camera] = median_pose(inverse(frames[both]) @ views[camera, both])
+            found[camera] = mounts[camera]
+        elif (there & here).any():
+            found[camera] = median_pose(inverse(frames[there & here]) @ views[camera, there & here])
         else:
             raise InputError(f"detections have no frame that shows where camera {camera + 1} is mounted.", "detections")
-        fresh = there & ~both
-        frames[fresh] = views[camera, fresh] @ inverse(found[camera])
+        frames[there & ~here] = views[camera, there & ~here] @ inverse(found[camera])
     return Poses(apart.tags, frames, found)
 
 
@@ -148,8 +151,15 @@ class Placing:
     @property
     def _placed(self) -> tuple[BoolArray, BoolArray]:
         """Masks of the sightings whose tag is placed and of the sightings whose frame is placed, `(N,)` each."""
-        tags, frames = np.isfinite(self.tags[:, 0, 0]), np.isfinite(self.frames[:, 0, 0])
-        return tags[self.sightings.tag], frames[self.sightings.frame]
+        return self.poses.known_tags[self.sightings.tag], self.poses.known_frames[self.sightings.frame]
+
+    def _count(self) -> int:
+        """Number of placed frames and tags."""
+        return int(self.poses.known_frames.sum() + self.poses.known_tags.sum())
+
+    def agreed(self) -> int:
+        """Number of sightings that agree with the poses of their tags and frames."""
+        return int(agreeing(self.sightings, squared_errors(self.sightings, self.poses)).sum())
 
     def fill(self) -> None:
         """Place all tags and frames that can be placed."""
@@ -163,10 +173,6 @@ class Placing:
             for _ in range(2):
                 self._retry()
                 self._adjust(FINAL_STEPS)
-
-    def agreed(self) -> int:
-        """Number of sightings that agree with the poses of their tags and frames."""
-        return int(agreeing(self.sightings, squared_errors(self.sightings, self.poses)).sum())
 
     def _seed(self) -> bool:
         """Begin a group with the frame that shows the most new tags with poses beyond doubt; False if there is no such
@@ -182,32 +188,22 @@ class Placing:
         best = int(np.argmax(value))
         own = usable[sightings.frame[usable] == best]
         self.frames[best] = np.eye(4)
-        self.tags[sightings.tag[own]] = self.single.poses[own, 0]
-        self.group[sightings.tag[own]] = self.group.max() + 1
+        self.tags[sightings.tag[own]], self.group[sightings.tag[own]] = self.single.poses[own, 0], self.group.max() + 1
         return True
 
     def _grow(self) -> bool:
         """Place frames, then tags, on whose pose several sightings agree; False if none is placed."""
-        before = self._count()
-        for by_frame in (True, False):
-            self.place(self.waiting(by_frame), by_frame, fewest=FEWEST)
-        return self._count() > before
+        placed = [self.place(self.waiting(by_frame), by_frame) for by_frame in (True, False)]
+        return any(placed)
 
     def _risk(self) -> bool:
         """Place one tag, or else one frame, by the likeliest single sighting; False if no sighting is likely enough."""
         for by_frame in (False, True):
             waiting = self.waiting(by_frame)
-            waiting = waiting[self.single.odds[waiting] > LIKELY]
-            if waiting.size:
-                before = self._count()
-                self.place(waiting[[np.argmax(self.single.odds[waiting])]], by_frame, fewest=1)
-                if self._count() > before:
-                    return True
+            best = waiting[np.argsort(-self.single.odds[waiting], kind="stable")][:1]
+            if (self.single.odds[best] > LIKELY).any() and self.place(best, by_frame, fewest=1):
+                return True
         return False
-
-    def _count(self) -> int:
-        """Number of placed frames and tags."""
-        return int(np.isfinite(self.frames[:, 0, 0]).sum() + np.isfinite(self.tags[:, 0, 0]).sum())
 
     def waiting(self, by_frame: bool) -> IntArray:
         """Sightings of placed tags in frames that are not placed; if not `by_frame`, sightings of other tags in placed
@@ -226,61 +222,59 @@ class Placing:
                 return
             disagree = known & (error > MUCH_WORSE * np.median(error[known]))
             share = np.bincount(owner, disagree) / np.maximum(np.bincount(owner, known), 1)
-            self.place(np.flatnonzero(known & (share[owner] > DISPUTED)), by_frame, fewest=FEWEST)
+            self.place(np.flatnonzero(known & (share[owner] > DISPUTED)), by_frame)
 
     def _adjust(self, steps: int) -> None:
         """Adjust all placed tags and frames, with the first tag of each group fixed."""
-        tag, frame = self._placed
-        if not (tag & frame).any():
+        both = np.logical_and(*self._placed)
+        if not both.any():
             return
         _, first = np.unique(self.group, return_index=True)
         information = np.zeros((len(self.tags), 6))
         information[first[self.group[first] >= 0]] = 1.0 / ANCHOR_SIGMA**2
-        adjustment = Adjustment(self.sightings.of(tag & frame), Prior(self.tags, information))
+        adjustment = Adjustment(self.sightings.of(both), Prior(self.tags, information))
         poses, _ = adjustment.run(self.poses, FLOOR_PIXELS, steps)
         self.tags, self.frames = poses.tags, poses.frames
 
-    def place(self, index: IntArray, by_frame: bool, fewest: int, share: float = LEAST_SHARE) -> None:
+    def place(self, index: IntArray, by_frame: bool, fewest: int = FEWEST) -> bool:
         """Place the frames of the sightings `index` by placed tags, or the tags of the sightings by placed frames.
 
         Args:
             index: indices of sightings.
             by_frame: True to place frames, False to place tags.
             fewest: minimum number of sightings that must agree.
-            share: minimum share of the sightings that must agree.
+
+        Returns:
+            True if a frame or tag that had no pose was placed.
         """
-        some, single = self.sightings.of(index), self.single.poses[index]
-        placed, poses = place(some, single, self.poses, by_frame, fewest, share)
+        some, single, before = self.sightings.of(index), self.single.poses[index], self._count()
+        placed, poses = place(some, single, self.poses, by_frame, fewest, LEAST_SHARE)
         (self.frames if by_frame else self.tags)[placed] = poses
         if not by_frame:
             self.group[placed] = np.where(self.group[placed] < 0, self.group.max(), self.group[placed])
+        return self._count() > before
 
 
-def place_all(sightings: Sightings, planned: FloatArray, is_linked: bool) -> tuple[Poses, IntArray]:
+def place_all(sightings: Sightings, planned: FloatArray, is_linked: bool) -> Placing:
     """Place all tags and frames that can be placed.
 
     Args:
         sightings: sightings in which each camera is a body of its own, see `Sightings.with_separate_cameras`.
         planned: planned poses of tags, `(K, 4, 4)`; NaN if unknown.
         is_linked: True if frames are linked by motion.
-
-    Returns:
-        the poses, NaN if not placed; and the group of each tag, `(K,)`, -1 for none. Each group has a world of its own.
     """
-    single = single_poses(sightings)
-    tried: list[Placing] = []
-    known = (np.bincount(sightings.tag, minlength=len(planned)) > 0) & np.isfinite(planned[:, 0, 0])
+    single, tried = single_poses(sightings), []
+    known = (sightings.counts() > 0) & np.isfinite(planned[:, 0, 0])
     for quarter in QUARTERS if known.any() else ():
         placing = Placing(sightings, single, is_linked)
         placing.tags[known], placing.group[known] = (planned @ quarter)[known], 0
-        placing.place(placing.waiting(by_frame=True), by_frame=True, fewest=FEWEST)
+        placing.place(placing.waiting(by_frame=True), by_frame=True)
         tried.append(placing)
     if tried:
         tried = [max(tried, key=Placing.agreed)]
         tried[0].fill()
         if tried[0].agreed() >= AS_PLANNED * len(sightings):
-            return tried[0].poses, tried[0].group
+            return tried[0]
     alone = Placing(sightings, single, is_linked)
     alone.fill()
-    best = max([alone, *tried], key=Placing.agreed)
-    return best.poses, best.group
+    return max([alone, *tried], key=Placing.agreed)

@@ -1,0 +1,211 @@
+"""Motion of a body as its drive tells it: the spread of the motion, errors across gaps, and the smoothest sequence.
+
+The spread s of a motion is estimated by maximum evidence: with theta = log s^2,
+
+    d chi^2 / d theta + d log |Q| / d theta + d log |H| / d theta = 0,
+
+where chi^2 and Q are the errors of the links and their covariance, and H is the matrix of all unknowns. The prior of s
+has the weight of `ASSUMED_LINKS` links.
+
+Errors of a constant velocity across gaps are measured in stretches of the drive without gaps. For two frames that are
+the length of a gap apart, the velocities before and after predict the relative pose. The error of the prediction is its
+difference from the pose estimated with the frames between the two.
+
+Of two poses of a frame that look alike, the smoothest sequence of poses decides (Viterbi).
+
+Source: MacKay, "Bayesian Interpolation".
+"""
+
+from copy import copy
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lmd.adjust.adjustment import CHANGE, Adjustment
+from lmd.adjust.candidates import single_poses
+from lmd.adjust.corners import Poses, agreeing, squared_errors
+from lmd.adjust.motion import DRIFT, SHORTEST_GAP, STEADY, Motion, turn_twist
+from lmd.adjust.sightings import Sightings
+from lmd.core.checks import FloatArray, IntArray
+from lmd.geometry.se3 import angle_between, exp, inverse, log
+
+ASSUMED_LINKS = 3.0  # weight of the prior of a spread, as a number of links
+# Estimate of a spread: maximum number of steps, largest factor on its square in a step, and relative change of the
+# square that ends the estimate.
+SPREAD_STEPS, MOST_CHANGE, SETTLED = 3, 10.0, 0.03
+LONGEST_GAP, GAPS = 5.0, 13  # longest length of a gap that is tried, seconds, and number of lengths that are tried
+FEWEST_GAPS = 6  # minimum number of artificial gaps of a length in stretches without gaps
+LEAST_PACE = 0.2  # minimum time over which the velocity on each side of a gap is measured, seconds
+# Errors of rough poses of frames: rotation, rad, and position, metres; and their growth by motion, per second.
+ROUGH_TURN, ROUGH_PLACE, MOVING = 0.1, 0.15, 1.0
+
+
+def with_motion(joint: Adjustment, motion: Motion) -> Adjustment:
+    """Adjustment with another spread of the motion, and equal pairs of linked frames."""
+    assert joint.links is not None
+    other, first = copy(joint), joint.links.first
+    information = motion.information(joint.seen[first], joint.seen[first + 1])
+    other.prior, other.links = replace(joint.prior, motion=motion), replace(joint.links, information=information)
+    return other
+
+
+def spread_motion(joint: Adjustment, poses: Poses, floor: float) -> Motion:
+    """Motion of an adjustment with the spread of maximum evidence."""
+    motion, links = joint.prior.motion, joint.links
+    assert motion is not None
+    assert links is not None
+    if not len(links.first):
+        return motion
+    error, size = links.at(poses.frames[joint.seen]).error, links.size
+
+    def evidence(motion: Motion) -> FloatArray:
+        """Terms of the evidence: chi^2 of the links, log |Q| and log |H|, `(3,)`."""
+        tried = joint if motion is joint.prior.motion else with_motion(joint, motion)
+        assert tried.links is not None
+        squares = tried.links.squares(error)
+        volume = -float(np.linalg.slogdet(tried.links.information)[1].sum())
+        fit = tried.system(poses, floor, 0.0, 1.0).log_determinant
+        return np.array([float((tried.links.weights(squares) * squares).sum()), volume, fit])
+
+    assumed, count = DRIFT if motion.is_odometry else STEADY, ASSUMED_LINKS * size / 2.0
+    for _ in range(SPREAD_STEPS):
+        here, growths = evidence(motion), np.ones(2)
+        for which, own in enumerate(motion.spread):
+            turn, place = (s * (1.0 + CHANGE) ** (0.5 * (k == which)) for k, s in enumerate(motion.spread))
+            square, volume, fit = (evidence(replace(motion, spread=(turn, place))) - here) / np.log1p(CHANGE)
+            most = volume + fit + count  # degrees of freedom of the errors after the fit
+            growths[which] = (count * (assumed[which] / own) ** 2 - square) / max(most, count)
+        growths = np.clip(growths, 1.0 / MOST_CHANGE, MOST_CHANGE)
+        turn, place = motion.spread * np.sqrt(growths)
+        motion = replace(motion, spread=(float(turn), float(place)))
+        if np.abs(growths - 1.0).max() < SETTLED:
+            break
+    return motion
+
+
+def measured_motion(joint: Adjustment, poses: Poses, floor: float) -> Motion:
+    """Motion of an adjustment with the spread of maximum evidence and the measured errors across gaps.
+
+    Raises:
+        InputError: odometry contradicts the images.
+    """
+    assert joint.links is not None
+    joint.links.check(poses.frames[joint.seen])
+    motion = spread_motion(joint, poses, floor)
+    if motion.is_odometry:
+        return motion
+    part = motion.of(joint.seen, np.zeros(len(joint.seen), dtype=np.int64))
+    return replace(motion, gaps=bridged_gaps(part, poses.frames[joint.seen]))
+
+
+def bridged_gaps(motion: Motion, poses: FloatArray) -> FloatArray:
+    """Spreads of a constant velocity by the length of a gap, see `Motion.gaps`.
+
+    Args:
+        motion: motion at a constant velocity, in pieces.
+        poses: poses of the frames, `(F, 4, 4)`; frames of one piece are contiguous and have a common world.
+    """
+    assert motion.piece is not None
+    rows, clock = [], motion.times - np.nanmin(motion.times)
+    clock = clock + motion.piece * (np.nanmax(clock) + 10.0 * LONGEST_GAP)
+
+    def nearest(seconds: FloatArray) -> IntArray:
+        """Index of the frame nearest to each time of `clock`."""
+        after = np.clip(np.searchsorted(clock, seconds), 1, len(clock) - 1)
+        return np.asarray(after - (seconds - clock[after - 1] < clock[after] - seconds))
+
+    pace = max(LEAST_PACE, float(np.median(np.diff(clock))))
+    for gap in np.geomspace(SHORTEST_GAP, LONGEST_GAP, GAPS):
+        ends = np.stack([nearest(clock + by) for by in (-pace, 0.0, gap, gap + pace)])
+        before, lasts, after = np.diff(clock[ends], axis=0)
+        fits = (np.abs(lasts - gap) < 0.13 * gap) & (np.abs(before - pace) < 0.5 * pace)
+        fits &= np.abs(after - pace) < 0.5 * pace
+        if len(np.unique((clock[ends[1][fits]] / gap).astype(np.int64))) < FEWEST_GAPS:
+            continue
+        first, i, j, last = poses[ends[:, fits]]
+        before, lasts, after = (each[fits, None] for each in (before, lasts, after))
+        into, out = log(inverse(first) @ i)[:, :3] / before, log(inverse(j) @ last)[:, :3] / after
+        moving = (i - first)[:, :3, 3] / before + (last - j)[:, :3, 3] / after
+        turn = log(exp(-turn_twist(lasts / 2.0 * (into + out))) @ inverse(i) @ j)[:, :3]
+        place = (j - i)[:, :3, 3] - lasts / 2.0 * moving
+        squares = [float((off**2).sum(axis=1).mean()) for off in (turn, place)]
+        rows.append([gap, *np.sqrt(12.0 * np.array(squares) / gap**3)])
+    return np.array(rows).reshape(-1, 3)
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """Nodes: pairs of a frame and a part that the frame shows, sorted by part, then by time."""
+
+    sightings: Sightings
+    """Sightings with nodes in place of frames."""
+    frame: IntArray
+    """`(n,)` frame of each node."""
+    part: IntArray
+    """`(n,)` part of each node."""
+    motion: Motion
+    """Motion between the nodes of each part."""
+
+    @classmethod
+    def of(cls, sightings: Sightings, part: IntArray, motion: Motion) -> "Nodes":
+        """Nodes of all sightings of tags in parts `(K,)`."""
+        key, node = np.unique(part[sightings.tag] * sightings.frames + sightings.frame, return_inverse=True)
+        order = np.argsort(node, kind="stable")
+        own, frame = np.divmod(key, sightings.frames)
+        some = replace(sightings.of(order), frame=node[order], frames=len(key))
+        return cls(some, frame, own, motion.of(frame, own))
+
+    def following(self, count: int) -> tuple[IntArray, IntArray]:
+        """Pairs of nodes, the second among the `count` nodes after the first in time."""
+        order = np.lexsort((self.part, self.frame))
+        ends = [np.stack([order[:-k], order[k:]]) for k in range(1, min(count, len(order) - 1) + 1)]
+        first, second = np.hstack([np.empty((2, 0), dtype=np.int64), *ends])
+        return first, second
+
+
+def smoothest(nodes: Nodes, poses: Poses) -> Poses:
+    """Poses of the nodes in the worlds of their parts: the smoothest sequence of poses from their largest sightings and
+    from the rough poses of frames.
+    """
+    some, motion, placed = nodes.sightings, nodes.motion, poses.frames[nodes.frame]
+    order = np.lexsort((-some.sizes, some.frame))
+    best = order[np.searchsorted(some.frame[order], np.arange(len(placed)))]
+    single = single_poses(some.of(best))
+    views = poses.tags[some.tag[best]][:, None] @ inverse(poses.mounts[some.camera[best]][:, None] @ single.poses)
+    costs = np.stack([np.zeros(len(placed)), single.odds], axis=1)
+    agree = agreeing(some, squared_errors(some, replace(poses, frames=placed)))
+    several = np.bincount(some.frame[agree], minlength=len(placed)) >= 2
+    views[several] = placed[several, None]
+    follows = np.flatnonzero(motion.follows(np.arange(len(placed))))
+    between = np.zeros((len(placed), 2, 2))  # cost of each pose, given each pose of the previous node
+    seconds = motion.times[follows + 1] - motion.times[follows]
+    moving = 0.0 if motion.is_odometry else MOVING * seconds[:, None, None]
+    expected = views[follows] @ motion.steps(follows, follows + 1)[:, None]
+    off = inverse(expected)[:, None] @ views[follows + 1][:, :, None]
+    turn = angle_between(off, np.eye(4)) / np.hypot(ROUGH_TURN, moving)
+    place = np.linalg.norm(off[..., :3, 3], axis=-1) / np.hypot(ROUGH_PLACE, moving)
+    between[follows + 1] = np.log1p(turn**2 + place**2)
+    which = best_sequence(costs, between)
+    return replace(poses, frames=views[np.arange(len(placed)), which])
+
+
+def best_sequence(costs: FloatArray, between: FloatArray) -> IntArray:
+    """Choose one of the two poses of each of n sightings in a sequence, at the least total cost (Viterbi).
+
+    Args:
+        costs: cost of each pose, `(n, 2)`.
+        between: cost of pose a after pose b of the previous sighting, `(n, 2, 2)`.
+
+    Returns:
+        index of the chosen pose of each sighting, 0 or 1, `(n,)`.
+    """
+    chosen, total = np.zeros(costs.shape, dtype=np.int64), costs[0]
+    for k in range(1, len(costs)):
+        ways = between[k] + total
+        chosen[k] = np.argmin(ways, axis=1)
+        total = costs[k] + ways.min(axis=1)
+        total = total - total.min()
+    which = np.full(len(costs), np.argmin(total))
+    for k in range(len(costs) - 1, 0, -1):
+        which[k - 1] = chosen[k, which[k]]
+    return which

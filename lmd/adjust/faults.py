@@ -1,0 +1,190 @@
+"""Tags of which sightings disagree with the map: second places, and other sizes than stated.
+
+*Second places* are poses on which several outliers of a tag agree, as the tag was moved or two tags have its id.
+
+*Sizes* are told by tags that images show together, as the distance of two tags is constant. If s is the ratio of the
+edges of tag b and tag a over the stated ratio, and t_a and t_b are their centres in a camera by their stated edges, |s
+t_b - t_a| is constant over images from different places. The ratios of all pairs give the size of each tag relative to
+most others.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lmd.adjust.candidates import placed_tags
+from lmd.adjust.corners import Reprojection, fitting, newton_step, squared_errors, student_weight, sums_by
+from lmd.adjust.estimate import Estimate
+from lmd.adjust.sightings import SQUARE, Sightings
+from lmd.core.checks import BoolArray, FloatArray, IntArray
+from lmd.geometry.se3 import angle_between, exp
+
+# Minimum number of outliers, and minimum share of a tag's outliers, that agree on a second pose.
+FEWEST_SIGHTINGS, LEAST_SHARE = 3, 0.5
+APART_EDGES, TURNED_RAD = 0.2, 0.3  # least distance, in edges, and least rotation, rad, between two poses that differ
+OUT_OF_ORDER_SHARE = 0.1  # maximum share of frames before and after a move that are out of order
+RATIOS = np.geomspace(0.25, 4.0, 141)  # ratios of edges that are tried
+FEWEST_TOGETHER = 4  # minimum number of images that show two tags
+LEAST_SPREAD = 0.01  # scale of the robust loss of relative errors of distances
+# A ratio is told if its loss is smaller by `TOLD` than `BESIDE` ratios beside it. It is the stated one unless the loss
+# of another is smaller by `SURELY`.
+BESIDE, TOLD, SURELY = 10, 2.0, 10.0
+ODD = 0.1  # difference of logarithms of edges from most others beyond which a tag is odd
+# A size is wrong if it differs from the estimated size by the share `DIFFERS` and by `SIGMAS` standard deviations, and
+# if the share `FITS` of the sightings fits the estimated size.
+DIFFERS, SIGMAS, FITS = 0.02, 5.0, 0.5
+ROUNDS, STEPS = 3, 15  # estimates of sizes, each with the map of the estimate before, and Gauss-Newton steps in each
+
+
+@dataclass(frozen=True)
+class SecondPlace:
+    """Second pose of a tag."""
+
+    tag: int
+    """Index of the tag."""
+    pose: FloatArray
+    """`(4, 4)` pose, tag to world."""
+    sightings: int
+    """Number of sightings that agree with the second pose."""
+    moved: int | None
+    """Index of the frame from which the tag hangs at the later pose; None if frames show the tag at both poses in
+    turns, which means that two tags have its id.
+    """
+    later: bool
+    """True if the second pose is the later pose."""
+
+
+def second_places(found: Estimate, gross: BoolArray) -> list[SecondPlace]:
+    """Second poses of tags: poses on which several of the `gross` outliers, mask `(N,)`, agree."""
+    every, counts, places = found.sightings, found.sightings.counts(gross), []
+    some = every.of(np.flatnonzero(gross & (counts[every.tag] >= FEWEST_SIGHTINGS)))
+    tags = placed_tags(some, found.poses, FEWEST_SIGHTINGS, LEAST_SHARE)
+    agree = fitting(some, squared_errors(some, replace(found.poses, tags=tags)), found.floor)
+    for tag in np.unique(some.tag).tolist():
+        there = some.frame[agree & (some.tag == tag)]
+        here, own = every.frame[found.used & (every.tag == tag)], found.poses.tags[tag]
+        away = np.linalg.norm(own[:3, 3] - tags[tag, :3, 3]) / every.edges[tag]
+        if not here.size or len(there) < max(FEWEST_SIGHTINGS, LEAST_SHARE * counts[tag]):
+            continue
+        if away < APART_EDGES and angle_between(own, tags[tag]) < TURNED_RAD:
+            continue
+        later = bool(np.median(there) > np.median(here))
+        moved = _change(here, there) if later else _change(there, here)
+        places.append(SecondPlace(tag, tags[tag], len(there), moved, later))
+    return places
+
+
+def _change(first: IntArray, second: IntArray) -> int | None:
+    """Frame at which a tag was moved: the `first` frames come before this frame, the `second` frames after; None if
+    first and second frames are mixed.
+    """
+    begins = int(np.quantile(second, OUT_OF_ORDER_SHARE / 2.0))
+    mixed = (first >= begins).mean() > OUT_OF_ORDER_SHARE
+    mixed |= np.intersect1d(first, second).size > OUT_OF_ORDER_SHARE * len(first)
+    return None if mixed else begins
+
+
+def odd_sizes(sightings: Sightings, single: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Factor on the stated edge of each tag, `(K,)`, and mask of the tags whose size must be estimated, `(K,)`: those
+    with a factor other than 1 and, if there are any, those that no image tells.
+
+    Args:
+        sightings: sightings in which each camera is a body of its own.
+        single: better pose of the tag of each sighting in its camera, `(N, 4, 4)`.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
+
+    count, some, every = len(sightings.ids), sightings, np.arange(len(sightings))
+    before = every - np.searchsorted(some.frame, some.frame)  # number of earlier sightings in the frame
+    one = np.repeat(every, before)
+    other = every[one] - 1 - (np.arange(len(one)) - np.searchsorted(one, one))
+    swap = some.tag[one] > some.tag[other]
+    a, b = np.where(swap, other, one), np.where(swap, one, other)
+    key = some.tag[a] * count + some.tag[b]
+    order = np.lexsort((other, one, key))
+    keys, begins = np.unique(key[order], return_index=True)
+    ratios, weights = np.zeros((2, count, count))
+    for pair, own in zip(keys.tolist(), np.split(order, begins)[1:], strict=True):
+        i, j = divmod(pair, count)
+        if len(own) < FEWEST_TOGETHER or i == j:
+            continue
+        ways = RATIOS[:, None, None] * single[b[own], :3, 3] - single[a[own], :3, 3]
+        away = np.log(np.maximum(np.linalg.norm(ways, axis=2), 1e-9))
+        off = away - np.median(away, axis=1, keepdims=True)
+        cost = np.log1p((off / LEAST_SPREAD) ** 2).sum(axis=1)
+        stated, best = len(RATIOS) // 2, int(np.argmin(cost))
+        best = best if cost[best] < cost[stated] - SURELY else stated
+        beside = cost[[max(best - BESIDE, 0), min(best + BESIDE, len(RATIOS) - 1)]].min() - cost[best]
+        ratios[i, j], ratios[j, i], weights[i, j] = np.log(RATIOS[best]), -np.log(RATIOS[best]), max(beside, 0.0)
+    tree = minimum_spanning_tree(coo_array(np.where(weights > TOLD, 1.0 / np.maximum(weights, TOLD), 0.0)))
+    size, (parts, labels) = np.zeros(count), connected_components(tree, directed=False)
+    for part in range(parts):
+        own = np.flatnonzero(labels == part)
+        nodes, ahead = breadth_first_order(tree, own[0], directed=False)
+        for node in nodes[1:]:
+            size[node] = size[ahead[node]] + ratios[ahead[node], node]
+        near = np.abs(size[own, None] - size[own]) < ODD
+        size[own] -= np.median(size[own][near[np.argmax(near.sum(axis=1))]])
+    odd = np.abs(size) > ODD
+    alone = np.bincount(labels, minlength=count)[labels] == 1
+    return np.where(odd, np.exp(size), 1.0), odd | (alone & odd.any())
+
+
+def with_sizes(found: Estimate, odd: BoolArray, others: float, tried: bool) -> tuple[Estimate, BoolArray]:
+    """Estimate with the sizes of some tags, which are unknowns of a refinement from there on, and the mask of the tags
+    with another size, `(K,)`.
+
+    Args:
+        found: estimate with the stated sizes.
+        odd: mask of the tags that are known to have another size, `(K,)`.
+        others: standard deviation of the other tags, see `Sightings.size_sigmas`.
+        tried: True if further tags may have another size.
+    """
+    for _ in range(ROUNDS if tried else 0):
+        found, changed = resized(found, odd, np.ones_like(odd))
+        if not changed.any():
+            break
+        odd = odd | changed
+    some = found.sightings
+    sigmas = np.where(odd, ODD / 2.0 * some.edges * np.linalg.norm(SQUARE), others)
+    return replace(found, sightings=replace(some, size_sigmas=sigmas)), odd
+
+
+def other_sizes(found: Estimate, odd: BoolArray) -> dict[int, float]:
+    """Edges of the tags `odd` `(K,)` that differ from those of most others by `DIFFERS`, metres, by id."""
+    edges, ids = found.sightings.present_edges, found.sightings.ids
+    differs = odd & (np.abs(edges / np.median(edges[~odd] if (~odd).any() else edges) - 1.0) > DIFFERS)
+    return dict(zip(ids[differs].tolist(), edges[differs].tolist(), strict=True))
+
+
+def resized(found: Estimate, odd: BoolArray, among: BoolArray) -> tuple[Estimate, BoolArray]:
+    """Estimate with the edges of tags with a wrong size, by all frames, and the mask of these tags, `(K,)`.
+
+    Args:
+        found: estimate.
+        odd: mask of the tags that are known to have another size, which are always estimated, `(K,)`.
+        among: mask of the tags whose size may be wrong, `(K,)`.
+    """
+    every, tags, count = found.sightings, found.poses.tags.copy(), len(found.group)
+    some = every.of(found.poses.known_frames[every.frame] & (found.group[every.tag] <= 0))
+    astray = every.counts(found.used) == 0
+    tags[astray] = placed_tags(some.of(astray[some.tag]), found.poses, fewest=0, share=0.0)[astray]
+    growth, summed, variance = np.zeros(count), sums_by(some.tag, count), some.variance(found.floor)
+    for _ in range(STEPS):
+        grown = replace(some, edges=some.edges * np.exp(growth))
+        at = Reprojection(grown, *replace(found.poses, tags=tags).of(some))
+        weight = student_weight(at.squared / variance) / variance
+        jacobian = np.concatenate([at.by_tag, at.by_size], axis=-1)
+        step, matrix = newton_step(jacobian, at.error, weight, summed, np.diag([1e-6] * 6 + [1e-2]))
+        tags, growth = tags @ exp(step[:, :6]), growth + np.clip(step[:, 6], -0.2, 0.2)
+    grown = replace(some, edges=some.edges * np.exp(growth))
+    fits = fitting(some, squared_errors(grown, replace(found.poses, tags=tags)), found.floor)
+    sigma, counts = np.sqrt(np.linalg.inv(matrix)[:, 6, 6]), some.counts()
+    differs = among & (odd | ((np.abs(growth) > DIFFERS) & (np.abs(growth) > SIGMAS * sigma)))
+    differs &= (counts >= FEWEST_SIGHTINGS) & (some.counts(fits) >= FITS * counts)
+    if not differs.any():
+        return found, differs
+    edges = np.where(differs, grown.edges, some.edges)
+    other = replace(found, sightings=replace(every, edges=edges), group=np.where(differs, 0, found.group))
+    return other.with_tags(differs, tags[differs]).adjusted(found.floor), differs

@@ -1,0 +1,110 @@
+"""Rows, figures and lines of text about an estimate, which a survey and a localisation share."""
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lmd.adjust.estimate import Estimate
+from lmd.adjust.gauge import in_world
+from lmd.adjust.intrinsics import Calibrated
+from lmd.core.checks import FloatArray
+from lmd.core.words import few
+from lmd.formats.detections import DetectedTags
+from lmd.geometry.se3 import ROW
+
+AXES = ("x", "y", "z", "rx", "ry", "rz")  # of positions and rotations in the world
+TWISTS = ("tilt_x", "tilt_y", "turn", "right", "up", "out")  # components of a twist in the frame of a tag
+# Columns of the standard deviations of a tag beside the other tags, along its own axes, rad and metres.
+SIGMA_COLUMNS = tuple(f"sigma_{name}" for name in TWISTS)
+NOTICED = 0.01  # minimum floor of the corners' standard deviation that is printed, pixels
+a_few = partial(few, most=12)
+
+
+def pose_rows(poses: FloatArray) -> FloatArray:
+    """Position and quaternion of each pose, `(n, 7)`; NaN without a pose."""
+    from scipy.spatial.transform import Rotation
+
+    rows, known = np.full((len(poses), len(ROW)), np.nan), np.isfinite(poses[:, 0, 0])
+    rows[known, :3] = poses[known, :3, 3]
+    if known.any():
+        rows[known, 3:] = Rotation.from_matrix(poses[known, :3, :3]).as_quat(canonical=True)
+    return rows
+
+
+def pose_columns(poses: FloatArray) -> dict[str, ArrayLike]:
+    """Columns `ROW` of poses `(n, 4, 4)`; empty without a pose."""
+    return dict(zip(ROW, pose_rows(poses).T, strict=True))
+
+
+def covariance_columns(poses: FloatArray, covariances: FloatArray) -> dict[str, ArrayLike]:
+    """Columns of the upper triangles, row by row, of covariances in the world, from those of twists `(n, 6, 6)`."""
+    world = in_world(poses, covariances)
+    return {f"cov_{AXES[i]}_{AXES[j]}": world[:, i, j] for i in range(6) for j in range(i, 6)}
+
+
+def quantiles(name: str, values: FloatArray) -> dict[str, float]:
+    """Median and 90 % quantile of the values that are known; empty without any."""
+    known = values[np.isfinite(values)]
+    return {f"{name}/{share}": float(np.quantile(known, share / 100.0)) for share in (50, 90)} if known.size else {}
+
+
+def both(figures: Mapping[str, float], name: str, factor: float = 1e3, digits: str = ".2g") -> str:
+    """Text of the `quantiles` of a name."""
+    low, high = (factor * figures[f"{name}/{share}"] for share in (50, 90))
+    return f"{low:{digits}} (90 %: {high:{digits}})"
+
+
+def plain(values: ArrayLike) -> list[Any]:
+    """Values for JSON: null for NaN."""
+    return [None if value != value else value for value in np.asarray(values).tolist()]
+
+
+def figures_of(found: Estimate) -> dict[str, float]:
+    """Figures of an estimate: counts and pixels."""
+    return {
+        "sightings": float(found.used.sum()),
+        "corner_floor": found.floor,
+        "inflation": found.inflation,
+        **quantiles("error", np.sqrt(found.squares[found.used] / 4.0)),
+    }
+
+
+def document_of(calibrated: Sequence[Calibrated], detected: DetectedTags, sizes: Mapping[int, float]) -> dict[str, Any]:
+    """Entries of a JSON file on cameras, images, and tags of another size, metres, by id."""
+    return {
+        "blurred": dict(detected.blurred),
+        "copies": dict(detected.copies),
+        "intrinsics": [camera.document() for camera in calibrated],
+        "sizes": {str(tag): edge for tag, edge in sizes.items()},
+    }
+
+
+def lines_of(
+    found: Estimate,
+    calibrated: Sequence[Calibrated],
+    detected: DetectedTags,
+    sizes: Mapping[int, float],
+    doubts: Sequence[str],
+) -> dict[str, str]:
+    """Lines for a terminal by label on an estimate, on what `document_of` tells, and on what contradicts the images."""
+    lines = {}
+    if found.used.any():
+        lines["corners"] = f"{both(figures_of(found), 'error', 1.0)} pixels off"
+        if found.floor > NOTICED:
+            lines["corners"] += f", of which a standard deviation of {found.floor:.2g} is not the detector's"
+    if found.inflation > 1.0:
+        more = f"{found.inflation:.1f} times as much as the noise of corners explains"
+        lines["blocks"] = f"of time disagree {more}, which these figures count"
+    for number, camera in enumerate(calibrated, 1):
+        lines[f"camera {number}" if len(calibrated) > 1 else "camera"] = camera.to_text()
+    copies = [f"such as {copy} of {first}" for copy, first in detected.copies.items()]
+    rest = {
+        "other size": a_few(f"{tag} ({1e3 * edge:.4g} mm)" for tag, edge in sizes.items()),
+        "blurred": a_few(f"{name} ({pixels:.2g} pixels)" for name, pixels in detected.blurred.items()),
+        "copies": f"{len(copies)} images, not counted: {copies[0]}" if copies else "",
+        "check": " ".join(doubts),
+    }
+    return lines | {label: text for label, text in rest.items() if text}
