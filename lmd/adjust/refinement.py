@@ -228,8 +228,8 @@ def edge_doubts(found: Estimate) -> list[str]:
     growth = float(GROWTH_SIGMA * (weights * step[each, 0]).sum() / weights.sum())
     if abs(growth) < max(LEAST_GROWTH, SURE_SIGMAS * float(weights.sum()) ** -0.5):
         return []
-    edge = 1e3 * float(np.median(used.edges))
+    edge, way = 1e3 * float(np.median(used.edges)), "larger" if growth > 0.0 else "smaller"
     better = (
-        f"tags with {edge * np.exp(growth):.4g} mm in place of {edge:.4g} mm explain images and known places better"
+        f"tags that are {100.0 * abs(growth):.1g} % {way} than {edge:.4g} mm explain images and known places better"
     )
     return [f"{better}: measure the edge of a tag"]

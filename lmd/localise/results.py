@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lmd.adjust.estimate import Estimate
-from lmd.adjust.gauge import in_world, worst_sigmas
+from lmd.adjust.gauge import worst_sigmas
 from lmd.adjust.motion import seconds_of
 from lmd.adjust.tables import (
     both,
@@ -20,7 +20,6 @@ from lmd.adjust.tables import (
     pose_rows,
     quantiles,
 )
-from lmd.core.checks import FloatArray
 from lmd.core.words import few, labelled
 from lmd.localise.changes import Change
 from lmd.localise.images import State

@@ -197,7 +197,7 @@ def test_another_edge_is_told_from_a_shift_of_corners_where_places_are_known(sai
     errors = replace(walks.constant_errors(SIGMA), inward_spread=0.3)
     found = walks.surveyed(detected, edge=said, errors=errors, fixed=plan_of(true, np.arange(12)))
     assert len(found.doubts) == doubted
-    assert not doubted or float(found.doubts[0].split()[2]) == pytest.approx(100.0, abs=0.4)
+    assert not doubted or found.doubts[0].startswith("tags that are 2 % larger than 97.5 mm explain")
     assert abs(found.calibrated[0].shift - shift) < 0.05 or doubted
 
 
