@@ -11,14 +11,14 @@ import weight
 # What the project may weigh. What a change adds it pays by what it takes out; lower a number when you have lowered the
 # amount, and raise none.
 BUDGET = {
-    "files of lmd": 360,
-    "code lines of lmd": 31311,
+    "files of lmd": 319,
+    "code lines of lmd": 30396,
     "files of pipelines": 48,
     "code lines of pipelines": 3709,
-    "code lines of tests": 24851,
+    "code lines of tests": 24042,
     "files of conf": 100,
-    "keys of conf": 383,
-    "words of docs": 40350,
+    "keys of conf": 382,
+    "words of docs": 40198,
     "commands": 12,
 }
 # Docstrings and comments with each phrase, at most. Lower a number when you have lowered the count.
