@@ -21,7 +21,7 @@ def _asked(method: Method) -> Method:
 
     @wraps(method)
     def ask(changed: "Changed", *arguments: Any, **named: Any) -> Any:
-        return getattr(changed._room, method.__name__)(*arguments, **named)
+        return getattr(changed.original, method.__name__)(*arguments, **named)
 
     return cast(Method, ask)
 
@@ -30,17 +30,13 @@ class Changed:
     """Base of rooms derived from another room: methods of `Space` call the method of that room unless overridden."""
 
     def __init__(self, room: Space) -> None:
-        self._room = room
-
-    @property
-    def original(self) -> Space:
+        self.original = room
         """Room that this room is derived from."""
-        return self._room
 
     @property
     def relevance(self) -> Weighing:
         """See `Space.relevance`."""
-        return self._room.relevance
+        return self.original.relevance
 
     surfaces = _asked(Space.surfaces)
     surfaces_of = _asked(Space.surfaces_of)
@@ -139,7 +135,7 @@ class RecordedRoom(Changed):
         self._positions, self._seconds = positions, seconds
 
     def __repr__(self) -> str:
-        return f"{self._room!r}, visited in cells of {self._spacing} m"
+        return f"{self.original!r}, visited in cells of {self._spacing} m"
 
     @cached_property
     def _cells(self) -> _Cells:
@@ -157,7 +153,7 @@ class RecordedRoom(Changed):
     @override
     def relevance(self) -> Weighing:
         """Time spent in the cells times the relevance of the room."""
-        return TimeSpent(self.grid(), self._cells.seconds, self._room.relevance)
+        return TimeSpent(self.grid(), self._cells.seconds, self.original.relevance)
 
     @override
     def grid(self) -> FloatArray:
@@ -172,7 +168,7 @@ class RecordedRoom(Changed):
     @override
     def finer(self) -> "RecordedRoom":
         half = tuple(np.broadcast_to(self._spacing, 3) / 2.0)
-        return RecordedRoom(self._room, self._positions, self._seconds, half)
+        return RecordedRoom(self.original, self._positions, self._seconds, half)
 
     @override
     def jittered_grid(self, repeats: int, rng: np.random.Generator) -> FloatArray:
@@ -198,7 +194,7 @@ class RecordedRoom(Changed):
 
     @override
     def describe(self) -> str:
-        return f"{self._room.describe()} along a recording"
+        return f"{self.original.describe()} along a recording"
 
 
 SPACING = 1.0  # edge of the cells of the base class, metres; a driven room does not use them
@@ -227,13 +223,13 @@ class DrivenRoom(RecordedRoom):
         super().__init__(room, positions, seconds, SPACING)
 
     def __repr__(self) -> str:
-        return f"{self._room!r}, along {len(self._positions)} frames"
+        return f"{self.original!r}, along {len(self._positions)} frames"
 
     @property
     @override
     def relevance(self) -> Weighing:
         """Duration of the frames times the relevance of the room."""
-        return FrameTime(self._positions, self._seconds, self._room.relevance)
+        return FrameTime(self._positions, self._seconds, self.original.relevance)
 
     @override
     def grid(self) -> FloatArray:
@@ -246,4 +242,4 @@ class DrivenRoom(RecordedRoom):
 
     @override
     def describe(self) -> str:
-        return f"{self._room.describe()} along drives"
+        return f"{self.original.describe()} along drives"

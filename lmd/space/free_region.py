@@ -106,7 +106,11 @@ def _free_region(
     corner = np.array([left - 1, top - 1])
 
     labels, _ = ndimage.label(~free, np.ones((3, 3)))
-    small = [i for i, box in enumerate(ndimage.find_objects(labels), 1) if _longest(box) < speck]
+    small = [
+        i
+        for i, box in enumerate(ndimage.find_objects(labels), 1)
+        if max(side.stop - side.start for side in box) < speck
+    ]
     specks = np.isin(labels, small)
     free, occupied = free | specks, occupied & ~specks
 
@@ -141,10 +145,6 @@ def _free_region(
     return Region(
         shapely.transform(polygon, lambda at: at + corner), to_wall[1:-1, 1:-1], "; ".join(filter(None, told))
     )
-
-
-def _longest(box: tuple[slice, ...]) -> int:
-    return max(int(side.stop - side.start) for side in box)
 
 
 def _at(grid: OccupancyGrid, parts: IntArray, start: tuple[float, ...], corner: IntArray) -> int:

@@ -237,9 +237,8 @@ class Interior:
         flat = np.asarray(points, dtype=np.float64).reshape(-1, 3)
         found, left = np.zeros(len(flat), dtype=np.bool_), np.arange(len(flat))
         # Points in units of the node spacing, relative to the first node.
-        at = np.stack(
-            [(flat[:, i] - axis[0]) / max(self._pitch[i], 1e-12) for i, axis in enumerate(self._axes)], axis=1
-        )
+        pitch = np.maximum((self.high - self.low) / self._shape, 1e-12)
+        at = (flat - [axis[0] for axis in self._axes]) / pitch
         for offset in _nearest_first():
             node = np.floor(at[left]).astype(int) + offset
             here = ((node >= 0) & (node < self._shape)).all(axis=1)
@@ -251,10 +250,6 @@ class Interior:
             if not len(left):
                 break
         return found.reshape(points.shape[:-1])
-
-    @cached_property
-    def _pitch(self) -> FloatArray:
-        return np.array((self.high - self.low) / self._shape)
 
 
 def _nearest_first() -> IntArray:
