@@ -200,13 +200,7 @@ def nearest_lens(model: Model, focal: Any, centre: Any, size: Any, guess: Sequen
     wide = _fitted(EQUIDISTANT, lambda k: Equidistant(*k), points, pixels, [*start, cx, cy, *(0.0,) * 4])
     found = min(found, wide, key=lambda fit: fit.worst) if guess else wide
     if found.worst > GOOD_PIXELS and widest < WIDEST_PINHOLE:  # the rational model also fits tangential terms
-        rational = _fitted(
-            "rational_polynomial",
-            lambda k: BrownConrady._make([*k, *(0.0,) * 4]),
-            points,
-            pixels,
-            [*start, cx, cy, *(0.0,) * 8],
-        )
+        rational = _fitted("rational_polynomial", _rational, points, pixels, [*start, cx, cy, *(0.0,) * 8])
         found = min(found, rational, key=lambda fit: fit.worst)
     if found.worst > MOST_PIXELS:
         raise InputError(
@@ -214,6 +208,10 @@ def nearest_lens(model: Model, focal: Any, centre: Any, size: Any, guess: Sequen
             "a Kannala-Brandt fisheye, such as by Kalibr's pinhole-equi."
         )
     return found
+
+
+def _rational(coefficients: FloatArray) -> BrownConrady:
+    return BrownConrady._make([*coefficients, *(0.0,) * 4])
 
 
 def _fitted(
