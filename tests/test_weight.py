@@ -12,13 +12,13 @@ import weight
 # amount, and raise none.
 BUDGET = {
     "files of lmd": 319,
-    "code lines of lmd": 30396,
+    "code lines of lmd": 30391,
     "files of pipelines": 48,
     "code lines of pipelines": 3709,
     "code lines of tests": 24042,
     "files of conf": 100,
     "keys of conf": 382,
-    "words of docs": 40198,
+    "words of docs": 40189,
     "commands": 12,
 }
 # Docstrings and comments with each phrase, at most. Lower a number when you have lowered the count.
