@@ -167,8 +167,9 @@ class Prior:
     motion: Motion | None = None
     """Motion between the frames; None if frames are independent of each other."""
     joint: FloatArray | None = field(default=None, repr=False)
-    """`(6 K, 6 K)` information of the twists of all tags from their expected poses, if their errors are correlated; it
-    takes the place of the values of `information`, which then says which tags have a prior. None for independent tags.
+    """`(6 K, 6 K)` information of the twists of all tags from their expected poses, if their errors are correlated. It
+    takes the place of the values of `information`, which then only selects the tags with a prior. None for independent
+    tags.
     """
 
     @property

@@ -90,7 +90,8 @@ class CameraProblem(Problem):
     """Problem of maximising the objective's fitness over the cameras of a rig.
 
     The fitness equals the fitness of a `Problem` with the rig of the cameras, bit for bit. For objectives that count
-    landmarks, the views of each camera are evaluated once and cached; for other objectives every rig is evaluated anew.
+    landmarks, the views of each camera are evaluated once and cached; for other objectives every rig is evaluated
+    again.
 
     Args:
         problem: problem with the objective and with the scene, whose camera is replaced.

@@ -43,7 +43,7 @@ class InputError(ValueError):
 
     Args:
         message: one sentence for the user; it is made `printable`.
-        argument: name of the wrong argument, with which the message begins; None if there is none.
+        argument: name of the wrong argument, with which the message begins; None without one.
     """
 
     def __init__(self, message: str, argument: str | None = None) -> None:

@@ -132,7 +132,7 @@ def _made_inner(function: F, compiler: Any, options: Any) -> F:
 
 
 def for_kernels(array: Any) -> Any:
-    """Writable copy of an array in C order; numba would compile kernels anew for read-only arrays."""
+    """Writable copy of an array in C order; numba would compile further kernels for read-only arrays."""
     return np.array(array, order="C")
 
 

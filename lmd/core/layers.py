@@ -23,7 +23,7 @@ def layers(bundle: Bundle, number: int) -> Bundle:
 def _copied(part: Any, number: int, copies: dict[int, np.ndarray]) -> Any:
     """Stack copies of a part of a bundle; `copies` has the stacks made before, by the id of the part.
 
-    The function is no closure of `layers`: a recursive closure is a reference cycle, which delays the release of
+    The function is not a closure of `layers`: a recursive closure is a reference cycle, which delays the release of
     arrays.
     """
     if isinstance(part, tuple):

@@ -33,11 +33,11 @@ def digest_of(kernel: FunctionType, classes: Iterable[type]) -> str | None:
 
     The digest covers
 
-    - the kernel and all functions that it calls, directly or indirectly, as loaded;
-    - the files that define these functions and the classes of the arguments;
+    - the kernel and all functions that it calls, directly or indirectly, as loaded.
+    - the files that define these functions and the classes of the arguments.
     - the values of the constants that the functions use.
 
-    Called functions, classes and constants are found by the names in the code. Of a `dispatched` function, only the
+    Called functions, classes and constants are found by the names in the code. For a `dispatched` function, only the
     variants registered for the classes of the arguments count.
 
     Args:

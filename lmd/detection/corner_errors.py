@@ -199,7 +199,7 @@ class MeasuredCorners:
     """Variance of the noise at these incidence angles over the variance at the pitch alone, `(I,)`."""
     modes: tuple[float, ...]
     """Variances of the three modes of a tag's noise over their mean: all corners alike; linear in the corner's place on
-    the tag; the two diagonals apart. They have 2, 4 and 2 of the eight dimensions.
+    the tag; the two diagonals apart. The modes have 2, 4 and 2 of the eight dimensions.
     """
 
     @classmethod

@@ -1,7 +1,8 @@
 """Mosaics: rendered images with many views of single tags, one per tile.
 
-Each tag has a random pitch and incidence angle. Its centre lies on the ray through the centre of its tile, at the depth
-that gives the pitch. The mosaic has the image size of the camera, as the settings of some detectors depend on it.
+Each tag has a random pitch and incidence angle. The centre of the tag lies on the ray through the centre of its tile,
+at the depth that gives the pitch. The mosaic has the image size of the camera, as the settings of some detectors depend
+on it.
 """
 
 import math

@@ -127,14 +127,14 @@ def figures(prediction: Prediction, seen: Matches) -> dict[str, float]:
     `agreement_<n>` count tags that any camera shows, and the pose is the pose of the body; other figures count a tag
     once per camera.
 
-    - `predicted_<n>`, `detected_<n>`: P(>= n), the share of frames with at least n tags; `_error`: its standard error;
-    - `agreement_<n>`: share of frames in which prediction and detection agree on at least n tags;
-    - `precision`, `recall`: over tags;
-    - `left_out`: tags detected but not predicted; `left_out_<criterion>`: the tags among them that fail the criterion;
+    - `predicted_<n>`, `detected_<n>`: P(>= n), the share of frames with at least n tags; `_error`: its standard error.
+    - `agreement_<n>`: share of frames in which prediction and detection agree on at least n tags.
+    - `precision`, `recall`: over tags.
+    - `left_out`: tags detected but not predicted; `left_out_<criterion>`: the tags among them that fail the criterion.
     - `overrated`: tags predicted but not detected; among them, `overrated_cut`: tags cut by the image border,
-      `overrated_overlapping`: whole tags that overlap another tag;
-    - `false_a_frame`: false detections per frame;
-    - `corner_median`, `corner_90`: quantiles of the corner error, pixels;
+      `overrated_overlapping`: whole tags that overlap another tag.
+    - `false_a_frame`: false detections per frame.
+    - `corner_median`, `corner_90`: quantiles of the corner error, pixels.
     - `pose_share`: share of frames with a pose; quantiles of the pose errors, metres and rad.
     """
     part = prediction.parts[0]
@@ -182,7 +182,7 @@ def repeatability(seen: Matches, again: Matches, prediction: Prediction) -> dict
 
 
 def _quantiles(name: str, values: FloatArray) -> dict[str, float]:
-    """`QUANTILES` of the finite values; NaN if there are none."""
+    """`QUANTILES` of the finite values; NaN without any."""
     known = values[np.isfinite(values)]
     return {f"{name}_{key}": float(np.quantile(known, q)) if known.size else np.nan for key, q in QUANTILES.items()}
 

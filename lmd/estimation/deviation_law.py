@@ -1,14 +1,14 @@
 """Standard deviations of the pose as laws of the distance and the number of tags, for filters.
 
 A law is sd = a d^b / n^c with the mean distance d [m] of the n tags in view. A single tag and several tags have laws of
-their own: with one tag the position hangs on the apparent size and tilt of a small square, with several tags on the
+their own. With one tag the position hangs on the apparent size and tilt of a small square, with several tags on the
 angles between them. b and c are fitted by least squares to log sd. The scale a is the root mean square of sd / (d^b /
 n^c), so that errors normalised by the law have the mean square 1 over all views.
 
 `RULES` are usual rules, fitted likewise:
 
-- `constant`: sd = a;
-- `squared`: sd = a d^2 / n, as in AdvantageKit's vision template (`linearStdDevBaseline`);
+- `constant`: sd = a.
+- `squared`: sd = a d^2 / n, as in AdvantageKit's vision template (`linearStdDevBaseline`).
 - `photonvision`: sd = a (1 + d^2 / 30), with one a for a single tag and one for several, as in PhotonVision's example
   (`kSingleTagStdDevs`, `kMultiTagStdDevs`).
 """

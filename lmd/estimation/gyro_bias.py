@@ -5,12 +5,12 @@ The state is a pose T and a constant bias b of the measured body twist w, of whi
     T' = T (w - b - n),    b' = walk,    y_i = T^-1 C_i + noise.
 
 Both filters move their estimate by Th <- Th exp(h (w - bh)), which is exact for constant w and b, and both are extended
-Kalman filters of 12 numbers. Their coordinates of the error differ (ad, Ad and J are those of `lmd.geometry.se3`).
+Kalman filters of 12 numbers. The coordinates of the error differ (ad, Ad and J are those of `lmd.geometry.se3`).
 
 **Equivariant filter** (P. van Goor, T. Hamel and R. Mahony, "Equivariant filter (EqF)", IEEE Trans. Automatic Control
 68 (6), 2023; A. Fornasier et al., "Overcoming bias: equivariant filter design for biased attitude estimation with
 online calibration", IEEE Robotics and Automation Letters 7 (4), 2022). The tangent group of SE(3) with the product
-(A, a)(B, b) = (A B, a + Ad_A b) acts on states by (T, b) -> (T A, Ad_A^-1 (b - a)); the system is equivariant. With
+(A, a)(B, b) = (A B, a + Ad_A b) acts on states by (T, b) -> (T A, Ad_A^-1 (b - a)). The system is equivariant. With
 the origin (I, 0) the equivariant error is (e, z) = (T Th^-1, Ad_Th (b - bh)), in the frame of the map, and
 
     e' = -e z,    z' = ad_W z    with W = Ad_Th (w - bh),

@@ -8,7 +8,7 @@ the landmarks visible at that instant. With the metric diag(l^2 I, I) on twists 
 
 The error dynamics of the right-invariant form do not depend on the trajectory. The paper takes Q, k_0 and P from a work
 that is not public. Here Q(d) = -d e_4^T / m with d = Yh - Y and m landmarks in view, and P is the orthogonal projection
-to se(3): -P(k_0 I_4 Q) is then the translation k_0 mean(e_i), which damps for k_0 > 0.
+to se(3). Then -P(k_0 I_4 Q) is the translation k_0 mean(e_i), which damps for k_0 > 0.
 
 Source: Lei et al., "Optimization of Directional Landmark Deployment for Visual Observer on SE(3)", Sec. II-A.
 """

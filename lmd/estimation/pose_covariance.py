@@ -149,7 +149,7 @@ def tag_images(
     seen: BoolArray,
     errors: TagErrors,
 ) -> TagImages:
-    """Contributions of the tags in the images of C cameras to the covariance of the pose of their body.
+    """Contributions of the tags in C cameras' images to the covariance of the body's pose.
 
     Args:
         cameras, extrinsics: see `lmd.estimation.cramer_rao.moment_information`.

@@ -24,7 +24,7 @@ from lmd.sight.views import visible_to_each
 class Odometry:
     """Odometry: twists between frames with independent normal errors, whose integral drifts, and a biased gyro.
 
-    The bias of the gyro adds to the measured turn rates. It is normal at the first frame and walks at random.
+    The bias of the gyro adds to the measured turn rates. The bias is normal at the first frame and walks at random.
 
     Raises:
         InputError: a value is negative.

@@ -24,8 +24,8 @@ from lmd.scene.tag import Tag
 class PointDetector:
     """Detector of landmarks that are points; a `lmd.estimation.recording.Sensor`.
 
-    Three measured numbers of each landmark have independent normal errors: the two image coordinates of the centre, and
-    the apparent length f a / z of the edge, which gives the depth z.
+    Three measured numbers of each landmark have independent normal errors. These are the two image coordinates of the
+    centre, and the apparent length f a / z of the edge, which gives the depth z.
 
     Raises:
         InputError: a value is out of range.
@@ -63,9 +63,9 @@ class PointDetector:
     def measured(self, points: FloatArray, camera: Camera, rng: np.random.Generator) -> FloatArray:
         """Measure landmarks at y = (x, y, z) in the camera's frame.
 
-        The noise of (x / z, y / z) is the pixel noise over the focal length; z = f a / w is computed from the apparent
-        edge w >= 1 pixel with its noise. For a distorting lens, the noise is added to the distorted image; for a
-        fisheye, the edge gives the distance instead of z.
+        The noise of (x / z, y / z) is the pixel noise over the focal length. The depth f a / w is computed from the
+        apparent edge w >= 1 pixel with its noise. For a distorting lens, the noise is added to the distorted image; for
+        a fisheye, the edge gives the distance instead of z.
 
         Args:
             points: y, metres, `(..., 3)`; the result is arbitrary for z <= 0.
@@ -204,7 +204,7 @@ def _places(camera: Camera, edges: FloatArray, found: FloatArray) -> tuple[Float
     """Rotation `(M, 3, 3)` from each tag's frame (right, up, normal) to the camera's frame, and the tag's centre `(M,
     3)`.
 
-    Of the two similar poses of a square (IPPE), the pose with the smaller reprojection error is taken.
+    A square has two similar poses (IPPE); the pose with the smaller reprojection error is taken.
     """
     cv2 = optional("cv2", "detection")
     matrix, squares = intrinsics(camera), _squares(edges)
@@ -228,7 +228,7 @@ def _places(camera: Camera, edges: FloatArray, found: FloatArray) -> tuple[Float
 def _covariance(camera: Camera, edges: FloatArray, turns: FloatArray, centres: FloatArray) -> FloatArray:
     """Covariance of tags' centres in the camera's frame for one pixel of noise at their corners, m^2, `(M, 3, 3)`.
 
-    The covariance is a block of the inverse information on the tag's pose: a corner y = R q + t moves by -R [q]x w + v,
+    The covariance is a block of the inverse information on the tag's pose. A corner y = R q + t moves by -R [q]x w + v,
     with w in the tag's frame.
     """
     squares = _squares(edges)

@@ -1,8 +1,8 @@
 """Comparison of optimisers over seeds: figures of a table and of charts, and distribution-free tests.
 
 All tests are two-sided. Sources: Demsar, "Statistical Comparisons of Classifiers over Multiple Data Sets" (2006), for
-Friedman's test followed by Nemenyi's; Vargha and Delaney, "A Critique and Improvement of the CL Common Language Effect
-Size Statistics" (2000), for A12; Holm, "A Simple Sequentially Rejective Multiple Test Procedure" (1979).
+Friedman's test followed by Nemenyi's. Vargha and Delaney, "A Critique and Improvement of the CL Common Language Effect
+Size Statistics" (2000), for A12. Holm, "A Simple Sequentially Rejective Multiple Test Procedure" (1979).
 """
 
 import math

@@ -152,7 +152,7 @@ class DetectionStudy:
     seen: Mapping[str, Mapping[str, Matches]]
     """Detections by the names of subject and detector."""
     again: Mapping[str, Mapping[str, Matches]] | None = None
-    """Detections from poses that were moved a little; None if there are none."""
+    """Detections from poses that were moved a little; None without any."""
 
     @cached_property
     def tables(self) -> "dict[str, pd.DataFrame]":

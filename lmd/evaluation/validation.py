@@ -4,9 +4,9 @@ An optimiser raises the values at the positions and orientations of its fitness 
 qualified ratio on that grid is biased. Three figures do not depend on the grid:
 
 - the qualified ratio on a finer grid, with half the spacing and half the step of the orientations. This ratio is exact
-  on that grid and has no standard error;
+  on that grid and has no standard error.
 - the grid-free qualified ratio: at random positions, spread evenly over the reachable box, with orientations drawn from
-  the continuous distribution that the PDF represents;
+  the continuous distribution that the PDF represents.
 - the grid-free average coverage probability, over the random poses of the same sample.
 
 Like `qualified_ratio`, these figures weigh all positions equally, without the relevance.

@@ -239,9 +239,7 @@ def _sized(table: Table, tags: TagMap) -> Table:
 
 
 def _draw_outline(canvas: Any, origin: tuple[float, float], tags: TagMap, view: View, scale: int) -> None:
-    """Draw a surface with its allowed regions, the fixtures on it, its size, and the positions of its corners in the
-    world.
-    """
+    """Draw a surface: allowed regions, fixtures, size, and corners in the world."""
     left, below = origin
     width, height = (MM_PER_M * length / scale for length in view.surface.extent)
     canvas.setFillGray(FORBIDDEN)

@@ -148,7 +148,7 @@ class CalibrationFile(File):
         """Keys of YAML, JSON, XML or arrays.
 
         Raises:
-            InputError: the text is none of these.
+            InputError: the text has another content.
         """
         if self.arrays is not None:
             return self.arrays
@@ -230,7 +230,7 @@ def _chosen(path: str, names: list[str], name: str | None, size: tuple[float, ..
         return str(name)
     left = cameras if name is None else [key for key in cameras if key.startswith(f"{name}/")]
     if name is not None and not left:
-        raise InputError(f"name = {name!r} is no camera of {path}, which has {', '.join(cameras) or 'one'}.", "name")
+        raise InputError(f"name = {name!r} is not a camera of {path}, which has {', '.join(cameras) or 'one'}.", "name")
     if size is not None and (sized := [key for key in left if f"/{size[0]:.0f}x{size[1]:.0f}" in key]):
         left = sized
     if len(left) > 1:

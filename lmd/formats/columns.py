@@ -260,7 +260,7 @@ def _asked(lines: Lines, of: str, columns: str | Sequence[str]) -> Layout:
 
 
 def _commented(lines: Lines, of: str) -> Layout | None:
-    """Columns that the last comment with names has; None if there is none.
+    """Columns that the last comment with names has; None without one.
 
     A comment names the columns if it has a pose, or as many words as the lines have values, or begins with the number
     of a tag and its place.

@@ -2,7 +2,7 @@
 
 PhotonVision's corners are counter-clockwise from the tag's bottom left. The pixels of its AprilTag pipeline count from
 the border of the image, as in AprilTag 3. (The pixels of its ArUco pipeline count from the centre of the first pixel,
-but files do not name the pipeline.) Limelight documents neither order nor origin; its corners are assumed to have the
+but files do not name the pipeline.) Limelight documents neither order nor origin. Its corners are assumed to have the
 order and the origin of AprilTag 3.
 
 Sources: `PhotonPipelineResult`, `PhotonTrackedTarget` and `TrackedTarget` (PhotonVision/photonvision); "JSON Results
@@ -93,7 +93,9 @@ class DetectionsFile(File):
         return [" or ".join(TIMES)] * (not set(TIMES) & set(self.header)) + lacks
 
     def refused(self, reason: str) -> InputError:
-        """Error about a file that is no table of detections; `LACKS` in the reason stands for the missing columns."""
+        """Error about a file that is not a table of detections; `LACKS` in the reason stands for the missing
+        columns.
+        """
         lacks = f"lacks {few(self.lacks, MOST_LACKING)} in its first line, {self.first.strip()[:SHOWN]!r}"
         lacks = lacks if self.first else "is empty"
         return InputError(f"{self.argument}: {str(self.path)!r} {reason.replace('LACKS', lacks)}.", self.argument)

@@ -78,7 +78,7 @@ class KeyedCameras(Keyed):
     model: Sequence[str] = ()
     """Paths of the words of the lens model, which are joined by `_`."""
     models: Mapping[str, str] = field(default_factory=lambda: LENS_MODELS)
-    """Model of `COEFFICIENTS` for each pattern of words in small letters, empty for a model that is not known; after a
+    """Model of `COEFFICIENTS` for each pattern of words in small letters, empty for a model that is not known. After a
     colon the names of the quantities in `values`, as `ours` or `ours=theirs`."""
     origin: float = 0.0
     """Pixel coordinate of the centre of the first pixel."""

@@ -79,7 +79,7 @@ def check_gltf(file: Path, content: bytes, most: int) -> None:
 
 
 def _unread(header: dict[str, Any], pieces: list[dict[str, Any]]) -> str:
-    """Feature of a glTF that trimesh does not read; empty if there is none."""
+    """Feature of a glTF that trimesh does not read; empty without one."""
     instanced = "EXT_mesh_gpu_instancing"
     needed = [str(name) for name in header.get("extensionsRequired", [])]
     needed += [instanced for node in header.get("nodes", []) if instanced in node.get("extensions", {})]

@@ -124,12 +124,12 @@ def family_and_rest(text: str) -> tuple[str | None, str]:
 
 def tag_named(value: Any) -> tuple[str | None, int] | None:
     """Family, None if unknown, and number of a tag, from the number or from a name such as `tag36h11:7`; None for
-    another value, and for a name that does not determine the number.
+    another value, and a name that does not determine the number.
     """
     text = str(value).strip().removesuffix(".0").rpartition("/")[2]
     family, rest = family_and_rest(text)
     found = TAG_NAME.fullmatch(rest)
-    if found is None or (family is None and rest != text):  # 4x4_50 is a family, 4x4_7 is none
+    if found is None or (family is None and rest != text):  # 4x4_50 is a family, 4x4_7 is not
         return None
     return family, int(found[1])
 

@@ -210,7 +210,7 @@ class Reading(Checked):
     gap: NotNegative = 1.3
     """Widest gap between walls of a drawing that is closed, such as a door, metres."""
     least_width: NotNegative = 0.4
-    """Least width of the free stretch of a wall that carries landmarks by default, metres."""
+    """Least free width of a wall that carries landmarks by default, metres."""
 
 
 def read_plan_room(
@@ -231,7 +231,7 @@ def read_plan_room(
         path: file of a format of this module; None for a plan from the other arguments.
         outline, holes: see `FloorPlan`; with a `path`, None or the values of `EXAMPLE`.
         keep_out: see `FloorPlan`; with a `path`, in addition to those of the file; those of `EXAMPLE` are ignored.
-        surfaces: see `FloorPlan`; with a `path`, None for all walls with a free stretch of `least_width`.
+        surfaces: see `FloorPlan`; with a `path`, None for all walls with a free width of `least_width`.
         height, margin, reachable, spacing: see `FloorPlan` and `Prism`.
         more: fields of `Reading`, and further arguments of `from_floor_plan`.
 
@@ -262,7 +262,7 @@ def read_plan_room(
 
 
 def _walls(found: ReadPlan, height: float, margin: float, least_width: float) -> tuple[list[str], list[dict[str, Any]]]:
-    """Names of the walls with a free stretch of the least width, and keep-outs as mappings of their arguments."""
+    """Names of the walls with the least free width, and keep-outs as mappings of their arguments."""
     walls: list[str] = []
     parts: list[dict[str, Any]] = []
     for i, ring in enumerate(found.rings):

@@ -302,7 +302,7 @@ def images_of(file: File) -> list[Image]:
             camera = f"{found[3]} {found[4].rpartition('/')[0]}".strip()
             images.append(Image(int(found[1]), line, [float(text) for text in found[2].split()], camera, found[4]))
         elif said.strip() and not after_image:  # the line after an image has its points, or is empty
-            raise InputError(f"line {line} is no image of COLMAP: IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME.")
+            raise InputError(f"line {line} is not an image of COLMAP: IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME.")
         after_image = found is not None
     return sorted(images)
 

@@ -258,7 +258,7 @@ def _table(text: str, family: str | None, source: str) -> tuple[Format, ...]:
         advice, listed = (table["advice"], table["rows"]) if isinstance(table, dict) else ("", table)
         rows = [dict(row) for row in listed]
     except (yaml.YAMLError, KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{source} is no list of formats ({' '.join(str(error).split())}).") from None
+        raise InputError(f"{source} is not a list of formats ({' '.join(str(error).split())}).") from None
     return tuple(described(row, family or row.get("family", ""), advice) for row in rows)
 
 
@@ -267,7 +267,7 @@ def outside() -> tuple[Format, ...]:
     """Formats of the user, and of other packages.
 
     Raises:
-        InputError: an entry point cannot be loaded, or is no format; or a file of the user is no list of formats.
+        InputError: an entry point cannot be loaded, or is not a format; or a file of the user is not a list of formats.
     """
     found: list[Format] = []
     for folder in filter(None, os.environ.get(ADDED, "").split(os.pathsep)):

@@ -101,7 +101,7 @@ def rig_of(mounts: Any, camera: Camera | None = None) -> Rig:
     Args:
         mounts: list of mappings with the arguments of `Mount`, in which `camera` is a calibration file or a mapping
             with the arguments of `calibrated_camera`. Or a mapping whose `path` is a calibration file with poses, see
-            `read_chain`, with `names`, `image_size` and `distortion_model` if needed; the other arguments of `Mount`
+            `read_chain`, with `names`, `image_size` and `distortion_model` if needed. The other arguments of `Mount`
             give the pose of the first camera on the body, by default at the body's origin, looking along the body's x
             axis.
         camera: camera of the mounts without a camera.

@@ -1,8 +1,8 @@
 """Tag maps of several ecosystems, read as deployments; and the joint covariance of a surveyed map.
 
 `tables/tag_map.yaml` lists the formats; `lmd.export` writes tag maps. Errors of neighbouring tags in a surveyed map are
-alike, so the covariance of each tag by itself, as its `map.csv` has it, misjudges what the map does to a pose: the
-covariance is in `map.npz` beside it.
+alike, so the covariance of each tag by itself, as its `map.csv` has it, misjudges the effect of the map on a pose.
+The covariance is in `map.npz` beside it.
 
 Source: `convert_apriltag_layouts.py` of WPILib.
 """
@@ -74,7 +74,7 @@ def read_deployment(
         columns: names of the columns of a text that does not name them, or of the program that wrote it.
 
     Raises:
-        InputError: the file cannot be read, is no map with poses of tags, or has tags of another family.
+        InputError: the file cannot be read, is not a map with poses of tags, or has tags of another family.
     """
     file = TagMapFile(path, name, asked={"axes": axes, "columns": columns})
     try:
@@ -124,9 +124,9 @@ def read_map_covariance(path: Any, name: str) -> tuple[IntArray, FloatArray]:
     """Read ids `(K,)`, ascending, and covariance `(6 K, 6 K)`.
 
     Raises:
-        InputError: the file cannot be read, or is no covariance of a map.
+        InputError: the file cannot be read, or is not a covariance of a map.
     """
-    refused = InputError(f"{name}: {str(path)!r} is no covariance of a map, as a survey writes it.", name)
+    refused = InputError(f"{name}: {str(path)!r} is not a covariance of a map, as a survey writes it.", name)
     try:
         arrays = arrays_of(path, name, LARGEST_COVARIANCE, most=LARGEST_COVARIANCE) or {}
         ids, upper = arrays["ids"], arrays["upper"]

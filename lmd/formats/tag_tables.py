@@ -62,7 +62,7 @@ def read_tag_text(file: File) -> Found:
     """Tags of a text; `asked` may have the `columns` of `lmd.formats.columns.named`.
 
     Raises:
-        InputError: the text is no table of tags, or its columns are not known.
+        InputError: the text is not a table of tags, or its columns are not known.
     """
     if PRIORS.search(file.text) is not None or "|" in file.first:
         return _priors(file.path, file.text)

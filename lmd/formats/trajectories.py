@@ -91,7 +91,7 @@ class TrajectoryFile(Checked):
 
     @property
     def note(self) -> str:
-        """Omitted rows, assumptions and open questions of the file, as a note; empty if there are none."""
+        """Omitted rows, assumptions and open questions of the file, as a note; empty without any."""
         return self.note_of("")
 
     def note_of(self, group: str) -> str:

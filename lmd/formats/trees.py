@@ -157,7 +157,7 @@ def xml_of(text: str) -> ElementTree.Element | None:
 
 def tree_of(element: ElementTree.Element) -> Any:
     """Attributes of an element of XML, and its children as a list for each name, or the text of a single one that has
-    only that; the text of the element if it has neither.
+    only that. The text of the element if it has neither.
     """
     if not element.attrib and not len(element):
         return (element.text or "").strip().strip('"')
@@ -172,14 +172,14 @@ def literal(text: str) -> Any:
     """Value of a Python literal.
 
     Raises:
-        InputError: the text is none, or is longer than `LARGEST_LITERAL`.
+        InputError: the text is not a literal, or is longer than `LARGEST_LITERAL`.
     """
     bounded("characters", len(text), LARGEST_LITERAL, "it")
     try:
         return ast.literal_eval(text.strip())
     except Exception as error:  # Python's parser raises errors of many kinds for a broken file
         reason = " ".join(str(error).partition(": <ast.")[0].split())  # without the address of a node in memory
-        raise InputError(f"it is no literal of Python ({reason or type(error).__name__}).") from None
+        raise InputError(f"it is not a literal of Python ({reason or type(error).__name__}).") from None
 
 
 def arrays_of(path: Any, name: str, largest: float, most: float = LARGEST_ARRAY) -> dict[str, Any] | None:
@@ -268,7 +268,7 @@ class File:
 
     @property
     def first(self) -> str:
-        """First of `lines`; empty if there is none."""
+        """First of `lines`; empty without one."""
         return self.lines[0] if self.lines else ""
 
     @property

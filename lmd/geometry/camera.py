@@ -37,7 +37,7 @@ class FieldOfView(NamedTuple):
 
 
 def pixels(name: str, value: Any) -> float:
-    """Return `value` as a side of an image, a whole number of pixels; raise `InputError` if it is none."""
+    """Return `value` as a side of an image, a whole number of pixels; raise `InputError` for another value."""
     return float(integer(name, value, low=1))
 
 
@@ -176,8 +176,8 @@ class Camera(Checked):
         """Compute the near and far limits d_n, d_f of acceptable focus, metres.
 
         With b = delta min(s_u, s_v): d_n = d_a d_s f / (d_a f + b (d_s - f)) and
-        d_f = d_a d_s f / (d_a f - b (d_s - f)). From the hyperfocal distance on (d_a f <= b (d_s - f)) the far
-        limit is infinite; focused at infinity d_n = d_a f / b.
+        d_f = d_a d_s f / (d_a f - b (d_s - f)). The far limit from the hyperfocal distance on (d_a f <= b (d_s -
+        f)) is infinite; focused at infinity d_n = d_a f / b.
 
         Args:
             circle_of_confusion: permissible diameter delta, pixels.

@@ -3,9 +3,9 @@
 The image of a point (u, v, w) at the distance r is (u, v) / d, in units of the model's focal lengths. The models are
 
 - the double sphere of Usenko, Demmel and Cremers (2018), `ds`: d = alpha sqrt(u^2 + v^2 + s^2) + (1 - alpha) s with
-  s = xi r + w;
+  s = xi r + w.
 - the extended unified model of Khomutenko, Garcia and Martinet (2016), `eucm`:
-  d = alpha sqrt(beta (u^2 + v^2) + w^2) + (1 - alpha) w;
+  d = alpha sqrt(beta (u^2 + v^2) + w^2) + (1 - alpha) w.
 - the unified model of Mei and Rives (2007), `omni` or `MEI`: d = w + xi r, followed by Brown-Conrady distortion.
 
 The other models are pinholes: the image is a polynomial of (x, y) = (u, v) / w, with s = x^2 + y^2 and

@@ -84,7 +84,7 @@ class Lens:
     """One of `MODELS`; the first two differ in the number of coefficients only."""
     coefficients: tuple[float, ...]
     """The first 4, 5, 8 or 12 of k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 (OpenCV's order), or all 12 and two
-    zeros for the sensor's tilt; k1, k2, k3, k4 for `equidistant`."""
+    zeros for the sensor's tilt. For `equidistant`: k1, k2, k3, k4."""
 
     def __post_init__(self) -> None:
         choice("distortion_model", self.model, MODELS)
@@ -120,7 +120,7 @@ class Lens:
         return np.stack(slopes, axis=-1).reshape(*points.shape[:-1], 2, 3)
 
     def directions(self, image: FloatArray) -> FloatArray:
-        """Unit vectors whose images are `image` `(..., 2)`, `(..., 3)`; NaN if there is none within the fold.
+        """Unit vectors whose images are `image` `(..., 2)`, `(..., 3)`; NaN without one within the fold.
 
         Newton's method solves for the angle theta, ignoring tangential terms and prism, then refines the direction with
         all terms.

@@ -4,12 +4,12 @@ A model is a named tuple of its coefficients, with OpenCV's names. NumPy code ca
 kernels compile them, so that both give equal bits. Points (u, v, w) are in the camera's frame: right, down, along the
 optical axis. Images are in focal lengths from the principal point.
 
-`BrownConrady` images points in front of the camera: with x = u / w, y = v / w and s = x^2 + y^2 at
+`BrownConrady` images points in front of the camera. With x = u / w, y = v / w and s = x^2 + y^2 at
 
     (x g + 2 p1 x y + p2 (s + 2 x^2) + s1 s + s2 s^2, y g + p1 (s + 2 y^2) + 2 p2 x y + s3 s + s4 s^2),
     g = (1 + k1 s + k2 s^2 + k3 s^3) / (1 + k4 s + k5 s^2 + k6 s^3).
 
-`Equidistant` is a fisheye (Kannala and Brandt, 2006): a point at the angle theta from the axis is imaged at
+`Equidistant` is a fisheye (Kannala and Brandt, 2006). A point at the angle theta from the axis is imaged at
 t(theta) = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8) from the centre, also behind the camera.
 
 Sources: `cv2.projectPoints`, `cv2.fisheye`; `sensor_msgs/distortion_models` for the names.

@@ -15,7 +15,7 @@ from lmd.geometry.se3 import adjoint_matrix, angle_between, exp, inverse, pose_o
 
 # Fewest points that determine a pose, such as the corners of a tag.
 FEWEST_POINTS = 4
-# Points are coplanar if their extent across the plane is at most this multiple of their extent along it.
+# Points are coplanar if their extent across the plane is at most this multiple of the extent along the plane.
 FLATNESS = 1e-6
 # Largest difference of the matrix elements of equal poses.
 SAME_POSE = 1e-3

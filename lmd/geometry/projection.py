@@ -1,6 +1,6 @@
 """Projection: images of points, rays of pixels, and the blur at a depth.
 
-Image coordinates are pixels from the top-left *border* of the image, u to the right and v down: the centre of the first
+Image coordinates are pixels from the top-left *border* of the image, u to the right and v down. The centre of the first
 pixel is at (0.5, 0.5) and a `w` x `h` image ends at (w, h). The camera's principal point and AprilTag's corners follow
 this convention; OpenCV counts from the centre of the first pixel, 0.5 less.
 """
@@ -62,7 +62,7 @@ def project(camera: Camera, pose: FloatArray, points: FloatArray) -> FloatArray:
 def slope(camera: Camera, points: FloatArray) -> FloatArray:
     """Jacobian of the image by points y `(..., 3)` in the camera's frame, pixels/m, `(..., 2, 3)`.
 
-    d(u, v)/dy = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)] for a pinhole; the focal lengths in pixels times
+    d(u, v)/dy = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)] for a pinhole. The focal lengths in pixels times
     the Jacobian of the lens otherwise.
     """
     if camera.lens is not None:

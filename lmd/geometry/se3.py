@@ -1,6 +1,6 @@
 """Rigid motions: exponential, logarithm and other maps on SE(3) and se(3).
 
-A pose X = [R p; 0 1] maps camera coordinates to world coordinates: the columns of R are the camera's axes (x right,
+A pose X = [R p; 0 1] maps camera coordinates to world coordinates. The columns of R are the camera's axes (x right,
 y down, z the optical axis) in the world frame, p is the camera's position in metres. A twist (w, v) in body
 coordinates has the angular part first, rad (or rad/s), then the linear part, m (or m/s). Arrays have any leading shape
 `(...)`.

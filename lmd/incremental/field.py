@@ -1,6 +1,6 @@
 """Incremental fields: values of positions, updated while single landmarks move, and the fitness they give.
 
-`annealing` optimises any objective with a field. A field is a named tuple of constant arrays. Its state has the arrays
+`annealing` optimises any objective with a field. A field is a named tuple of constant arrays. The state has the arrays
 that change with the landmarks, and a scratch has the arrays of a move that is tried. A move consists of
 
     bound -> settle -> accept (-> undo),

@@ -1,4 +1,4 @@
-"""Blocks of positions within the horizon of the old place of a landmark or of the place tried.
+"""Blocks of positions within the horizon of a landmark's old place, or of its tried place.
 
 A trial works in these blocks alone: from other positions neither place is visible, and neither affects another
 landmark. Each trial clears the entries that the previous trial wrote, so no loop runs over the whole room.

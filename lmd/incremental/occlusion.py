@@ -12,8 +12,8 @@ Only blocks of positions within the horizon of both landmarks are searched, in t
 
    and the other components by cyclic permutation. The test is in float32; `SINGLE_ERROR` covers its rounding: the error
    of each sum is below 5 * 6e-8 times the larger of the sum and (|m| + |h|) |e|.
-2. `note_neighbour` tests the remaining landmarks from each position: for a camera by the inequalities of the reference;
-   for a rig by a bound for all cameras around a centre, and then by the inequalities for each orientation.
+2. `note_neighbour` tests the remaining landmarks from each position: for a camera by the inequalities of the reference.
+   For a rig by a bound for all cameras around a centre, and then by the inequalities for each orientation.
 
 A camera is treated as a mount group with one centre, the position itself, and the radius 0.
 """

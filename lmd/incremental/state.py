@@ -1,7 +1,7 @@
 """State and scratch of moves of single landmarks: the coverage of one deployment, and working memory.
 
 Camera and rig share the meaning of fields with equal names. Arrays of equal type and shape are rows of one array, with
-a constant for each row: numba passes an n-dimensional array as 5 + 2n numbers to functions that are not inlined.
+a constant for each row. numba passes an n-dimensional array as 5 + 2n numbers to functions that are not inlined.
 """
 
 from typing import Any, NamedTuple

@@ -1,7 +1,7 @@
 """Localisation: all steps from detections and a map to poses with covariances, in order.
 
 Localisation is the bundle adjustment of a survey in which the map is the prior of the tags (`lmd.adjust`). Mounts,
-cameras, shapes of tags and new tags are unknowns as well. Frames alone have the poses of single images; frames that
+cameras, shapes of tags and new tags are unknowns as well. Single frames have the poses of single images; frames that
 motion links have smoothed poses.
 """
 

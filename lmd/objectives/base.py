@@ -180,7 +180,7 @@ class SelfValidating(Protocol):
     """Members of an objective whose figures off the grid do not come from random poses of the room."""
 
     def off_grid(self, evaluator: Evaluator, deployment: Deployment) -> dict[str, float]:
-        """Figures of a deployment off the grid, whose names begin with `grid_free_`; empty if there are none."""
+        """Figures of a deployment off the grid, whose names begin with `grid_free_`; empty without any."""
 
 
 def incremental(objective: Objective) -> Incremental:

@@ -1,6 +1,6 @@
 """Fitness and figures over the crowd states of a scene.
 
-A view in a crowd state is a further view: an evaluator has each position once for each state, and the value of an
+A view in a crowd state is a further view. An evaluator has each position once for each state, and the value of an
 objective at such a position holds for that state. The mean over states is the mean over all these positions. The
 fitness of the worst states is the mean fitness over the share of the states with the least fitness.
 """

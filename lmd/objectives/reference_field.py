@@ -1,7 +1,7 @@
 """Incremental field for visibility models without a compiled half: each move is a full evaluation.
 
-The field runs as plain Python (`lmd.incremental.field.runner`). It has no stacks, as the model cannot be evaluated
-without occlusion.
+The field runs as plain Python (`lmd.incremental.field.runner`). This field has no stacks, as the model cannot be
+evaluated without occlusion.
 """
 
 from dataclasses import dataclass

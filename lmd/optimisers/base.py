@@ -105,7 +105,7 @@ class Optimiser(ABC):
 
     @abstractmethod
     def found(self, problem: Problem) -> Deployment | None:
-        """Best deployment; None while there is none."""
+        """Best deployment; None before there is one."""
 
     def found_rig(self, problem: Problem) -> Rig | None:
         """Best cameras; None before any is found, or if no cameras are placed."""

@@ -1,7 +1,7 @@
 """Simulated annealing of the cameras of a rig, one camera after the other.
 
 Only the moved camera is evaluated (`lmd.cameras.problem`), so a sweep over all cameras costs one evaluation. A move
-changes some genes of a camera by a random step, whose size shrinks during the run, or draws the camera anew.
+changes some genes of a camera by a random step, whose size shrinks during the run, or draws new genes of the camera.
 """
 
 import math
@@ -33,7 +33,7 @@ class CameraAnnealing(Optimiser):
     Args:
         temperature: first and last temperature, in units of the energy.
         step: first and last standard deviation of a changed gene.
-        jump: first and last share of moves that draw a camera anew.
+        jump: first and last share of moves that draw new genes of a camera.
         mean_share: weight in the energy of the mean value over positions, beside the fitness. The mean has a slope
             where the fitness is constant.
         seed: see `Optimiser`.

@@ -26,7 +26,7 @@ class EGA(AskTell):
             gives each chromosome a run of the survivor's genes.
         acceptance: `always` lets a child replace its parent; `if_better` does so only if the child's fitness is not
             lower.
-        mutation: `reset` draws a gene anew; `gaussian` moves the gene by a normal step.
+        mutation: `reset` draws a new gene; `gaussian` moves the gene by a normal step.
         mutation_scale: standard deviation of the normal step (genes span 1).
         encoding: W, see `AskTell`.
         seed: see `Optimiser`.

@@ -23,8 +23,8 @@ class Milp(DeploymentSearch):
     """Best deployment on a lattice of poses, with a bound for all deployments on it.
 
     The start is the result until the solver finds a better deployment. Computing the views of a pose costs as much of
-    the budget as moving one landmark; the solver costs only time. The solver cannot be resumed: a resumed run begins
-    anew.
+    the budget as moving one landmark; the solver costs only time. The solver cannot be resumed: a resumed run starts
+    over.
 
     Args:
         spacing: spacing of the lattice, metres.

@@ -14,7 +14,7 @@ from lmd.core.checks import FloatArray, InputError, integer, real
 from lmd.core.optional import optional
 from lmd.optimisers.wrapped import LibraryOptimiser, Wrapped
 
-PLANNED = 10_000  # evaluations that a method plans with if their number is unknown; then it begins anew
+PLANNED = 10_000  # evaluations that a method plans with if their number is unknown; then it restarts
 
 
 class Nevergrad(Wrapped):
@@ -25,7 +25,7 @@ class Nevergrad(Wrapped):
             `options`, e.g. `DifferentialEvolution`, `EvolutionStrategy`.
         options: parameters of the family.
         workers: number of deployments asked for at a time; 1 for methods that cannot take more.
-        budget: number of evaluations that the method plans with; None for `PLANNED`, after which it begins anew.
+        budget: number of evaluations that the method plans with; None for `PLANNED`, after which it restarts.
         step: standard deviation of a step (genes span 1); None for nevergrad's default, 1/6.
         encoding: see `AskTell`.
         seed: see `Optimiser`.

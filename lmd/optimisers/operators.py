@@ -41,6 +41,6 @@ def exchange(rng: np.random.Generator, parents: FloatArray, shortest: float, lon
 
 
 def reset(rng: np.random.Generator, genes: FloatArray, probability: float) -> FloatArray:
-    """Draw each gene anew with `probability`."""
+    """Draw a new value of each gene with `probability`."""
     mutates = rng.random(genes.shape) < probability
     return np.where(mutates, rng.random(genes.shape), genes)

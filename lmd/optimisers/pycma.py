@@ -15,8 +15,8 @@ class PyCma(Wrapped):
     The mean begins at the start; when the strategy stops by itself, a new strategy begins at the best genes.
 
     Args:
-        variant: covariance that is learnt: `full`, which takes some 100 evaluations per gene; `separable`, one variance
-            per gene; `vkd`, variances and a few directions.
+        variant: covariance that is learnt: `full`, which takes about 100 evaluations per gene; `separable`, one
+            variance per gene; `vkd`, variances and a few directions.
         step: initial standard deviation sigma_0 (genes span 1).
         population: lambda; None for 4 + 3 ln(dim).
         encoding: see `AskTell`.

@@ -14,7 +14,7 @@ from lmd.optimisers.wrapped import LibraryOptimiser, Wrapped, name_of
 class Pymoo(Wrapped):
     """Algorithm of pymoo on the unit box.
 
-    Its first population is the start, filled up with uniform genes. pymoo's default termination is replaced by the
+    The first population is the start, filled up with uniform genes. pymoo's default termination is replaced by the
     budget. Local searches keep their own termination, and restart from the best genes when they end.
 
     Args:

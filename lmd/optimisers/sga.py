@@ -18,7 +18,7 @@ class SGA(AskTell):
         population: M.
         recombination_min, recombination_max: the shortest and longest run of genes exchanged, as fractions of the
             chromosome.
-        mutation_probability: probability that a gene is drawn anew.
+        mutation_probability: probability of a new gene.
         survivors: number of best chromosomes that take the place of the worst children; 0 as in the paper.
         encoding: see `AskTell`.
         seed: see `Optimiser`.

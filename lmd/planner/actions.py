@@ -31,7 +31,7 @@ class ActionQueue:
         self._queue.put(action)
 
     def next(self, seconds: float) -> Action | None:
-        """Wait for the next action; None if there is none within `seconds`."""
+        """Wait for the next action; None without one within `seconds`."""
         try:
             return self._queue.get(timeout=seconds)
         except Empty:

@@ -27,7 +27,7 @@ CANDIDATE_BATCH = 64  # number of candidate places between two checks if the res
 class Values:
     """Values and figures of a deployment, equal to the results of `Problem` to the last bit.
 
-    Values are updated when tags move (`lmd.incremental.field`), and computed anew when the number or sizes of tags
+    Values are updated when tags move (`lmd.incremental.field`), and computed again when the number or sizes of tags
     change.
 
     Args:

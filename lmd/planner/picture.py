@@ -51,7 +51,7 @@ FRUSTUM_DEPTH = 0.08  # depth of drawn frustums, in diagonals of the room
 class RoomPicture:
     """Drawing of everything except the robot.
 
-    `tags`, `cells` and `balls` are handles of viser for callbacks. Their instances are the tags of the plan, in its
+    `tags`, `cells` and `balls` are handles of viser for callbacks. Instances are the tags of the plan, in its
     order, the candidate places, and the positions of the grid. `depth` is the length of drawn frustums, metres.
 
     Args:

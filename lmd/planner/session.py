@@ -36,7 +36,7 @@ class PlanningSession:
     """Changes of a plan by a user. Each change is one step that can be undone; a refused change has no effect.
 
     Args:
-        problem: scene and objective. Its fixed landmarks stay pinned.
+        problem: scene and objective. Fixed landmarks stay pinned.
         deployment: initial tags, with their surfaces.
 
     Raises:

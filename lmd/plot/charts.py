@@ -214,7 +214,7 @@ def save_tradeoff_figure(
 ) -> None:
     """Write a PNG, 550 pixels wide for each panel and 450 high: medians over the seeds, bands from least to greatest.
 
-    Where sizes are mixed, one more panel shows the number of tags of each size.
+    With mixed sizes, one more panel shows the number of tags of each size.
 
     Args:
         path: path of the PNG.

@@ -35,7 +35,7 @@ MARGIN = 2.0
 # Lower bound on the scale of a face in the image. At the fold of a lens the scale is 0, and the blur in the face would
 # be infinite.
 SMALLEST_SCALE = 0.2
-# Lower bound on the cosine of the angle from the axis of a face in the correction of the blur of a tag.
+# Lower bound, in the blur correction of a tag, on the cosine of the angle from a face's axis.
 LEAST_COSINE = 0.5
 # Maximum number of images that motion blur averages.
 MOST_STEPS = 64

@@ -2,16 +2,16 @@
 
 Most criteria depend mainly on the camera's position, so a model is evaluated in stages:
 
-- `from_position` bounds the result for all orientations at a position;
+- `from_position` bounds the result for all orientations at a position.
 - `in_image` tests one orientation, given by the optical axis and the image's right; a model with a conical field of
-  view ignores the right;
+  view ignores the right.
 - `hide` tests if one landmark occludes another.
 
 These functions are scalar, with as few branches as possible. Kernels call only the functions of this module.
 
 A model has two halves:
 
-- a `Criteria` with the thresholds that a user sets; its `covered` is the NumPy reference;
+- a `Criteria` with the thresholds that a user sets; its `covered` is the NumPy reference.
 - a `SightModel`, a named tuple of numbers compiled for one camera, whose type is registered with the functions below.
 
 Both halves must give equal results, bit for bit. A `Covering` has only the first half.

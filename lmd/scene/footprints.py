@@ -146,7 +146,7 @@ class Footprints:
     def checked_fixed(self, fixed: Deployment, beside: DeploymentSource) -> Deployment:
         """Assign surfaces to existing landmarks and check them.
 
-        Positions are measured by hand, so a tag slightly in front of or behind a surface belongs to the surface. Its
+        Positions are measured by hand, so a tag slightly in front of or behind a surface belongs to the surface. The
         footprint is the footprint of its projection to the surface.
 
         Args:

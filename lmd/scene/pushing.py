@@ -44,11 +44,11 @@ def _blocked(k, a, b, s, surface, at, edge, beside):  # type: ignore[no-untyped-
 
 @inner
 def _nearest_free(k, s, a, b, within, surface, at, pieces, start, stop, edge, lines, beside, found):  # type: ignore[no-untyped-def]
-    """Write the free place for footprint k nearest to (a, b) on surface s to `found`; False if there is none.
+    """Write the free place for footprint k nearest to (a, b) on surface s to `found`; False without one.
 
-    Each coordinate of the nearest place is either unchanged or on a candidate line: a border of a trapezoid along u or
-    v, or a line on which footprint k touches another footprint. Only footprints within a distance of `within` give
-    candidate lines. Trapezoids `start` to `stop` of `pieces` are the allowed centres.
+    Each coordinate of the nearest place is either unchanged or on a candidate line. Such a line is a border of a
+    trapezoid along u or v, or a line on which footprint k touches another footprint. Only footprints within a distance
+    of `within` give candidate lines. Trapezoids `start` to `stop` of `pieces` are the allowed centres.
     """
     lines[0, 0], lines[1, 0] = a, b
     across, up = 1, 1

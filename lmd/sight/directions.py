@@ -3,19 +3,19 @@
 The sphere of directions is projected onto an octahedron, which is unfolded into a square of `SIDE` x `SIDE` cells. Two
 tables have a set of axes for each cell:
 
-- `CERTAIN`: axes that have *every* direction of the cell in view, at least `SightModel.inset` from the border;
+- `CERTAIN`: axes that have *every* direction of the cell in view, at least `SightModel.inset` from the border.
 - `POSSIBLE`: axes that have *some* direction of the cell in view.
 
 Only axes that are possible but not certain need the exact test. A certain axis covers the landmark only at the depths
 `low` to `sure` of `criteria.from_position`.
 
 For one pass over many landmarks the tables are too large. Axes are then sorted by height (their z coordinate). The axes
-that cover a landmark lie in a cone around its direction, so the lowest and the highest point of the cone bound the axes
+that cover a landmark lie in a cone around its direction. So the lowest and the highest point of the cone bound the axes
 that need the exact test to one contiguous band.
 
 A cell is the projection of a parallelogram or of two triangles, so a spherical cap that contains its corners contains
 the cell. Let rho be the greatest angle between the cell's centre and a corner. An axis with the centre at least rho
-inside its field of view has every direction of the cell in view; an axis with the centre more than rho outside has no
+inside its field of view has every direction of the cell in view. An axis with the centre more than rho outside has no
 direction of the cell in view.
 """
 

@@ -3,7 +3,7 @@
 Every decision repeats the float64 operations of the reference in their order. Without fast-math the compiler neither
 reorders nor fuses operations. The speed comes from skipped work and from loops that vectorise; nothing is approximated:
 
-1. `viewpoint` drops landmarks that no axis covers: some 60 % in the paper's room.
+1. `viewpoint` drops landmarks that no axis covers: about 60 % in the paper's room.
 2. Only axes in a band of heights around the landmark need the exact test (`directions.height_index`).
 3. For a model with a long test, sets of axes are bit sets. The tables of `directions` list the axes that certainly
    cover a landmark and the axes that possibly cover it. Possible axes are tested only where the certain axes cover

@@ -3,7 +3,7 @@
 A camera with a lever arm has another position for every orientation of the body, but stays within a radius of a
 *centre*. Two bounds hold for all these positions:
 
-- `criteria.from_around` bounds the depths of a landmark, given its offset from the centre;
+- `criteria.from_around` bounds the depths of a landmark, given its offset from the centre.
 - tables of directions, shifted for each orientation (`lmd.sight.directions.fill_tables`), one for each of `LEVELS`
   ranges of distance, bound the orientations.
 

@@ -13,7 +13,7 @@ NO_WALL = "no wall"
 
 # Least area of a free region that a note mentions, square metres.
 MENTIONED_M2 = 0.5
-# Shortest stretch of an edge without occupied cells that excludes landmarks, metres; shorter gaps in a wall are chance.
+# Shortest part of an edge without occupied cells that excludes landmarks, metres; shorter gaps in a wall are chance.
 SHORTEST_GAP_M = 0.2
 # Greatest tolerance of a ring, such as a pillar, over its shorter side.
 PILLAR_SHARE = 0.2
@@ -279,7 +279,7 @@ def _fitted(simple: FloatArray, contour: FloatArray, tolerance: float) -> FloatA
 
 
 def _gaps(edge: FloatArray, to_wall: FloatArray, most: float, shortest: float) -> list[tuple[float, float]]:
-    """Stretches (from, to) of an edge, in cells from its start, that are farther than `most` cells from a wall."""
+    """Intervals (from, to) of an edge, in cells from its start, that are farther than `most` cells from a wall."""
     length = float(np.linalg.norm(edge[1] - edge[0]))
     count = max(math.ceil(2.0 * length), 1)
     share = (np.arange(count) + 0.5) / count

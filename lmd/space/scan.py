@@ -54,7 +54,7 @@ CREASE, MOST_EDGES = 0.35, 5000
 class Scan(Checked):
     """Room from a triangle mesh, such as a scan or a CAD model, in the coordinates of the file rotated to z up.
 
-    Its surfaces are planar patches: adjacent coplanar triangles of one object into which a square of `least_area` fits.
+    Surfaces are planar patches: adjacent coplanar triangles of one object into which a square of `least_area` fits.
     A patch has the name of its object, followed by its rank by area if the object has several patches. Patches of
     objects without a name are `patch_0`, `patch_1`, ... All triangles block lines of sight from both sides.
 

@@ -1,7 +1,7 @@
 """Triangles of a mesh that block lines of sight, in a hierarchy of boxes that is traversed without a stack.
 
 A line from p to q crosses a triangle if p and q lie on different sides of the triangle's plane, both farther from the
-plane than the tolerance, and the line meets the plane within the triangle's edges. The effective extent at an edge
+plane than the tolerance. The line must also meet the plane within the triangle's edges. The effective extent at an edge
 depends on the adjacent triangle:
 
 - If the line crosses the planes of both triangles in one sense, both triangles are extended over the edge by the

@@ -70,7 +70,7 @@ class Document:
 
     @property
     def digest(self) -> str:
-        """Digest of the nodes of the problem and of the bytes of all files that they name."""
+        """Digest of the problem's nodes, and of the bytes of all named files."""
         text = hashlib.sha256(json.dumps(self.problem, sort_keys=True).encode())
         for file in sorted(set(_files(self.problem))):
             text.update(read_bytes(FOLDER / file, f"{self.name}: {FILE}"))
@@ -93,7 +93,7 @@ def document(name: str) -> Document:
     """Read the document of a problem.
 
     Raises:
-        InputError: there is no problem of that name, or its document is damaged.
+        InputError: no problem has that name, or its document is damaged.
     """
     choice("suite", name, names())
     path = FOLDER / f"{name}.yaml"

@@ -18,7 +18,7 @@ from lmd.suite.several import SeveralObjectives, TagChoice
 
 TARGET = "_target_"
 COUNTED = {"tags": False, "paper": True}
-"""Second objective of a problem that chooses its tags, and whether it weighs them by their paper."""
+"""Second objective of a problem that chooses tags, and a flag: weigh tags by paper."""
 
 
 def problem(name: str, threads: int | None = 1) -> BlackBox:
@@ -29,7 +29,7 @@ def problem(name: str, threads: int | None = 1) -> BlackBox:
         threads: worker threads; None for all processors. The values do not depend on it.
 
     Raises:
-        InputError: there is no problem of that name.
+        InputError: no problem has that name.
     """
     return build(document(name), threads)
 

@@ -2,12 +2,12 @@
 
 Corner errors are correlated in consecutive images. On recordings, a map from five frames a second is as good as a map
 from all frames. Keyframes are evenly spaced in time. The selection must not depend on the motion or the number of tags
-in view: blurred and oblique images would then have more weight than others, and maps would differ by more than their
+in view. Blurred and oblique images would then have more weight than others, and maps would differ by more than their
 stated errors.
 
 Two further kinds of frames are kept:
 
-- frames that alone show a tag, or two tags together, as these connect the map;
+- frames that alone show a tag, or two tags together, as these connect the map.
 - frames close to a moment at which all tags in view change, as only motion connects the tags before and after.
 
 Frames without times are all kept.

@@ -144,7 +144,7 @@ def test_sizes_and_names_choose_and_do_not_contradict(write):
     assert read_calibration(path, "Logitech:0x0825/640x480").focal_pixels == (600.0, 610.0)
     with pytest.raises(InputError, match="has the cameras Logitech:0x0825/640x480, Logitech:0x0825/1280x720"):
         read_calibration(path)
-    with pytest.raises(InputError, match="name = 'Logitech:0x0826' is no camera"):
+    with pytest.raises(InputError, match="name = 'Logitech:0x0826' is not a camera"):
         read_calibration(path, "Logitech:0x0826", [640, 480])
     with pytest.raises(InputError, match=r"^image_size must be \[640, 480\], as .* has it, got \[480\.0, 640\.0\]\.$"):
         read_calibration(write(json.dumps(ROS)), image_size=[480, 640])
@@ -247,7 +247,7 @@ def test_what_is_missing_is_said(tmp_path):
     with pytest.raises(InputError, match=r"^path must be the path of a file"):
         read_calibration(5)
     ros(tmp_path / "info.yaml", LENS)
-    with pytest.raises(InputError, match=r"^name = 'cam0' is no camera of .*, which has one\.$"):
+    with pytest.raises(InputError, match=r"^name = 'cam0' is not a camera of .*, which has one\.$"):
         read_calibration(tmp_path / "info.yaml", "cam0")
     for optics, message in (
         ({"aperture": 2.0}, "focal_length must be given"),

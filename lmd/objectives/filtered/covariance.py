@@ -1,7 +1,7 @@
 """Covariance of a Kalman filter on SE(3) along a drive, one step at a time.
 
 The error of the estimate is X = X^ exp(e) with a body twist e, as in the invariant Kalman filter of
-`lmd.estimation.fusion`. Its covariance goes on with the motion T between two frames and with the information I of the
+`lmd.estimation.fusion`. The covariance goes on with the motion T between two frames and with the information I of the
 tags in view,
 
     P <- Ad(T^-1) P Ad(T^-1)^T + Q,        P^-1 <- P^-1 + I.
@@ -136,7 +136,7 @@ def update_beyond_rounding(
     """Update a covariance in place by an image, with the information of the directions that exceeds its rounding.
 
     The information is decomposed into directions d h h^T, the largest pivot first, and each updates the covariance as a
-    scalar measurement: P <- P - P h h^T P / (h^T P h + 1 / (scale d)).
+    scalar measurement. P <- P - P h h^T P / (h^T P h + 1 / (scale d)).
 
     Args:
         rows, sums: covariances and information; number j is the entry `lane + j * step`.

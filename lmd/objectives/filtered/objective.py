@@ -34,9 +34,9 @@ WORST = 0.05  # share of the drives that the figure of the worst ones is of, unl
 class Filtered(AtLeast):
     """Share of the time of drives, or of the worst of them, at which the filtered pose is known to a tolerance.
 
-    Each frame of a drive is a position of the problem (`lmd.space.changed.DrivenRoom`). Its value is 1 if the standard
-    deviation of the filtered position, computed from the odometry and from the tags in view of this frame and of the
-    frames before it (`covariance`), is at most the tolerance, otherwise 0.
+    Each frame of a drive is a position of the problem (`lmd.space.changed.DrivenRoom`). The value of a frame is 1 if
+    the standard deviation of the filtered position, computed from the odometry and from the tags in view of this frame
+    and of the frames before it (`covariance`), is at most the tolerance, otherwise 0.
 
     Args:
         n: least number of tags of an image that the filter uses.
@@ -107,7 +107,7 @@ class Filtered(AtLeast):
         """Limits of the covariance, and the unit of the information."""
         turn = math.inf if self.rotation_tolerance is None else self.rotation_tolerance
         scale = deviation_per_variance(scene.cameras[0], self.pixel_noise)
-        # A view of few points has an information of up to some 100 quanta in directions that it leaves undetermined.
+        # A view of few points has an information of up to about 100 quanta in directions that it leaves undetermined.
         vague = VAGUE * QUANTUM / scale**2 * max(drives.vaguest for drives in (self.drives, self.fresh) if drives) > 1.0
         limits = self.tolerance**2 * (1.0 + TOLERANCE), turn**2 * (1.0 + TOLERANCE)
         return Tolerance(*limits, 1.0 / scale**2, ROUNDED * QUANTUM if vague else None)

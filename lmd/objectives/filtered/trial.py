@@ -1,8 +1,8 @@
 """Moves of single landmarks along drives: the frames that see another landmark, and the filters from there on.
 
-A move changes the information of the frames that see the landmark at its old place or at the place tried, and of those
-in which it hides another landmark or no longer does. Each drive with such a frame is filtered again from the first of
-them to its end; the covariances of the frames before it stay.
+A move changes the information of the frames that see the landmark at its old place or at the place tried. It also
+changes those in which it hides another landmark or no longer does. Each drive with such a frame is filtered again from
+the first of them to its end; the covariances of the frames before it stay.
 
 All values are exact after `bound_move`; `settle_move` has nothing to do.
 """

@@ -2,9 +2,9 @@
 
 Far from the camera, a square has nearly the same image after its normal is mirrored about the line of sight: these are
 the two solutions of IPPE. Let s be the edge, d >> s the distance, t and u the unit vectors to the square's right and
-up, and b the unit vector to its centre; let p = t . b and q = u . b, so that p^2 + q^2 is the squared sine of the
+up, and b the unit vector to its centre. Let p = t . b and q = u . b, so that p^2 + q^2 is the squared sine of the
 incidence angle. To the leading order in s / d, the translation, rotation and foreshortening of the mirrored pose absorb
-all differences of the two images but one: perspective moves the corners of one diagonal in one direction and the
+all differences of the two images but one. Perspective moves the corners of one diagonal in one direction and the
 corners of the other diagonal in the opposite direction. This difference leaves the squared residual
 
     S = (f s^2 / d^2)^2 (p^2 + q^2 - 4 p^2 q^2)
@@ -14,13 +14,13 @@ mirrored pose fits better with the probability
 
     P = Q(sqrt(S) / (2 sigma)),    Q(x) the share of the standard normal distribution above x.
 
-The poses are told apart if P is at most 1 - `CONFIDENCE`. Away from the middle of the image, S and the information grow
-with `pixel_density`. docs/results/ambiguity.md has the error of P.
+The poses are distinguished if P is at most 1 - `CONFIDENCE`. Away from the middle of the image, S and the information
+grow with `pixel_density`. docs/results/ambiguity.md has the error of P.
 
 Two or more tags are unambiguous, as the mirrored pose of one tag does not fit another tag.
 
 A rig has one mirrored pose for all cameras. Mirrored about its own line of sight b_i, the tag has the residual S_i in
-camera i; about another line b, its corners are also displaced by twice their depth from the tag's centre times b_i - b.
+camera i. About another line b, its corners are also displaced by twice their depth from the tag's centre times b_i - b.
 To the leading order in edge and baseline over distance, the best b leaves the squared residual
 
     S = sum S_i + sum m_i |b_i - b|^2,    m_i = 4 (f_i s / d_i)^2 (p_i^2 + q_i^2),    b = sum m_i b_i / sum m_i
@@ -80,7 +80,7 @@ def _no_residual(limit: None) -> float:
 
 @inlined
 def resolves_ambiguity(precision: Precision) -> bool:
-    """True if the two poses of a single tag must be told apart."""
+    """True if the two poses of a single tag must be distinguished."""
     return _is_limit(precision.residual)
 
 

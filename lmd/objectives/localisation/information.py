@@ -17,8 +17,8 @@ minors of S over det S. The formulas for the rotation have A and C exchanged.
 
 Noise is isotropic in pixels, not in directions. At the cosine c = z / r from the optical axis, a rotation of the
 direction moves the image by 1 / c^2 radially and 1 / c tangentially. The 15 numbers of a landmark at the distance r and
-the depth z are therefore weighted with (r / z)^3, which preserves the determinant of the information of each corner;
-for a lens with distortion the weight is `lmd.scene.criteria.pixel_density`. The remaining error is some per cent of the
+the depth z are therefore weighted with (r / z)^3, which preserves the determinant of the information of each corner.
+For a lens with distortion the weight is `lmd.scene.criteria.pixel_density`. The remaining error is some per cent of the
 standard deviation, see docs/accuracy.md. The exact information would need 21 numbers for each landmark, position *and*
 orientation. Pixels are treated as square, with the geometric mean of the two focal lengths.
 

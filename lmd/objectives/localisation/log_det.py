@@ -3,7 +3,7 @@
 The accuracy of localisation is not submodular in the landmarks, as the first landmark alone has no value. The log det
 of prior plus information is submodular if no landmark hides another: each further landmark adds less. The surrogate is
 the mean over positions and orientations. The prior is the information on the pose before the image. With a prior
-standard deviation of some tolerances, the selected landmarks spread over the room; with a wide prior, the first view of
+standard deviation of some tolerances, the selected landmarks spread over the room. With a wide prior, the first view of
 one place would gain more than any improvement of another place.
 """
 

@@ -24,7 +24,7 @@ from lmd.sight.kernels import PROBABILITY_ONE
 
 FITNESS = ("mean", "qualified")
 AMBIGUITY = ("resolved", "ignored")
-# Smaller samples than for coverage, as each view costs more; samples are drawn anew during a run.
+# Smaller samples than for coverage, as each view costs more; samples are drawn again during a run.
 SAMPLING = Sampling(positions=1, divisions=8)
 # Prior of greedy selection: standard deviation of the position, in tolerances, and of the rotation, rad.
 PRIOR_TOLERANCES, PRIOR_ROTATION = 5.0, 1.0

@@ -54,7 +54,7 @@ def view_information(
 def body_information(
     scene: Scene, deployment: Deployment, asked: Precision, position: FloatArray, axes: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Sums of the information of all cameras of a rig on the pose of its body, and mask of the covered landmarks.
+    """Fisher information of a rig's cameras about the pose of the body, summed, and mask of the covered landmarks.
 
     Shapes `(width_of(asked), A)` and `(A, K)`; A orientations of the body.
     """

@@ -4,8 +4,8 @@ Counts and occlusion come from the field of coverage (`lmd.incremental.trial`). 
 of the numbers of every view (`information`, `body`), exact in any order, and the sets of localised views. Further
 landmarks never reduce the information of a view, so a move can change the decision for few views:
 
-- if landmarks only disappear from a view, the view may change if it is localised and still covers n landmarks;
-- if landmarks only appear in a view, the view may change if it is not localised and now covers n landmarks;
+- if landmarks only disappear from a view, the view may change if it is localised and still covers n landmarks.
+- if landmarks only appear in a view, the view may change if it is not localised and now covers n landmarks.
 - if landmarks appear and disappear, the view may change if it covers n landmarks.
 
 `bound_move` ignores that the landmark at the new place hides others or is hidden; occlusion only reduces information.

@@ -2,7 +2,7 @@
 
 Number j of view v lies at `rows[j * BITS + v]`, so that loops over views vectorise. Camera and rig share this source,
 which is compiled separately for each. A single camera has one position for all orientations, so a landmark has one set
-of moments for all views of a position. A camera of a rig has another position for each orientation, so moments are
+of moments for all views of a position. A camera of a rig has another position for each orientation. So moments are
 computed for each pair of a landmark and a view (`pairs`); for a single camera, moments for each pair would be up to 64
 times the work.
 """

@@ -46,10 +46,10 @@ from lmd.optimisers.stored import array, deployment, deployment_state, generator
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 
-MAX_MOVES = 2000  # greatest number of moves in a stretch; after each stretch budget and callback are checked
-MIN_STRETCHES = 500  # least number of stretches in a run, so that conditions change smoothly
+MAX_MOVES = 2000  # greatest number of moves in a phase; after each phase budget and callback are checked
+MIN_STRETCHES = 500  # least number of phases in a run, so that conditions change smoothly
 CHECK_EVALUATIONS = 10  # cost of the moves on a surrogate, in evaluations, between two evaluations on the problem
-CHECK_FACTOR_ON_SAMPLES = 2  # factor on `CHECK_EVALUATIONS` for walks on samples, which are drawn for each stretch
+CHECK_FACTOR_ON_SAMPLES = 2  # factor on `CHECK_EVALUATIONS` for walks on samples, which are drawn for each phase
 ASCENT_STEPS = 10  # number of steps of the ascent between two evaluations on the problem
 SMALLEST_SIZE = 0.2  # size of footprints, over the true size, when the separation of stacks begins
 
@@ -167,7 +167,7 @@ class Annealing(DeploymentSearch):
             self.start, spent = greedy_start(problem, self.start, self.spacing, (limit - count) / 2, stop)
             self.here = self.start
             return spent
-        least = 2 * (CHECK_EVALUATIONS + stack + 1) * count  # moves of two stretches with their checks
+        least = 2 * (CHECK_EVALUATIONS + stack + 1) * count  # moves of two phases with their checks
         stacks = count_stacks(problem, stack)
         pays = stacks and self.stacked_share * limit > least and (1.0 - self.stacked_share) * limit > least
         self.in_stacks = problem.start.varies and bool(pays)
@@ -181,8 +181,8 @@ class Annealing(DeploymentSearch):
         return not stack and problem.start.varies and isinstance(problem.objective, Selectable)
 
     def _walk(self, problem: Problem, surrogate: Surrogate, used: float, left: float) -> tuple[int, Deployment | None]:
-        """Walk a stretch, and return the number of moved landmarks and the resulting deployment, None for a deployment
-        that cannot be the best.
+        """Walk for a phase, and return the number of moved landmarks and the resulting deployment, None for a
+        deployment that cannot be the best.
 
         Args:
             problem: the problem.
@@ -202,7 +202,7 @@ class Annealing(DeploymentSearch):
             return int(left), None
         longer = CHECK_FACTOR_ON_SAMPLES if problem.objective.sampling else 1
         stretch = longer * max(stretch, CHECK_EVALUATIONS * count)
-        # The last stretch also spends the rest that is too small for another stretch.
+        # The last phase also spends the rest that is too small for another phase.
         stretch = stretch if left >= 2 * (stretch + count) else left - count
         each = stack if self.in_stacks else 1
         moves = int(stretch) // each

@@ -16,7 +16,7 @@ from lmd.space.surface import SurfaceArrays
 
 
 class Settings(NamedTuple):
-    """Conditions of the walk; they change from stretch to stretch."""
+    """Conditions of the walk, which change from phase to phase."""
 
     temperature: float
     """Loss in the smoothed objective that is accepted with probability 1/e."""
@@ -150,7 +150,7 @@ def _may_hang(k: int, s: int, a: float, b: float, footprints: FootprintArrays) -
 
 @inner
 def pair_up(k: int, members: IntArray, footprints: FootprintArrays, rng: np.random.Generator, pair: IntArray) -> bool:
-    """Fill `pair` with landmark k and a landmark of another size among the `members`; return False if there is none."""
+    """Fill `pair` with landmark k and a landmark of another size among the `members`; return False without one."""
     start = int(rng.random() * len(members))
     for i in range(len(members)):
         j = members[(start + i) % len(members)]

@@ -1,8 +1,8 @@
 """Surrogates of a problem for simulated annealing, and the conversion of their results to deployments.
 
 A surrogate has one or more of these simplifications: *stacks*, groups of n coincident landmarks that do not hide
-others; footprints smaller than their true size; and, for an objective with a sampling, samples drawn anew for each
-stretch of the walk.
+others; footprints smaller than their true size; and, for an objective with a sampling, new samples for each phase
+of the walk.
 """
 
 import math
@@ -31,13 +31,13 @@ from lmd.space.surface import SurfaceArrays
 STACK_SPREAD = 1.6  # distance of separated landmarks, in virtual diameters, at which they do not hide each other
 # Decay eta of the averaging: at any time the last quarter of a walk has at least half of the weight in the mean.
 AVERAGING_ETA = 3
-RESTART_M = 0.5  # distance of a landmark from its mean beyond which the mean begins anew, metres
+RESTART_M = 0.5  # distance of a landmark from its mean beyond which the mean restarts, metres
 NOWHERE = Places(np.empty((6, 0)), np.empty(0, dtype=np.int64))
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """Surrogate and settings for a stretch of the walk."""
+    """Surrogate and settings for a phase of the walk."""
 
     in_stacks: bool
     """True if each moved landmark is a stack."""
@@ -54,29 +54,29 @@ class Walker:
     """Memory of one of several simultaneous walks."""
 
     members: IntArray
-    """`(M,)` indices of the landmarks that the walker moves."""
+    """`(M,)` indices of the landmarks that this walk moves."""
     group: IntArray
     """`(n,)` working memory: landmarks that move together."""
     state: Any
-    """State of the field with the landmarks at the end of the walker's last stretch."""
+    """State of the field with the landmarks at the end of the last phase."""
     scratches: Any
     """`layers` of a scratch, one for each landmark of a group."""
     best: Best
-    """Best deployment of the walk. It is the best for the true problem only if a single walker walks on that
-    problem.
+    """Best deployment of the walk. This deployment is the best for the true problem only if all landmarks move together
+    on that problem.
     """
 
 
 class Surrogate:
-    """Problem as arrays for the walk, and the walkers on the problem.
+    """Problem as arrays for the walk, and the walks on the problem.
 
-    Walkers run in parallel. Each walker moves its own landmarks while all other landmarks stay; then the moves are
-    combined. The room is divided between walkers by slices across a random direction, as distant landmarks are rarely
-    seen together. The number of walkers, and so the result, does not depend on the machine.
+    Walks run in parallel. Each walk moves its own landmarks while all other landmarks stay; then the moves are
+    combined. The room is divided between walks by slices across a random direction, as distant landmarks are rarely
+    seen together. The number of walks, and so the result, does not depend on the machine.
 
     Args:
         problem: the true problem.
-        walkers: largest number of walkers. There are fewer if a walker would have too few landmarks to move together.
+        walkers: largest number of walks. There are fewer if a walk would have too few landmarks to move together.
         largest: share of the positions of an objective's sampling in the samples at the end of a stage.
     """
 
@@ -102,7 +102,7 @@ class Surrogate:
         return stack_of(self._true)
 
     def is_true(self, count: int, conditions: Conditions) -> bool:
-        """True if a single walker works on the problem itself, so that the fitness of its deployments is exact.
+        """True if a single walk is on the problem itself, so that the fitness of its deployments is exact.
 
         Args:
             count: number of landmarks or stacks.
@@ -140,9 +140,9 @@ class Surrogate:
         return self._together(), first.places.deployment() if found else None
 
     def _prepare(self, here: Deployment, best: Deployment, conditions: Conditions, rng: np.random.Generator) -> Places:
-        """Prepare the walkers, and return the places at which they begin: `NOWHERE` if the walkers are already there.
+        """Prepare the walks, and return the places at which they begin: `NOWHERE` if the walks are already there.
 
-        The size of samples grows with the square of the completed share of the stage: early moves need only a rough
+        The size of samples grows with the square of the completed share of the stage. Early moves need only a rough
         estimate, late moves are smaller than the error of a small sample.
         """
         in_stacks, size = conditions.in_stacks, conditions.size
@@ -178,13 +178,13 @@ class Surrogate:
         return 0 if in_stacks else self._problem.fixed_count
 
     def _shared_out(self, count: int, in_stacks: bool) -> tuple[int, int]:
-        """Number of landmarks, among `count`, that can move together; and number of walkers."""
+        """Number of landmarks, among `count`, that can move together; and number of walks."""
         movable = count - self._first_movable(in_stacks)
         together = 1 if in_stacks else max(1, min(self.stack, movable))
         return together, max(1, min(self._most_walkers, movable // together))
 
     def _walker(self, best: Deployment | None, together: int, members: IntArray, state: Any) -> Walker:
-        """Make a walker that begins with `state`; its best deployment is `best`, or the deployment of the state if
+        """Make a walk that begins with `state`; its best deployment is `best`, or the deployment of the state if
         `best` is None.
         """
         exchanged = 2 if len(self._footprints.first) > 1 else 1
@@ -211,7 +211,7 @@ class Surrogate:
         return [np.sort(part) for part in np.array_split(across, number)]
 
     def _together(self) -> Deployment:
-        """Combine the moves of all walkers."""
+        """Combine the moves of all walks."""
         known = placed(self._walkers[0].state)
         poses, surfaces = known.poses.copy(), known.surfaces.copy()
         for walker in self._walkers[1:]:

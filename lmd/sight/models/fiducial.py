@@ -1,7 +1,8 @@
 """Visibility model of a tag detector: incidence angle, pitch, image area, field of view and occlusion.
 
-Its limits are fitted to the detections of ArUco and AprilTag in renderings of some 60,000 single tags. It predicts 95
-to 96 % of these detections, and the probability of seeing at least n tags in whole rooms to 0.02. A tag is seen if
+The limits are fitted to the detections of ArUco and AprilTag in renderings of about 60,000 single tags. The model
+predicts 95 to 96 % of these detections, and the probability of seeing at least n tags in whole rooms to 0.02. A tag is
+seen if
 
 - its incidence angle is at most `incidence`;
 - its pitch, the image length of a module in the direction in which it is shortest, is at least
@@ -13,7 +14,7 @@ to 96 % of these detections, and the probability of seeing at least n tags in wh
 - no other footprint covers its centre or a corner of its picture. Footprints include the quiet zone.
 
 Let (u, v, w) be the tag's centre in the camera frame, and t, s its right and up. The Jacobian J maps metres in the
-plane of the tag to pixels. Its column for t is (f_u (t_u - t_w u / w) / w, f_v (t_v - t_w v / w) / w); the column for s
+plane of the tag to pixels. The column for t is (f_u (t_u - t_w u / w) / w, f_v (t_v - t_w v / w) / w). The column for s
 has s_u, s_v and s_w in place of t_u, t_v and t_w. The smaller eigenvalue of J^T J is at least T if 2 T <= |J|^2 and T^2
 - |J|^2 T + det(J)^2 >= 0. Moreover |det J| = f_u f_v |n . d| / w^3.
 

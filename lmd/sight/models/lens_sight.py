@@ -2,8 +2,8 @@
 
 The functions differ from `fiducial_sight` in two points:
 
-- the centre and each corner are projected through the lens; they must lie in the image rectangle and within the
-  camera's widest angle from the optical axis, which may exceed 90 degrees;
+- the centre and each corner are projected through the lens. The images must lie in the image rectangle and within the
+  camera's widest angle from the optical axis, which may exceed 90 degrees.
 - J is the Jacobian of the projection through the lens.
 
 Bounds follow from the angular stretch of the lens (`lmd.geometry.lens.Stretch`). Anywhere in the image, a tag at the

@@ -23,7 +23,7 @@ def space(name: str, seed: int) -> "ConfigSpace.ConfigurationSpace":
     """Return the unit box of a problem of the suite, with the parameters `x0`, `x1` and so on.
 
     Raises:
-        InputError: ConfigSpace is not installed, or there is no problem of that name.
+        InputError: ConfigSpace is not installed, or no problem has that name.
     """
     library: Any = optional("ConfigSpace", "suite")
     box: ConfigSpace.ConfigurationSpace = library.ConfigurationSpace(seed=seed)
@@ -40,7 +40,7 @@ def objective_function(name: str, seed: int = 0, loggers: Any = None) -> Any:
         loggers: loggers of CARP-S.
 
     Raises:
-        InputError: CARP-S is not installed, there is no problem of that name, or it has several objectives.
+        InputError: CARP-S is not installed, no problem has that name, or it has several objectives.
     """
     base = optional("carps.objective_functions.objective_function", "suite")
     trials = optional("carps.utils.trials", "suite")
