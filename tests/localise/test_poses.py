@@ -209,10 +209,10 @@ def test_a_surveyed_map_brings_the_covariance_of_all_its_tags(tmp_path):
         FixedMap.read(file, Tag(0.2), Hanging())
     for content in (b"", b"PK\x03\x04", beside.read_bytes()[:200]):
         beside.write_bytes(content)
-        with pytest.raises(InputError, match=r"map\.npz' is no covariance of a map"):
+        with pytest.raises(InputError, match=r"map\.npz' is not a covariance of a map"):
             FixedMap.read(file, Tag(0.2), Hanging())
     np.savez(beside, ids=np.array([2, 5]), upper=np.full(78, np.nan))
-    with pytest.raises(InputError, match=r"map\.npz' is no covariance of a map"):
+    with pytest.raises(InputError, match=r"map\.npz' is not a covariance of a map"):
         FixedMap.read(file, Tag(0.2), Hanging())
 
 
