@@ -18,7 +18,7 @@ BUDGET = {
     "code lines of tests": 24042,
     "files of conf": 100,
     "keys of conf": 382,
-    "words of docs": 40189,
+    "words of docs": 40148,
     "commands": 12,
 }
 # Docstrings and comments with each phrase, at most. Lower a number when you have lowered the count.
