@@ -1,11 +1,13 @@
 """Squares in space: corners, and right and up of upright tags."""
 
 import math
+from typing import Any
 
 import numpy as np
 
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined
+from lmd.geometry.vectors import Vector, times3
 
 # Offsets (right, up) of the corners from the centre, in half edges: top-left, top-right, bottom-right, bottom-left as
 # seen from the front, as in cv2.aruco.
@@ -52,24 +54,20 @@ def upright(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 @inlined
-def upright_axes(nx, ny, nz, level):  # type: ignore[no-untyped-def]
-    """`upright` for one unit normal (nx, ny, nz), for kernels; `level` is the tolerance `VERTICAL_TOLERANCE`."""
+def upright_axes(normal: Vector, level: float) -> tuple[Vector, Vector]:
+    """`upright` for one unit normal, for kernels; `level` is the tolerance `VERTICAL_TOLERANCE`."""
+    nx, ny, nz = normal
     across = nx * nx + ny * ny
     on_wall = across > level * level
     square = across if on_wall else nx * nx + nz * nz
     length = math.sqrt(square)
-    tx, ty, tz = (
-        (-ny if on_wall else nz) / length,
-        (nx if on_wall else 0.0) / length,
-        (0.0 if on_wall else -nx) / length,
-    )
+    tx, ty, tz = -ny if on_wall else nz, nx if on_wall else 0.0, 0.0 if on_wall else -nx
     ux, uy = -(nx * (nz if on_wall else ny)) / length, (-(ny * nz) if on_wall else square) / length
-    uz = (square if on_wall else -(ny * nz)) / length
-    return tx, ty, tz, ux, uy, uz
+    return (tx / length, ty / length, tz / length), (ux, uy, (square if on_wall else -(ny * nz)) / length)
 
 
 @inlined
-def upright_sides(half, nx, ny, nz):  # type: ignore[no-untyped-def]
+def upright_sides(half: Any, normal: Vector) -> tuple[Vector, Vector]:
     """Vectors of length `half` from the centre of an upright tag to the midpoints of its right and its upper edge."""
-    rx, ry, rz, ux, uy, uz = upright_axes(nx, ny, nz, VERTICAL_TOLERANCE)
-    return half * rx, half * ry, half * rz, half * ux, half * uy, half * uz
+    right, up = upright_axes(normal, VERTICAL_TOLERANCE)
+    return times3(half, right), times3(half, up)

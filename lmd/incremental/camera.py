@@ -9,6 +9,7 @@ import numpy as np
 
 from lmd.core.bits import ALL, BITS, HALF, LOWER, ONE, ZERO, Integer, lowest
 from lmd.core.compiled import allocating, inlined, inner
+from lmd.geometry.vectors import column3, minus3
 from lmd.incremental.counts import JUST, SHORT
 from lmd.incremental.nearby import target_of
 from lmd.incremental.state import (
@@ -88,12 +89,13 @@ def view_place(k: Integer, field: Any, scratch: Any) -> None:
     positions, sight, seen = field.positions, sized(field.cameras.sight, k), scratch.seen
     x, y, z, low, high, sure = seen[X], seen[Y], seen[Z], seen[LOW], seen[HIGH], seen[SURE]
     cell, reached, first, last = scratch.cell[CELL], scratch.flags[REACHED], scratch.lists[FIRST], scratch.lists[LAST]
-    ax, ay, az, nx, ny, nz = target_of(scratch)
+    place, normal = target_of(scratch)
     for s in range(scratch.numbers[SPAN_COUNT]):
         for p in range(first[s], last[s]):  # without a branch, so that the loop vectorises
-            x[p], y[p], z[p] = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
-            reached[p], low[p], high[p], sure[p] = from_position(sight, x[p], y[p], z[p], nx, ny, nz, 0.0)
-            cell[p] = cell_of(x[p], y[p], z[p])
+            offset = minus3(place, column3(positions, p))
+            x[p], y[p], z[p] = offset
+            reached[p], low[p], high[p], sure[p] = from_position(sight, offset, normal, 0.0)
+            cell[p] = cell_of(offset)
     if not is_clear(field.cameras.obstacles):
         _block(k, field.cameras, scratch)
 
@@ -103,8 +105,8 @@ def _block(k: Integer, camera: Any, scratch: Any) -> None:
     """Clear `REACHED` at the positions from which the room blocks the place tried."""
     reached, first, last = scratch.flags[REACHED], scratch.lists[FIRST], scratch.lists[LAST]
     ends, sight = new_ends(camera.obstacles, 1), sized(camera.sight, k)
-    x, y, z, nx, ny, nz = target_of(scratch)
-    find_ends(camera.obstacles, sight, x, y, z, nx, ny, nz, ends, 0)
+    place, normal = target_of(scratch)
+    find_ends(camera.obstacles, sight, place, normal, ends, 0)
     for s in range(scratch.numbers[SPAN_COUNT]):
         for p in range(first[s], last[s]):
             reached[p] = reached[p] and not is_blocked(camera.obstacles, sight, p, ends, 0)
@@ -115,8 +117,7 @@ def _bound_views(state: Any, k: Integer, field: Any, scratch: Any) -> Any:
     # All words are handled in one pass: writing sets for all positions first would take a tenth of a trial.
     sight, axes, weights = sized(field.cameras.sight, k), field.cameras.axes, field.weights
     certain, possible = field.cameras.tables[CERTAIN], field.cameras.tables[POSSIBLE]
-    target, seen, flags, lists = scratch.target, scratch.seen, scratch.flags, scratch.lists
-    frame = frame_of(sight, target[3], target[4], target[5])
+    seen, flags, lists, frame = scratch.seen, scratch.flags, scratch.lists, frame_of(sight, target_of(scratch)[1])
     covered, reachable, hidden = state.covered, state.reachable, state.hides[HIDDEN]
     short, just = state.counts.sets[SHORT], state.counts.sets[JUST]
     x, y, z, low, high, sure = seen[X], seen[Y], seen[Z], seen[LOW], seen[HIGH], seen[SURE]
@@ -144,14 +145,14 @@ def _bound_views(state: Any, k: Integer, field: Any, scratch: Any) -> Any:
             found += np.uint64(unsure[found] != ZERO)
     for m in range(found):
         left, p, w = unsure[m], places[m] >> HALF, places[m] & LOWER
-        px, py, pz, least = x[p], y[p], z[p], low[p] if outer[p] != EMPTY_ROW else np.inf
+        offset, depths = (x[p], y[p], z[p]), (low[p] if outer[p] != EMPTY_ROW else np.inf, high[p], sure[p])
         well = certain[np.uint64(outer[p]), w]
         was, change, row = covered[k, p, w] & visible[p], np.int64(0), weights_row(weights, p)
         while left:
             bit = lowest(left)
             a = w * np.uint64(BITS) + bit
             central = (well >> bit & ONE) != ZERO
-            inside = covers_one(sight, px, py, pz, frame, least, high[p], sure[p], central, axes, a)
+            inside = covers_one(sight, offset, frame, depths, central, axes, a)
             change += weights[row, a] * (np.int64(inside) - np.int64(was >> bit & ONE))
             left &= left - ONE
         units[p] += change
@@ -174,22 +175,20 @@ def _list_changing(state: Any, k: Integer, scratch: Any) -> Any:
 
 @see.register(State)
 def _see(state: Any, k: Integer, positions: np.ndarray, field: Any, scratch: Any) -> None:
-    camera, sight, target, seen = field.cameras, sized(field.cameras.sight, k), scratch.target, scratch.seen
-    certain, possible, fresh, asked = (
-        camera.tables[CERTAIN], camera.tables[POSSIBLE], scratch.sets[FRESH], scratch.sets[ASKED]
-    )  # fmt: skip
+    camera, sight, seen, sets = field.cameras, sized(field.cameras.sight, k), scratch.seen, scratch.sets
+    certain, possible, fresh, asked = camera.tables[CERTAIN], camera.tables[POSSIBLE], sets[FRESH], sets[ASKED]
     x, y, z, low, high, sure = seen[X], seen[Y], seen[Z], seen[LOW], seen[HIGH], seen[SURE]
     cell, reached = scratch.cell[CELL], scratch.flags[REACHED]
-    frame = frame_of(sight, target[3], target[4], target[5])
+    frame = frame_of(sight, target_of(scratch)[1])
     for p in positions:
         row = np.uint64(cell[p] if reached[p] else EMPTY_ROW)
         sure_row = row if sure[p] == np.inf else np.uint64(EMPTY_ROW)
-        px, py, pz, least, most, deep = x[p], y[p], z[p], low[p], high[p], sure[p]
+        offset, depths = (x[p], y[p], z[p]), (low[p], high[p], sure[p])
         for w in range(np.uint64(fresh.shape[1])):
             covered, well = certain[sure_row, w] & asked[p, w], certain[row, w]
             left = possible[row, w] & asked[p, w] & ~covered
             if left:
-                covered |= covering(sight, left, w, px, py, pz, frame, least, most, deep, well, camera.axes)
+                covered |= covering(sight, left, w, offset, frame, depths, well, camera.axes)
             fresh[p, w] = covered
 
 

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 
 from lmd.core.bits import ONE, ZERO, Integer
+from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined, inner
+from lmd.geometry.vectors import column3, dot3, minus3
 from lmd.incremental.camera import view_place
 from lmd.incremental.nearby import is_near, pose_of
 from lmd.incremental.occlusion import FIRST_PLACE, NEW_PLACE, OLD_PLACE, note_neighbour, note_pair, search, touch
@@ -38,7 +40,7 @@ def _find_pairs(state: Any, k: Integer, role: Any, field: Any, scratch: Any) -> 
         return
     if role == OLD_PLACE:
         _want_blocks(k, state, scratch)
-    search(field.cameras, k, role, ZERO, ZERO, field, state, scratch)
+    search((field.cameras, ZERO, ZERO), k, role, field, state, scratch)
     _touch_flips(state, scratch)
 
 
@@ -53,28 +55,26 @@ def _want_blocks(k: Integer, state: Any, scratch: Any) -> None:
         wanted[b] = some != 0
 
 
+@inlined
+def _hide_from(p: Integer, one: Any, pose: Any, two: Any, other: Any, positions: FloatArray) -> Any:
+    """`hide_between` for the sights and poses of two landmarks, from position p."""
+    (place, facing), (there, turned), at = pose, other, column3(positions, p)
+    a, b = minus3(place, at), minus3(there, at)
+    return hide_between(one, two, a, dot3(a, a), b, dot3(b, b), facing, turned)
+
+
 @note_neighbour.register(State)
-def _note_neighbour(
-    state: Any, cameras: Any, c: Integer, b: Integer, i: Integer, k: Integer, role: Any, place: Any, box: Any,
-    mine: Any, other: Any, field: Any, scratch: Any,
-) -> None:  # fmt: skip
+def _note_neighbour(state: Any, groups: Any, near: Any, role: Any, place: Any, field: Any, scratch: Any) -> None:
+    (cameras, _, _), (_, b, i, k, _) = groups, near
     positions, first, last = field.positions, b * np.uint64(BLOCK), (b + ONE) * np.uint64(BLOCK)
-    ax, ay, az, nx, ny, nz = place
-    lx, ly, lz, vx, vy, vz = pose_of(i, state)
-    one_sight, two_sight, some = sized(cameras.sight, k), sized(cameras.sight, i), np.int64(0)
+    mine, theirs, other, some = sized(cameras.sight, k), sized(cameras.sight, i), pose_of(i, state), np.int64(0)
     for p in range(first, last):
-        x, y, z = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
-        ox, oy, oz = lx - positions[0, p], ly - positions[1, p], lz - positions[2, p]
-        squared, square = x * x + y * y + z * z, ox * ox + oy * oy + oz * oz
-        one, two = hide_between(one_sight, two_sight, x, y, z, squared, ox, oy, oz, square, nx, ny, nz, vx, vy, vz)
+        one, two = _hide_from(p, mine, place, theirs, other, positions)
         some += one | two
-    if some == 0 or not is_near(field, b, lx, ly, lz):
+    if some == 0 or not is_near(field, b, other[0]):
         return
     for p in range(first, last):
-        x, y, z = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
-        ox, oy, oz = lx - positions[0, p], ly - positions[1, p], lz - positions[2, p]
-        squared, square = x * x + y * y + z * z, ox * ox + oy * oy + oz * oz
-        one, two = hide_between(one_sight, two_sight, x, y, z, squared, ox, oy, oz, square, nx, ny, nz, vx, vy, vz)
+        one, two = _hide_from(p, mine, place, theirs, other, positions)
         if one | two:
             _note_hiding(i, p, one, two, role, scratch)
 

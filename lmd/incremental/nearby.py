@@ -10,45 +10,41 @@ import numpy as np
 
 from lmd.core.bits import ONE, Integer
 from lmd.core.compiled import inlined, inner
+from lmd.geometry.vectors import Vector, pair3
 from lmd.incremental.state import AIMED, BLOCK_COUNT, BLOCKS, FIRST, LAST, SPAN_COUNT, WANTED
 from lmd.sight.blocks import BLOCK
 
 
 @inlined
-def is_near(field: Any, b: Integer, x: float, y: float, z: float) -> Any:
-    """True if block b is within the horizon of the point (x, y, z), metres."""
-    boxes = field.boxes
-    dx = max(abs(x - boxes[0, b]) - boxes[3, b], 0.0)
-    dy = max(abs(y - boxes[1, b]) - boxes[4, b], 0.0)
-    dz = max(abs(z - boxes[2, b]) - boxes[5, b], 0.0)
+def is_near(field: Any, b: Integer, point: Vector) -> Any:
+    """True if block b is within the horizon of a point, metres."""
+    (x, y, z), (hx, hy, hz) = pair3(field.boxes, b)
+    dx, dy, dz = max(abs(point[0] - x) - hx, 0.0), max(abs(point[1] - y) - hy, 0.0), max(abs(point[2] - z) - hz, 0.0)
     return dx * dx + dy * dy + dz * dz <= field.horizon * field.horizon
 
 
 @inlined
 def target_of(scratch: Any) -> Any:
-    """Position (metres) and unit normal of the place tried, six numbers."""
+    """Position (metres) and unit normal of the place tried."""
     target = scratch.target
-    return target[0], target[1], target[2], target[3], target[4], target[5]
+    return (target[0], target[1], target[2]), (target[3], target[4], target[5])
 
 
 @inlined
 def pose_of(k: Integer, state: Any) -> Any:
-    """Position (metres) and unit normal of landmark k, six numbers."""
-    poses = state.poses
-    return poses[0, k], poses[1, k], poses[2, k], poses[3, k], poses[4, k], poses[5, k]
+    """Position (metres) and unit normal of landmark k."""
+    return pair3(state.poses, k)
 
 
 @inner
 def list_blocks(k: Integer, field: Any, state: Any, scratch: Any) -> None:
     """List the blocks near landmark k or near the place tried."""
-    target, poses, numbers, size = scratch.target, state.poses, scratch.numbers, field.boxes.shape[1]
-    ax, ay, az = target[0], target[1], target[2]
-    mx, my, mz = poses[0, k], poses[1, k], poses[2, k]
+    numbers, size, (there, _), (here, _) = scratch.numbers, field.boxes.shape[1], target_of(scratch), pose_of(k, state)
     aimed, wanted = scratch.flags[AIMED], scratch.flags[WANTED]
     blocks, first, last = scratch.lists[BLOCKS], scratch.lists[FIRST], scratch.lists[LAST]
     for b in range(size):  # without a branch, so that the loop vectorises
-        aimed[b] = is_near(field, b, ax, ay, az)
-        wanted[b] = aimed[b] | is_near(field, b, mx, my, mz)
+        aimed[b] = is_near(field, b, there)
+        wanted[b] = aimed[b] | is_near(field, b, here)
     count = number = 0
     for b in range(size):
         blocks[count] = b

@@ -27,6 +27,7 @@ from lmd.core.bits import LANES, Integer, lowest
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined, inner
 from lmd.core.dispatch import dispatched
+from lmd.geometry.vectors import Vector, column3, dot3, minus3, pair3, row3
 from lmd.incremental.nearby import pose_of, target_of
 from lmd.incremental.state import (
     AIMED,
@@ -56,10 +57,8 @@ def line_radius(sight: Any) -> Any:
 
 
 @inner
-def find_offsets(
-    ax: float, ay: float, az: float, poses: FloatArray, horizon: float, others: np.ndarray, offsets: FloatArray
-) -> Any:
-    """List the landmarks within the horizon of (ax, ay, az) in `others`, and the vectors to the landmarks in `offsets`.
+def find_offsets(place: Vector, poses: FloatArray, horizon: float, others: np.ndarray, offsets: FloatArray) -> Any:
+    """List the landmarks within the horizon of a place in `others`, and the vectors to the landmarks in `offsets`.
 
     See `Scratch.offsets`.
 
@@ -68,15 +67,14 @@ def find_offsets(
     """
     count, most = poses.shape[1], np.float32(horizon * (1.0 + SINGLE_ERROR))
     for i in range(count):
-        dx, dy, dz = poses[0, i] - ax, poses[1, i] - ay, poses[2, i] - az
-        offsets[0, i], offsets[1, i], offsets[2, i], offsets[3, i] = dx, dy, dz, math.sqrt(dx * dx + dy * dy + dz * dz)
-        others[i] = i
+        d = minus3(column3(poses, i), place)
+        (offsets[0, i], offsets[1, i], offsets[2, i]), offsets[3, i], others[i] = d, math.sqrt(dot3(d, d)), i
     if most < np.inf:
         count = 0
         for i in range(poses.shape[1]):
-            dx, dy, dz, distance = offsets[0, i], offsets[1, i], offsets[2, i], offsets[3, i]
-            others[count] = i
-            offsets[0, count], offsets[1, count], offsets[2, count], offsets[3, count] = dx, dy, dz, distance
+            distance = offsets[3, i]
+            offsets[0, count], offsets[1, count], offsets[2, count] = column3(offsets, i)
+            offsets[3, count], others[count] = distance, i
             count += distance <= most
     filled = (count + LANES - 1) & -LANES
     for i in range(count, filled):
@@ -85,25 +83,24 @@ def find_offsets(
 
 
 @inlined
-def near_line(
-    start: Any, mx: float, my: float, mz: float, hx: Any, hy: Any, hz: Any, radius: float, offsets: FloatArray
-) -> Any:
+def near_line(start: Any, middle: Vector, sides: Vector, radius: float, offsets: FloatArray) -> Any:
     """Bit set of the landmarks that pass the first stage of the search.
 
     Args:
         start: index of the first of `LANES` landmarks.
-        mx, my, mz: offset of the place from the centre of the box, metres.
-        hx, hy, hz: half sides of the box, metres.
+        middle: offset of the place from the centre of the box, metres.
+        sides: half sides of the box, metres.
         radius: result of `line_radius`, metres.
         offsets: array filled by `find_offsets`.
     """
-    far = math.sqrt(mx * mx + my * my + mz * mz) + math.sqrt(hx * hx + hy * hy + hz * hz)
+    (mx, my, mz), (hx, hy, hz) = middle, sides
+    far = math.sqrt(dot3(middle, middle)) + math.sqrt(dot3(sides, sides))
     shift, slope = np.float32(radius * far), np.float32(radius + SINGLE_ERROR * far)
     ux, uy, uz = np.float32(mx), np.float32(my), np.float32(mz)
     close = np.uint32(0)
     for lane in range(np.uint64(LANES)):
         i = start + lane
-        ex, ey, ez = offsets[0, i], offsets[1, i], offsets[2, i]
+        ex, ey, ez = column3(offsets, i)
         room = shift + slope * offsets[3, i]
         near = abs(uy * ez - uz * ey) <= hz * abs(ey) + hy * abs(ez) + room
         near &= abs(uz * ex - ux * ez) <= hx * abs(ez) + hz * abs(ex) + room
@@ -113,53 +110,46 @@ def near_line(
 
 
 @dispatched
-def note_neighbour(
-    state: Any, cameras: Any, c: Integer, b: Integer, i: Integer, k: Integer, role: Any, place: Any, box: Any,
-    mine: Any, other: Any, field: Any, scratch: Any,
-) -> None:  # fmt: skip
+def note_neighbour(state: Any, groups: Any, near: Any, role: Any, place: Any, field: Any, scratch: Any) -> None:
     """Record the positions of block b from which landmark k at a `place` hides landmark i or is hidden by landmark i.
 
     Args:
-        cameras: a `OneCamera`, or a `MountGroup` of a rig.
-        c, b: indices of the centre and of the block of positions.
+        groups: a `OneCamera`, or a `MountGroup` of a rig, and its fields of a state and of a scratch.
+        near: indices of the centre, of the block, and of landmarks i and k; then, in metres, the offset of the place
+            from the centre of the block as seen from that centre, and half the diagonal of the block's box.
         role: `OLD_PLACE`, `NEW_PLACE` or `FIRST_PLACE`.
-        place: position (metres) and unit normal, six numbers.
-        box: offset of the place from the centre of the block as seen from c, and half the diagonal of the block's box,
-            four numbers, metres.
-        mine, other: fields of a state and of a scratch for the mount group; unused for a camera.
+        place: position (metres) and unit normal.
     """
 
 
 @inner
-def search(cameras: Any, k: Integer, role: Any, mine: Any, other: Any, field: Any, state: Any, scratch: Any) -> None:
+def search(groups: Any, k: Integer, role: Any, field: Any, state: Any, scratch: Any) -> None:
     """Call `note_neighbour` for all landmarks that may hide landmark k at a place, or may be hidden by k.
 
     Arguments as in `note_neighbour`; `role` selects the old place or the place tried.
     """
-    boxes, poses, offsets, width = field.boxes, state.poses, scratch.offsets, line_radius(cameras.sight)
+    cameras, boxes, offsets = groups[0], field.boxes, scratch.offsets
     blocks, others = scratch.lists[BLOCKS], scratch.lists[OTHERS]
     wanted = scratch.flags[WANTED if role == OLD_PLACE else AIMED]
-    place = pose_of(k, state) if role == OLD_PLACE else target_of(scratch)
-    ax, ay, az = place[0], place[1], place[2]
-    filled = find_offsets(ax, ay, az, poses, cameras.horizon, others, offsets)
+    place, width = pose_of(k, state) if role == OLD_PLACE else target_of(scratch), line_radius(cameras.sight)
+    filled = find_offsets(place[0], state.poses, cameras.horizon, others, offsets)
     for c in range(len(cameras.centres)):
-        cx, cy, cz, radius = cameras.centres[c, 0], cameras.centres[c, 1], cameras.centres[c, 2], cameras.radius[c]
+        centre, radius = row3(cameras.centres, c), cameras.radius[c]
         for e in range(scratch.numbers[BLOCK_COUNT]):
             b = blocks[e]
             if not wanted[b]:
                 continue
-            mx, my, mz = ax - boxes[0, b] - cx, ay - boxes[1, b] - cy, az - boxes[2, b] - cz
-            hx, hy, hz = (
-                np.float32(boxes[3, b] + radius), np.float32(boxes[4, b] + radius), np.float32(boxes[5, b] + radius)
-            )  # fmt: skip
+            middle, half = pair3(boxes, b)
+            away = minus3(minus3(place[0], middle), centre)
+            sides = np.float32(half[0] + radius), np.float32(half[1] + radius), np.float32(half[2] + radius)
             for start in range(np.uint64(0), np.uint64(filled), np.uint64(LANES)):
-                close = near_line(start, mx, my, mz, hx, hy, hz, width, offsets)
+                close = near_line(start, away, sides, width, offsets)
                 while close:
                     i = others[start + lowest(np.uint64(close))]
                     close &= close - np.uint32(1)
                     if i != np.uint64(k):
-                        box = mx, my, mz, math.sqrt(hx * hx + hy * hy + hz * hz)
-                        note_neighbour(state, cameras, c, b, i, k, role, place, box, mine, other, field, scratch)
+                        near = c, b, i, k, (away, math.sqrt(dot3(sides, sides)))
+                        note_neighbour(state, groups, near, role, place, field, scratch)
 
 
 @inlined

@@ -12,6 +12,7 @@ from numba import literal_unroll
 from lmd.core.bits import ZERO, Integer
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import allocating, inner
+from lmd.geometry.vectors import column3, minus3, plus3, row3
 from lmd.incremental.counts import JUST, SHORT
 from lmd.incremental.nearby import target_of
 from lmd.incremental.rig_occlusion import find_occluded
@@ -104,27 +105,26 @@ def _find_covered(k: Integer, group: Any, positions: FloatArray, body: FloatArra
     x, y, z, most, start, sure = seen[X], seen[Y], seen[Z], seen[HIGH], seen[LOW], seen[SURE]
     row, left_over, reached = scratch.lists[ROW], scratch.lists[LEFT_OVER], scratch.reached
     words, half = np.uint64(asked.shape[1]), np.uint64(group.tables.shape[1] // 2)
-    tx, ty, tz, nx, ny, nz = target_of(rig)
-    sight = sized(group.sight, k)
-    clear, frame, ends = is_clear(obstacles), frame_of(sight, nx, ny, nz), new_ends(obstacles, 1)
+    target, sight = target_of(rig), sized(group.sight, k)
+    place, normal = target
+    clear, frame, ends = is_clear(obstacles), frame_of(sight, normal), new_ends(obstacles, 1)
     if not clear:
-        find_ends(obstacles, sight, tx, ty, tz, nx, ny, nz, ends, 0)
+        find_ends(obstacles, sight, place, normal, ends, 0)
     for q in positions:
         for m in range(tried_covered.shape[1]):
             for w in range(words):
                 tried_covered[q, m, w] = tried_occluded[q, m, w] = ZERO
     for c in range(len(group.centres)):
-        cx, cy, cz, count, kept = group.centres[c, 0], group.centres[c, 1], group.centres[c, 2], ZERO, ZERO
+        centre, count, kept = row3(group.centres, c), ZERO, ZERO
         for i in range(np.uint64(len(positions))):
-            q = positions[i]
-            xq, yq, zq = tx - (body[0, q] + cx), ty - (body[1, q] + cy), tz - (body[2, q] + cz)
-            x[i], y[i], z[i] = xq, yq, zq
-            reached[i], most[i], start[i], sure[i] = bounds_from(group, c, k, xq, yq, zq, nx, ny, nz)
+            offset = minus3(place, plus3(column3(body, positions[i]), centre))
+            x[i], y[i], z[i] = offset
+            reached[i], most[i], start[i], sure[i] = bounds_from(group, c, k, offset, normal)
         for i in range(np.uint64(len(positions))):
             left_over[count] = i
             count += np.uint64(reached[i])
         for i in left_over[:count]:
-            row[i] = table_row(group, c, x[i], y[i], z[i])
+            row[i] = table_row(group, c, (x[i], y[i], z[i]))
         for i in left_over[:count]:
             q, some = positions[i], ZERO
             for m in range(group.mounts[c], group.mounts[c + 1]):
@@ -136,15 +136,14 @@ def _find_covered(k: Integer, group: Any, positions: FloatArray, body: FloatArra
             kept += np.uint64(some != ZERO)
         for i in left_over[:kept]:
             q = positions[i]
-            px, py, pz, bounds = body[0, q], body[1, q], body[2, q], (most[i], start[i], sure[i])
+            at, offset, bounds = column3(body, q), (x[i], y[i], z[i]), (most[i], start[i], sure[i])
             for m in range(group.mounts[c], group.mounts[c + 1]):
                 for w in range(words):
                     if tried_covered[q, m, w] == ZERO:
                         continue
-                    found, left = split_by_certainty(
-                        group, m, w, tried_covered[q, m, w], words, x[i], y[i], z[i], *bounds, row[i]
-                    )
-                    found |= covered_bits(group, m, w, left, k, px, py, pz, tx, ty, tz, nx, ny, nz, frame)
+                    tried = tried_covered[q, m, w]
+                    found, left = split_by_certainty(group, m, w, tried, words, offset, bounds, row[i])
+                    found |= covered_bits(group, m, w, left, k, at, target, frame)
                     if not clear:
                         found &= ~blocked_bits(group, m, w, found, k, q, ends, 0)
                     tried_covered[q, m, w] = found

@@ -31,6 +31,7 @@ from lmd.core.checks import BoolArray, FloatArray
 from lmd.core.compiled import inlined
 from lmd.core.dispatch import dispatched, overridable
 from lmd.geometry.camera import Camera
+from lmd.geometry.vectors import Vector, column3, dot3, pair3
 
 # Tolerance of every closed inequality: a landmark on a boundary meets the criterion despite rounding. Relative for
 # lengths, absolute for cosines and probabilities.
@@ -148,12 +149,12 @@ def sized(sight: Any, k: Integer) -> Any:
 
 
 @dispatched
-def from_position(sight: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, slack: float) -> Any:
+def from_position(sight: Any, offset: Vector, normal: Vector, slack: float) -> Any:
     """Bounds on the coverage of a landmark from a position, over all orientations of the camera.
 
     Args:
-        x, y, z: offset of the landmark from the camera, world frame, metres.
-        nx, ny, nz: unit normal of the landmark.
+        offset: offset of the landmark from the camera, world frame, metres.
+        normal: unit normal of the landmark.
         slack: metres; `reached` and `low` hold for all landmarks up to this distance away in the landmark's plane (see
             `lmd.sight.poses`).
 
@@ -167,12 +168,12 @@ def from_position(sight: Any, x: float, y: float, z: float, nx: float, ny: float
 
 
 @overridable
-def from_around(sight: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, radius: float) -> Any:
+def from_around(sight: Any, offset: Vector, normal: Vector, radius: float) -> Any:
     """Bounds on `from_position` over all camera positions within `radius` of a point.
 
     Args:
-        x, y, z: offset of the landmark from the point, world frame, metres.
-        nx, ny, nz: unit normal of the landmark.
+        offset: offset of the landmark from the point, world frame, metres.
+        normal: unit normal of the landmark.
         radius: metres, positive.
 
     Returns:
@@ -186,26 +187,20 @@ def from_around(sight: Any, x: float, y: float, z: float, nx: float, ny: float, 
 
 
 @dispatched
-def in_image(
-    sight: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, low: float, slack: float, ax: float,
-    ay: float, az: float, rx: float, ry: float, rz: float,
-) -> Any:  # fmt: skip
+def in_image(sight: Any, offset: Vector, normal: Vector, low: float, slack: float, axis: Vector, right: Vector) -> Any:
     """True if an orientation covers a landmark that is `reached`; occlusion is ignored.
 
     Args:
-        x, y, z, nx, ny, nz, slack: as in `from_position`.
+        offset, normal, slack: as in `from_position`.
         low: result of `from_position`; if infinite, the function is False.
-        ax, ay, az: optical axis, unit vector.
-        rx, ry, rz: image's right, unit vector; axis x right points down in the image.
+        axis: optical axis, unit vector.
+        right: image's right, unit vector; axis x right points down in the image.
     """
 
 
 @dispatched
-def in_view(
-    sight: Any, x: float, y: float, z: float, sine: float, cosine: float, ax: float, ay: float, az: float, rx: float,
-    ry: float, rz: float,
-) -> Any:  # fmt: skip
-    """True if the field of view contains the cone of half-angle delta around a unit vector (x, y, z).
+def in_view(sight: Any, way: Vector, sine: float, cosine: float, axis: Vector, right: Vector) -> Any:
+    """True if the field of view contains the cone of half-angle delta around a unit vector `way`.
 
     `sine` and `cosine` are sin(delta) and cos(delta), |delta| < pi / 2. If delta is negative, the function is True if
     the field of view may contain any part of the cone of half-angle -delta. The field of view contains the directions
@@ -214,120 +209,103 @@ def in_view(
 
 
 @inlined
-def in_cone(
-    least: float, x: float, y: float, z: float, sine: float, cosine: float, ax: float, ay: float, az: float
-) -> Any:
+def in_cone(least: float, way: Vector, sine: float, cosine: float, axis: Vector) -> Any:
     """`in_view` for a field of view that is a cone around the optical axis; `least` is the cosine of its half-angle."""
     # With the half-angle theta, the cone narrowed by delta has the cosine cos(theta - delta), unless it is empty or the
     # whole sphere.
     edge = least * cosine + math.sqrt(max(0.0, 1.0 - least * least)) * sine
     nothing, everything = (sine > 0.0) & (least > cosine), (sine < 0.0) & (least < -cosine)
-    return ((ax * x + ay * y + az * z >= edge) | everything) & (not nothing)
+    return ((dot3(axis, way) >= edge) | everything) & (not nothing)
 
 
 @dispatched
-def hide(
-    sight: Any, ax: float, ay: float, az: float, a: float, bx: float, by: float, bz: float, b: float, ux: float,
-    uy: float, uz: float, vx: float, vy: float, vz: float,
-) -> Any:  # fmt: skip
+def hide(sight: Any, a: Vector, aa: float, b: Vector, bb: float, u: Vector, v: Vector) -> Any:
     """Test if landmark A hides B, and if B hides A, from the camera's position; two booleans.
 
     Args:
-        ax, ay, az, bx, by, bz: offsets of A and B from the camera, metres.
-        a, b: squared lengths of the offsets, m^2.
-        ux, uy, uz, vx, vy, vz: unit normals of A and of B.
+        a, b: offsets of A and B from the camera, metres.
+        aa, bb: squared lengths of the offsets, m^2.
+        u, v: unit normals of A and of B.
     """
 
 
 @overridable
-def hide_between(
-    sight: Any, other: Any, ax: float, ay: float, az: float, a: float, bx: float, by: float, bz: float, b: float,
-    ux: float, uy: float, uz: float, vx: float, vy: float, vz: float,
-) -> Any:  # fmt: skip
+def hide_between(sight: Any, other: Any, a: Vector, aa: float, b: Vector, bb: float, u: Vector, v: Vector) -> Any:
     """`hide` for landmarks with two compiled models (see `sized`): `sight` for A, `other` for B.
 
     A model with landmarks of several sizes registers this function instead of `hide`.
     """
-    return hide(sight, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz)
+    return hide(sight, a, aa, b, bb, u, v)
 
 
 @inlined
-def covers(
-    sight: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, low: float, slack: float,
-    axes: FloatArray, a: Integer,
-) -> Any:  # fmt: skip
+def covers(sight: Any, offset: Vector, normal: Vector, low: float, slack: float, axes: FloatArray, a: Integer) -> Any:
     """`in_image` for orientation a of `axes` `(6, D)`, whose rows are the optical axis and the image's right."""
-    ax, ay, az, rx, ry, rz = axes[0, a], axes[1, a], axes[2, a], axes[3, a], axes[4, a], axes[5, a]
-    return in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz)
+    axis, right = pair3(axes, a)
+    return in_image(sight, offset, normal, low, slack, axis, right)
 
 
 @overridable
-def frame_of(sight: Any, nx: float, ny: float, nz: float) -> Any:
-    """Precomputed argument `frame` of `covers_one` for a landmark with the unit normal (nx, ny, nz)."""
-    return nx, ny, nz
+def frame_of(sight: Any, normal: Vector) -> Any:
+    """Precomputed argument `frame` of `covers_one` for a landmark with a unit normal."""
+    return normal
 
 
 @overridable
-def covers_one(
-    sight: Any, x: float, y: float, z: float, frame: Any, low: float, high: float, sure: float, well: Any,
-    axes: FloatArray, a: Integer,
-) -> Any:  # fmt: skip
+def covers_one(sight: Any, offset: Vector, frame: Any, depths: Vector, well: Any, axes: FloatArray, a: Integer) -> Any:
     """`covers` without slack; a model with an expensive test may register a version with early exits.
 
     Args:
-        x, y, z, low, high, sure: as in `from_position`.
+        offset: as in `from_position`.
         frame: result of `frame_of`.
+        depths: results `low`, `high` and `sure` of `from_position`.
         well: True if orientation a has the landmark well in view, see `SightModel.inset`.
         axes, a: as in `covers`.
     """
-    nx, ny, nz = frame
-    return covers(sight, x, y, z, nx, ny, nz, low, 0.0, axes, a)
+    return covers(sight, offset, frame, depths[0], 0.0, axes, a)
 
 
 @overridable
-def pixel_density(sight: Any, x: float, y: float, z: float, axes: FloatArray, a: Integer) -> Any:
+def pixel_density(sight: Any, offset: Vector, axes: FloatArray, a: Integer) -> Any:
     """Image area per solid angle around a landmark that orientation a covers, over distance^3.
 
     The unit is squared focal lengths per steradian and m^3. For a pinhole the result is 1 / depth^3.
     """
-    depth = axes[0, a] * x + axes[1, a] * y + axes[2, a] * z
+    depth = dot3(column3(axes, a), offset)
     return 1.0 / (depth * depth * depth)
 
 
 @overridable
 def covering(
-    sight: Any, left: Any, w: Integer, x: float, y: float, z: float, frame: Any, low: float, high: float, sure: float,
-    well: Any, axes: FloatArray,
-) -> Any:  # fmt: skip
+    sight: Any, left: Any, w: Integer, offset: Vector, frame: Any, depths: Vector, well: Any, axes: FloatArray
+) -> Any:
     """Subset of the axes in `left` that cover the landmark; bit sets of word w.
 
     Arguments as in `covers_one`, except that `well` is a bit set. All axes of half a word are tested: for a cheap test
     this is faster than iterating over the set bits.
     """
-    nx, ny, nz = frame
     visible = ZERO
     for first in range(np.uint64(0), np.uint64(BITS), np.uint64(LANES)):
         if left >> first << np.uint64(BITS - LANES):
             half = np.uint32(0)
             for lane in range(np.uint64(LANES)):
                 a = w * np.uint64(BITS) + first + lane
-                half |= np.uint32(covers(sight, x, y, z, nx, ny, nz, low, 0.0, axes, a)) << np.uint32(lane)
+                half |= np.uint32(covers(sight, offset, frame, depths[0], 0.0, axes, a)) << np.uint32(lane)
             visible |= np.uint64(half) << first
     return visible & left
 
 
 def depth_first(
-    sight: Any, left: Any, w: Integer, x: float, y: float, z: float, frame: Any, low: float, high: float, sure: float,
-    well: Any, axes: FloatArray,
-) -> Any:  # fmt: skip
+    sight: Any, left: Any, w: Integer, offset: Vector, frame: Any, depths: Vector, well: Any, axes: FloatArray
+) -> Any:
     """`covering` for models with an expensive test: depths are compared first, as they decide most cases."""
-    within, shallow = ZERO, ZERO
+    within, shallow, (low, high, sure) = ZERO, ZERO, depths
     for first in range(np.uint64(0), np.uint64(BITS), np.uint64(LANES)):
         if left >> first << np.uint64(BITS - LANES):
             one, two = np.uint32(0), np.uint32(0)
             for lane in range(np.uint64(LANES)):
                 a = w * np.uint64(BITS) + first + lane
-                depth = axes[0, a] * x + axes[1, a] * y + axes[2, a] * z
+                depth = dot3(column3(axes, a), offset)
                 one |= np.uint32((depth >= low) & (depth <= high)) << np.uint32(lane)
                 two |= np.uint32(depth <= sure) << np.uint32(lane)
             within, shallow = within | np.uint64(one) << first, shallow | np.uint64(two) << first
@@ -337,6 +315,6 @@ def depth_first(
     while left:
         bit: Any = lowest(left)
         a, central = w * np.uint64(BITS) + bit, (well >> bit & ONE) != ZERO
-        visible |= np.uint64(covers_one(sight, x, y, z, frame, low, high, sure, central, axes, a)) << bit
+        visible |= np.uint64(covers_one(sight, offset, frame, depths, central, axes, a)) << bit
         left &= left - ONE
     return visible

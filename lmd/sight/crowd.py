@@ -17,7 +17,7 @@ from lmd.core.bits import Integer
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.core.memory import check_memory
 from lmd.geometry.camera import Camera
-from lmd.geometry.squares import VERTICAL_TOLERANCE, upright_axes
+from lmd.geometry.vectors import Vector
 from lmd.scene.scene import Scene
 from lmd.sight.obstacles import (
     POINTS,
@@ -29,9 +29,9 @@ from lmd.sight.obstacles import (
     is_clear,
     new_ends,
     obstacles_at,
-    point_of,
     required_points,
     unobstructed,
+    write_points,
 )
 from lmd.space.crowd import BOTTOM, COLUMNS, RADIUS, TOP, X, Y
 
@@ -106,14 +106,9 @@ def _new_ends(obstacles: Any, count: Integer) -> Any:
 
 
 @find_ends.register(CrowdObstacles)
-def _find_ends(
-    obstacles: Any, sight: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, ends: Any, k: Integer
-) -> None:
-    find_ends(obstacles.room, sight, x, y, z, nx, ny, nz, ends.room, k)
-    half, points = half_edge(sight), ends.points
-    rx, ry, rz, ux, uy, uz = upright_axes(nx, ny, nz, VERTICAL_TOLERANCE)
-    for i in range(POINTS if half > 0.0 else 1):
-        points[k, i, 0], points[k, i, 1], points[k, i, 2] = point_of(i, half, x, y, z, rx, ry, rz, ux, uy, uz)
+def _find_ends(obstacles: Any, sight: Any, place: Vector, normal: Vector, ends: Any, k: Integer) -> None:
+    find_ends(obstacles.room, sight, place, normal, ends.room, k)
+    write_points(sight, place, normal, ends.points, k)
 
 
 @is_blocked.register(CrowdObstacles)

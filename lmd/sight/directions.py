@@ -28,6 +28,7 @@ import numpy as np
 from lmd.core.bits import BITS, LANES, ZERO
 from lmd.core.checks import FloatArray, IntArray
 from lmd.core.compiled import PYTHON, inlined, inner, kernel
+from lmd.geometry.vectors import Vector, column3, dot3, minus3, pair3, times3
 from lmd.scene.criteria import SightModel, in_view, sized
 
 SIDE = 16 if PYTHON else 64  # cells per side; plain Python takes seconds to fill larger tables
@@ -42,8 +43,9 @@ HEIGHT_MARGIN = 1e-6
 
 
 @inner
-def cell_of(x: Any, y: Any, z: Any) -> Any:
-    """Index of the cell that contains the direction of (x, y, z); arbitrary for a zero vector."""
+def cell_of(way: Vector) -> Any:
+    """Index of the cell that contains the direction of a vector; arbitrary for a zero vector."""
+    x, y, z = way
     scale = 1.0 / (abs(x) + abs(y) + abs(z))
     u, v = x * scale, y * scale
     below_u, below_v = math.copysign(1.0 - abs(v), u), math.copysign(1.0 - abs(u), v)
@@ -86,19 +88,16 @@ def _fill(
         table: receives the sets of axes, `(cells, W)`.
     """
     for c in range(len(angles)):
-        x, y, z, sine, cosine = centres[0, c], centres[1, c], centres[2, c], math.sin(angles[c]), math.cos(angles[c])
+        centre, sine, cosine = column3(centres, c), math.sin(angles[c]), math.cos(angles[c])
         for w in range(np.uint64(table.shape[1])):
             word = ZERO
             for first in range(np.uint64(0), np.uint64(BITS), np.uint64(LANES)):
                 half = np.uint32(0)
                 for lane in range(np.uint64(LANES)):
                     a = w * np.uint64(BITS) + first + lane
-                    ax, ay, az, rx, ry, rz = axes[0, a], axes[1, a], axes[2, a], axes[3, a], axes[4, a], axes[5, a]
-                    there = ax * ax + ay * ay + az * az > 0.0
-                    ux, uy, uz = x - shifts[0, a], y - shifts[1, a], z - shifts[2, a]
-                    scale = 1.0 / np.sqrt(ux * ux + uy * uy + uz * uz)
-                    ux, uy, uz = scale * ux, scale * uy, scale * uz
-                    seen = in_view(sight, ux, uy, uz, sine, cosine, ax, ay, az, rx, ry, rz) & there
+                    (axis, right), u = pair3(axes, a), minus3(centre, column3(shifts, a))
+                    way = times3(1.0 / np.sqrt(dot3(u, u)), u)
+                    seen = in_view(sight, way, sine, cosine, axis, right) & (dot3(axis, axis) > 0.0)
                     half |= np.uint32(seen) << np.uint32(lane)
                 word |= np.uint64(half) << first
             table[c, w] = word
@@ -161,8 +160,8 @@ def height_index(heights: FloatArray) -> np.ndarray:
 
 
 @inlined
-def band_of(x: float, y: float, z: float, low: Any, slack: Any) -> Any:
-    """Height bins of the axes along which a landmark at the offset (x, y, z) may have a depth of at least `low`.
+def band_of(offset: Vector, low: Any, slack: Any) -> Any:
+    """Height bins of the axes along which a landmark at an offset may have a depth of at least `low`.
 
     These axes lie in a cone around the direction of the landmark. With a positive `slack` (metres) the bins hold for
     all landmarks within this distance. The function has no branches, so that loops over it vectorise.
@@ -170,8 +169,8 @@ def band_of(x: float, y: float, z: float, low: Any, slack: Any) -> Any:
     Returns:
         the first and the last height bin, indices of `height_index`.
     """
-    distance = np.sqrt(x * x + y * y + z * z)
-    height, cosine = z / distance, min(max(low / distance, -1.0), 1.0)
+    distance = np.sqrt(dot3(offset, offset))
+    height, cosine = offset[2] / distance, min(max(low / distance, -1.0), 1.0)
     sine = math.sqrt(1.0 - cosine * cosine)
     across = math.sqrt(max(0.0, 1.0 - height * height))
     wide = distance - slack <= 0.0  # the slack reaches the camera, so any axis is possible

@@ -196,11 +196,11 @@ class Evaluator:
                 kept = counts[b] if keep else counts[0:0].reshape(0, 0)
                 units[b] = self.views.evaluate(landmarks, facing, self.weights, n, kept)
             return units, counts
-        self.run_over_blocks(kernels.evaluate_range, (*self.batch(positions, normals), n, units, counts, keep))
+        self.run_over_blocks(kernels.evaluate_range, (self.batch(positions, normals), n, units, counts, keep))
         return units, counts
 
     def batch(self, positions: FloatArray, normals: FloatArray) -> tuple[Any, ...]:
-        """Arguments `order` to `weights` of `kernels.evaluate_range` for B deployments `(B, K, 3)`."""
+        """Argument `batch` of `kernels.evaluate_range` for B deployments `(B, K, 3)`."""
         self.scene.check_count(positions.shape[1])
         landmarks = tuple(for_kernels(v.transpose(0, 2, 1)) for v in (positions, normals))
         sight = self.sight.among(self._low, self._high, *landmarks)

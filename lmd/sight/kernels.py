@@ -14,18 +14,19 @@ Kernels release the GIL and work on a range of positions, so threads can share a
 the number of threads.
 """
 
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from lmd.core.bits import ALL, BITS, ONE, ZERO, Integer, lowest
-from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined, inner, kernel
+from lmd.geometry.vectors import pair3, row3
 from lmd.scene.criteria import covering, covers, frame_of, sized
 from lmd.sight.blocks import BLOCK
 from lmd.sight.obstacles import is_clear, new_ends
 from lmd.sight.viewpoint import fill_viewpoint, gather_near, list_shown, load_deployment, viewpoint_for
 
+Batch: TypeAlias = tuple[Any, ...]  # see `evaluator.Evaluator.batch`
 # Quantised probability 1. The quantisation step is far below TOLERANCE, and a float64 represents every sum up to 1
 # exactly.
 PROBABILITY_ONE = 1 << 52
@@ -51,10 +52,8 @@ def sum_weights(before: Any, after: Any, weights: Any, p: Integer, w: Integer) -
 
 @kernel
 def evaluate_range(
-    first: Integer, last: Integer, order: np.ndarray, positions: FloatArray, landmarks: FloatArray, normals: FloatArray,
-    sight: Any, horizon: float, obstacles: Any, axes: FloatArray, bands: np.ndarray, tables: Any, weights: np.ndarray,
-    n: Integer, units: np.ndarray, counts: np.ndarray, keep: bool,
-) -> None:  # fmt: skip
+    first: Integer, last: Integer, batch: Batch, n: Integer, units: np.ndarray, counts: np.ndarray, keep: bool
+) -> None:
     """Evaluate deployments at the positions `order[first:last]`.
 
     Args:
@@ -74,36 +73,40 @@ def evaluate_range(
         counts: receives the number of landmarks covered by axis if `keep` is set, `(B, P, D)` int16 zeros.
         keep: False to skip `counts`.
     """
+    order, positions, landmarks, normals, sight, horizon, obstacles, axes, bands, tables, weights = batch
     # numba compiles one branch of `tables is None`, by the type of `tables`.
     size, poses, indices = axes.shape[1], np.empty((6, landmarks.shape[2])), np.arange(landmarks.shape[2])
     clear, ends, view = is_clear(obstacles), new_ends(obstacles, len(indices)), viewpoint_for(len(indices))
-    near, index, x, y, z, low, high, sure_depth = (
-        view.near_poses, view.near_index, view.x, view.y, view.z, view.low, view.high, view.sure_depth
-    )  # fmt: skip
-    bottom, top, shown, directions = view.bottom, view.top, view.shown, view.near_poses[3:]
+    near, index, x, y, z, bottom, top = view.near_poses, view.near_index, view.x, view.y, view.z, view.bottom, view.top
+    low, high, sure_depth, shown, room = view.low, view.high, view.sure_depth, view.shown, (obstacles, clear, ends)
     row = np.empty(size, dtype=np.int16)
     words = np.uint64(size // BITS)
     at_least = np.empty((n, words), dtype=np.uint64)  # [j]: axes that cover more than j landmarks
     for b in range(landmarks.shape[0]):
         many = count = 0
-        load_deployment(b, landmarks, normals, sight, obstacles, clear, poses, ends)
+        load_deployment(b, landmarks, normals, sight, room, poses)
         for o in range(first, last):
             p = order[o]
-            many, count = gather_near(o, first, last, order, positions, horizon, many, count, poses, indices, view)
-            fill_viewpoint(view, count, positions[p, 0], positions[p, 1], positions[p, 2], sight, tables)
-            found = list_shown(view, directions, count, p, sight, obstacles, clear, ends)
+            part = first, last, order, positions
+            many, count = gather_near(o, part, horizon, many, count, poses, indices, view)
+            fill_viewpoint(view, count, row3(positions, p), sight, tables)
+            found = list_shown(view, count, p, sight, room)
             total, row_of = np.int64(0), weights_row(weights, p)
             if tables is None:
                 for a in range(size):
                     row[a] = 0
                 for m in range(found):
                     k = shown[m]
-                    xk, yk, zk, least = x[k], y[k], z[k], low[k]
-                    nx, ny, nz, mine = near[3, k], near[4, k], near[5, k], sized(sight, index[k])
+                    offset, least, (_, normal), mine = (
+                        (x[k], y[k], z[k]),
+                        low[k],
+                        pair3(near, k),
+                        sized(sight, index[k]),
+                    )
                     start, stop = bands[bottom[k]] & -BLOCK, (bands[top[k]] + BLOCK - 1) & -BLOCK
                     # Unsigned indices cannot be negative, so the compiler vectorises the loop.
                     for a in range(np.uint64(start), np.uint64(stop)):
-                        row[a] += covers(mine, xk, yk, zk, nx, ny, nz, least, 0.0, axes, a)
+                        row[a] += covers(mine, offset, normal, least, 0.0, axes, a)
                 for a in range(size):
                     total += weights[row_of, a] if row[a] >= n else 0
                 if keep:
@@ -121,16 +124,15 @@ def evaluate_range(
                         at_least[0, i] |= visible
                 for m in range(found):
                     k = shown[m]
-                    xk, yk, zk, least, most, sure = x[k], y[k], z[k], low[k], high[k], sure_depth[k]
-                    mine = sized(sight, index[k])
-                    frame = frame_of(mine, near[3, k], near[4, k], near[5, k])
+                    mine, offset, (_, normal) = sized(sight, index[k]), (x[k], y[k], z[k]), pair3(near, k)
+                    frame, depths = frame_of(mine, normal), (low[k], high[k], sure_depth[k])
                     sure_row, cell = np.uint64(bottom[k]), np.uint64(top[k])
                     for i in range(words):
                         left, visible = possible[cell, i] & ~certain[sure_row, i], ZERO
                         left &= ALL if keep else ~at_least[n - 1, i]
                         if left:
                             well = certain[cell, i]
-                            visible = covering(mine, left, i, xk, yk, zk, frame, least, most, sure, well, axes)
+                            visible = covering(mine, left, i, offset, frame, depths, well, axes)
                             for j in range(n - 1, 0, -1):
                                 at_least[j, i] |= at_least[j - 1, i] & visible
                             at_least[0, i] |= visible

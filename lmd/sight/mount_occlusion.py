@@ -10,58 +10,49 @@ import numpy as np
 
 from lmd.core.bits import BITS, LANES, ONE, ZERO, Integer, lowest
 from lmd.core.compiled import inlined
+from lmd.geometry.vectors import Vector, cross3, dot3, minus3
 from lmd.scene.criteria import hide_between, sized
 from lmd.sight.blocks import SINGLE_ERROR
+from lmd.sight.mounts import camera_at
 
 
 @inlined
 def hidden_bits(
-    group: Any, m: Integer, w: Integer, left: Any, i: Integer, k: Integer, px: float, py: float, pz: float, one: Any,
-    other: Any,
-) -> Any:  # fmt: skip
+    group: Any, m: Integer, w: Integer, left: Any, i: Integer, k: Integer, body: Vector, one: Any, other: Any
+) -> Any:
     """Subset of the orientations `left` of word w that satisfy `hides_from`."""
     found = ZERO
     while left:
         bit = lowest(left)
         left &= left - ONE
-        found |= np.uint64(hides_from(group, m, w * np.uint64(BITS) + bit, i, k, px, py, pz, one, other)) << bit
+        found |= np.uint64(hides_from(group, m, w * np.uint64(BITS) + bit, i, k, body, one, other)) << bit
     return found
 
 
 @inlined
-def hides_from(
-    group: Any, m: Integer, a: Integer, i: Integer, k: Integer, px: float, py: float, pz: float, one: Any, other: Any
-) -> Any:
-    """True if landmark i hides landmark k from mount m with orientation a of the body at (px, py, pz).
+def hides_from(group: Any, m: Integer, a: Integer, i: Integer, k: Integer, body: Vector, one: Any, other: Any) -> Any:
+    """True if landmark i hides landmark k from mount m with orientation a of the body at a position.
 
     `one` and `other` are position and unit normal of landmarks i and k, six numbers each.
     """
-    offsets = group.offsets
-    sx, sy, sz = px + offsets[m, 0, a], py + offsets[m, 1, a], pz + offsets[m, 2, a]
-    ax, ay, az, ux, uy, uz = one
-    bx, by, bz, vx, vy, vz = other
-    ax, ay, az, bx, by, bz = ax - sx, ay - sy, az - sz, bx - sx, by - sy, bz - sz
-    first, second = ax * ax + ay * ay + az * az, bx * bx + by * by + bz * bz
+    camera, (a_place, u), (b_place, v) = camera_at(group, m, a, body), one, other
+    first, second = minus3(a_place, camera), minus3(b_place, camera)
     mine, theirs = sized(group.sight, i), sized(group.sight, k)
-    hides, _ = hide_between(mine, theirs, ax, ay, az, first, bx, by, bz, second, ux, uy, uz, vx, vy, vz)
+    hides, _ = hide_between(mine, theirs, first, dot3(first, first), second, dot3(second, second), u, v)
     return hides
 
 
 @inlined
-def may_hide_around(
-    ax: float, ay: float, az: float, bx: float, by: float, bz: float, radius: float, width: float
-) -> Any:
+def may_hide_around(a: Vector, b: Vector, radius: float, width: float) -> Any:
     """False only if neither of two landmarks hides the other from any camera within `radius` of a centre.
 
     Let a and b be the offsets of the landmarks from the centre. From a camera displaced by delta the offsets are
     a' = a - delta and b' = b - delta, and a' x b' = a x b - delta x (b - a). One landmark hides the other only within
     `width` = sqrt(reach) of the line of sight, that is if |a' x b'| <= width max(|a'|, |b'|).
     """
-    ex, ey, ez = bx - ax, by - ay, bz - az
-    cx, cy, cz = ay * ez - az * ey, az * ex - ax * ez, ax * ey - ay * ex
-    longest = math.sqrt(max(ax * ax + ay * ay + az * az, bx * bx + by * by + bz * bz))
-    apart = math.sqrt(ex * ex + ey * ey + ez * ez)
-    return cx * cx + cy * cy + cz * cz <= hiding_bound(longest, apart, radius, width)
+    e = minus3(b, a)
+    c, longest, apart = cross3(a, e), math.sqrt(max(dot3(a, a), dot3(b, b))), math.sqrt(dot3(e, e))
+    return dot3(c, c) <= hiding_bound(longest, apart, radius, width)
 
 
 @inlined
@@ -121,5 +112,5 @@ def list_occluders(
             j = b * LANES + np.int64(lowest(left))
             left &= left - ONE
             occluders[kept] = j
-            kept += may_hide_around(x[j], y[j], z[j], x[k], y[k], z[k], radius, width)
+            kept += may_hide_around((x[j], y[j], z[j]), (x[k], y[k], z[k]), radius, width)
     return kept

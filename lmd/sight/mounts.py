@@ -20,6 +20,7 @@ import numpy as np
 from lmd.core.bits import BITS, LANES, ONE, ZERO, Integer, in_words, lowest, prefetch
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined
+from lmd.geometry.vectors import Vector, column3, dot3, minus3
 from lmd.scene.criteria import covers_one, from_around, from_position, horizon_of, sized
 from lmd.scene.scene import Scene
 from lmd.sight.directions import SIDE, cell_of, fill_tables
@@ -149,9 +150,7 @@ def _fill_level(
 
 
 @inlined
-def bounds_from(
-    group: Any, c: Integer, k: Integer, x: float, y: float, z: float, nx: float, ny: float, nz: float
-) -> Any:
+def bounds_from(group: Any, c: Integer, k: Integer, offset: Vector, normal: Vector) -> Any:
     """Bounds on the coverage of landmark k by the cameras around centre c, over all orientations.
 
     Args:
@@ -162,29 +161,28 @@ def bounds_from(
         reached, most, start, sure: see `criteria.from_around`.
     """
     if group.radius[c] > 0.0:
-        reached, most, start, sure = from_around(sized(group.sight, k), x, y, z, nx, ny, nz, group.radius[c])
+        reached, most, start, sure = from_around(sized(group.sight, k), offset, normal, group.radius[c])
     else:
-        reached, low, most, sure = from_position(sized(group.sight, k), x, y, z, nx, ny, nz, 0.0)
+        reached, low, most, sure = from_position(sized(group.sight, k), offset, normal, 0.0)
         start = -math.inf if sure == math.inf else low
     return reached, most, start, sure
 
 
 @inlined
-def table_row(group: Any, c: Integer, x: float, y: float, z: float) -> Any:
-    """Row of the tables for an offset (x, y, z) from centre c, metres; the row is prefetched."""
-    levels, level, squared = (len(group.tables) - FIRST) // CELLS, -1, x * x + y * y + z * z
+def table_row(group: Any, c: Integer, offset: Vector) -> Any:
+    """Row of the tables for an offset from centre c, metres; the row is prefetched."""
+    levels, level, squared = (len(group.tables) - FIRST) // CELLS, -1, dot3(offset, offset)
     for i in range(LEVELS):
         level += squared >= group.radius[c] * group.radius[c] * 4.0 ** (i + 1)
-    row = ANY if level < 0 else FIRST + min(level, levels - 1) * CELLS + cell_of(x, y, z)
+    row = ANY if level < 0 else FIRST + min(level, levels - 1) * CELLS + cell_of(offset)
     prefetch(group.tables, row * group.tables.shape[1])
     return np.uint64(row)
 
 
 @inlined
 def split_by_certainty(
-    group: Any, m: Integer, w: Integer, asked: Any, words: Integer, x: float, y: float, z: float, most: float,
-    start: Integer, sure: float, row: Integer,
-) -> Any:  # fmt: skip
+    group: Any, m: Integer, w: Integer, asked: Any, words: Integer, offset: Vector, bounds: Vector, row: Integer
+) -> Any:
     """Split a set of orientations by the bounds into orientations with which mount m certainly covers a landmark, and
     undecided orientations.
 
@@ -198,6 +196,7 @@ def split_by_certainty(
     Returns:
         two sets: certain and undecided orientations; no other orientation in `asked` covers the landmark.
     """
+    most, start, sure = bounds
     at, half = np.uint64(m) * words + w, np.uint64(group.tables.shape[1] // 2)
     certain = group.tables[row, at] & asked if sure > -math.inf else ZERO
     left = group.tables[row, half + at] & asked
@@ -209,7 +208,7 @@ def split_by_certainty(
             one, two = np.uint32(0), np.uint32(0)
             for lane in range(np.uint64(LANES)):
                 a = w * np.uint64(BITS) + first + lane
-                depth = group.axes[m, 0, a] * x + group.axes[m, 1, a] * y + group.axes[m, 2, a] * z - group.depths[m, a]
+                depth = dot3(column3(group.axes[m], a), offset) - group.depths[m, a]
                 one |= np.uint32(depth <= most + MARGIN) << np.uint32(lane)
                 two |= np.uint32((depth >= start + MARGIN) & (depth <= sure - MARGIN)) << np.uint32(lane)
             within, well = within | np.uint64(one) << first, well | np.uint64(two) << first
@@ -218,35 +217,31 @@ def split_by_certainty(
 
 
 @inlined
-def covers_from(
-    group: Any, m: Integer, a: Integer, k: Integer, px: float, py: float, pz: float, lx: float, ly: float, lz: float,
-    nx: float, ny: float, nz: float, frame: Any,
-) -> Any:  # fmt: skip
-    """True if mount m covers landmark k at (lx, ly, lz) with orientation a of the body at (px, py, pz); exact.
-
-    Occlusion by other landmarks and by the room is ignored. `frame` is a result of `criteria.frame_of`.
-    """
-    offsets = group.offsets
-    x = lx - (px + offsets[m, 0, a])
-    y = ly - (py + offsets[m, 1, a])
-    z = lz - (pz + offsets[m, 2, a])
-    sight = sized(group.sight, k)
-    reached, low, high, sure = from_position(sight, x, y, z, nx, ny, nz, 0.0)
-    return reached and covers_one(sight, x, y, z, frame, low, high, sure, False, group.axes[m], a)
+def camera_at(group: Any, m: Integer, a: Integer, body: Vector) -> Vector:
+    """Position of the camera on mount m with orientation a of the body at a position, metres."""
+    return body[0] + group.offsets[m, 0, a], body[1] + group.offsets[m, 1, a], body[2] + group.offsets[m, 2, a]
 
 
 @inlined
-def covered_bits(
-    group: Any, m: Integer, w: Integer, left: Any, k: Integer, px: float, py: float, pz: float, lx: float, ly: float,
-    lz: float, nx: float, ny: float, nz: float, frame: Any,
-) -> Any:  # fmt: skip
+def covers_from(group: Any, m: Integer, a: Integer, k: Integer, body: Vector, pose: Any, frame: Any) -> Any:
+    """True if mount m covers landmark k with a `pose` and orientation a of the body at a position; exact.
+
+    Occlusion by other landmarks and by the room is ignored. `frame` is a result of `criteria.frame_of`.
+    """
+    place, normal = pose
+    offset, sight = minus3(place, camera_at(group, m, a, body)), sized(group.sight, k)
+    reached, low, high, sure = from_position(sight, offset, normal, 0.0)
+    return reached and covers_one(sight, offset, frame, (low, high, sure), False, group.axes[m], a)
+
+
+@inlined
+def covered_bits(group: Any, m: Integer, w: Integer, left: Any, k: Integer, body: Vector, pose: Any, frame: Any) -> Any:
     """Subset of the orientations `left` of word w that satisfy `covers_from`."""
     found = ZERO
     while left:
         bit = lowest(left)
         left &= left - ONE
-        covered = covers_from(group, m, w * np.uint64(BITS) + bit, k, px, py, pz, lx, ly, lz, nx, ny, nz, frame)
-        found |= np.uint64(covered) << bit
+        found |= np.uint64(covers_from(group, m, w * np.uint64(BITS) + bit, k, body, pose, frame)) << bit
     return found
 
 

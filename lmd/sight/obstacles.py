@@ -21,6 +21,7 @@ from lmd.core.compiled import inlined
 from lmd.core.dispatch import dispatched, overridable
 from lmd.core.memory import check_memory
 from lmd.geometry.squares import VERTICAL_TOLERANCE, upright, upright_axes
+from lmd.geometry.vectors import Vector, dot3, plus3, row3, times3
 from lmd.space.blockers import Blockers
 from lmd.space.space import Space
 from lmd.space.triangles import Triangles, is_crossed
@@ -126,10 +127,8 @@ def _no_end_points(obstacles: Any, count: Integer) -> Any:
 
 
 @dispatched
-def find_ends(
-    obstacles: Any, sight: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, ends: Any, k: Integer
-) -> None:
-    """Write the required points of landmark k at (x, y, z) with the normal (nx, ny, nz) into `ends`.
+def find_ends(obstacles: Any, sight: Any, place: Vector, normal: Vector, ends: Any, k: Integer) -> None:
+    """Write the required points of landmark k at a place with a unit normal into `ends`.
 
     For `Obstacles`, `ends` `(K, 6, J)` has the heights of the five points above the planes, then their minimum. For
     `MeshObstacles`, `ends` `(K, 5, 3)` has the points, metres.
@@ -137,40 +136,38 @@ def find_ends(
 
 
 @find_ends.register(Obstacles)
-def _find_ends(
-    obstacles: Any, sight: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, ends: Any, k: Integer
-) -> None:
+def _find_ends(obstacles: Any, sight: Any, place: Vector, normal: Vector, ends: Any, k: Integer) -> None:
     half, normals, offsets = half_edge(sight), obstacles.normals, obstacles.offsets
-    rx, ry, rz, ux, uy, uz = upright_axes(nx, ny, nz, VERTICAL_TOLERANCE)
+    sides = upright_axes(normal, VERTICAL_TOLERANCE)
     for i in range(POINTS if half > 0.0 else 1):
-        px, py, pz = point_of(i, half, x, y, z, rx, ry, rz, ux, uy, uz)
+        point = point_of(i, half, place, sides)
         for j in range(len(offsets)):
-            height = normals[j, 0] * px + normals[j, 1] * py + normals[j, 2] * pz - offsets[j]
+            height = dot3(row3(normals, j), point) - offsets[j]
             ends[k, i, j] = height
             ends[k, POINTS, j] = height if i == 0 else min(height, ends[k, POINTS, j])
 
 
 @find_ends.register(MeshObstacles)
-def _find_end_points(
-    obstacles: Any, sight: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, ends: Any, k: Integer
-) -> None:
-    half = half_edge(sight)
-    rx, ry, rz, ux, uy, uz = upright_axes(nx, ny, nz, VERTICAL_TOLERANCE)
-    for i in range(POINTS if half > 0.0 else 1):
-        ends[k, i, 0], ends[k, i, 1], ends[k, i, 2] = point_of(i, half, x, y, z, rx, ry, rz, ux, uy, uz)
+def _find_end_points(obstacles: Any, sight: Any, place: Vector, normal: Vector, ends: Any, k: Integer) -> None:
+    write_points(sight, place, normal, ends, k)
 
 
 @inlined
-def point_of(
-    i: Integer, half: float, x: float, y: float, z: float, rx: float, ry: float, rz: float, ux: float, uy: float,
-    uz: float,
-) -> Any:  # fmt: skip
-    """Point i of a landmark at c = (x, y, z): c, then c + h (r + u), c - h (r + u), c + h (r - u), c - h (r - u).
+def write_points(sight: Any, place: Vector, normal: Vector, points: FloatArray, k: Integer) -> None:
+    """Write the required points of landmark k into `points` `(K, POINTS, 3)`."""
+    half, sides = half_edge(sight), upright_axes(normal, VERTICAL_TOLERANCE)
+    for i in range(POINTS if half > 0.0 else 1):
+        points[k, i, 0], points[k, i, 1], points[k, i, 2] = point_of(i, half, place, sides)
 
-    h is `half` the edge, r and u are the unit vectors to the right and up.
+
+@inlined
+def point_of(i: Integer, half: float, place: Vector, sides: tuple[Vector, Vector]) -> Vector:
+    """Point i of a landmark at c = `place`: c, then c + h (r + u), c - h (r + u), c + h (r - u), c - h (r - u).
+
+    h is `half` the edge; `sides` are the unit vectors r to the right and u up.
     """
     way, up = half * (0.0 if i == 0 else 1.0 if i % 2 == 1 else -1.0), 1.0 if i < 3 else -1.0
-    return x + way * (rx + up * ux), y + way * (ry + up * uy), z + way * (rz + up * uz)
+    return plus3(place, times3(way, plus3(sides[0], times3(up, sides[1]))))
 
 
 @dispatched
@@ -209,6 +206,6 @@ def _is_blocked(obstacles: Any, sight: Any, p: Integer, ends: Any, k: Integer) -
 def _is_shadowed(obstacles: Any, sight: Any, p: Integer, ends: Any, k: Integer) -> Any:
     at, triangles = obstacles.positions, obstacles.triangles
     for i in range(POINTS if half_edge(sight) > 0.0 else 1):
-        if is_crossed(triangles, at[p, 0], at[p, 1], at[p, 2], ends[k, i, 0], ends[k, i, 1], ends[k, i, 2]):
+        if is_crossed(triangles, *row3(at, p), *row3(ends[k], i)):
             return True
     return False

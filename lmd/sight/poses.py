@@ -22,6 +22,7 @@ from lmd.core.checks import FloatArray, real
 from lmd.core.compiled import for_kernels, kernel
 from lmd.core.memory import check_memory
 from lmd.core.threads import in_parts
+from lmd.geometry.vectors import column3, minus3, row3
 from lmd.scene.criteria import TOLERANCE, covers, from_position
 from lmd.scene.deployment import Deployment
 from lmd.sight.blocks import BLOCK
@@ -127,25 +128,23 @@ def _gains(
     bottom, top, reached = np.empty(size, np.int32), np.empty(size, np.int32), np.empty(size, np.bool_)
     ends = new_ends(obstacles, 1)
     for j in range(start, stop):
-        px, py, pz = points[j, 0], points[j, 1], points[j, 2]
-        nx, ny, nz = normals[j, 0], normals[j, 1], normals[j, 2]
-        near = slack[j]
+        place, normal, near = row3(points, j), row3(normals, j), slack[j]
         for p in range(size):
-            xp, yp, zp = px - positions[0, p], py - positions[1, p], pz - positions[2, p]
-            in_reach, least, _, _ = from_position(sight, xp, yp, zp, nx, ny, nz, near)
-            bottom[p], top[p] = band_of(xp, yp, zp, least, near)
-            x[p], y[p], z[p], reached[p], low[p] = xp, yp, zp, in_reach, least
+            offset = minus3(place, column3(positions, p))
+            in_reach, least, _, _ = from_position(sight, offset, normal, near)
+            bottom[p], top[p] = band_of(offset, least, near)
+            (x[p], y[p], z[p]), reached[p], low[p] = offset, in_reach, least
         for a in range(len(row)):
             row[a] = 0.0
-        find_ends(obstacles, sight, px, py, pz, nx, ny, nz, ends, 0)
+        find_ends(obstacles, sight, place, normal, ends, 0)
         for p in range(size):
             if not reached[p] or (near == 0.0 and is_blocked(obstacles, sight, p, ends, 0)):
                 continue
-            xp, yp, zp, least = x[p], y[p], z[p], low[p]
+            offset, least = (x[p], y[p], z[p]), low[p]
             start_axis, stop_axis = bands[bottom[p]] & -BLOCK, (bands[top[p]] + BLOCK - 1) & -BLOCK
             # One sum per axis: the loop vectorises, and no sum is reordered.
             for a in range(np.uint64(start_axis), np.uint64(stop_axis)):
-                covered = covers(sight, xp, yp, zp, nx, ny, nz, least, near, axes, a)
+                covered = covers(sight, offset, normal, least, near, axes, a)
                 row[a] += prices[p, a] if covered else 0.0
         total = 0.0
         for a in range(len(row)):
@@ -166,13 +165,12 @@ def _sum_covered(
     for j in range(len(points)):
         if amounts[j] == 0.0:
             continue
-        px, py, pz, nx, ny, nz = points[j, 0], points[j, 1], points[j, 2], normals[j, 0], normals[j, 1], normals[j, 2]
-        find_ends(obstacles, sight, px, py, pz, nx, ny, nz, ends, 0)
+        place, normal = row3(points, j), row3(normals, j)
+        find_ends(obstacles, sight, place, normal, ends, 0)
         for p in range(start, stop):
-            pose = px, py, pz, nx, ny, nz
-            x, y, z, low, first, last = see_alone(pose, positions, p, sight, obstacles, ends, bands)
+            offset, low, first, last = see_alone((place, normal), positions, p, sight, obstacles, ends, bands)
             for a in range(np.uint64(first & -BLOCK), np.uint64((last + BLOCK - 1) & -BLOCK)):
-                covered = covers(sight, x, y, z, nx, ny, nz, low, 0.0, axes, a)
+                covered = covers(sight, offset, normal, low, 0.0, axes, a)
                 out[p, a] += amounts[j] if covered else 0.0
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from lmd.core.bits import ALL, BITS, LANES, ONE, ZERO, Integer, WordArray, lowest
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import for_kernels, inlined, inner, kernel
+from lmd.geometry.vectors import Vector, dot3, minus3, pair3, plus3, row3
 from lmd.scene.criteria import covers, frame_of, from_position, sized
 from lmd.sight.mount_occlusion import find_suspects, hidden_bits, list_occluders
 from lmd.sight.mounts import (
@@ -18,6 +19,7 @@ from lmd.sight.mounts import (
     MountGroup,
     blocked_bits,
     bounds_from,
+    camera_at,
     covered_bits,
     places_around,
     split_by_certainty,
@@ -30,21 +32,18 @@ from lmd.space.triangles import Triangles
 
 
 @inlined
-def _fill_viewpoint_around(
-    group: Any, c: Integer, view: Any, count: Integer, px: float, py: float, pz: float, start: Any
-) -> None:
-    """Fill `view` for its first `count` landmarks, as seen from centre c of a body at (px, py, pz)."""
+def _fill_viewpoint_around(group: Any, c: Integer, view: Any, count: Integer, body: Vector, start: Any) -> None:
+    """Fill `view` for its first `count` landmarks, as seen from centre c of a body at a position."""
     near, x, y, z, squared, high, sure_depth, reached = (
         view.near_poses, view.x, view.y, view.z, view.squared, view.high, view.sure_depth, view.reached
     )  # fmt: skip
     u, v, w, close = view.u, view.v, view.w, view.close
-    cx, cy, cz, radius = px + group.centres[c, 0], py + group.centres[c, 1], pz + group.centres[c, 2], group.radius[c]
+    centre, radius = plus3(body, row3(group.centres, c)), group.radius[c]
     for k in range(count):
-        xk, yk, zk = near[0, k] - cx, near[1, k] - cy, near[2, k] - cz
-        in_reach, most, begin, sure = bounds_from(
-            group, c, view.near_index[k], xk, yk, zk, near[3, k], near[4, k], near[5, k]
-        )  # fmt: skip
-        x[k], y[k], z[k], squared[k] = xk, yk, zk, xk * xk + yk * yk + zk * zk
+        place, normal = pair3(near, k)
+        offset = minus3(place, centre)
+        in_reach, most, begin, sure = bounds_from(group, c, view.near_index[k], offset, normal)
+        (x[k], y[k], z[k]), squared[k] = offset, dot3(offset, offset)
         reached[k], high[k], start[k], sure_depth[k] = in_reach, most, begin, sure
     if group.sight.reach >= 0.0:
         width = math.sqrt(group.sight.reach)
@@ -55,12 +54,6 @@ def _fill_viewpoint_around(
             # Upper bound on the sine of the angle between landmark k and a landmark that k may hide, see
             # `mount_occlusion`.
             close[k] = width / (distance - radius) + radius * scale if distance > radius + width else 2.0
-
-
-@inlined
-def _pose(poses: FloatArray, k: Integer) -> Any:
-    """Position and unit normal of landmark k of `poses` `(6, K)`, six numbers."""
-    return poses[0, k], poses[1, k], poses[2, k], poses[3, k], poses[4, k], poses[5, k]
 
 
 @kernel
@@ -87,18 +80,10 @@ def _add_covered(
         for i in range(3):
             poses[i, k], poses[3 + i, k] = landmarks[0, i, k], normals[0, i, k]
         if not clear:
-            lx, ly, lz, nx, ny, nz = _pose(poses, k)
-            find_ends(obstacles, sized(sight, k), lx, ly, lz, nx, ny, nz, ends, k)
-    near, x, y, z, reached, index, shown = (
-        view.near_poses,
-        view.x,
-        view.y,
-        view.z,
-        view.reached,
-        view.near_index,
-        view.shown,
-    )
-    high, sure_depth = view.high, view.sure_depth
+            place, normal = pair3(poses, k)
+            find_ends(obstacles, sized(sight, k), place, normal, ends, k)
+    near, x, y, z, index, shown = view.near_poses, view.x, view.y, view.z, view.near_index, view.shown
+    reached, high, sure_depth = view.reached, view.high, view.sure_depth
     start, row, suspects = np.empty(total), np.empty(total, np.uint64), np.empty(total + 1, np.int64)
     close = np.zeros((total, total // LANES + 1), np.uint32)
     at_least, doubtful = np.empty((n, words), dtype=np.uint64), np.empty(total, dtype=np.bool_)
@@ -107,28 +92,29 @@ def _add_covered(
     loose, width = slack.max() > 0.0, math.sqrt(max(sight.reach, 0.0))
     many = count = 0
     for p in range(len(positions)):
-        many, count = gather_near(p, 0, len(order), order, positions, group.horizon, many, count, poses, indices, view)
-        px, py, pz = positions[p, 0], positions[p, 1], positions[p, 2]
+        part, body = (0, len(order), order, positions), row3(positions, p)
+        many, count = gather_near(p, part, group.horizon, many, count, poses, indices, view)
         at_least[:] = ZERO
         if loose:
             for k in range(count):
-                _add_within_slack(group, px, py, pz, near, k, index[k], slack[index[k]], seen[0, p, index[k]])
+                _add_within_slack(group, body, pair3(near, k), index[k], slack[index[k]], seen[0, p, index[k]])
         for c in range(len(group.centres)):
-            _fill_viewpoint_around(group, c, view, count, px, py, pz, start)
+            _fill_viewpoint_around(group, c, view, count, body, start)
             radius = group.radius[c]
             begin, end, listed, blocks = group.mounts[c], group.mounts[c + 1], 0, (count + LANES - 1) // LANES
             for k in range(count):
                 if reached[k] and not (loose and slack[index[k]] > 0.0):
-                    shown[listed], row[k] = k, table_row(group, c, x[k], y[k], z[k])
+                    shown[listed], row[k] = k, table_row(group, c, (x[k], y[k], z[k]))
                     listed += 1
             found, listed = listed, 0
             for e in range(found):
                 k = shown[e]
-                some_left, index_of_k = ZERO, index[k]
+                some_left, index_of_k, offset = ZERO, index[k], (x[k], y[k], z[k])
+                bounds = high[k], start[k], sure_depth[k]
                 for m in range(begin, end):
                     for w in range(words):
                         sure[k, m, w], undecided[k, m, w] = split_by_certainty(
-                            group, m, w, ALL, words, x[k], y[k], z[k], high[k], start[k], sure_depth[k], row[k]
+                            group, m, w, ALL, words, offset, bounds, row[k]
                         )
                         some_left |= sure[k, m, w] | undecided[k, m, w]
                 if some_left == ZERO:
@@ -145,8 +131,8 @@ def _add_covered(
             for e in range(listed):
                 k = shown[e]
                 index_of_k, occluders = index[k], -1
-                lx, ly, lz, nx, ny, nz = _pose(near, k)
-                frame = frame_of(sized(sight, index_of_k), nx, ny, nz)
+                pose = pair3(near, k)
+                frame = frame_of(sized(sight, index_of_k), pose[1])
                 for m in range(begin, end):
                     for w in range(words):
                         s = m if each else 0
@@ -155,9 +141,7 @@ def _add_covered(
                             left |= sure[k, m, w]
                         left &= ~mine if keep else ~(mine | at_least[n - 1, w])
                         visible, left = left & sure[k, m, w], left & undecided[k, m, w]
-                        visible |= covered_bits(
-                            group, m, w, left, index_of_k, px, py, pz, lx, ly, lz, nx, ny, nz, frame
-                        )
+                        visible |= covered_bits(group, m, w, left, index_of_k, body, pose, frame)
                         if visible and occluders < 0:
                             occluders = 0
                             if doubtful[k] and sight.reach >= 0.0:
@@ -165,10 +149,8 @@ def _add_covered(
                         if visible and not clear:
                             visible &= ~blocked_bits(group, m, w, visible, index_of_k, np.uint64(p), ends, index_of_k)
                         for i in range(occluders if visible else 0):
-                            one, other = _pose(near, suspects[i]), (lx, ly, lz, nx, ny, nz)
-                            visible &= ~hidden_bits(
-                                group, m, w, visible, index[suspects[i]], index_of_k, px, py, pz, one, other
-                            )
+                            one, j = pair3(near, suspects[i]), index[suspects[i]]
+                            visible &= ~hidden_bits(group, m, w, visible, j, index_of_k, body, one, pose)
                         if visible:
                             seen[s, p, index_of_k, w] = mine | visible
                             if not keep:
@@ -188,15 +170,9 @@ def _count_set(at_least: WordArray, w: Integer, visible: Any) -> None:
 
 
 @inner
-def _add_within_slack(
-    group: Any, px: float, py: float, pz: float, near: FloatArray, k: Integer, index_of_k: Any, slack: Any, seen: Any
-) -> None:
-    """Add the orientations that cover some landmark within `slack` metres of landmark k to `seen` `(W,)`.
-
-    `near` `(6, K)` has the poses of the landmarks; `index_of_k` is the index of k in the deployment.
-    """
-    sight = sized(group.sight, index_of_k)
-    lx, ly, lz, nx, ny, nz = near[0, k], near[1, k], near[2, k], near[3, k], near[4, k], near[5, k]
+def _add_within_slack(group: Any, body: Vector, pose: Any, k: Integer, slack: Any, seen: Any) -> None:
+    """Add the orientations that cover some landmark within `slack` metres of landmark k to `seen` `(W,)`."""
+    sight, (place, normal) = sized(group.sight, k), pose
     if slack == 0.0:
         return
     for m in range(len(group.axes)):
@@ -207,11 +183,9 @@ def _add_within_slack(
                 bit = lowest(left)
                 a = w * np.uint64(BITS) + bit
                 left &= left - ONE
-                x = lx - (px + group.offsets[m, 0, a])
-                y = ly - (py + group.offsets[m, 1, a])
-                z = lz - (pz + group.offsets[m, 2, a])
-                reached, low, _, _ = from_position(sight, x, y, z, nx, ny, nz, slack)
-                if reached and covers(sight, x, y, z, nx, ny, nz, low, slack, axes, a):
+                offset = minus3(place, camera_at(group, m, a, body))
+                reached, low, _, _ = from_position(sight, offset, normal, slack)
+                if reached and covers(sight, offset, normal, low, slack, axes, a):
                     seen[w] |= ONE << bit
 
 

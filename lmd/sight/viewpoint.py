@@ -21,6 +21,7 @@ import numpy as np
 from lmd.core.bits import LANES, Integer
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import allocating, inlined, inner
+from lmd.geometry.vectors import Vector, dot3, minus3, pair3, row3
 from lmd.scene.criteria import from_position, hide_between, sized
 from lmd.sight.blocks import BLOCK, SINGLE_ERROR
 from lmd.sight.directions import EMPTY_ROW, band_of, cell_of
@@ -136,34 +137,32 @@ def gather(
 
 @inner
 def load_deployment(
-    b: Integer, landmarks: FloatArray, normals: FloatArray, sight: Any, obstacles: Any, clear: bool, poses: FloatArray,
-    ends: FloatArray,
-) -> None:  # fmt: skip
-    """Write deployment b into `poses` `(6, K)` and, unless the room is `clear`, into `ends` (`obstacles.find_ends`).
+    b: Integer, landmarks: FloatArray, normals: FloatArray, sight: Any, room: Any, poses: FloatArray
+) -> None:
+    """Write deployment b into `poses` `(6, K)` and, unless the `room` is clear, into its ends, see `is_shown`.
 
     `landmarks` and `normals` are `(B, 3, K)`.
     """
+    obstacles, clear, ends = room
     for k in range(landmarks.shape[2]):
-        x, y, z = landmarks[b, 0, k], landmarks[b, 1, k], landmarks[b, 2, k]
         for i in range(3):
             poses[i, k], poses[3 + i, k] = landmarks[b, i, k], normals[b, i, k]
         if not clear:
-            find_ends(
-                obstacles, sized(sight, k), x, y, z, normals[b, 0, k], normals[b, 1, k], normals[b, 2, k], ends, k
-            )
+            place, normal = pair3(poses, k)
+            find_ends(obstacles, sized(sight, k), place, normal, ends, k)
 
 
 @inlined
 def gather_near(
-    o: Integer, first: Integer, last: Integer, order: np.ndarray, positions: FloatArray, horizon: float, many: Integer,
-    count: Integer, poses: FloatArray, indices: np.ndarray, view: Viewpoint,
+    o: Integer, part: Any, horizon: float, many: Integer, count: Integer, poses: FloatArray, indices: np.ndarray,
+    view: Viewpoint,
 ) -> Any:  # fmt: skip
     """Update the landmarks near the region and near the block of position `order[o]`, if `o` is the first position
     there.
 
     Args:
-        first, last: the caller works on `order[first:last]`.
-        order: positions by blocks of neighbours, `(P,)`.
+        part: `first`, `last`, `order` and `positions`: the caller works on the positions `order[first:last]`, in
+            blocks of neighbours.
         many, count: numbers of landmarks near the region and the block of the previous position.
         poses, indices: all landmarks, `(6, K)` and `(K,)`.
         view: working memory, whose landmarks are updated.
@@ -171,6 +170,7 @@ def gather_near(
     Returns:
         many, count: numbers of landmarks near the region and the block of this position.
     """
+    first, last, order, positions = part
     if o == first or o % REGION == 0:
         low, high = box_around(positions, order[o : min(o - o % REGION + REGION, last)])
         many = gather(low, high, horizon, len(indices), poses, indices, view.region_poses, view.region_index)
@@ -182,23 +182,23 @@ def gather_near(
 
 
 @inlined
-def fill_viewpoint(view: Viewpoint, count: Integer, px: float, py: float, pz: float, sight: Any, tables: Any) -> None:
-    """Fill `view` for the first `count` landmarks and a camera at (px, py, pz), for all orientations."""
+def fill_viewpoint(view: Viewpoint, count: Integer, camera: Vector, sight: Any, tables: Any) -> None:
+    """Fill `view` for the first `count` landmarks and a position of the camera, for all orientations."""
     near, index, x, y, z, squared, low, high, sure_depth = (
         view.near_poses, view.near_index, view.x, view.y, view.z, view.squared, view.low, view.high, view.sure_depth
     )  # fmt: skip
     bottom, top, reached, u, v, w, close = view.bottom, view.top, view.reached, view.u, view.v, view.w, view.close
     for k in range(count):
         # Local variables, as reading back from the arrays would keep the loop from vectorising.
-        xk, yk, zk = near[0, k] - px, near[1, k] - py, near[2, k] - pz
-        nx, ny, nz = near[3, k], near[4, k], near[5, k]
-        in_reach, least, most, sure = from_position(sized(sight, index[k]), xk, yk, zk, nx, ny, nz, 0.0)
+        place, normal = pair3(near, k)
+        offset = minus3(place, camera)
+        in_reach, least, most, sure = from_position(sized(sight, index[k]), offset, normal, 0.0)
         if tables is None:
-            bottom[k], top[k] = band_of(xk, yk, zk, least, 0.0)
+            bottom[k], top[k] = band_of(offset, least, 0.0)
         else:
-            cell = cell_of(xk, yk, zk)
+            cell = cell_of(offset)
             bottom[k], top[k] = EMPTY_ROW if sure < math.inf else cell, cell
-        x[k], y[k], z[k], squared[k] = xk, yk, zk, xk * xk + yk * yk + zk * zk
+        (x[k], y[k], z[k]), squared[k] = offset, dot3(offset, offset)
         reached[k], low[k], high[k], sure_depth[k] = in_reach, least, most, sure
     if sight.reach >= 0.0:
         for k in range(count):
@@ -211,7 +211,7 @@ def fill_viewpoint(view: Viewpoint, count: Integer, px: float, py: float, pz: fl
 @inner
 def is_hidden(
     k: Integer, count: Integer, index: np.ndarray, x: FloatArray, y: FloatArray, z: FloatArray, squared: FloatArray,
-    normals: FloatArray, sight: Any,
+    poses: FloatArray, sight: Any,
 ) -> bool:  # fmt: skip
     """True if one of the first `count` landmarks hides landmark k.
 
@@ -219,28 +219,30 @@ def is_hidden(
         index: indices in the deployment, `(K,)`.
         x, y, z: offsets from the camera, `(K,)`, metres.
         squared: squared lengths of the offsets, `(K,)`, m^2.
-        normals: unit normals, `(3, K)`.
+        poses: positions and unit normals, `(6, K)`.
     """
-    xk, yk, zk, sk, hiding = x[k], y[k], z[k], squared[k], 0
-    nx, ny, nz, mine = normals[0, k], normals[1, k], normals[2, k], sized(sight, index[k])
+    mine, offset, square, (_, normal), hiding = (
+        sized(sight, index[k]),
+        (x[k], y[k], z[k]),
+        squared[k],
+        pair3(poses, k),
+        0,
+    )
     for j in range(count):
-        ux, uy, uz = normals[0, j], normals[1, j], normals[2, j]
-        hides, _ = hide_between(
-            sized(sight, index[j]), mine, x[j], y[j], z[j], squared[j], xk, yk, zk, sk, ux, uy, uz, nx, ny, nz
-        )  # fmt: skip
+        other, (_, facing) = (x[j], y[j], z[j]), pair3(poses, j)
+        hides, _ = hide_between(sized(sight, index[j]), mine, other, squared[j], offset, square, facing, normal)
         hiding += hides & (j != k)
     return hiding > 0
 
 
 @inlined
-def is_shown(
-    k: Integer, view: Viewpoint, normals: FloatArray, count: Integer, p: Integer, sight: Any, obstacles: Any,
-    clear: bool, ends: FloatArray,
-) -> Any:  # fmt: skip
+def is_shown(k: Integer, view: Viewpoint, count: Integer, p: Integer, sight: Any, room: Any) -> Any:
     """True if some orientation sees landmark k from position p: within reach, not blocked by the room, not hidden.
 
-    The first `count` landmarks, with unit `normals` `(3, K)`, may hide landmark k.
+    The first `count` landmarks may hide landmark k. `room` has the obstacles, True if there are none, and the results
+    of `obstacles.find_ends`.
     """
+    obstacles, clear, ends = room
     if not view.reached[k] or (
         not clear and is_blocked(obstacles, sized(sight, view.near_index[k]), p, ends, view.near_index[k])
     ):
@@ -253,20 +255,16 @@ def is_shown(
         cosine = u[j] * uk + v[j] * vk + w[j] * wk
         suspects += np.int32(cosine * cosine >= close[j])
     # `suspects` always includes landmark k itself.
-    return suspects <= 1 or not is_hidden(
-        k, count, view.near_index, view.x, view.y, view.z, view.squared, normals, sight
-    )  # fmt: skip
+    offsets = view.x, view.y, view.z
+    return suspects <= 1 or not is_hidden(k, count, view.near_index, *offsets, view.squared, view.near_poses, sight)
 
 
 @inlined
-def list_shown(
-    view: Viewpoint, normals: FloatArray, count: Integer, p: Integer, sight: Any, obstacles: Any, clear: bool,
-    ends: FloatArray,
-) -> Any:  # fmt: skip
+def list_shown(view: Viewpoint, count: Integer, p: Integer, sight: Any, room: Any) -> Any:
     """List the landmarks that pass `is_shown` in `view.shown`, and return their number."""
     shown, found = view.shown, np.uint64(0)
     for k in range(count):
-        if is_shown(k, view, normals, count, p, sight, obstacles, clear, ends):
+        if is_shown(k, view, count, p, sight, room):
             shown[found] = k
             found += np.uint64(1)
     return found
@@ -279,20 +277,20 @@ def see_alone(
     """Offset of a landmark from position p and the axes that may cover it; other landmarks are ignored.
 
     Args:
-        pose: position and unit normal of the landmark, six numbers.
+        pose: position and unit normal of the landmark.
         positions: positions of the camera, `(P, 3)`, metres.
         ends: result of `obstacles.find_ends`, whose first landmark is this one.
         bands: result of `directions.height_index`.
 
     Returns:
-        x, y, z: offset, metres.
+        offset: offset, metres.
         low: least depth of `criteria.from_position`, metres.
         start, stop: the axes `start` to `stop - 1` may cover the landmark; equal if none does.
     """
-    lx, ly, lz, nx, ny, nz = pose
-    x, y, z = lx - positions[p, 0], ly - positions[p, 1], lz - positions[p, 2]
-    reached, low, _, _ = from_position(sight, x, y, z, nx, ny, nz, 0.0)
+    place, normal = pose
+    offset = minus3(place, row3(positions, p))
+    reached, low, _, _ = from_position(sight, offset, normal, 0.0)
     if not reached or is_blocked(obstacles, sight, p, ends, 0):
-        return x, y, z, low, np.int64(0), np.int64(0)
-    bottom, top = band_of(x, y, z, low, 0.0)
-    return x, y, z, low, bands[bottom], bands[top]
+        return offset, low, np.int64(0), np.int64(0)
+    bottom, top = band_of(offset, low, 0.0)
+    return offset, low, bands[bottom], bands[top]

@@ -12,6 +12,7 @@ from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.core.compiled import for_kernels, kernel
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import axis_and_right
+from lmd.geometry.vectors import pair3, row3
 from lmd.scene.criteria import covers, sized
 from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
@@ -32,18 +33,17 @@ def _mark_visible(
     Positions are `(N, 3)`, axes `(6, N)`; other arguments as in `kernels.evaluate_range`.
     """
     count, clear = landmarks.shape[2], is_clear(obstacles)
-    view, ends = viewpoint_for(count), new_ends(obstacles, count)
-    load_deployment(0, landmarks, normals, sight, obstacles, clear, view.near_poses, ends)
-    x, y, z, low, reached, directions = view.x, view.y, view.z, view.low, view.reached, view.near_poses[3:]
+    view, room = viewpoint_for(count), (obstacles, clear, new_ends(obstacles, count))
+    load_deployment(0, landmarks, normals, sight, room, view.near_poses)
+    x, y, z, low, reached = view.x, view.y, view.z, view.low, view.reached
     for k in range(count):
         view.near_index[k] = k
     for i in range(len(positions)):
-        fill_viewpoint(view, count, positions[i, 0], positions[i, 1], positions[i, 2], sight, None)
+        fill_viewpoint(view, count, row3(positions, i), sight, None)
         for k in range(count):
-            nx, ny, nz = directions[0, k], directions[1, k], directions[2, k]
-            mine = sized(sight, k)
-            if reached[k] and covers(mine, x[k], y[k], z[k], nx, ny, nz, low[k], 0.0, axes, i):
-                seen[i, k] = is_shown(k, view, directions, count, i, sight, obstacles, clear, ends)
+            _, normal = pair3(view.near_poses, k)
+            if reached[k] and covers(sized(sight, k), (x[k], y[k], z[k]), normal, low[k], 0.0, axes, i):
+                seen[i, k] = is_shown(k, view, count, i, sight, room)
 
 
 def visible(evaluator: Evaluator, deployment: Deployment, positions: FloatArray, axes: FloatArray) -> BoolArray:

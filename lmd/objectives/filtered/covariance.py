@@ -27,6 +27,7 @@ import numpy as np
 from lmd.core.bits import Integer
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined, inner
+from lmd.geometry.vectors import Vector, cross3, dot3, plus3, symmetric3
 
 NUMBERS = 21  # numbers of a covariance
 TURN = 15  # first number of the block of w
@@ -40,20 +41,18 @@ Number = Any  # a number in kernels, an array in the reference
 
 
 @inlined
-def predicted(p: Any, dx: Number, dy: Number, dz: Number, motion: Number, turn: Number) -> tuple[Number, ...]:
-    """Covariance after the displacement (dx, dy, dz) [m]; `motion` and `turn` are the variances of the odometry."""
+def predicted(p: Any, way: Vector, motion: Number, turn: Number) -> tuple[Number, ...]:
+    """Covariance after the displacement `way` [m]; `motion` and `turn` are the variances of the odometry."""
     vxx, vxy, vxz, vyy, vyz, vzz, xxx, xxy, xxz, xyx, xyy, xyz, xzx, xzy, xzz, wxx, wxy, wxz, wyy, wyz, wzz = p
     # X' = X - [d]x W, with the rows of X as covariances of v_i with w.
-    yxx, yxy, yxz = xxx + (dz * wxy - dy * wxz), xxy + (dz * wyy - dy * wyz), xxz + (dz * wyz - dy * wzz)
-    yyx, yyy, yyz = xyx + (dx * wxz - dz * wxx), xyy + (dx * wyz - dz * wxy), xyz + (dx * wzz - dz * wxz)
-    yzx, yzy, yzz = xzx + (dy * wxx - dx * wxy), xzy + (dy * wxy - dx * wyy), xzz + (dy * wxz - dx * wyz)
+    yxx, yyx, yzx = plus3((xxx, xyx, xzx), cross3((wxx, wxy, wxz), way))
+    yxy, yyy, yzy = plus3((xxy, xyy, xzy), cross3((wxy, wyy, wyz), way))
+    yxz, yyz, yzz = plus3((xxz, xyz, xzz), cross3((wxz, wyz, wzz), way))
     # V' = V - [d]x X^T - X' [d]x^T: entry ij loses (d x X_j)_i + (d x X'_i)_j.
-    uxx = vxx - ((dy * xxz - dz * xxy) + (dy * yxz - dz * yxy))
-    uxy = vxy - ((dy * xyz - dz * xyy) + (dz * yxx - dx * yxz))
-    uxz = vxz - ((dy * xzz - dz * xzy) + (dx * yxy - dy * yxx))
-    uyy = vyy - ((dz * xyx - dx * xyz) + (dz * yyx - dx * yyz))
-    uyz = vyz - ((dz * xzx - dx * xzz) + (dx * yyy - dy * yyx))
-    uzz = vzz - ((dx * xzy - dy * xzx) + (dx * yzy - dy * yzx))
+    x, y, z = cross3(way, (xxx, xxy, xxz)), cross3(way, (xyx, xyy, xyz)), cross3(way, (xzx, xzy, xzz))
+    a, b, c = cross3(way, (yxx, yxy, yxz)), cross3(way, (yyx, yyy, yyz)), cross3(way, (yzx, yzy, yzz))
+    uxx, uxy, uxz = vxx - (x[0] + a[0]), vxy - (y[0] + a[1]), vxz - (z[0] + a[2])
+    uyy, uyz, uzz = vyy - (y[1] + b[1]), vyz - (z[1] + b[2]), vzz - (z[2] + c[2])
     return (
         uxx + motion, uxy, uxz, uyy + motion, uyz, uzz + motion, yxx, yxy, yxz, yyx, yyy, yyz, yzx, yzy, yzz,
         wxx + turn, wxy, wxz, wyy + turn, wyz, wzz + turn,
@@ -61,10 +60,9 @@ def predicted(p: Any, dx: Number, dy: Number, dz: Number, motion: Number, turn: 
 
 
 @inlined
-def _inverse(
-    xx: Number, xy: Number, xz: Number, yy: Number, yz: Number, zz: Number
-) -> tuple[Number, Number, Number, Number, Number, Number]:
-    """Inverse of a positive definite 3 x 3 matrix, by L D L^T."""
+def _inverse(matrix: Any) -> tuple[Number, Number, Number, Number, Number, Number]:
+    """Inverse of a positive definite 3 x 3 matrix, six numbers, by L D L^T."""
+    xx, xy, xz, yy, yz, zz = matrix
     a = 1.0 / xx
     p, q = xy * a, xz * a
     b = 1.0 / (yy - p * xy)
@@ -80,37 +78,24 @@ def _inverse(
 def inverted(p: Any) -> tuple[Number, ...]:
     """Inverse of a positive definite matrix, 21 numbers, by its blocks."""
     vxx, vxy, vxz, vyy, vyz, vzz, xxx, xxy, xxz, xyx, xyy, xyz, xzx, xzy, xzz, wxx, wxy, wxz, wyy, wyz, wzz = p
-    axx, axy, axz, ayy, ayz, azz = _inverse(vxx, vxy, vxz, vyy, vyz, vzz)
-    # G = V^-1 X, and the Schur complement W - X^T G.
-    gxx, gxy, gxz = (
-        axx * xxx + axy * xyx + axz * xzx, axx * xxy + axy * xyy + axz * xzy, axx * xxz + axy * xyz + axz * xzz
-    )  # fmt: skip
-    gyx, gyy, gyz = (
-        axy * xxx + ayy * xyx + ayz * xzx, axy * xxy + ayy * xyy + ayz * xzy, axy * xxz + ayy * xyz + ayz * xzz
-    )  # fmt: skip
-    gzx, gzy, gzz = (
-        axz * xxx + ayz * xyx + azz * xzx, axz * xxy + ayz * xyy + azz * xzy, axz * xxz + ayz * xyz + azz * xzz
-    )  # fmt: skip
-    dxx, dxy, dxz, dyy, dyz, dzz = _inverse(
-        wxx - (xxx * gxx + xyx * gyx + xzx * gzx), wxy - (xxx * gxy + xyx * gyy + xzx * gzy),
-        wxz - (xxx * gxz + xyx * gyz + xzx * gzz), wyy - (xxy * gxy + xyy * gyy + xzy * gzy),
-        wyz - (xxy * gxz + xyy * gyz + xzy * gzz), wzz - (xxz * gxz + xyz * gyz + xzz * gzz),
-    )  # fmt: skip
-    # H = G D; the inverse has the blocks V^-1 + H G^T, -H and D.
-    hxx, hxy, hxz = (
-        gxx * dxx + gxy * dxy + gxz * dxz, gxx * dxy + gxy * dyy + gxz * dyz, gxx * dxz + gxy * dyz + gxz * dzz
-    )  # fmt: skip
-    hyx, hyy, hyz = (
-        gyx * dxx + gyy * dxy + gyz * dxz, gyx * dxy + gyy * dyy + gyz * dyz, gyx * dxz + gyy * dyz + gyz * dzz
-    )  # fmt: skip
-    hzx, hzy, hzz = (
-        gzx * dxx + gzy * dxy + gzz * dxz, gzx * dxy + gzy * dyy + gzz * dyz, gzx * dxz + gzy * dyz + gzz * dzz
-    )  # fmt: skip
+    a = _inverse((vxx, vxy, vxz, vyy, vyz, vzz))
+    # G = V^-1 X by columns, and the Schur complement W - X^T G.
+    x, y, z = (xxx, xyx, xzx), (xxy, xyy, xzy), (xxz, xyz, xzz)
+    (gxx, gyx, gzx), (gxy, gyy, gzy), (gxz, gyz, gzz) = gx, gy, gz = (
+        symmetric3(a, x),
+        symmetric3(a, y),
+        symmetric3(a, z),
+    )
+    d = _inverse((
+        wxx - dot3(x, gx), wxy - dot3(x, gy), wxz - dot3(x, gz), wyy - dot3(y, gy), wyz - dot3(y, gz),
+        wzz - dot3(z, gz),
+    ))  # fmt: skip
+    # H = G D by rows; the inverse has the blocks V^-1 + H G^T, -H and D.
+    g, h, k = (gxx, gxy, gxz), (gyx, gyy, gyz), (gzx, gzy, gzz)
+    (hxx, hxy, hxz), (hyx, hyy, hyz), (hzx, hzy, hzz) = p, q, r = symmetric3(d, g), symmetric3(d, h), symmetric3(d, k)
     return (
-        axx + (hxx * gxx + hxy * gxy + hxz * gxz), axy + (hxx * gyx + hxy * gyy + hxz * gyz),
-        axz + (hxx * gzx + hxy * gzy + hxz * gzz), ayy + (hyx * gyx + hyy * gyy + hyz * gyz),
-        ayz + (hyx * gzx + hyy * gzy + hyz * gzz), azz + (hzx * gzx + hzy * gzy + hzz * gzz),
-        -hxx, -hxy, -hxz, -hyx, -hyy, -hyz, -hzx, -hzy, -hzz, dxx, dxy, dxz, dyy, dyz, dzz,
+        a[0] + dot3(p, g), a[1] + dot3(p, h), a[2] + dot3(p, k), a[3] + dot3(q, h), a[4] + dot3(q, k),
+        a[5] + dot3(r, k), -hxx, -hxy, -hxz, -hyx, -hyy, -hyz, -hzx, -hzy, -hzz, d[0], d[1], d[2], d[3], d[4], d[5],
     )  # fmt: skip
 
 

@@ -59,8 +59,8 @@ def frame_information(
         right, up = (halves * side for side in upright(deployment.normals[tags]))
         lens = getattr(scene.visibility.sight(camera), "lens", None)
         weight = gain_of(camera, scene.cameras[0]) * density(lens, turned[frames], away)
-        sides: Any = *away.T, *right.T, *up.T, asked.share
-        numbers = about_body(moments(*sides), *arms.T)
+        tag: Any = away.T, right.T, up.T
+        numbers = about_body(moments(tag, asked.share), tuple(arms.T))
         for j, number in enumerate(numbers):
             share = np.broadcast_to(share_of(number, weight), weight.shape)
             sums[:, j] += np.bincount(frames, weights=share, minlength=len(places))

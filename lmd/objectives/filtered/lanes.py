@@ -11,6 +11,7 @@ from lmd.core.bits import Integer
 from lmd.core.checks import FloatArray, IntArray
 from lmd.core.compiled import inlined, inner, kernel
 from lmd.core.dispatch import overridable
+from lmd.geometry.vectors import read3
 from lmd.objectives.filtered.covariance import (
     NUMBERS,
     position_variance,
@@ -94,10 +95,8 @@ def predict_lanes(lanes: Lanes) -> None:
     """Move each lane to its next frame."""
     rows, moves = lanes.covariance, lanes.moves
     for lane in range(np.uint64(LANES)):
-        p = predicted(
-            column(rows, lane), moves[lane], moves[lane + _1], moves[lane + _2], moves[lane + _3], moves[lane + _4]
-        )
-        _write(rows, lane, p)
+        way = read3(moves, lane, _1)
+        _write(rows, lane, predicted(column(rows, lane), way, moves[lane + _3], moves[lane + _4]))
 
 
 @overridable

@@ -23,7 +23,7 @@ def reference_information(
     for f, (position, axes) in enumerate(zip(drives.positions, drives.axes, strict=True)):
         numbers, covered = information_of(scene, deployment, asked, position, axes[None])
         if scene.rig is None:
-            sums[f] = about_body(tuple(numbers[:CAMERA_NUMBERS, 0]), 0.0, 0.0, 0.0)
+            sums[f] = about_body(tuple(numbers[:CAMERA_NUMBERS, 0]), (0.0, 0.0, 0.0))
         else:
             sums[f] = numbers[:NUMBERS, 0]
         informed[f] = covered.sum() >= n
@@ -37,7 +37,8 @@ def reference_filter(drives: Drives, information: FrameInformation, tolerance: T
     for step in range(int(np.diff(drives.first).max())):
         under_way = np.flatnonzero(drives.first[:-1] + step < drives.first[1:])
         frames = drives.first[under_way] + step
-        before = np.stack(predicted(tuple(p[:, under_way]), *drives.moves[frames].T))
+        x, y, z, *noise = drives.moves[frames].T
+        before = np.stack(predicted(tuple(p[:, under_way]), (x, y, z), *noise))
         sums, after = np.ascontiguousarray(information.sums[frames].T), before.copy()
         if tolerance.least is None:
             after = np.stack(updated(tuple(before), tuple(sums), tolerance.scale))

@@ -14,11 +14,21 @@ import numpy as np
 from lmd.core.bits import ZERO, Integer
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined, inner, kernel
+from lmd.geometry.vectors import pair3
 from lmd.objectives.filtered.covariance import NUMBERS
 from lmd.objectives.filtered.lanes import LANES, MOVES, column, is_known, predict_lanes, update_lanes
-from lmd.objectives.filtered.sightings import PAIRS, add_landmark, begin, bit_of, covers_alone, offset_of, see, word_of
+from lmd.objectives.filtered.sightings import (
+    PAIRS,
+    add_landmark,
+    begin,
+    bit_of,
+    covers_alone,
+    hide_each_other,
+    see,
+    word_of,
+)
 from lmd.objectives.localisation.information import NUMBERS as SUMS
-from lmd.scene.criteria import hide_between, sized
+from lmd.scene.criteria import sized
 from lmd.sight.kernels import PROBABILITY_ONE
 from lmd.sight.obstacles import find_ends, is_clear
 
@@ -142,29 +152,23 @@ def fill_state(field: Any, state: Any, scratch: Any) -> None:
     """Compute everything in a state from its landmarks."""
     poses, clear, ends = state.poses, is_clear(field.obstacles), scratch.ends
     for k in range(poses.shape[1]):
-        mine, nx, ny, nz = sized(field.sight, k), poses[3, k], poses[4, k], poses[5, k]
+        mine, pose = sized(field.sight, k), pair3(poses, k)
         if not clear:
-            find_ends(field.obstacles, mine, poses[0, k], poses[1, k], poses[2, k], nx, ny, nz, ends, 0)
+            find_ends(field.obstacles, mine, pose[0], pose[1], ends, 0)
         for f in range(len(state.units)):
-            x, y, z, _ = offset_of(poses, k, f, field)
-            if covers_alone(f, x, y, z, nx, ny, nz, mine, clear, ends, field):
+            if covers_alone(f, pose, mine, clear, ends, field):
                 state.covered[f, word_of(k)] |= bit_of(k)
     for k in range(poses.shape[1]):
-        mine, nx, ny, nz = sized(field.sight, k), poses[3, k], poses[4, k], poses[5, k]
+        pose = pair3(poses, k)
         for f in range(len(state.units)):
             if not state.covered[f, word_of(k)] & bit_of(k):
                 continue
-            x, y, z, squared = offset_of(poses, k, f, field)
             if field.sight.reach >= 0.0:
                 for i in range(poses.shape[1]):
-                    ox, oy, oz, square = offset_of(poses, i, f, field)
-                    hides, _ = hide_between(
-                        sized(field.sight, i), mine, ox, oy, oz, square, x, y, z, squared,
-                        poses[3, i], poses[4, i], poses[5, i], nx, ny, nz,
-                    )  # fmt: skip
+                    hides, _ = hide_each_other(i, pair3(poses, i), k, pose, f, field)
                     state.hidden[f, k] += np.int16(hides and i != k)
             if state.hidden[f, k] == 0:
-                add_landmark(state.sums[f], 1.0, f, k, x, y, z, nx, ny, nz, field, scratch)
+                add_landmark(state.sums[f], 1.0, f, k, pose, field, scratch)
                 state.counts[f] += 1
     for f in range(len(state.units)):
         scratch.changed[f] = 0

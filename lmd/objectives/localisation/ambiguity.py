@@ -40,8 +40,9 @@ import numpy as np
 from lmd.core.bits import Integer
 from lmd.core.compiled import inlined
 from lmd.core.dispatch import overridable
+from lmd.geometry.vectors import dot3, times3
 from lmd.objectives.localisation.body import BODY_NUMBERS, BODY_WIDTH
-from lmd.objectives.localisation.information import NEAREST, NUMBERS, QUANTUM, Number, Precision
+from lmd.objectives.localisation.information import NEAREST, NUMBERS, QUANTUM, Number, Precision, Square
 from lmd.scene.criteria import TOLERANCE
 
 CONFIDENCE = 0.99  # least probability that the better pose is the true pose
@@ -85,55 +86,40 @@ def resolves_ambiguity(precision: Precision) -> bool:
 
 
 @inlined
-def mirrored_square(
-    x: Number, y: Number, z: Number, rx: Number, ry: Number, rz: Number, ux: Number, uy: Number, uz: Number
-) -> Number:
-    """S of a tag times its distance cubed, in units of f^2; arguments as in `information.moments`."""
-    squared = x * x + y * y + z * z
-    along, above = x * rx + y * ry + z * rz, x * ux + y * uy + z * uz
+def mirrored_square(tag: Square) -> Number:
+    """S of a tag times its distance cubed, in units of f^2."""
+    offset, right, up = tag
+    squared, along, above = dot3(offset, offset), dot3(offset, right), dot3(offset, up)
     p, q = along * along / squared, above * above / squared  # p^2 and q^2, times the squared half edge
-    return 16.0 * ((rx * rx + ry * ry + rz * rz) * (p + q) - 4.0 * (p * q)) / np.sqrt(squared)
+    return 16.0 * (dot3(right, right) * (p + q) - 4.0 * (p * q)) / np.sqrt(squared)
 
 
 @inlined
-def residual_ratio(
-    x: Number, y: Number, z: Number, rx: Number, ry: Number, rz: Number, ux: Number, uy: Number, uz: Number,
-    least: Number,
-) -> Number:  # fmt: skip
-    """S over the `least` S, times the distance cubed; other arguments as in `information.moments`."""
-    squared = x * x + y * y + z * z
-    ratio = mirrored_square(x, y, z, rx, ry, rz, ux, uy, uz) / least
-    return np.minimum(ratio, MOST * (squared * np.sqrt(squared)))
+def residual_ratio(tag: Square, least: Number) -> Number:
+    """S over the `least` S, times the distance cubed."""
+    squared = dot3(tag[0], tag[0])
+    return np.minimum(mirrored_square(tag) / least, MOST * (squared * np.sqrt(squared)))
 
 
 @overridable
-def camera_residual(
-    least: float | None,
-    x: Number, y: Number, z: Number, rx: Number, ry: Number, rz: Number, ux: Number, uy: Number, uz: Number,
-) -> Number:  # fmt: skip
+def camera_residual(least: float | None, tag: Square) -> Number:
     """Last of a camera view's numbers, before `share_of`: `residual_ratio`, or 0 if `least` is None."""
-    return residual_ratio(x, y, z, rx, ry, rz, ux, uy, uz, least)
+    return residual_ratio(tag, least)
 
 
 @camera_residual.register(type(None))
-def _no_camera_residual(
-    least: None,
-    x: Number, y: Number, z: Number, rx: Number, ry: Number, rz: Number, ux: Number, uy: Number, uz: Number,
-) -> Number:  # fmt: skip
+def _no_camera_residual(least: None, tag: Square) -> Number:
     return 0.0
 
 
 @inlined
-def mirrored_numbers(
-    x: Number, y: Number, z: Number, rx: Number, ry: Number, rz: Number, ux: Number, uy: Number, uz: Number,
-    least: Number,
-) -> tuple[Number, Number, Number, Number, Number]:  # fmt: skip
+def mirrored_numbers(tag: Square, least: Number) -> tuple[Number, Number, Number, Number, Number]:
     """S over the `least` S, M and h of a tag, times its distance cubed, S and M in units of f^2."""
-    squared = x * x + y * y + z * z
-    along, above = x * rx + y * ry + z * rz, x * ux + y * uy + z * uz
+    offset, right, up = tag
+    squared, along, above = dot3(offset, offset), dot3(offset, right), dot3(offset, up)
     m = 16.0 * (along * along + above * above) / np.maximum(squared, NEAREST)
-    ratio = residual_ratio(x, y, z, rx, ry, rz, ux, uy, uz, least)
-    return ratio, m * np.sqrt(squared), m * x, m * y, m * z
+    hx, hy, hz = times3(m, offset)
+    return residual_ratio(tag, least), m * np.sqrt(squared), hx, hy, hz
 
 
 @inlined

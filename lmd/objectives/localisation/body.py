@@ -20,6 +20,7 @@ import numpy as np
 from lmd.core.bits import Integer
 from lmd.core.compiled import inlined
 from lmd.geometry.camera import Camera
+from lmd.geometry.vectors import Vector, adjugate3, dot3, invariants3, read3, read6, symmetric3
 from lmd.objectives.localisation.information import Number, Precision, inverse_trace, within
 
 BODY_NUMBERS = 21  # numbers of a view: C, B and A'
@@ -32,8 +33,9 @@ def gain_of(camera: Camera, first: Camera) -> float:
 
 
 @inlined
-def about_body(moments: tuple[Number, ...], x: Number, y: Number, z: Number) -> tuple[Number, ...]:
-    """The 21 numbers of the body from the 15 `information.moments` of a camera at the offset (x, y, z) [m]."""
+def about_body(moments: tuple[Number, ...], arm: Vector) -> tuple[Number, ...]:
+    """The 21 numbers of the body from the 15 `information.moments` of a camera at the offset `arm` [m]."""
+    x, y, z = arm
     axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz = moments
     bxx, bxy, bxz = cxz * y - cxy * z, cxx * z - cxz * x + gz, cxy * x - cxx * y - gy
     byx, byy, byz = cyz * y - cyy * z - gz, cxy * z - cyz * x, cyy * x - cxy * y + gx
@@ -48,44 +50,26 @@ def about_body(moments: tuple[Number, ...], x: Number, y: Number, z: Number) -> 
 
 
 @inlined
-def _schur(
-    cxx: Number, cxy: Number, cxz: Number, cyy: Number, cyz: Number, czz: Number,
-    bxx: Number, bxy: Number, bxz: Number, byx: Number, byy: Number, byz: Number, bzx: Number, bzy: Number, bzz: Number,
-    axx: Number, axy: Number, axz: Number, ayy: Number, ayz: Number, azz: Number,
-) -> tuple[Number, Number, Number, Number]:  # fmt: skip
-    """det A, the sum of the principal minors and the determinant of S det A, S = C - B A^-1 B^T, and tr A."""
-    mxx, mxy, mxz = ayy * azz - ayz * ayz, axz * ayz - axy * azz, axy * ayz - axz * ayy
-    myy, myz, mzz = axx * azz - axz * axz, axy * axz - axx * ayz, axx * ayy - axy * axy
-    det, trace = axx * mxx + axy * mxy + axz * mxz, axx + ayy + azz
-    pxx, pyx, pzx = (
-        bxx * mxx + bxy * mxy + bxz * mxz, byx * mxx + byy * mxy + byz * mxz, bzx * mxx + bzy * mxy + bzz * mxz
-    )  # fmt: skip
-    pxy, pyy, pzy = (
-        bxx * mxy + bxy * myy + bxz * myz, byx * mxy + byy * myy + byz * myz, bzx * mxy + bzy * myy + bzz * myz
-    )  # fmt: skip
-    pxz, pyz, pzz = (
-        bxx * mxz + bxy * myz + bxz * mzz, byx * mxz + byy * myz + byz * mzz, bzx * mxz + bzy * myz + bzz * mzz
-    )  # fmt: skip
-    sxx = det * cxx - (pxx * bxx + pxy * bxy + pxz * bxz)
-    sxy = det * cxy - (pxx * byx + pxy * byy + pxz * byz)
-    sxz = det * cxz - (pxx * bzx + pxy * bzy + pxz * bzz)
-    syy = det * cyy - (pyx * byx + pyy * byy + pyz * byz)
-    syz = det * cyz - (pyx * bzx + pyy * bzy + pyz * bzz)
-    szz = det * czz - (pzx * bzx + pzy * bzy + pzz * bzz)
-    nxx, nxy, nxz = syy * szz - syz * syz, sxz * syz - sxy * szz, sxy * syz - sxz * syy
-    minors = nxx + (sxx * szz - sxz * sxz) + (sxx * syy - sxy * sxy)
-    return det, minors, sxx * nxx + sxy * nxy + sxz * nxz, trace
+def _schur(c: Any, rows: Any, a: Any) -> tuple[Number, Number, Number, Number]:
+    """det A, the sum of the principal minors and the determinant of S det A, S = C - B A^-1 B^T, and tr A.
+
+    C and A are symmetric, six numbers each; B is given by its three rows.
+    """
+    m, (_, det), (x, y, z) = adjugate3(a), invariants3(a), rows
+    px, py, pz = symmetric3(m, x), symmetric3(m, y), symmetric3(m, z)
+    minors, rest = invariants3((
+        det * c[0] - dot3(px, x), det * c[1] - dot3(px, y), det * c[2] - dot3(px, z), det * c[3] - dot3(py, y),
+        det * c[4] - dot3(py, z), det * c[5] - dot3(pz, z),
+    ))  # fmt: skip
+    return det, minors, rest, a[0] + a[3] + a[5]
 
 
 @inlined
 def _position_schur(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number, Number, Number]:
     """`_schur` for the position of the body."""
-    return _schur(
-        sums[v], sums[v + step], sums[v + 2 * step], sums[v + 3 * step], sums[v + 4 * step], sums[v + 5 * step],
-        sums[v + 6 * step], sums[v + 7 * step], sums[v + 8 * step], sums[v + 9 * step], sums[v + 10 * step],
-        sums[v + 11 * step], sums[v + 12 * step], sums[v + 13 * step], sums[v + 14 * step], sums[v + 15 * step],
-        sums[v + 16 * step], sums[v + 17 * step], sums[v + 18 * step], sums[v + 19 * step], sums[v + 20 * step],
-    )  # fmt: skip
+    x, y, z = v + 6 * step, v + 9 * step, v + 12 * step
+    rows = read3(sums, x, step), read3(sums, y, step), read3(sums, z, step)
+    return _schur(read6(sums, v, step), rows, read6(sums, v + 15 * step, step))
 
 
 @inlined
@@ -98,12 +82,9 @@ def body_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]
 @inlined
 def body_rotation_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
     """`information.inverse_trace` for the rotation of the body: C and A' are exchanged, and B is transposed."""
-    det, minors, rest, trace = _schur(
-        sums[v + 15 * step], sums[v + 16 * step], sums[v + 17 * step], sums[v + 18 * step], sums[v + 19 * step],
-        sums[v + 20 * step], sums[v + 6 * step], sums[v + 9 * step], sums[v + 12 * step], sums[v + 7 * step],
-        sums[v + 10 * step], sums[v + 13 * step], sums[v + 8 * step], sums[v + 11 * step], sums[v + 14 * step],
-        sums[v], sums[v + step], sums[v + 2 * step], sums[v + 3 * step], sums[v + 4 * step], sums[v + 5 * step],
-    )  # fmt: skip
+    x, far = v + 6 * step, 3 * step
+    columns = read3(sums, x, far), read3(sums, x + step, far), read3(sums, x + 2 * step, far)
+    det, minors, rest, trace = _schur(read6(sums, v + 15 * step, step), columns, read6(sums, v, step))
     return inverse_trace(det, minors, rest, trace)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from lmd.core.bits import ALL, Integer, WordArray
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined, inner
+from lmd.geometry.vectors import Vector, column3, minus3
 from lmd.incremental.nearby import pose_of, target_of
 from lmd.incremental.state import (
     ASKED,
@@ -29,9 +30,6 @@ from lmd.objectives.localisation.changes import (
     see_touched,
     sum_anew,
     sum_views,
-)
-from lmd.objectives.localisation.pairs import (
-    Place,
 )
 from lmd.objectives.localisation.views import (
     APPEARS,
@@ -84,16 +82,14 @@ def _find_turns(known: State, trial: Scratch, lost: WordArray, gained: WordArray
 
 
 @inlined
-def _offset(pose: Any, p: Integer, field: Any) -> Place:
+def _offset(pose: Any, p: Integer, field: Any) -> Vector:
     """Offset of a landmark with a `pose` from position p, metres."""
-    positions = field.coverage.positions
-    return pose[0] - positions[0, p], pose[1] - positions[1, p], pose[2] - positions[2, p]
+    return minus3(pose[0], column3(field.coverage.positions, p))
 
 
 @inner
 def _find_moments(pose: Any, k: Integer, p: Integer, field: Any, row: FloatArray) -> None:
-    x, y, z = _offset(pose, p, field)
-    landmark_moments(x, y, z, pose[3], pose[4], pose[5], field.precision, k, row)
+    landmark_moments(_offset(pose, p, field), pose[1], field.precision, k, row)
 
 
 @clear_moments.register(CameraViews)
@@ -124,8 +120,7 @@ def _sum_turning(p: Integer, w: Integer, count: Integer, field: Any, known: Stat
         if was != now:
             pose = pose_of(i, known)
             _find_moments(pose, i, p, field, views.other)
-            x, y, z = _offset(pose, p, field)
-            weigh(DISAPPEARS, was ^ now, x, y, z, camera.sight, camera.axes, w, views, count)
+            weigh(DISAPPEARS, was ^ now, _offset(pose, p, field), camera, w, views, count)
             add_moments(views.rows, views.other, views.weights[DISAPPEARS], 1.0 if now else -1.0, count)
 
 
@@ -136,10 +131,8 @@ def _sum_views(
     trial, views, camera, first = scratch.coverage, scratch.views, field.coverage.cameras, first_row(p, w, state)
     count = load_rows(left, first, state.sums, views)
     _update_moments(known, k, p, field, scratch)
-    x, y, z = _offset(pose_of(k, known), p, field)
-    weigh(DISAPPEARS, shown_of(known, k, p, w), x, y, z, camera.sight, camera.axes, w, views, count)
-    x, y, z = _offset(target_of(trial), p, field)
-    weigh(APPEARS, fresh_of(trial, p, w), x, y, z, camera.sight, camera.axes, w, views, count)
+    weigh(DISAPPEARS, shown_of(known, k, p, w), _offset(pose_of(k, known), p, field), camera, w, views, count)
+    weigh(APPEARS, fresh_of(trial, p, w), _offset(target_of(trial), p, field), camera, w, views, count)
     read_rows(first, state.sums, views, count)
     replace_moments(views.rows, views.moments[LEFT, p], views.moments[TRIED, p], views.weights, count)
     if trial.flags[TOUCHED, p]:
@@ -152,8 +145,8 @@ def _add(
     moments: FloatArray, pose: Any, seen: np.uint64, p: Integer, w: Integer, sign: float, field: Any, state: Any
 ) -> None:
     """Add a landmark with `moments` and a `pose` to the sums of the views `seen` of word w, times `sign`."""
-    camera, (x, y, z) = field.coverage.cameras, _offset(pose, p, field)
-    add_to_sums(moments, seen, x, y, z, camera.sight, camera.axes, w, sign, first_row(p, w, state), state.sums)
+    look = field.coverage.cameras.sight, field.coverage.cameras.axes
+    add_to_sums(moments, seen, _offset(pose, p, field), look, w, sign, first_row(p, w, state), state.sums)
 
 
 @change_sums.register(State)

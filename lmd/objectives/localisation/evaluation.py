@@ -5,13 +5,14 @@ landmarks (`information`, `ambiguity`) are summed and compared with the required
 the threads. The module `rig` evaluates rigs, whose cameras have another position for every orientation of the body.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from lmd.core.bits import BITS, LANES, ONE, ZERO, Integer, add_digit, at_least, lowest
 from lmd.core.checks import FloatArray, IntArray
 from lmd.core.compiled import kernel
+from lmd.geometry.vectors import pair3, row3
 from lmd.objectives.localisation.ambiguity import has_one_pose
 from lmd.objectives.localisation.information import WIDTH, Precision, meets, share_of, variance
 from lmd.objectives.localisation.reference import reference_views
@@ -19,7 +20,7 @@ from lmd.objectives.localisation.rig import rig_views
 from lmd.objectives.localisation.views import VIEW, landmark_moments
 from lmd.scene.criteria import covering, covers, frame_of, pixel_density, sized
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.kernels import weights_row
+from lmd.sight.kernels import Batch, weights_row
 from lmd.sight.obstacles import is_clear, new_ends
 from lmd.sight.poses import CHUNKS_PER_THREAD
 from lmd.sight.viewpoint import fill_viewpoint, gather_near, list_shown, load_deployment, viewpoint_for
@@ -68,17 +69,15 @@ def localised_views(
     covered, localised = np.zeros((2, batch, size), dtype=np.int64)
     values = ViewValues(covered, localised, np.empty((batch, size, e.axes.shape[1]) if keep else (0, 0, 0)))
     digits = max(positions.shape[1], n, 2).bit_length()
-    fixed = (*e.batch(positions, normals), n, digits, precision, precision.asks, *values, keep)
+    fixed = (e.batch(positions, normals), n, digits, precision, precision.asks, values, keep)
     e.run_over_blocks(_localise_range, fixed, CHUNKS_PER_THREAD)
     return values
 
 
 @kernel
 def _localise_range(
-    first: Integer, last: Integer, order: IntArray, positions: FloatArray, landmarks: FloatArray, normals: FloatArray,
-    sight: Any, horizon: float, obstacles: Any, axes: FloatArray, bands: Any, tables: Any, weights: IntArray,
-    n: Integer, places: Integer, precision: Precision, asks: bool, covered: IntArray, localised: IntArray,
-    variances: FloatArray, keep: bool,
+    first: Integer, last: Integer, batch: Batch, n: Integer, places: Integer, precision: Precision, asks: bool,
+    values: ViewValues, keep: bool,
 ) -> None:  # fmt: skip
     """Evaluate deployments at the positions `order[first:last]`.
 
@@ -90,16 +89,12 @@ def _localise_range(
         covered, localised, variances: see `ViewValues`.
         keep: True to write `variances`.
     """
-    words, poses, indices = (
-        np.uint64(axes.shape[1] // BITS),
-        np.empty((6, landmarks.shape[2])),
-        np.arange(landmarks.shape[2]),
-    )
+    order, positions, landmarks, normals, sight, horizon, obstacles, axes, bands, tables, weights = batch
+    (covered, localised, variances), words = values, np.uint64(axes.shape[1] // BITS)
+    poses, indices = np.empty((6, landmarks.shape[2])), np.arange(landmarks.shape[2])
     clear, ends, view = is_clear(obstacles), new_ends(obstacles, len(indices)), viewpoint_for(len(indices))
-    near, index, x, y, z, low, high, sure_depth = (
-        view.near_poses, view.near_index, view.x, view.y, view.z, view.low, view.high, view.sure_depth
-    )  # fmt: skip
-    bottom, top, shown, directions = view.bottom, view.top, view.shown, view.near_poses[3:]
+    near, index, x, y, z, bottom, top = view.near_poses, view.near_index, view.x, view.y, view.z, view.bottom, view.top
+    low, high, sure_depth, shown, room = view.low, view.high, view.sure_depth, view.shown, (obstacles, clear, ends)
     visible_axes = np.empty((len(indices), words), dtype=np.uint64)
     digits = np.empty((words, np.uint64(places)), dtype=np.uint64)
     enough, listed = np.empty(words, dtype=np.uint64), np.empty(axes.shape[1], dtype=np.uint64)
@@ -110,17 +105,17 @@ def _localise_range(
     terms = np.uint64(WIDTH + landmarks.shape[1] - 3)
     for b in range(landmarks.shape[0]):
         many = count = 0
-        load_deployment(b, landmarks, normals, sight, obstacles, clear, poses, ends)
+        load_deployment(b, landmarks, normals, sight, room, poses)
         for o in range(first, last):
             p = order[o]
-            many, count = gather_near(o, first, last, order, positions, horizon, many, count, poses, indices, view)
-            fill_viewpoint(view, count, positions[p, 0], positions[p, 1], positions[p, 2], sight, tables)
-            found = list_shown(view, directions, count, p, sight, obstacles, clear, ends)
+            part = first, last, order, positions
+            many, count = gather_near(o, part, horizon, many, count, poses, indices, view)
+            fill_viewpoint(view, count, row3(positions, p), sight, tables)
+            found = list_shown(view, count, p, sight, room)
             digits[:] = ZERO
             for m in range(found):
                 k = shown[m]
-                xk, yk, zk, least = x[k], y[k], z[k], low[k]
-                nx, ny, nz, mine = near[3, k], near[4, k], near[5, k], sized(sight, index[k])
+                offset, (_, normal), mine = (x[k], y[k], z[k]), pair3(near, k), sized(sight, index[k])
                 if tables is None:
                     start, stop = bands[bottom[k]] // LANES, (bands[top[k]] + LANES - 1) // LANES
                     bottom[k], top[k] = start // 2, (stop + 1) // 2
@@ -130,20 +125,19 @@ def _localise_range(
                         half = np.uint32(0)
                         for lane in range(np.uint64(LANES)):
                             a = i * np.uint64(LANES) + lane
-                            inside = covers(mine, xk, yk, zk, nx, ny, nz, least, 0.0, axes, a)
+                            inside = covers(mine, offset, normal, low[k], 0.0, axes, a)
                             half |= np.uint32(inside) << np.uint32(lane)
                         visible_axes[k, i // np.uint64(2)] |= np.uint64(half) << (i % np.uint64(2) * np.uint64(LANES))
                 else:
                     certain, possible = tables
-                    given, cell, frame = np.uint64(bottom[k]), np.uint64(top[k]), frame_of(mine, nx, ny, nz)
+                    given, cell, frame = np.uint64(bottom[k]), np.uint64(top[k]), frame_of(mine, normal)
+                    depths = low[k], high[k], sure_depth[k]
                     bottom[k], top[k] = 0, words
                     for i in range(words):
                         visible, left = certain[given, i], possible[cell, i] & ~certain[given, i]
                         if left:
                             well = certain[cell, i]
-                            visible |= covering(
-                                mine, left, i, xk, yk, zk, frame, least, high[k], sure_depth[k], well, axes
-                            )
+                            visible |= covering(mine, left, i, offset, frame, depths, well, axes)
                         visible_axes[k, i] = visible
                 for i in range(np.uint64(bottom[k]), np.uint64(top[k])):
                     carry, j = visible_axes[k, i], ZERO
@@ -167,15 +161,14 @@ def _localise_range(
                 continue
             for m in range(found):
                 k = shown[m]
-                xk, yk, zk = x[k], y[k], z[k]
-                nx, ny, nz = near[3, k], near[4, k], near[5, k]
-                landmark_moments(xk, yk, zk, nx, ny, nz, precision, index[k], moment)
+                offset, (_, normal) = (x[k], y[k], z[k]), pair3(near, k)
+                landmark_moments(offset, normal, precision, index[k], moment)
                 for i in range(np.uint64(bottom[k]), np.uint64(top[k])):
                     left = visible_axes[k, i] & enough[i]
                     while left:
                         a = i * np.uint64(BITS) + lowest(left)
                         left &= left - ONE
-                        weight = pixel_density(sight, xk, yk, zk, axes, a)
+                        weight = pixel_density(sight, offset, axes, a)
                         for t in range(terms):
                             sums[a, t] += share_of(moment[t], weight)
             if asks:

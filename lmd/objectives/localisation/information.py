@@ -32,7 +32,7 @@ can be added and removed again.
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -41,6 +41,7 @@ from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined
 from lmd.core.dispatch import overridable
 from lmd.geometry.camera import Camera
+from lmd.geometry.vectors import Vector, dot3, invariants3, plus3, read3, read6, symmetric3, times3
 from lmd.scene.criteria import TOLERANCE
 from lmd.scene.tag import Tag
 
@@ -55,6 +56,9 @@ NEAREST = 0.1**2
 SINGULAR = 1e-9
 
 Number = Any  # a number in kernels, an array in the reference
+# Offset of a landmark's centre from the camera, and vectors from the centre to the midpoints of its right and its upper
+# edge, metres.
+Square: TypeAlias = tuple[Vector, Vector, Vector]
 
 
 class Precision(NamedTuple):
@@ -138,30 +142,24 @@ def precision(
 
 
 @inlined
-def moments(
-    x: Number, y: Number, z: Number, rx: Number, ry: Number, rz: Number, ux: Number, uy: Number, uz: Number,
-    share: float,
-) -> tuple[Number, ...]:  # fmt: skip
-    """A, g and C of the four corners of a landmark, times r^3, as 15 numbers.
+def moments(tag: Square, share: float) -> tuple[Number, ...]:
+    """A, g and C of the four corners of a landmark at the distance r, times r^3, as 15 numbers.
 
-    Args:
-        x, y, z: offset of the centre from the camera, metres; its length is r.
-        rx, ry, rz, ux, uy, uz: vectors from the centre to the midpoints of the right and of the upper edge, metres.
-        share: weight of each corner.
+    `share` is the weight of each corner.
     """
     axx = axy = axz = ayy = ayz = azz = gx = gy = gz = cxx = cxy = cxz = cyy = cyz = czz = 0.0
     for i in range(4):
-        right, up = 1.0 - 2.0 * (i // 2), 1.0 - 2.0 * (i % 2)
-        dx, dy, dz = x + right * rx + up * ux, y + right * ry + up * uy, z + right * rz + up * uz
-        q = 1.0 / np.maximum(dx * dx + dy * dy + dz * dz, NEAREST)
-        bx, by, bz = dx * q, dy * q, dz * q
+        right, up = times3(1.0 - 2.0 * (i // 2), tag[1]), times3(1.0 - 2.0 * (i % 2), tag[2])
+        dx, dy, dz = d = plus3(plus3(tag[0], right), up)
+        q = 1.0 / np.maximum(dot3(d, d), NEAREST)
+        bx, by, bz = times3(q, d)
         pxx, pxy, pxz = 1.0 - dx * bx, -(dx * by), -(dx * bz)
         pyy, pyz, pzz = 1.0 - dy * by, -(dy * bz), 1.0 - dz * bz
         axx, axy, axz, ayy, ayz, azz = axx + pxx, axy + pxy, axz + pxz, ayy + pyy, ayz + pyz, azz + pzz
         gx, gy, gz = gx + bx, gy + by, gz + bz
         cxx, cxy, cxz = cxx + pxx * q, cxy + pxy * q, cxz + pxz * q
         cyy, cyz, czz = cyy + pyy * q, cyz + pyz * q, czz + pzz * q
-    squared = x * x + y * y + z * z
+    squared = dot3(tag[0], tag[0])
     w = share * (squared * np.sqrt(squared))
     return (
         w * axx, w * axy, w * axz, w * ayy, w * ayz, w * azz, w * gx, w * gy, w * gz,
@@ -181,23 +179,14 @@ def _schur(sums: Any, v: Integer, step: Integer, first: int, last: int) -> tuple
 
     A begins at number `first` and C at `last`: (0, 9) for the position, (9, 0) for the rotation.
     """
-    a, b, c = v + first * step, v + 6 * step, v + last * step
-    axx, axy, axz, ayy, ayz, azz = (
-        sums[a], sums[a + step], sums[a + 2 * step], sums[a + 3 * step], sums[a + 4 * step], sums[a + 5 * step]
-    )  # fmt: skip
-    gx, gy, gz = sums[b], sums[b + step], sums[b + 2 * step]
-    cxx, cxy, cxz, cyy, cyz, czz = (
-        sums[c], sums[c + step], sums[c + 2 * step], sums[c + 3 * step], sums[c + 4 * step], sums[c + 5 * step]
-    )  # fmt: skip
-    mxx, mxy, mxz = ayy * azz - ayz * ayz, axz * ayz - axy * azz, axy * ayz - axz * ayy
-    det = axx * mxx + axy * mxy + axz * mxz
-    hx, hy, hz = axx * gx + axy * gy + axz * gz, axy * gx + ayy * gy + ayz * gz, axz * gx + ayz * gy + azz * gz
-    q = gx * hx + gy * hy + gz * hz
+    a, g = read6(sums, v + first * step, step), read3(sums, v + 6 * step, step)
+    (axx, axy, axz, ayy, ayz, azz), (cxx, cxy, cxz, cyy, cyz, czz) = a, read6(sums, v + last * step, step)
+    (_, det), (hx, hy, hz) = invariants3(a), symmetric3(a, g)
+    q = dot3(g, (hx, hy, hz))
     sxx, sxy, sxz = det * cxx - q * axx + hx * hx, det * cxy - q * axy + hx * hy, det * cxz - q * axz + hx * hz
     syy, syz, szz = det * cyy - q * ayy + hy * hy, det * cyz - q * ayz + hy * hz, det * czz - q * azz + hz * hz
-    nxx, nxy, nxz = syy * szz - syz * syz, sxz * syz - sxy * szz, sxy * syz - sxz * syy
-    minors = nxx + (sxx * szz - sxz * sxz) + (sxx * syy - sxy * sxy)
-    return det, minors, sxx * nxx + sxy * nxy + sxz * nxz, axx + ayy + azz
+    minors, rest = invariants3((sxx, sxy, sxz, syy, syz, szz))
+    return det, minors, rest, axx + ayy + azz
 
 
 @inlined

@@ -17,6 +17,7 @@ from lmd.core.bits import ZERO, Integer
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import kernel
 from lmd.core.threads import in_parts
+from lmd.geometry.vectors import row3
 from lmd.objectives.localisation.body import BODY_WIDTH, body_log_det
 from lmd.objectives.localisation.information import NUMBERS, WIDTH, Precision, log_det, share_of
 from lmd.objectives.localisation.pairs import (
@@ -122,9 +123,8 @@ def _log_det_of(row: FloatArray) -> Any:
 
 @kernel
 def _gains(
-    start: Integer, stop: Integer, points: FloatArray, normals: FloatArray, prices: FloatArray, positions: FloatArray,
-    sight: Any, obstacles: Any, axes: FloatArray, bands: Any, precision: Precision, sums: FloatArray,
-    known: FloatArray, out: FloatArray,
+    start: Integer, stop: Integer, points: FloatArray, normals: FloatArray, prices: FloatArray, parts: Any,
+    out: FloatArray,
 ) -> None:  # fmt: skip
     """Write the gains of poses `start` to `stop` to `out` `(N,)`.
 
@@ -139,19 +139,19 @@ def _gains(
         known: `log_det` of each view, `(P, D)`.
         out: receives the gains.
     """
+    positions, sight, obstacles, axes, bands, precision, sums, known = parts
     ends, moment, row = new_ends(obstacles, 1), np.zeros(WIDTH), np.zeros(WIDTH)
     for j in range(start, stop):
-        nx, ny, nz, gain = normals[j, 0], normals[j, 1], normals[j, 2], 0.0
-        pose = points[j, 0], points[j, 1], points[j, 2], nx, ny, nz
-        find_ends(obstacles, sight, points[j, 0], points[j, 1], points[j, 2], nx, ny, nz, ends, 0)
+        place, normal, gain = row3(points, j), row3(normals, j), 0.0
+        find_ends(obstacles, sight, place, normal, ends, 0)
         for p in range(len(positions)):
-            x, y, z, low, first, last = see_alone(pose, positions, p, sight, obstacles, ends, bands)
+            offset, low, first, last = see_alone((place, normal), positions, p, sight, obstacles, ends, bands)
             if first == last:
                 continue
-            landmark_moments(x, y, z, nx, ny, nz, precision, 0, moment)
+            landmark_moments(offset, normal, precision, 0, moment)
             for a in range(np.uint64(first), np.uint64(last)):
-                if covers(sight, x, y, z, nx, ny, nz, low, 0.0, axes, a):
-                    weight = pixel_density(sight, x, y, z, axes, a)
+                if covers(sight, offset, normal, low, 0.0, axes, a):
+                    weight = pixel_density(sight, offset, axes, a)
                     for i in range(NUMBERS):
                         row[i] = sums[p, a, i] + share_of(moment[i], weight)
                     gain += prices[p, a] * (log_det(row, 0, 1) - known[p, a])
@@ -159,23 +159,20 @@ def _gains(
 
 
 @kernel
-def _add(
-    start: Integer, stop: Integer, point: FloatArray, normal: FloatArray, positions: FloatArray, sight: Any,
-    obstacles: Any, axes: FloatArray, bands: Any, precision: Precision, sums: FloatArray, known: FloatArray,
-) -> None:  # fmt: skip
+def _add(start: Integer, stop: Integer, points: FloatArray, normals: FloatArray, parts: Any) -> None:
     """Add a landmark to `sums` and `known` at the positions `start` to `stop`; arguments as in `_gains`."""
-    nx, ny, nz = normal[0], normal[1], normal[2]
+    positions, sight, obstacles, axes, bands, precision, sums, known = parts
+    place, normal = row3(points, 0), row3(normals, 0)
     ends, moment = new_ends(obstacles, 1), np.zeros(WIDTH)
-    find_ends(obstacles, sight, point[0], point[1], point[2], nx, ny, nz, ends, 0)
-    pose = point[0], point[1], point[2], nx, ny, nz
+    find_ends(obstacles, sight, place, normal, ends, 0)
     for p in range(start, stop):
-        x, y, z, low, first, last = see_alone(pose, positions, p, sight, obstacles, ends, bands)
+        offset, low, first, last = see_alone((place, normal), positions, p, sight, obstacles, ends, bands)
         if first == last:
             continue
-        landmark_moments(x, y, z, nx, ny, nz, precision, 0, moment)
+        landmark_moments(offset, normal, precision, 0, moment)
         for a in range(np.uint64(first), np.uint64(last)):
-            if covers(sight, x, y, z, nx, ny, nz, low, 0.0, axes, a):
-                weight = pixel_density(sight, x, y, z, axes, a)
+            if covers(sight, offset, normal, low, 0.0, axes, a):
+                weight = pixel_density(sight, offset, axes, a)
                 for i in range(NUMBERS):
                     sums[p, a, i] += share_of(moment[i], weight)
                 known[p, a] = log_det(sums[p, a], 0, 1)
@@ -191,15 +188,15 @@ class CameraLogDeterminant(LogDeterminant):
     def gains_of(self, e: Evaluator, poses: Deployment) -> FloatArray:
         """See `LogDeterminant.gains_of`."""
         out = np.empty(len(poses))
-        shared(_gains, len(poses), e.threads, (poses.positions, poses.normals, self.prices, *self._parts(e), out))
+        shared(_gains, len(poses), e.threads, (poses.positions, poses.normals, self.prices, self._parts(e), out))
         return out
 
     def choose(self, e: Evaluator, pose: Deployment) -> None:
         """See `LogDeterminant.choose`."""
-        shared(_add, len(e.positions), e.threads, (pose.positions[0], pose.normals[0], *self._parts(e)))
+        shared(_add, len(e.positions), e.threads, (pose.positions, pose.normals, self._parts(e)))
 
     def _parts(self, e: Evaluator) -> tuple[Any, ...]:
-        """Arguments of the kernels after the poses."""
+        """Argument `parts` of the kernels."""
         return e.positions, e.sight, e.obstacles, e.axes, e.bands, self.precision(e.scene), self.sums, self.known
 
 
@@ -225,7 +222,7 @@ def _rig_gains(
     for j in range(len(out)):
         which[0], out[j] = j, 0.0
         for p in range(np.uint64(len(positions))):
-            place = positions[p, 0], positions[p, 1], positions[p, 2]
+            place = row3(positions, p)
             for w in range(words):
                 seen, first = seen_by_any(every, p, j, w), (p * words + w) * VIEW
                 if seen == ZERO:
@@ -246,7 +243,7 @@ def _rig_add(
     """Add the single pose in `every` to `sums` and `known`; arguments as in `_rig_gains`."""
     words, which, bits = np.uint64(known.shape[1]) // VIEW, np.zeros(1, dtype=np.int64), views.lists[ORIENTATION]
     for p in range(np.uint64(len(positions))):
-        place = positions[p, 0], positions[p, 1], positions[p, 2]
+        place = row3(positions, p)
         for w in range(words):
             seen, first = seen_by_any(every, p, 0, w), (p * words + w) * VIEW
             if seen == ZERO:

@@ -3,7 +3,7 @@
 The loop over listed pairs vectorises: number j of pair e lies at `work[j * BITS + e]`.
 """
 
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import literal_unroll
@@ -12,9 +12,10 @@ from lmd.core.bits import BITS, ONE, ZERO, Integer, WordArray, lowest, prefetch
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined, inner
 from lmd.geometry.squares import upright
+from lmd.geometry.vectors import Vector, column3, minus3, plus3, read3, row3, write3
 from lmd.objectives.localisation.ambiguity import MIRRORED, least_residual, mirrored_numbers, resolves_ambiguity
 from lmd.objectives.localisation.body import BODY_NUMBERS, about_body, gain_of
-from lmd.objectives.localisation.information import Precision, moments, share_of
+from lmd.objectives.localisation.information import Precision, Square, moments, share_of
 from lmd.objectives.localisation.views import NUMBER, ORIENTATION, TAKEN, VIEW, WHOSE, WORK, BodyViews, whole
 from lmd.scene.criteria import pixel_density
 from lmd.scene.deployment import Deployment
@@ -25,9 +26,6 @@ from lmd.sight.rig_sets import covered_sets_by_mount
 # First index of each group of numbers: offset, weight, offset of the camera, sides of the tag, moments.
 AT = tuple(np.uint64(BITS * i) for i in range(WORK))
 FIRST_MOMENT = np.uint64(13)
-
-Place: TypeAlias = tuple[float, float, float]
-Tag: TypeAlias = tuple[float, float, float, float, float, float, float, float, float]
 
 
 class Mounts(NamedTuple):
@@ -128,15 +126,15 @@ def tags_of(precision: Precision, positions: FloatArray, normals: FloatArray) ->
 
 
 @inlined
-def tag_of(tags: FloatArray, k: Integer) -> Tag:
-    """Row k of `tags_of`."""
-    return tags[k, 0], tags[k, 1], tags[k, 2], tags[k, 3], tags[k, 4], tags[k, 5], tags[k, 6], tags[k, 7], tags[k, 8]
+def tag_of(tags: FloatArray, k: Integer) -> Square:
+    """Row k of `tags_of`, as three vectors."""
+    return row3(tags, k), (tags[k, 3], tags[k, 4], tags[k, 5]), (tags[k, 6], tags[k, 7], tags[k, 8])
 
 
 @inner
 def add_to_body(
-    mounts: Mounts, m: Integer, w: Integer, seen: np.uint64, place: tuple[float, float, float], tag: Tag,
-    sign: float, precision: Precision, views: BodyViews,
+    mounts: Mounts, m: Integer, w: Integer, seen: np.uint64, place: Vector, tag: Square, sign: float,
+    precision: Precision, views: BodyViews,
 ) -> None:  # fmt: skip
     """List the pairs of a landmark and the views in which a mount sees it; `add_up` adds the listed pairs.
 
@@ -155,19 +153,19 @@ def add_to_body(
         return
     number, whose, work = views.lists[NUMBER], views.lists[WHOSE], views.work
     sight, axes, offsets, value = mounts.sight, mounts.axes[m], mounts.offsets[m], sign * mounts.gain
-    (px, py, pz), (lx, ly, lz, rx, ry, rz, ux, uy, uz) = place, tag
+    centre, right, up = tag
     while left:
         bit = lowest(left)
         left &= left - ONE
         a, i = w * VIEW + bit, filled
-        ox, oy, oz = offsets[0, a], offsets[1, a], offsets[2, a]
-        x, y, z = lx - (px + ox), ly - (py + oy), lz - (pz + oz)
+        arm = column3(offsets, a)
+        offset = minus3(centre, plus3(place, arm))
         whose[i] = number[bit]
-        work[i], work[AT[1] + i], work[AT[2] + i] = x, y, z
-        work[AT[3] + i] = value * pixel_density(sight, x, y, z, axes, a)
-        work[AT[4] + i], work[AT[5] + i], work[AT[6] + i] = ox, oy, oz
-        work[AT[7] + i], work[AT[8] + i], work[AT[9] + i] = rx, ry, rz
-        work[AT[10] + i], work[AT[11] + i], work[AT[12] + i] = ux, uy, uz
+        write3(work, i, VIEW, offset)
+        work[AT[3] + i] = value * pixel_density(sight, offset, axes, a)
+        write3(work, AT[4] + i, VIEW, arm)
+        write3(work, AT[7] + i, VIEW, right)
+        write3(work, AT[10] + i, VIEW, up)
         filled += ONE
         if filled == VIEW:
             taken[1] = filled
@@ -196,35 +194,27 @@ def _find_moments(work: FloatArray, share: float, filled: Integer) -> None:
     loop.
     """
     for i in range(whole(filled)):
-        weight = work[AT[3] + i]
-        found = about_body(
-            moments(
-                work[i], work[AT[1] + i], work[AT[2] + i], work[AT[7] + i], work[AT[8] + i], work[AT[9] + i],
-                work[AT[10] + i], work[AT[11] + i], work[AT[12] + i], share,
-            ),
-            work[AT[4] + i], work[AT[5] + i], work[AT[6] + i],
-        )  # fmt: skip
-        work[AT[13] + i], work[AT[14] + i], work[AT[15] + i] = (
-            share_of(found[0], weight), share_of(found[1], weight), share_of(found[2], weight),
-        )  # fmt: skip
-        work[AT[16] + i], work[AT[17] + i], work[AT[18] + i] = (
-            share_of(found[3], weight), share_of(found[4], weight), share_of(found[5], weight),
-        )  # fmt: skip
-        work[AT[19] + i], work[AT[20] + i], work[AT[21] + i] = (
-            share_of(found[6], weight), share_of(found[7], weight), share_of(found[8], weight),
-        )  # fmt: skip
-        work[AT[22] + i], work[AT[23] + i], work[AT[24] + i] = (
-            share_of(found[9], weight), share_of(found[10], weight), share_of(found[11], weight),
-        )  # fmt: skip
-        work[AT[25] + i], work[AT[26] + i], work[AT[27] + i] = (
-            share_of(found[12], weight), share_of(found[13], weight), share_of(found[14], weight),
-        )  # fmt: skip
-        work[AT[28] + i], work[AT[29] + i], work[AT[30] + i] = (
-            share_of(found[15], weight), share_of(found[16], weight), share_of(found[17], weight),
-        )  # fmt: skip
-        work[AT[31] + i], work[AT[32] + i], work[AT[33] + i] = (
-            share_of(found[18], weight), share_of(found[19], weight), share_of(found[20], weight),
-        )  # fmt: skip
+        weight, numbers = work[AT[3] + i], moments(_square(work, i), share)
+        found = about_body(numbers, read3(work, AT[4] + i, VIEW))
+        write3(work, AT[13] + i, VIEW, _shares(found[0:3], weight))
+        write3(work, AT[16] + i, VIEW, _shares(found[3:6], weight))
+        write3(work, AT[19] + i, VIEW, _shares(found[6:9], weight))
+        write3(work, AT[22] + i, VIEW, _shares(found[9:12], weight))
+        write3(work, AT[25] + i, VIEW, _shares(found[12:15], weight))
+        write3(work, AT[28] + i, VIEW, _shares(found[15:18], weight))
+        write3(work, AT[31] + i, VIEW, _shares(found[18:21], weight))
+
+
+@inlined
+def _square(work: FloatArray, i: Integer) -> Square:
+    """Offset and sides of the tag of pair i."""
+    return read3(work, i, VIEW), read3(work, AT[7] + i, VIEW), read3(work, AT[10] + i, VIEW)
+
+
+@inlined
+def _shares(found: Any, weight: float) -> Vector:
+    """`share_of` for three numbers."""
+    return share_of(found[0], weight), share_of(found[1], weight), share_of(found[2], weight)
 
 
 @inner
@@ -232,14 +222,9 @@ def _find_mirrored(work: FloatArray, least: float, filled: Integer) -> None:
     """Compute the `mirrored_numbers` of the first `filled` pairs."""
     for i in range(whole(filled)):
         weight = work[AT[3] + i]
-        found = mirrored_numbers(
-            work[i], work[AT[1] + i], work[AT[2] + i], work[AT[7] + i], work[AT[8] + i], work[AT[9] + i],
-            work[AT[10] + i], work[AT[11] + i], work[AT[12] + i], least,
-        )  # fmt: skip
-        work[AT[34] + i], work[AT[35] + i], work[AT[36] + i], work[AT[37] + i], work[AT[38] + i] = (
-            share_of(found[0], weight), share_of(found[1], weight), share_of(found[2], weight),
-            share_of(found[3], weight), share_of(found[4], weight),
-        )  # fmt: skip
+        found = mirrored_numbers(_square(work, i), least)
+        work[AT[34] + i], work[AT[35] + i] = share_of(found[0], weight), share_of(found[1], weight)
+        write3(work, AT[36] + i, VIEW, _shares(found[2:5], weight))
 
 
 @inner
@@ -253,7 +238,7 @@ def _seen_by_group(shown: GroupCoverage, p: Integer, k: Integer, w: Integer) -> 
 
 @inner
 def _add_of_group(
-    shown: GroupCoverage, p: Integer, which: np.ndarray, w: Integer, place: Place, tags: FloatArray,
+    shown: GroupCoverage, p: Integer, which: np.ndarray, w: Integer, place: Vector, tags: FloatArray,
     precision: Precision, views: BodyViews,
 ) -> None:  # fmt: skip
     """`add_of_all` for the cameras of a group."""
@@ -274,7 +259,7 @@ def seen_by_any(every: tuple[GroupCoverage, ...], p: Integer, k: Integer, w: Int
 
 @inner
 def add_of_all(
-    every: tuple[GroupCoverage, ...], p: Integer, which: np.ndarray, w: Integer, place: Place, tags: FloatArray,
+    every: tuple[GroupCoverage, ...], p: Integer, which: np.ndarray, w: Integer, place: Vector, tags: FloatArray,
     precision: Precision, views: BodyViews,
 ) -> None:  # fmt: skip
     """Add the landmarks `which` to the views of all cameras, with the body at `place`, position p.

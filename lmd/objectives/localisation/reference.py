@@ -42,11 +42,11 @@ def view_information(
     The sums are A, g and C, then the residual ratio of `ambiguity`.
     """
     offset, (right, up) = deployment.positions - position, upright(deployment.normals)
-    sides: Any = *offset.T, *(asked.halves[:, None] * right).T, *(asked.halves[:, None] * up).T
+    tag: Any = offset.T, (asked.halves[:, None] * right).T, (asked.halves[:, None] * up).T
     caps = coverage_caps(scene, deployment, position, axes)
     with np.errstate(all="ignore"):  # the depth of a landmark that is not covered is arbitrary
         weight = density(getattr(scene.sight, "lens", None), axes[:, None], offset)
-        numbers = *moments(*(*sides, asked.share)), camera_residual(asked.residual, *sides)
+        numbers = *moments(tag, asked.share), camera_residual(asked.residual, tag)
         shares = [share_of(each, weight) for each in numbers]
     return np.stack([np.where(caps, share, 0.0).sum(axis=1) for share in shares]), caps
 
@@ -66,10 +66,10 @@ def body_information(
         covered[there] |= caps
         offset = deployment.positions - (position + arm)
         with np.errstate(all="ignore"):
-            tags: Any = *offset.T, *sides[0], *sides[1]
-            numbers = about_body(moments(*(*tags, asked.share)), *arm)
+            tag: Any = offset.T, sides[0], sides[1]
+            numbers = about_body(moments(tag, asked.share), tuple(arm))
             if resolves_ambiguity(asked):
-                numbers += mirrored_numbers(*(*tags, asked.residual))
+                numbers += mirrored_numbers(tag, asked.residual)
             lens = getattr(scene.visibility.sight(camera), "lens", None)
             weight = gain_of(camera, scene.cameras[0]) * density(lens, turned[:, None], offset)
             shares = [np.where(caps, share_of(each, weight), 0.0).sum(axis=1) for each in numbers]
@@ -109,8 +109,8 @@ def mirrored_probabilities(
         lens = getattr(scene.visibility.sight(camera), "lens", None)
         with np.errstate(all="ignore"):  # the depth of a tag that is not seen is arbitrary
             weight = gain_of(camera, first) * density(lens, axis_and_right(at), offset)
-            tags: Any = *offset.T, *sides[0].T, *sides[1].T, least
-            sums += np.where(mask, weight * np.stack(mirrored_numbers(*tags)), 0.0)
+            tag: Any = offset.T, sides[0].T, sides[1].T
+            sums += np.where(mask, weight * np.stack(mirrored_numbers(tag, least)), 0.0)
     numbers: Any = *sums, least
     ratio = rig_ratio(*numbers)
     return np.asarray(ndtr(-quantile * np.sqrt(np.maximum(ratio, 0.0))))

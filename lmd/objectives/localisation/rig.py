@@ -13,6 +13,7 @@ from lmd.core.bits import ONE, ZERO, Integer
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.core.compiled import for_kernels, kernel
 from lmd.core.threads import in_parts
+from lmd.geometry.vectors import row3
 from lmd.objectives.localisation.ambiguity import body_has_one_pose, width_of
 from lmd.objectives.localisation.body import body_variance, gain_of
 from lmd.objectives.localisation.information import Precision
@@ -97,7 +98,7 @@ def _localise(
     words = np.uint64(weights.shape[1]) // VIEW
     shown, bits = np.empty(len(tags), dtype=np.int64), views.lists[ORIENTATION]
     for p in range(np.uint64(len(positions))):
-        place = positions[p, 0], positions[p, 1], positions[p, 2]
+        place = row3(positions, p)
         for w in range(words):
             some[:] = ZERO
             listed = 0
@@ -212,7 +213,6 @@ def _add_images(
         fill_views(bit, precision, views)
         for k in range(len(tags)):
             if seen[i, k]:
-                place = positions[i, 0], positions[i, 1], positions[i, 2]
-                add_to_body(mounts, 0, i // VIEW, bit, place, tag_of(tags, k), 1.0, precision, views)
+                add_to_body(mounts, 0, i // VIEW, bit, row3(positions, i), tag_of(tags, k), 1.0, precision, views)
         add_up(precision, views)
         store_sums(sums, i // VIEW * VIEW, precision, views, ONE)

@@ -8,6 +8,7 @@ from numba import literal_unroll
 from lmd.core.bits import Integer, WordArray
 from lmd.core.compiled import inlined, inner
 from lmd.geometry.squares import upright_sides
+from lmd.geometry.vectors import column3
 from lmd.incremental.counts import ENOUGH, SHORT
 from lmd.incremental.nearby import pose_of, target_of
 from lmd.incremental.rig import list_near
@@ -38,11 +39,9 @@ from lmd.objectives.localisation.changes import (
     sum_anew,
     sum_views,
 )
-from lmd.objectives.localisation.information import Precision, half_of
+from lmd.objectives.localisation.information import Precision, Square, half_of
 from lmd.objectives.localisation.pairs import (
     Mounts,
-    Place,
-    Tag,
     add_to_body,
     add_up,
     fill_views,
@@ -111,16 +110,10 @@ def _clear_moments_of_rig(views: BodyViews, p: Integer) -> None:
 
 
 @inlined
-def _tag(k: Integer, pose: Any, precision: Precision) -> Tag:
-    """Row of `pairs.tags_of` for landmark k with a `pose`."""
-    return pose[0], pose[1], pose[2], *upright_sides(half_of(precision, k), pose[3], pose[4], pose[5])
-
-
-@inlined
-def _place(q: Integer, field: Any) -> Place:
-    """Position q of the body, three numbers, metres."""
-    positions = field.coverage.positions
-    return positions[0, q], positions[1, q], positions[2, q]
+def _tag(k: Integer, pose: Any, precision: Precision) -> Square:
+    """Row of `pairs.tags_of` for landmark k with a `pose`, as three vectors."""
+    right, up = upright_sides(half_of(precision, k), pose[1])
+    return pose[0], right, up
 
 
 @inner
@@ -131,7 +124,7 @@ def _add_changes_of_group(
     mine, other = known.groups[mounts.number], trial.groups[mounts.number]
     covered, occluded = mine[COVERED], mine[OCCLUDED]
     tried_covered, tried_occluded = other.sets[COVERED], other.sets[OCCLUDED]
-    place, precision = _place(q, field), field.precision
+    place, precision = column3(field.coverage.positions, q), field.precision
     old, new = _tag(k, pose_of(k, known), precision), _tag(k, target_of(trial), precision)
     for m in range(count):
         was, now = covered[k, q, m, w] & ~occluded[k, q, m, w], tried_covered[q, m, w] & ~tried_occluded[q, m, w]
@@ -179,9 +172,8 @@ def _change_sums_of_rig(
 
 @inner
 def _add_shown_of_group(mounts: Mounts, known: RigState, q: Integer, w: Integer, field: Any, scratch: Any) -> None:
-    mine, place, precision, views = (
-        known.groups[mounts.number], _place(q, field), field.precision, scratch.views
-    )  # fmt: skip
+    mine, precision, views = known.groups[mounts.number], field.precision, scratch.views
+    place = column3(field.coverage.positions, q)
     covered, occluded = mine[COVERED], mine[OCCLUDED]
     for i in range(covered.shape[0]):
         for m in range(covered.shape[2]):

@@ -16,6 +16,7 @@ from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined, inner
 from lmd.core.dispatch import dispatched
 from lmd.geometry.squares import upright_sides
+from lmd.geometry.vectors import Vector
 from lmd.objectives.localisation.ambiguity import (
     MIRRORED,
     MIRRORED_WIDTH,
@@ -142,28 +143,26 @@ def seen_twice(was: np.uint64, now: np.uint64, digits: WordArray) -> np.uint64:
 
 
 @inlined
-def landmark_moments(
-    x: float, y: float, z: float, nx: float, ny: float, nz: float, precision: Precision, k: Integer, row: FloatArray
-) -> None:
-    """Write the moments of landmark k at the offset (x, y, z) with the normal (nx, ny, nz) into `row` `(WIDTH,)`."""
-    rx, ry, rz, ux, uy, uz = upright_sides(half_of(precision, k), nx, ny, nz)
+def landmark_moments(offset: Vector, normal: Vector, precision: Precision, k: Integer, row: FloatArray) -> None:
+    """Write the moments of landmark k at an offset with a unit normal into `row` `(WIDTH,)`."""
+    right, up = upright_sides(half_of(precision, k), normal)
     (
         row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9], row[10], row[11], row[12],
         row[13], row[14],
-    ) = moments(x, y, z, rx, ry, rz, ux, uy, uz, precision.share)  # fmt: skip
-    row[NUMBERS] = camera_residual(precision.residual, x, y, z, rx, ry, rz, ux, uy, uz)
+    ) = moments((offset, right, up), precision.share)  # fmt: skip
+    row[NUMBERS] = camera_residual(precision.residual, (offset, right, up))
 
 
 @inlined
 def weigh(
-    which: int, seen: np.uint64, x: float, y: float, z: float, sight: Any, axes: FloatArray, w: Integer,
-    views: CameraViews, count: Integer,
-) -> None:  # fmt: skip
+    which: int, seen: np.uint64, offset: Vector, camera: Any, w: Integer, views: CameraViews, count: Integer
+) -> None:
     """Write the pixel density of a landmark in the views of word w that see it into row `which` of `weights`."""
     bits, weights = views.lists[ORIENTATION], views.weights[which]
     for v in range(count):
         bit = bits[v]
-        weights[v] = pixel_density(sight, x, y, z, axes, w * VIEW + bit) if seen >> bit & ONE else 0.0
+        shown = seen >> bit & ONE
+        weights[v] = pixel_density(camera.sight, offset, camera.axes, w * VIEW + bit) if shown else 0.0
     for v in range(count, whole(count)):
         weights[v] = 0.0
 
@@ -218,13 +217,13 @@ def read_rows(first: Integer, sums: FloatArray, views: CameraViews, count: Integ
 
 @inner
 def add_to_sums(
-    moments: FloatArray, seen: np.uint64, x: float, y: float, z: float, sight: Any, axes: FloatArray, w: Integer,
-    sign: float, first: Integer, sums: FloatArray,
+    moments: FloatArray, seen: np.uint64, offset: Vector, look: Any, w: Integer, sign: float, first: Integer,
+    sums: FloatArray,
 ) -> None:  # fmt: skip
     """Add a landmark with `moments` `(WIDTH,)` to the rows of `sums` of the orientations `seen` of word w."""
     while seen:
         bit = lowest(seen)
         seen &= seen - ONE
-        weight = pixel_density(sight, x, y, z, axes, w * VIEW + bit)
+        weight = pixel_density(look[0], offset, look[1], w * VIEW + bit)
         for j in range(np.uint64(sums.shape[1])):
             sums[first + bit, j] += sign * share_of(moments[j], weight)

@@ -14,6 +14,7 @@ from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined
 from lmd.core.dispatch import entry
 from lmd.geometry.squares import upright_axes
+from lmd.geometry.vectors import Vector, cross3, dot3, in_frame, pair3
 from lmd.scene.criteria import (
     TOLERANCE,
     covering,
@@ -133,14 +134,13 @@ def _sized(sight: Any, k: Integer) -> Any:
 
 
 @from_position.register(FiducialSight)
-def _from_position(sight: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, slack: float) -> Any:
+def _from_position(sight: Any, offset: Vector, normal: Vector, slack: float) -> Any:
     # Let c be the cosine of the incidence angle. The projection onto the sphere around the camera scales the tag by at
     # least c / d. The projection from the sphere onto the image plane stretches by d / w in one direction and (d / w)^2
     # in the other. So the smaller singular value of J is between f c / w and f c d / w^2. The least admissible singular
     # value at the depth w, see `lmd.sight.models.fiducial`, bounds w.
-    distance = np.sqrt(x * x + y * y + z * z)
+    distance, along = np.sqrt(dot3(offset, offset)), -dot3(normal, offset)
     nearest = distance - slack
-    along = -(nx * x + ny * y + nz * z)
     least = nearest * sight.outer_cosine
     product = sight.focal_u * sight.focal_v * along  # |det J| w^3
     most, fewest = max(sight.focal_u, sight.focal_v) * along, min(sight.focal_u, sight.focal_v) * along
@@ -170,9 +170,9 @@ def _from_position(sight: Any, x: float, y: float, z: float, nx: float, ny: floa
 
 
 @from_around.register(FiducialSight)
-def _from_around(sight: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, radius: float) -> Any:
+def _from_around(sight: Any, offset: Vector, normal: Vector, radius: float) -> Any:
     """Bounds of `criteria.from_around` by the incidence angle alone."""
-    distance, along = math.sqrt(x * x + y * y + z * z), radius - (nx * x + ny * y + nz * z)
+    distance, along = math.sqrt(dot3(offset, offset)), radius - dot3(normal, offset)
     nearest, farthest = max(distance - radius, 0.0), distance + radius
     reached = (along >= min(sight.facing * nearest, sight.facing * farthest)) & (along >= 0.0)
     return reached, math.inf, 0.0, -math.inf
@@ -184,18 +184,18 @@ def _half_edge(sight: Any) -> Any:
 
 
 @frame_of.register(FiducialSight)
-def _frame_of(sight: Any, nx: float, ny: float, nz: float) -> Any:
-    return nx, ny, nz, *upright_axes(nx, ny, nz, sight.level)
+def _frame_of(sight: Any, normal: Vector) -> Any:
+    right, up = upright_axes(normal, sight.level)
+    return normal, right, up
 
 
 @inlined
-def _inside(
-    sight: Any, u: float, v: float, w: float, tu: float, tv: float, tw: float, uu: float, uv: float, uw: float
-) -> Any:
+def _inside(sight: Any, tag: tuple[Vector, Vector, Vector]) -> Any:
     """True if the image contains all corners of a tag.
 
     Centre (u, v, w), right (tu, tv, tw) and up (uu, uv, uw) of the tag are in the camera frame.
     """
+    (u, v, w), (tu, tv, tw), (uu, uv, uw) = tag
     half, left, right, top, bottom = sight.half, sight.left, sight.right, sight.top, sight.bottom
     inside = half * (abs(tw) + abs(uw)) < w
     inside &= u + half * (abs(tu - right * tw) + abs(uu - right * uw)) <= right * w
@@ -205,11 +205,9 @@ def _inside(
 
 
 @inlined
-def _clear(
-    sight: Any, u: float, v: float, w: float, tu: float, tv: float, tw: float, uu: float, uv: float, uw: float,
-    along: float,
-) -> Any:  # fmt: skip
+def _clear(sight: Any, tag: tuple[Vector, Vector, Vector], along: float) -> Any:
     """True if pitch and area suffice; arguments as in `_inside`, `along` is n . d."""
+    (u, v, w), (tu, tv, tw), (uu, uv, uw) = tag
     per = 1.0 / w
     fu, fv, at_u, at_v = sight.focal_u * per, sight.focal_v * per, u * per, v * per
     one, two, three, four = tu - at_u * tw, uu - at_u * uw, tv - at_v * tw, uv - at_v * uw
@@ -222,77 +220,57 @@ def _clear(
 
 
 @in_image.register(FiducialSight)
-def _in_image(
-    sight: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, low: float, slack: float, ax: float,
-    ay: float, az: float, rx: float, ry: float, rz: float,
-) -> Any:  # fmt: skip
-    tx, ty, tz, ux, uy, uz = upright_axes(nx, ny, nz, sight.level)
-    dx, dy, dz = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
-    # Centre, right and up of the tag in the camera frame.
-    u, v, w = rx * x + ry * y + rz * z, dx * x + dy * y + dz * z, ax * x + ay * y + az * z
-    tu, tv, tw = rx * tx + ry * ty + rz * tz, dx * tx + dy * ty + dz * tz, ax * tx + ay * ty + az * tz
-    uu, uv, uw = rx * ux + ry * uy + rz * uz, dx * ux + dy * uy + dz * uz, ax * ux + ay * uy + az * uz
-    clear = _clear(sight, u, v, w, tu, tv, tw, uu, uv, uw, nx * x + ny * y + nz * z)
-    return (_inside(sight, u, v, w, tu, tv, tw, uu, uv, uw) & clear & (w >= low)) | ((slack > 0.0) & (w >= low))
+def _in_image(sight: Any, offset: Vector, normal: Vector, low: float, slack: float, axis: Vector, right: Vector) -> Any:
+    frame, (along, up) = (right, cross3(axis, right), axis), upright_axes(normal, sight.level)
+    tag = in_frame(frame, offset), in_frame(frame, along), in_frame(frame, up)
+    clear, w = _clear(sight, tag, dot3(normal, offset)), tag[0][2]
+    return (_inside(sight, tag) & clear & (w >= low)) | ((slack > 0.0) & (w >= low))
 
 
 @covers_one.register(FiducialSight)
-def _covers_one(
-    sight: Any, x: float, y: float, z: float, frame: Any, low: float, high: float, sure: float, well: Any,
-    axes: FloatArray, a: Integer,
-) -> Any:  # fmt: skip
-    nx, ny, nz, tx, ty, tz, ux, uy, uz = frame
-    ax, ay, az, rx, ry, rz = axes[0, a], axes[1, a], axes[2, a], axes[3, a], axes[4, a], axes[5, a]
-    w = ax * x + ay * y + az * z
+def _covers_one(sight: Any, offset: Vector, frame: Any, depths: Vector, well: Any, axes: FloatArray, a: Integer) -> Any:
+    (normal, along, up), (low, high, sure), (axis, right) = frame, depths, pair3(axes, a)
+    w = dot3(axis, offset)
     if (w < low) | (w > high):
         return False
     if well & (w <= sure):
         return True
-    dx, dy, dz = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
-    u, v = rx * x + ry * y + rz * z, dx * x + dy * y + dz * z
+    down = cross3(axis, right)
+    u, v = dot3(right, offset), dot3(down, offset)
     # Early exit: the centre is outside the image.
     if (u > sight.right * w) | (-u > sight.left * w) | (v > sight.bottom * w) | (-v > sight.top * w):
         return False
-    tu, tv, tw = rx * tx + ry * ty + rz * tz, dx * tx + dy * ty + dz * tz, ax * tx + ay * ty + az * tz
-    uu, uv, uw = rx * ux + ry * uy + rz * uz, dx * ux + dy * uy + dz * uz, ax * ux + ay * uy + az * uz
-    if not (well & (sure > -math.inf) or _inside(sight, u, v, w, tu, tv, tw, uu, uv, uw)):
+    tag = (u, v, w), in_frame((right, down, axis), along), in_frame((right, down, axis), up)
+    if not (well & (sure > -math.inf) or _inside(sight, tag)):
         return False
-    return w <= sure or _clear(sight, u, v, w, tu, tv, tw, uu, uv, uw, nx * x + ny * y + nz * z)
+    return w <= sure or _clear(sight, tag, dot3(normal, offset))
 
 
 covering.register(FiducialSight)(depth_first)
 
 
 @in_view.register(FiducialSight)
-def _in_view(
-    sight: Any, x: float, y: float, z: float, sine: float, cosine: float, ax: float, ay: float, az: float, rx: float,
-    ry: float, rz: float,
-) -> Any:  # fmt: skip
-    dx, dy, dz = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
-    u, v, w = rx * x + ry * y + rz * z, dx * x + dy * y + dz * z, ax * x + ay * y + az * z
-    left, right, top, bottom = sight.left, sight.right, sight.top, sight.bottom
+def _in_view(sight: Any, way: Vector, sine: float, cosine: float, axis: Vector, right: Vector) -> Any:
+    u, v, w = in_frame((right, cross3(axis, right), axis), way)
     # Distances from the four planes through the camera and a border of the image.
-    seen = right * w - u >= sine * math.sqrt(1.0 + right * right)
-    seen &= left * w + u >= sine * math.sqrt(1.0 + left * left)
-    seen &= bottom * w - v >= sine * math.sqrt(1.0 + bottom * bottom)
-    return seen & (top * w + v >= sine * math.sqrt(1.0 + top * top))
+    seen = sight.right * w - u >= sine * math.sqrt(1.0 + sight.right * sight.right)
+    seen &= sight.left * w + u >= sine * math.sqrt(1.0 + sight.left * sight.left)
+    seen &= sight.bottom * w - v >= sine * math.sqrt(1.0 + sight.bottom * sight.bottom)
+    return seen & (sight.top * w + v >= sine * math.sqrt(1.0 + sight.top * sight.top))
 
 
 @hide_between.register(FiducialSight)
-def _hide(
-    sight: Any, other: Any, ax: float, ay: float, az: float, a: float, bx: float, by: float, bz: float, b: float,
-    ux: float, uy: float, uz: float, vx: float, vy: float, vz: float,
-) -> Any:  # fmt: skip
+def _hide(sight: Any, other: Any, a: Vector, aa: float, b: Vector, bb: float, u: Vector, v: Vector) -> Any:
     # Early exit: the camera is in front of both planes, and no corner is behind the other tag's plane. The height of
     # the centre above a corner is at most half the diagonal times the sine of the angle between the planes.
-    cx, cy, cz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    sine = math.sqrt(cx * cx + cy * cy + cz * cz)
+    c = cross3(u, v)
+    sine = math.sqrt(dot3(c, c))
     below_a, below_b = 1.5 * other.half * sine - 0.5 * TOLERANCE, 1.5 * sight.half * sine - 0.5 * TOLERANCE
-    above_a, above_b = -(ux * ax + uy * ay + uz * az), -(vx * bx + vy * by + vz * bz)
-    b_above_a, a_above_b = ux * bx + uy * by + uz * bz + above_a, vx * ax + vy * ay + vz * az + above_b
+    above_a, above_b = -dot3(u, a), -dot3(v, b)
+    b_above_a, a_above_b = dot3(u, b) + above_a, dot3(v, a) + above_b
     one, two = not (above_a > 0.0 and b_above_a >= below_a), not (above_b > 0.0 and a_above_b >= below_b)
     if one:
-        one = footprint_hides(sight, other.half, ax, ay, az, ux, uy, uz, bx, by, bz, vx, vy, vz)
+        one = footprint_hides(sight, other.half, a, u, b, v)
     if two:
-        two = footprint_hides(other, sight.half, bx, by, bz, vx, vy, vz, ax, ay, az, ux, uy, uz)
+        two = footprint_hides(other, sight.half, b, v, a, u)
     return one, two

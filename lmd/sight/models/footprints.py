@@ -7,33 +7,26 @@ import numpy as np
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import inner, kernel
 from lmd.geometry.squares import upright_axes
+from lmd.geometry.vectors import Vector, column3, dot3, minus3, plus3, times3
 from lmd.scene.criteria import TOLERANCE
 
 
 @inner
-def footprint_hides(
-    sight: Any, half: float, ax: float, ay: float, az: float, nx: float, ny: float, nz: float, bx: float, by: float,
-    bz: float, mx: float, my: float, mz: float,
-) -> Any:  # fmt: skip
+def footprint_hides(sight: Any, half: float, a: Vector, n: Vector, b: Vector, m: Vector) -> Any:
     """True if the footprint of tag A with normal n hides the centre or a corner of tag B with normal m.
 
     `half` is half the edge of B; a and b are the offsets from the camera, metres.
     """
-    height = -(nx * ax + ny * ay + nz * az)
-    tx, ty, tz, ux, uy, uz = upright_axes(nx, ny, nz, sight.level)
-    rx, ry, rz, sx, sy, sz = upright_axes(mx, my, mz, sight.level)
-    rx, ry, rz = half * rx, half * ry, half * rz
-    sx, sy, sz = half * sx, half * sy, half * sz
+    height, (t, u), (r, s) = -dot3(n, a), upright_axes(n, sight.level), upright_axes(m, sight.level)
+    r, s = times3(half, r), times3(half, s)
     for i in range(5):
         # The centre b, then b + (r + s), b - (r + s), b + (r - s), b - (r - s).
         way, up = (0.0 if i == 0 else 1.0 if i % 2 == 1 else -1.0), (1.0 if i < 3 else -1.0)
-        cx, cy, cz = bx + way * (rx + up * sx), by + way * (ry + up * sy), bz + way * (rz + up * sz)
-        side = nx * cx + ny * cy + nz * cz + height
+        c = plus3(b, times3(way, plus3(r, times3(up, s))))
+        side = dot3(n, c) + height
         if (height > 0.0 and side < -TOLERANCE) or (height < 0.0 and side > TOLERANCE):
-            share = height / (height - side)
-            qx, qy, qz = share * cx - ax, share * cy - ay, share * cz - az
-            along, across = abs(tx * qx + ty * qy + tz * qz), abs(ux * qx + uy * qy + uz * qz)
-            if along <= sight.footprint and across <= sight.footprint:
+            q = minus3(times3(height / (height - side), c), a)
+            if abs(dot3(t, q)) <= sight.footprint and abs(dot3(u, q)) <= sight.footprint:
                 return True
     return False
 
@@ -59,19 +52,18 @@ def _some_behind(
     count = landmarks.shape[2]
     for b in range(len(landmarks)):
         for j in range(count):
-            x, y, z = landmarks[b, 0, j], landmarks[b, 1, j], landmarks[b, 2, j]
-            nx, ny, nz = normals[b, 0, j], normals[b, 1, j], normals[b, 2, j]
-            height = min(nx * (low[0] - x), nx * (high[0] - x))
-            height += min(ny * (low[1] - y), ny * (high[1] - y)) + min(nz * (low[2] - z), nz * (high[2] - z))
+            at, n = column3(landmarks[b], j), column3(normals[b], j)
+            height = min(n[0] * (low[0] - at[0]), n[0] * (high[0] - at[0]))
+            height += min(n[1] * (low[1] - at[1]), n[1] * (high[1] - at[1])) + min(
+                n[2] * (low[2] - at[2]), n[2] * (high[2] - at[2])
+            )
             if not height >= TOLERANCE:
                 return True
             for k in range(count):
-                dx, dy, dz = landmarks[b, 0, k] - x, landmarks[b, 1, k] - y, landmarks[b, 2, k] - z
-                if dx * dx + dy * dy + dz * dz > horizon * horizon:
+                d = minus3(column3(landmarks[b], k), at)
+                if dot3(d, d) > horizon * horizon:
                     continue
-                tx, ty, tz, ux, uy, uz = upright_axes(normals[b, 0, k], normals[b, 1, k], normals[b, 2, k], level)
-                side = nx * dx + ny * dy + nz * dz
-                side -= half * (abs(nx * tx + ny * ty + nz * tz) + abs(nx * ux + ny * uy + nz * uz))
-                if side < -0.1 * TOLERANCE:
+                t, u = upright_axes(column3(normals[b], k), level)
+                if dot3(n, d) - half * (abs(dot3(n, t)) + abs(dot3(n, u))) < -0.1 * TOLERANCE:
                     return True
     return False

@@ -10,6 +10,7 @@ import numpy as np
 
 from lmd.core.compiled import inlined
 from lmd.geometry.lens_models import depth_of, image_of, slope_of
+from lmd.geometry.vectors import Vector, dot3, minus3, plus3, times3
 from lmd.scene.criteria import TOLERANCE
 
 
@@ -31,57 +32,50 @@ def stretch_at(sight: Any, height: float) -> Any:
 
 
 @inlined
-def room_within(sight: Any, u: float, v: float, w: float, per: float) -> Any:
+def room_within(sight: Any, point: Vector, per: float) -> Any:
     """Approximate distance of the image of a point from the nearest border, in focal lengths; negative outside.
 
     The error is at most `image_error`; 1 / `per` is the distance of the point.
     """
-    flat, scale = sight.flat, per * _polynomial(sight.approximation, 1.0 - w * per)
-    across, down = scale * u, scale * v
+    flat, scale = sight.flat, per * _polynomial(sight.approximation, 1.0 - point[2] * per)
+    across, down = scale * point[0], scale * point[1]
     return min(flat.right - across, flat.left + across, flat.bottom - down, flat.top + down)
 
 
 @inlined
-def in_rectangle(sight: Any, u: float, v: float, w: float) -> Any:
-    """True if the image contains the point (u, v, w); exact."""
-    flat = sight.flat
-    across, down = image_of(sight.lens, u, v, w)
-    inside = w >= sight.cosine * math.sqrt(u * u + v * v + w * w)
+def in_rectangle(sight: Any, point: Vector) -> Any:
+    """True if the image contains a point; exact."""
+    flat, (across, down) = sight.flat, image_of(sight.lens, point[0], point[1], point[2])
+    inside = point[2] >= sight.cosine * math.sqrt(dot3(point, point))
     return inside & (-flat.left <= across) & (across <= flat.right) & (-flat.top <= down) & (down <= flat.bottom)
 
 
 @inlined
-def is_inside(sight: Any, u: float, v: float, w: float) -> Any:
+def is_inside(sight: Any, point: Vector) -> Any:
     """Result of `in_rectangle`; the exact test is made only if the approximate projection does not decide."""
-    per = 1.0 / np.sqrt(u * u + v * v + w * w)
-    room = room_within(sight, u, v, w, per)
-    if (w * per > sight.cosine + TOLERANCE) & (abs(room) > sight.image_error):
+    per = 1.0 / np.sqrt(dot3(point, point))
+    room = room_within(sight, point, per)
+    if (point[2] * per > sight.cosine + TOLERANCE) & (abs(room) > sight.image_error):
         return room > 0.0
-    return in_rectangle(sight, u, v, w)
+    return in_rectangle(sight, point)
 
 
 @inlined
-def corners_inside(
-    sight: Any, u: float, v: float, w: float, tu: float, tv: float, tw: float, uu: float, uv: float, uw: float
-) -> Any:
-    """True if the image contains all corners of the tag with centre (u, v, w), right (tu, tv, tw), up (uu, uv, uw)."""
-    half = sight.flat.half
-    pu, pv, pw = half * (tu + uu), half * (tv + uv), half * (tw + uw)  # offsets of a corner and of its neighbour
-    qu, qv, qw = half * (tu - uu), half * (tv - uv), half * (tw - uw)
-    inside = is_inside(sight, u + pu, v + pv, w + pw) and is_inside(sight, u - pu, v - pv, w - pw)
-    return inside and is_inside(sight, u + qu, v + qv, w + qw) and is_inside(sight, u - qu, v - qv, w - qw)
+def corners_inside(sight: Any, tag: tuple[Vector, Vector, Vector]) -> Any:
+    """True if the image contains all corners of a tag: centre, right and up in the camera frame."""
+    (centre, right, up), half = tag, sight.flat.half
+    p, q = times3(half, plus3(right, up)), times3(half, minus3(right, up))  # offsets of a corner and of its neighbour
+    inside = is_inside(sight, plus3(centre, p)) and is_inside(sight, minus3(centre, p))
+    return inside and is_inside(sight, plus3(centre, q)) and is_inside(sight, minus3(centre, q))
 
 
 @inlined
-def resolves(
-    sight: Any, u: float, v: float, w: float, tu: float, tv: float, tw: float, uu: float, uv: float, uw: float
-) -> Any:
+def resolves(sight: Any, tag: tuple[Vector, Vector, Vector]) -> Any:
     """True if pitch and area of the tag suffice; arguments as in `corners_inside`."""
-    flat = sight.flat
+    flat, ((u, v, w), right, up) = sight.flat, tag
     xu, xv, xw, yu, yv, yw = slope_of(sight.lens, u, v, w)
-    one, two = xu * tu + xv * tv + xw * tw, xu * uu + xv * uv + xw * uw
-    three, four = yu * tu + yv * tv + yw * tw, yu * uu + yv * uv + yw * uw
-    fu, fv = flat.focal_u, flat.focal_v
+    x, y, fu, fv = (xu, xv, xw), (yu, yv, yw), flat.focal_u, flat.focal_v
+    one, two, three, four = dot3(x, right), dot3(x, up), dot3(y, right), dot3(y, up)
     square = fu * fu * (one * one + two * two) + fv * fv * (three * three + four * four)
     determinant = fu * fv * abs(one * four - two * three)
     blur = flat.defocus - flat.focus * (1.0 / depth_of(sight.lens, u, v, w))

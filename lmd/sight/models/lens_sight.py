@@ -26,6 +26,7 @@ from lmd.core.checks import FloatArray
 from lmd.core.dispatch import overridable
 from lmd.geometry.lens_models import BrownConrady, Equidistant, area_per_solid_angle, image_of
 from lmd.geometry.squares import upright_axes
+from lmd.geometry.vectors import Vector, cross3, dot3, in_frame, pair3
 from lmd.scene.criteria import (
     TOLERANCE,
     covering,
@@ -148,8 +149,8 @@ def _no_pinholes(lens: Any, pinholes: Any, k: Integer) -> Any:
 
 
 @from_around.register(LensSight)
-def _from_around(sight: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, radius: float) -> Any:
-    return from_around(sight.flat, x, y, z, nx, ny, nz, radius)
+def _from_around(sight: Any, offset: Vector, normal: Vector, radius: float) -> Any:
+    return from_around(sight.flat, offset, normal, radius)
 
 
 @half_edge.register(LensSight)
@@ -158,11 +159,9 @@ def _half_edge(sight: Any) -> Any:
 
 
 @from_position.register(LensSight)
-def _from_position(sight: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, slack: float) -> Any:
-    flat = sight.flat
-    distance = np.sqrt(x * x + y * y + z * z)
+def _from_position(sight: Any, offset: Vector, normal: Vector, slack: float) -> Any:
+    flat, distance, along = sight.flat, np.sqrt(dot3(offset, offset)), -dot3(normal, offset)
     nearest = distance - slack
-    along = -(nx * x + ny * y + nz * z)
     # Blur at the least and at the greatest depth.
     per = 1.0 / distance
     near, far = flat.defocus - flat.focus * per / sight.min_depth_ratio, flat.defocus - flat.focus * per
@@ -183,41 +182,33 @@ def _from_position(sight: Any, x: float, y: float, z: float, nx: float, ny: floa
     low = min(outer * nearest, outer * (distance + slack)) - slack
     # Far enough away, all corners are in the image if the direction is well in view.
     steady = distance * math.sin(sight.inset) >= 1.5 * flat.half
-    among, high, sure = _by_depth(sight.lens, sight.pinholes, x, y, z, nx, ny, nz, slack)
+    among, high, sure = _by_depth(sight.lens, sight.pinholes, offset, normal, slack)
     sure = math.inf if surely else max(sure, low - distance)
     return reached & among, low, min(high, distance * (1.0 + MARGIN)), sure if steady else -math.inf
 
 
 @overridable
-def _by_depth(
-    lens: Any, pinholes: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, slack: float
-) -> Any:
+def _by_depth(lens: Any, pinholes: Any, offset: Vector, normal: Vector, slack: float) -> Any:
     """Results `reached`, `high` and `sure` of `from_position`, bounded by the two pinholes."""
-    _, _, _, sure = from_position(pinholes[0], x, y, z, nx, ny, nz, slack)
-    reached, _, high, _ = from_position(pinholes[1], x, y, z, nx, ny, nz, slack)
+    _, _, _, sure = from_position(pinholes[0], offset, normal, slack)
+    reached, _, high, _ = from_position(pinholes[1], offset, normal, slack)
     return reached, high, sure
 
 
 @_by_depth.register(Equidistant)
-def _by_distance(
-    lens: Any, pinholes: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, slack: float
-) -> Any:
+def _by_distance(lens: Any, pinholes: Any, offset: Vector, normal: Vector, slack: float) -> Any:
     return True, math.inf, -math.inf
 
 
 @frame_of.register(LensSight)
-def _frame_of(sight: Any, nx: float, ny: float, nz: float) -> Any:
-    return nx, ny, nz, *upright_axes(nx, ny, nz, sight.flat.level)
+def _frame_of(sight: Any, normal: Vector) -> Any:
+    return frame_of(sight.flat, normal)
 
 
 @in_view.register(LensSight)
-def _in_view(
-    sight: Any, x: float, y: float, z: float, sine: float, cosine: float, ax: float, ay: float, az: float, rx: float,
-    ry: float, rz: float,
-) -> Any:  # fmt: skip
+def _in_view(sight: Any, way: Vector, sine: float, cosine: float, axis: Vector, right: Vector) -> Any:
     flat, least = sight.flat, sight.cosine + (TOLERANCE if sine > 0.0 else -TOLERANCE)
-    dx, dy, dz = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
-    u, v, w = rx * x + ry * y + rz * z, dx * x + dy * y + dz * z, ax * x + ay * y + az * z
+    u, v, w = in_frame((right, cross3(axis, right), axis), way)
     across, down = image_of(sight.lens, u, v, w)
     # The stretch at the middle of the arc bounds its first half, the stretch at its end the second half.
     angle, end = sine * (1.0 + ARC * sine * sine), 1.0 - w * cosine + math.sqrt(max(0.0, 1.0 - w * w)) * abs(sine)
@@ -228,74 +219,57 @@ def _in_view(
     inside &= (flat.bottom - down >= room) & (flat.top + down >= room)
     # Beyond the widest angle the projection is undefined.
     unknown = (sine < 0.0) & ((w < sight.cosine) | ((sight.cosine < 0.0) & (sine < -NEAR)))
-    return in_cone(least, x, y, z, sine, cosine, ax, ay, az) & (inside | unknown)
+    return in_cone(least, way, sine, cosine, axis) & (inside | unknown)
 
 
 @in_image.register(LensSight)
-def _in_image(
-    sight: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, low: float, slack: float, ax: float,
-    ay: float, az: float, rx: float, ry: float, rz: float,
-) -> Any:  # fmt: skip
-    tx, ty, tz, ux, uy, uz = upright_axes(nx, ny, nz, sight.flat.level)
-    dx, dy, dz = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
-    # Centre, right and up of the tag in the camera frame.
-    u, v, w = rx * x + ry * y + rz * z, dx * x + dy * y + dz * z, ax * x + ay * y + az * z
-    tu, tv, tw = rx * tx + ry * ty + rz * tz, dx * tx + dy * ty + dz * tz, ax * tx + ay * ty + az * tz
-    uu, uv, uw = rx * ux + ry * uy + rz * uz, dx * ux + dy * uy + dz * uz, ax * ux + ay * uy + az * uz
-    covered = in_rectangle(sight, u, v, w) & resolves(sight, u, v, w, tu, tv, tw, uu, uv, uw)
-    covered &= corners_inside(sight, u, v, w, tu, tv, tw, uu, uv, uw)
-    return (covered | (slack > 0.0)) & (w >= low)
+def _in_image(sight: Any, offset: Vector, normal: Vector, low: float, slack: float, axis: Vector, right: Vector) -> Any:
+    frame, (along, up) = (right, cross3(axis, right), axis), upright_axes(normal, sight.flat.level)
+    tag = in_frame(frame, offset), in_frame(frame, along), in_frame(frame, up)
+    covered = in_rectangle(sight, tag[0]) & resolves(sight, tag)
+    covered &= corners_inside(sight, tag)
+    return (covered | (slack > 0.0)) & (tag[0][2] >= low)
 
 
 @covers_one.register(LensSight)
-def _covers_one(
-    sight: Any, x: float, y: float, z: float, frame: Any, low: float, high: float, sure: float, well: Any,
-    axes: FloatArray, a: Integer,
-) -> Any:  # fmt: skip
-    _, _, _, tx, ty, tz, ux, uy, uz = frame
-    ax, ay, az, rx, ry, rz = axes[0, a], axes[1, a], axes[2, a], axes[3, a], axes[4, a], axes[5, a]
-    w = ax * x + ay * y + az * z
+def _covers_one(sight: Any, offset: Vector, frame: Any, depths: Vector, well: Any, axes: FloatArray, a: Integer) -> Any:
+    (_, along, up), (low, high, sure), (axis, right) = frame, depths, pair3(axes, a)
+    w = dot3(axis, offset)
     if (w < low) | (w > high):
         return False
     if well & (w <= sure):
         return True
-    dx, dy, dz = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
-    u, v = rx * x + ry * y + rz * z, dx * x + dy * y + dz * z
-    inside = well & (sure > -math.inf)
+    down = cross3(axis, right)
+    centre, inside = (dot3(right, offset), dot3(down, offset), w), well & (sure > -math.inf)
     if not inside:
         # The compiler moves terms that depend on the landmark alone out of the loop over axes.
-        per = 1.0 / np.sqrt(x * x + y * y + z * z)
-        height, room = 1.0 - w * per, room_within(sight, u, v, w, per)
+        per = 1.0 / np.sqrt(dot3(offset, offset))
+        height, room = 1.0 - w * per, room_within(sight, centre, per)
         if room < -sight.image_error:
             return False
-        if (room <= sight.image_error or w * per <= sight.cosine + TOLERANCE) and not in_rectangle(sight, u, v, w):
+        if (room <= sight.image_error or w * per <= sight.cosine + TOLERANCE) and not in_rectangle(sight, centre):
             return False
         # Upper bounds on the angle between centre and corner, and on the distance between their images.
         sine = DIAGONAL * sight.flat.half * per
         angle = sine * (1.0 + ARC * sine * sine)
         inside = (sine <= 1.0) & (w * per >= sight.cosine + angle)
         inside &= room >= angle * stretch_at(sight, height + angle) + sight.image_error
-    tu, tv, tw = rx * tx + ry * ty + rz * tz, dx * tx + dy * ty + dz * tz, ax * tx + ay * ty + az * tz
-    uu, uv, uw = rx * ux + ry * uy + rz * uz, dx * ux + dy * uy + dz * uz, ax * ux + ay * uy + az * uz
-    if w > sure and not resolves(sight, u, v, w, tu, tv, tw, uu, uv, uw):
+    tag = centre, in_frame((right, down, axis), along), in_frame((right, down, axis), up)
+    if w > sure and not resolves(sight, tag):
         return False
-    return inside or corners_inside(sight, u, v, w, tu, tv, tw, uu, uv, uw)
+    return inside or corners_inside(sight, tag)
 
 
 covering.register(LensSight)(depth_first)
 
 
 @hide_between.register(LensSight)
-def _hide(
-    sight: Any, other: Any, ax: float, ay: float, az: float, a: float, bx: float, by: float, bz: float, b: float,
-    ux: float, uy: float, uz: float, vx: float, vy: float, vz: float,
-) -> Any:  # fmt: skip
-    return hide_between(sight.flat, other.flat, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz)
+def _hide(sight: Any, other: Any, a: Vector, aa: float, b: Vector, bb: float, u: Vector, v: Vector) -> Any:
+    return hide_between(sight.flat, other.flat, a, aa, b, bb, u, v)
 
 
 @pixel_density.register(LensSight)
-def _pixel_density(sight: Any, x: float, y: float, z: float, axes: FloatArray, a: Integer) -> Any:
-    ax, ay, az, rx, ry, rz = axes[0, a], axes[1, a], axes[2, a], axes[3, a], axes[4, a], axes[5, a]
-    dx, dy, dz = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
-    u, v, w = rx * x + ry * y + rz * z, dx * x + dy * y + dz * z, ax * x + ay * y + az * z
+def _pixel_density(sight: Any, offset: Vector, axes: FloatArray, a: Integer) -> Any:
+    axis, right = pair3(axes, a)
+    u, v, w = in_frame((right, cross3(axis, right), axis), offset)
     return area_per_solid_angle(sight.lens, u, v, w)

@@ -4,6 +4,7 @@ import math
 from typing import Any, NamedTuple
 
 from lmd.core.checks import FloatArray
+from lmd.geometry.vectors import Vector, cross3, dot3
 from lmd.scene.criteria import TOLERANCE, from_around, from_position, hide, in_cone, in_image, in_view
 
 
@@ -57,21 +58,21 @@ class PaperSight(NamedTuple):
 
 
 @from_position.register(PaperSight)
-def _from_position(sight: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, slack: float) -> Any:
-    distance = math.sqrt(x * x + y * y + z * z)
+def _from_position(sight: Any, offset: Vector, normal: Vector, slack: float) -> Any:
+    distance = math.sqrt(dot3(offset, offset))
     nearest = distance - slack
     low = max(nearest * sight.min_cosine, sight.min_depth) - slack
     in_depth = (nearest * sight.min_cosine <= sight.max_depth) & (
         (distance + slack) * (1.0 + TOLERANCE) >= sight.min_depth
     )
-    facing = -(nx * x + ny * y + nz * z) > TOLERANCE * nearest
+    facing = -dot3(normal, offset) > TOLERANCE * nearest
     limited = (distance * sight.min_cosine < sight.min_depth) | (distance * (1.0 + TOLERANCE) > sight.max_depth)
     return in_depth & facing, low, sight.max_depth, sight.max_depth if limited else math.inf
 
 
 @from_around.register(PaperSight)
-def _from_around(sight: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, radius: float) -> Any:
-    distance, along = math.sqrt(x * x + y * y + z * z), -(nx * x + ny * y + nz * z)
+def _from_around(sight: Any, offset: Vector, normal: Vector, radius: float) -> Any:
+    distance, along = math.sqrt(dot3(offset, offset)), -dot3(normal, offset)
     nearest, farthest = max(distance - radius, 0.0), (distance + radius) * (1.0 + TOLERANCE)
     least = min(nearest * sight.min_cosine, farthest * sight.min_cosine)
     reached = (least <= sight.max_depth) & (farthest >= sight.min_depth) & (along + radius > 0.0)
@@ -82,34 +83,23 @@ def _from_around(sight: Any, x: float, y: float, z: float, nx: float, ny: float,
 
 
 @in_image.register(PaperSight)
-def _in_image(
-    sight: Any, x: float, y: float, z: float, nx: float, ny: float, nz: float, low: float, slack: float, ax: float,
-    ay: float, az: float, rx: float, ry: float, rz: float,
-) -> Any:  # fmt: skip
-    depth = ax * x + ay * y + az * z
+def _in_image(sight: Any, offset: Vector, normal: Vector, low: float, slack: float, axis: Vector, right: Vector) -> Any:
+    depth = dot3(axis, offset)
     return (depth >= low) & (depth <= sight.max_depth + slack)
 
 
 @in_view.register(PaperSight)
-def _in_view(
-    sight: Any, x: float, y: float, z: float, sine: float, cosine: float, ax: float, ay: float, az: float, rx: float,
-    ry: float, rz: float,
-) -> Any:  # fmt: skip
-    return in_cone(sight.min_cosine + (TOLERANCE if sine > 0.0 else -TOLERANCE), x, y, z, sine, cosine, ax, ay, az)
+def _in_view(sight: Any, way: Vector, sine: float, cosine: float, axis: Vector, right: Vector) -> Any:
+    return in_cone(sight.min_cosine + (TOLERANCE if sine > 0.0 else -TOLERANCE), way, sine, cosine, axis)
 
 
 @hide.register(PaperSight)
-def _hide(
-    sight: Any, ax: float, ay: float, az: float, a: float, bx: float, by: float, bz: float, b: float, ux: float,
-    uy: float, uz: float, vx: float, vy: float, vz: float,
-) -> Any:  # fmt: skip
-    cx = ay * bz - az * by
-    cy = az * bx - ax * bz
-    cz = ax * by - ay * bx
-    cross = cx * cx + cy * cy + cz * cz
-    one, two = cross <= sight.reach * b, cross <= sight.reach * a
+def _hide(sight: Any, a: Vector, aa: float, b: Vector, bb: float, u: Vector, v: Vector) -> Any:
+    c = cross3(a, b)
+    cross = dot3(c, c)
+    one, two = cross <= sight.reach * bb, cross <= sight.reach * aa
     if not sight.whole_line:
-        in_front = bx * ax + by * ay + bz * az > 0.0
-        one = one & in_front & (a <= b * (1.0 + TOLERANCE))
-        two = two & in_front & (b <= a * (1.0 + TOLERANCE))
+        in_front = dot3(b, a) > 0.0
+        one = one & in_front & (aa <= bb * (1.0 + TOLERANCE))
+        two = two & in_front & (bb <= aa * (1.0 + TOLERANCE))
     return one, two

@@ -1,0 +1,110 @@
+"""Vectors in kernels, tuples of three numbers; sums go from left to right. In the reference the numbers are arrays."""
+
+from typing import Any, TypeAlias
+
+from lmd.core.bits import Integer
+from lmd.core.compiled import inlined
+
+Vector: TypeAlias = tuple[Any, Any, Any]
+
+
+@inlined
+def dot3(a: Vector, b: Vector) -> Any:
+    """Inner product."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@inlined
+def cross3(a: Vector, b: Vector) -> Vector:
+    """Cross product a x b."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@inlined
+def plus3(a: Vector, b: Vector) -> Vector:
+    """a + b."""
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+@inlined
+def minus3(a: Vector, b: Vector) -> Vector:
+    """a - b."""
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@inlined
+def times3(factor: Any, a: Vector) -> Vector:
+    """Vector times a number."""
+    return factor * a[0], factor * a[1], factor * a[2]
+
+
+@inlined
+def in_frame(frame: tuple[Vector, Vector, Vector], a: Vector) -> Vector:
+    """Coordinates of a vector along the three vectors of a frame."""
+    return dot3(frame[0], a), dot3(frame[1], a), dot3(frame[2], a)
+
+
+@inlined
+def row3(rows: Any, i: Integer) -> Vector:
+    """Vector in row i of an array `(N, 3)`."""
+    return rows[i, 0], rows[i, 1], rows[i, 2]
+
+
+@inlined
+def column3(columns: Any, k: Integer) -> Vector:
+    """First vector in column k of an array `(3, N)` or `(6, N)`."""
+    return columns[0, k], columns[1, k], columns[2, k]
+
+
+@inlined
+def pair3(columns: Any, k: Integer) -> tuple[Vector, Vector]:
+    """Both vectors in column k of an array `(6, N)`: position and normal of a pose, or optical axis and right."""
+    return (columns[0, k], columns[1, k], columns[2, k]), (columns[3, k], columns[4, k], columns[5, k])
+
+
+@inlined
+def read3(numbers: Any, first: Integer, step: Integer) -> Vector:
+    """Three numbers of an array `(N,)`, `step` entries apart."""
+    # No factor: an unsigned number times a constant is signed, and numba tests if a signed index is negative.
+    return numbers[first], numbers[first + step], numbers[first + step + step]
+
+
+@inlined
+def write3(numbers: Any, first: Integer, step: Integer, a: Any) -> None:
+    """Write three numbers into an array `(N,)`, `step` entries apart."""
+    numbers[first], numbers[first + step], numbers[first + step + step] = a
+
+
+@inlined
+def read6(numbers: Any, first: Integer, step: Integer) -> Any:
+    """Six numbers of an array `(N,)`, `step` entries apart: xx, xy, xz, yy, yz, zz of a symmetric matrix."""
+    a, b, c = read3(numbers, first, step)
+    return a, b, c, *read3(numbers, first + step + step + step, step)
+
+
+@inlined
+def symmetric3(m: Any, a: Vector) -> Vector:
+    """Product of a symmetric matrix, six numbers, and a vector."""
+    xx, xy, xz, yy, yz, zz = m
+    return dot3((xx, xy, xz), a), dot3((xy, yy, yz), a), dot3((xz, yz, zz), a)
+
+
+@inlined
+def adjugate3(m: Any) -> Any:
+    """Adjugate of a symmetric matrix, both six numbers."""
+    xx, xy, xz, yy, yz, zz = m
+    return (
+        yy * zz - yz * yz,
+        xz * yz - xy * zz,
+        xy * yz - xz * yy,
+        xx * zz - xz * xz,
+        xy * xz - xx * yz,
+        xx * yy - xy * xy,
+    )
+
+
+@inlined
+def invariants3(m: Any) -> tuple[Any, Any]:
+    """Sum of the principal minors and determinant of a symmetric matrix, six numbers."""
+    n = adjugate3(m)
+    return n[0] + n[3] + n[5], dot3((m[0], m[1], m[2]), (n[0], n[1], n[2]))
