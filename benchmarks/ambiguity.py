@@ -74,7 +74,7 @@ def residual(camera: Camera, poses: FloatArray, edge: float) -> FloatArray:
     """sqrt(S) of a tag at the origin, pixels, `(N,)`."""
     half, offset = edge / 2.0, -poses[:, :3, 3]
     depth = (poses[:, :3, 2] * offset).sum(axis=1)
-    square = mirrored_square(*offset.T, *(half * RIGHT.T), *(half * UP.T)) / depth**3
+    square = mirrored_square((offset.T, half * RIGHT.T, half * UP.T)) / depth**3
     return np.sqrt(square) / deviation_per_variance(camera, 1.0)
 
 
@@ -163,7 +163,7 @@ def deviation(camera: Camera, poses: FloatArray, edge: float, shifts: tuple[floa
     for shift in shifts:
         offset = shift * RIGHT - poses[:, :3, 3]
         depth = (poses[:, :3, 2] * offset).sum(axis=1)
-        numbers += np.array(moments(*offset.T, *(half * RIGHT.T), *(half * UP.T), 1.0)) / depth**3
+        numbers += np.array(moments((offset.T, half * RIGHT.T, half * UP.T), 1.0)) / depth**3
     value, fixed = variance(numbers, 0, 1)
     return np.where(fixed, deviation_per_variance(camera, NOISE) * np.sqrt(value), np.inf)
 

@@ -99,7 +99,7 @@ class Cameras:
         total = np.zeros(5)
         for turn, centre, focal in zip(self.turns, self.centres, self.focal, strict=True):
             half = self.edge / 2.0
-            numbers = mirrored_numbers(*-centre, half, 0.0, 0.0, 0.0, half, 0.0, 1.0)
+            numbers = mirrored_numbers((-centre, (half, 0.0, 0.0), (0.0, half, 0.0)), 1.0)
             total += focal**2 * np.array(numbers) / (turn @ -centre)[2] ** 3
         return float(np.sqrt(total[0])), float(np.sqrt(rig_ratio(*total, 1.0)))
 

@@ -163,8 +163,8 @@ def work(scene: Scene) -> tuple[int, int, int]:
     reached = axes = 0
     for position in evaluator.positions:
         for offset, normal in zip(drawn.positions - position, drawn.normals, strict=True):
-            in_reach, low, _, _ = from_position(scene.sight, *offset, *normal, 0.0)
-            bottom, top = band_of(*offset, low, 0.0)
+            in_reach, low, _, _ = from_position(scene.sight, tuple(offset), tuple(normal), 0.0)
+            bottom, top = band_of(tuple(offset), low, 0.0)
             reached += in_reach
             first, last = evaluator.bands[bottom] & -BLOCK, (evaluator.bands[top] + BLOCK - 1) & -BLOCK
             axes += int(last - first) if in_reach else 0

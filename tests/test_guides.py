@@ -44,6 +44,7 @@ from lmd.optimisers.greedy import Greedy
 from lmd.optimisers.ledger import Budget
 from lmd.problem import Problem
 from lmd.scene import pdf
+from lmd.geometry.vectors import dot3
 from lmd.scene.criteria import from_position, hide, in_image, in_view
 from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.scene import Scene
@@ -145,9 +146,9 @@ def test_a_criterion_that_ignores_slack_is_found_out(guides):
             return CarelessSight(self.range)
 
     @from_position.register(CarelessSight)
-    def _from_position(sight, x, y, z, nx, ny, nz, slack):
-        distance = math.sqrt(x * x + y * y + z * z)
-        facing = -(nx * x + ny * y + nz * z) > 0.0
+    def _from_position(sight, offset, normal, slack):
+        distance = math.sqrt(dot3(offset, offset))
+        facing = -dot3(normal, offset) > 0.0
         return (distance <= sight.range) & facing, cosine * distance, math.inf, -math.inf
 
     for function, body in ((in_image, near._in_image), (in_view, near._in_view), (hide, near._hide)):

@@ -196,17 +196,17 @@ class Evaluator:
                 kept = counts[b] if keep else counts[0:0].reshape(0, 0)
                 units[b] = self.views.evaluate(landmarks, facing, self.weights, n, kept)
             return units, counts
-        self.run_over_blocks(kernels.evaluate_range, (self.batch(positions, normals), n, units, counts, keep))
+        self.run_over_blocks(kernels.evaluate_range, (*self.batch(positions, normals), n, units, counts, keep))
         return units, counts
 
-    def batch(self, positions: FloatArray, normals: FloatArray) -> tuple[Any, ...]:
-        """Argument `batch` of `kernels.evaluate_range` for B deployments `(B, K, 3)`."""
+    def batch(self, positions: FloatArray, normals: FloatArray) -> tuple[kernels.Batch, Any]:
+        """Arguments `batch` and `tables` of `kernels.evaluate_range` for B deployments `(B, K, 3)`."""
         self.scene.check_count(positions.shape[1])
         landmarks = tuple(for_kernels(v.transpose(0, 2, 1)) for v in (positions, normals))
         sight = self.sight.among(self._low, self._high, *landmarks)
-        tables = self.tables if self.sight.tabulated else None
-        seen = (sight, horizon_of(sight), self.obstacles, self.axes, self.bands, tables, self.weights)
-        return self.blocks[0][: len(self.positions)], self.positions, *landmarks, *seen
+        seen = (sight, horizon_of(sight), self.obstacles, self.axes, self.bands, self.weights)
+        batch = self.blocks[0][: len(self.positions)], self.positions, *landmarks, *seen
+        return batch, self.tables if self.sight.tabulated else None
 
     def run_over_blocks(self, kernel: Any, fixed: tuple[Any, ...], each: int = 1) -> None:
         """Run `kernel(first, last, *fixed)` over all positions on the threads, in `each` chunks per thread.

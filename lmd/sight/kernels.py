@@ -52,8 +52,9 @@ def sum_weights(before: Any, after: Any, weights: Any, p: Integer, w: Integer) -
 
 @kernel
 def evaluate_range(
-    first: Integer, last: Integer, batch: Batch, n: Integer, units: np.ndarray, counts: np.ndarray, keep: bool
-) -> None:
+    first: Integer, last: Integer, batch: Batch, tables: Any, n: Integer, units: np.ndarray, counts: np.ndarray,
+    keep: bool,
+) -> None:  # fmt: skip
     """Evaluate deployments at the positions `order[first:last]`.
 
     Args:
@@ -73,7 +74,7 @@ def evaluate_range(
         counts: receives the number of landmarks covered by axis if `keep` is set, `(B, P, D)` int16 zeros.
         keep: False to skip `counts`.
     """
-    order, positions, landmarks, normals, sight, horizon, obstacles, axes, bands, tables, weights = batch
+    order, positions, landmarks, normals, sight, horizon, obstacles, axes, bands, weights = batch
     # numba compiles one branch of `tables is None`, by the type of `tables`.
     size, poses, indices = axes.shape[1], np.empty((6, landmarks.shape[2])), np.arange(landmarks.shape[2])
     clear, ends, view = is_clear(obstacles), new_ends(obstacles, len(indices)), viewpoint_for(len(indices))

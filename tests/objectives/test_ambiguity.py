@@ -44,7 +44,7 @@ def looking(distance, incidence, around, off=0.0):
 def residual(pose, edge):
     """sqrt(S), pixels."""
     offset, depth = -pose[:3, 3], -pose[:3, 2] @ pose[:3, 3]
-    square_ = mirrored_square(*offset, *(edge / 2.0 * RIGHT[0]), *(edge / 2.0 * UP[0]))
+    square_ = mirrored_square((offset, edge / 2.0 * RIGHT[0], edge / 2.0 * UP[0]))
     return FOCAL * np.sqrt(square_ / depth**3)
 
 

@@ -48,7 +48,7 @@ def residual(poses, edge):
     total = np.zeros(5)
     for camera, pose in zip(CAMERAS, poses, strict=False):
         offset, depth = -pose[:3, 3], -pose[:3, 2] @ pose[:3, 3]
-        numbers = mirrored_numbers(*offset, *(edge / 2.0 * RIGHT), *(edge / 2.0 * UP), 1.0)
+        numbers = mirrored_numbers((offset, edge / 2.0 * RIGHT, edge / 2.0 * UP), 1.0)
         total += np.prod(camera.focal_pixels) * np.array(numbers) / depth**3
     return np.sqrt(rig_ratio(*total, 1.0))
 
@@ -93,8 +93,8 @@ def test_the_closed_form_is_the_residual_of_the_other_pose_in_all_images(baselin
 
 
 def test_a_camera_alone_tells_as_much_as_without_a_rig():
-    tag = 1.0, 2.0, 0.5, *(0.05 * RIGHT), *(0.05 * UP), 1e-5
-    assert rig_ratio(*mirrored_numbers(*tag), 1e-5) == pytest.approx(residual_ratio(*tag), rel=1e-9)
+    tag = (1.0, 2.0, 0.5), 0.05 * RIGHT, 0.05 * UP
+    assert rig_ratio(*mirrored_numbers(tag, 1e-5), 1e-5) == pytest.approx(residual_ratio(tag, 1e-5), rel=1e-9)
 
 
 def test_cameras_farther_apart_tell_more():

@@ -43,10 +43,13 @@ def test_no_axis_with_a_direction_in_view_is_missed_and_the_certain_ones_have_al
     sight, rng = sights(half_angle)[which], np.random.default_rng(seed)
     certain, possible = (unpacked(table, REAL).astype(bool) for table in tables(sight, AXES))
     towards = directions(seed, 50)
-    cells = np.array([cell_of(*direction) for direction in towards])
+    cells = np.array([cell_of(tuple(direction)) for direction in towards])
 
     def in_view(directions, asked):
-        return [seen(sight, *directions[d], 0.0, 1.0, *AXES[:, a]) for d, a in np.argwhere(asked)]
+        return [
+            seen(sight, tuple(directions[d]), 0.0, 1.0, tuple(AXES[:3, a]), tuple(AXES[3:, a]))
+            for d, a in np.argwhere(asked)
+        ]
 
     assert not any(in_view(towards, ~possible[cells]))
     near = towards + 0.99 * math.tan(sight.inset) * directions(rng.integers(2**32), 50)
@@ -69,8 +72,8 @@ def test_tables_leave_little_to_be_tested(which):
 
 def test_every_direction_has_a_cell_and_the_opposite_one_another():
     towards = directions(0)
-    cells, opposite = (np.array([cell_of(*d) for d in sign * towards]) for sign in (1, -1))
+    cells, opposite = (np.array([cell_of(tuple(d)) for d in sign * towards]) for sign in (1, -1))
     assert ((cells >= 0) & (cells < EMPTY_ROW)).all()
     assert (cells != opposite).all()
     assert len(np.unique(cells)) > 0.3 * min(len(towards), SIDE * SIDE)
-    np.testing.assert_array_equal(cells, [cell_of(*(7.0 * d)) for d in towards])
+    np.testing.assert_array_equal(cells, [cell_of(tuple(7.0 * d)) for d in towards])

@@ -92,7 +92,7 @@ def test_regions_that_see_other_landmarks_count_what_the_reference_does(hall, th
 
 @njit(error_model="numpy")
 def _is_reached(sight, offset, normal):
-    return from_position(sight, offset[0], offset[1], offset[2], normal[0], normal[1], normal[2], 0.0)[0]
+    return from_position(sight, (offset[0], offset[1], offset[2]), (normal[0], normal[1], normal[2]), 0.0)[0]
 
 
 @given(

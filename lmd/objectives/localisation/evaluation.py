@@ -5,7 +5,7 @@ landmarks (`information`, `ambiguity`) are summed and compared with the required
 the threads. The module `rig` evaluates rigs, whose cameras have another position for every orientation of the body.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -69,15 +69,15 @@ def localised_views(
     covered, localised = np.zeros((2, batch, size), dtype=np.int64)
     values = ViewValues(covered, localised, np.empty((batch, size, e.axes.shape[1]) if keep else (0, 0, 0)))
     digits = max(positions.shape[1], n, 2).bit_length()
-    fixed = (e.batch(positions, normals), n, digits, precision, precision.asks, values, keep)
+    fixed = (*e.batch(positions, normals), n, digits, precision, precision.asks, values, keep)
     e.run_over_blocks(_localise_range, fixed, CHUNKS_PER_THREAD)
     return values
 
 
 @kernel
 def _localise_range(
-    first: Integer, last: Integer, batch: Batch, n: Integer, places: Integer, precision: Precision, asks: bool,
-    values: ViewValues, keep: bool,
+    first: Integer, last: Integer, batch: Batch, tables: Any, n: Integer, places: Integer, precision: Precision,
+    asks: bool, values: ViewValues, keep: bool,
 ) -> None:  # fmt: skip
     """Evaluate deployments at the positions `order[first:last]`.
 
@@ -89,7 +89,7 @@ def _localise_range(
         covered, localised, variances: see `ViewValues`.
         keep: True to write `variances`.
     """
-    order, positions, landmarks, normals, sight, horizon, obstacles, axes, bands, tables, weights = batch
+    order, positions, landmarks, normals, sight, horizon, obstacles, axes, bands, weights = batch
     (covered, localised, variances), words = values, np.uint64(axes.shape[1] // BITS)
     poses, indices = np.empty((6, landmarks.shape[2])), np.arange(landmarks.shape[2])
     clear, ends, view = is_clear(obstacles), new_ends(obstacles, len(indices)), viewpoint_for(len(indices))
