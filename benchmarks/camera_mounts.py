@@ -28,8 +28,8 @@ from lmd.evaluation.validation import Sample, sampled_values
 from lmd.formats.rigs import read_mounts, rig_of
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import axis_and_right, pose_of
+from lmd.optimisers.genetic import RandomSearch
 from lmd.optimisers.ledger import Budget
-from lmd.optimisers.random_search import RandomSearch
 from lmd.pipelines.app import CONF
 from lmd.pipelines.optimise import build_camera_problem
 from lmd.render.renderer import Renderer

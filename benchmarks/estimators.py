@@ -25,13 +25,11 @@ from hydra import compose, initialize_config_dir
 
 from lmd.core.checks import FloatArray
 from lmd.core.words import markdown_table
-from lmd.estimation import observer_covariance
-from lmd.estimation.consistency import DEGREES, interval, squares
-from lmd.estimation.estimators import pose_errors
+from lmd.estimation.estimators import DEGREES, interval, pose_errors, squares
 from lmd.estimation.flights import Pace, RandomMotion
 from lmd.estimation.fusion import FixedLagSmoother, InvariantKalmanFilter
 from lmd.estimation.gyro_bias import BiasedInvariantFilter, EquivariantFilter
-from lmd.estimation.observer import Observer
+from lmd.estimation.observer import Observer, with_covariances
 from lmd.estimation.pnp import PerspectiveNPoint
 from lmd.estimation.recording import Flight, Odometry, Recording, record
 from lmd.estimation.sensors import PointDetector, TagDetector
@@ -76,7 +74,7 @@ def contenders(attitude: float, position: float) -> dict[str, Contender]:
     listed = {name: Contender(one, one.run) for name, one in found.items()}
     for name, form in (("observer", "right"), ("left_observer", "left")):
         observer = Observer(form)
-        listed[name] = Contender(observer, partial(observer_covariance.run, observer, found["iekf"]))
+        listed[name] = Contender(observer, partial(with_covariances, observer, found["iekf"]))
     return listed
 
 

@@ -20,7 +20,7 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import coo_array, csr_array, eye_array
 
 from lmd.core.checks import BoolArray, FloatArray, InputError
-from lmd.optimisers.lattice import Program
+from lmd.optimisers.milp import Program
 from lmd.optimisers.selection import select
 from lmd.scene.deployment import Deployment
 

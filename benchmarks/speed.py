@@ -25,8 +25,7 @@ from start import processor_seconds
 
 from lmd.core.threads import available_threads
 from lmd.incremental.coverage_field import coverage_field
-from lmd.incremental.move import carry_out
-from lmd.incremental.trial import bound_move, finish_move
+from lmd.incremental.trial import bound_move, carry_out, finish_move
 from lmd.pipelines.app import CONF
 from lmd.pipelines.building import build_problem
 from lmd.scene.criteria import from_position

@@ -25,7 +25,7 @@ import yaml
 
 import lmd.suite
 from lmd.evaluation.bounds import Search, affordable, average_upper_bound, fitness_upper_bound
-from lmd.evaluation.time_limit import TimeLimit
+from lmd.evaluation.relaxation import TimeLimit
 from lmd.evaluation.validation import headline_off_grid, validation_metrics
 from lmd.formats.rigs import read_mounts, rig_of, write_rig
 from lmd.objectives.coverage import MeanCoverage
@@ -35,9 +35,8 @@ from lmd.optimisers.greedy import Greedy
 from lmd.optimisers.ledger import Budget
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
-from lmd.suite.best import POINT, best_path, reference_fitness
 from lmd.suite.documents import FOLDER, Document
-from lmd.suite.frozen import camera_of
+from lmd.suite.frozen import POINT, best_path, camera_of, reference_fitness
 
 OPTIMISERS = {"annealing": Annealing, "camera_annealing": CameraAnnealing, "greedy": Greedy}
 BOUND_SECONDS = 90.0

@@ -32,7 +32,7 @@ def localise(cfg: DictConfig) -> Study:
     from lmd.localise import results
     from lmd.localise.localise import Drive
     from lmd.localise.localise import localise as find
-    from lmd.plot.localised import save_localised_figure
+    from lmd.plot.plans import save_localised_figure
     from lmd.scene.rig import Rig
 
     from .progress import doing

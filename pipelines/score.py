@@ -192,7 +192,7 @@ class _Subject(NamedTuple):
             deployment = plan = problem.draw(np.random.default_rng(cfg.seed))
         with keyed("deployment", path=MEASURED, family="tag.family"):
             if cfg.deployment.measured is not None:
-                from lmd.evaluation.measured import read_measured  # slow to load
+                from lmd.evaluation.mounting import read_measured  # slow to load
 
                 deployment = read_measured(cfg.deployment.measured, problem, plan, **table_in(cfg.deployment))
                 note(deployment.note)
@@ -273,7 +273,7 @@ def _studies(cfg: DictConfig, subject: _Subject) -> Iterator[Studied]:
         varied = sensitivity(problem, deployment, seed)
         yield told("sensitivity", varied, partial(save_sensitivity_figure, found=varied), "sensitivity,")
     if deployment is not plan:
-        from lmd.evaluation.measured import as_measured
+        from lmd.evaluation.mounting import as_measured
         from lmd.plot.pose_errors import save_map_figure
 
         surveyed = as_measured(problem, plan, deployment, seed)

@@ -19,7 +19,7 @@ from .score import mounting_of
 from .study import Report, Study, title_of
 
 if TYPE_CHECKING:
-    from lmd.evaluation.time_limit import TimeLimit
+    from lmd.evaluation.relaxation import TimeLimit
 
 Own = Mapping[str, DictConfig]
 HEADLINE = "localised_share_20mm"  # figure in the headings of panels
@@ -55,9 +55,15 @@ def accuracy(cfg: DictConfig, own: Own) -> Study:
 def bound(cfg: DictConfig, own: Own) -> Study:
     """Bound the results of all deployments of a problem, and the share of the bounds that a greedy choice reaches."""
     from lmd.core.checks import real
-    from lmd.evaluation.bounds import Search, affordable, average_upper_bound, fewest_landmarks, fitness_upper_bound
-    from lmd.evaluation.selection_bound import selection_upper_bound
-    from lmd.evaluation.time_limit import TimeLimit
+    from lmd.evaluation.bounds import (
+        Search,
+        affordable,
+        average_upper_bound,
+        fewest_landmarks,
+        fitness_upper_bound,
+        selection_upper_bound,
+    )
+    from lmd.evaluation.relaxation import TimeLimit
 
     problem, settings = build_problem(next(iter(own.values()))), settings_of(cfg, "bound")
     told_at = monotonic()
@@ -144,7 +150,7 @@ def uncertainty(cfg: DictConfig, own: Own) -> Study:
 
     def run(_: object) -> Report:
         from lmd.export.filter_code import CLASS, FilterLaws, java, python
-        from lmd.plot.uncertainty import save_uncertainty_figure
+        from lmd.plot.pose_errors import save_uncertainty_figure
 
         places, path = error.covariances(problem, deployment), alone.deployment.get("path")
         with keyed("uncertainty", map="deployment.path"):

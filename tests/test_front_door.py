@@ -14,7 +14,7 @@ from support.rooms import L_SHAPE, written
 from support.small import problem
 
 import lmd
-from lmd.optimisers.ega import EGA
+from lmd.optimisers.genetic import EGA
 from lmd.space.floor_plan import FloorPlan
 
 FROM_PYTHON = (Path(__file__).parents[1] / "docs" / "api" / "index.md").read_text(encoding="utf-8")

@@ -36,15 +36,15 @@ from lmd.export import exports
 from lmd.formats import registry
 from lmd.formats.calibrations import read_calibration
 from lmd.formats.tag_map import TagMap
+from lmd.geometry.vectors import dot3
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.optimisers.annealing import Annealing
-from lmd.optimisers.ega import EGA
+from lmd.optimisers.genetic import EGA
 from lmd.optimisers.greedy import Greedy
 from lmd.optimisers.ledger import Budget
 from lmd.problem import Problem
 from lmd.scene import pdf
-from lmd.geometry.vectors import dot3
 from lmd.scene.criteria import from_position, hide, in_image, in_view
 from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.scene import Scene

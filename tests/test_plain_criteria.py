@@ -22,7 +22,7 @@ from lmd.objectives.coverage import Coverage, MeanCoverage
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.localisation.evaluation import localised_views
 from lmd.optimisers.annealing import Annealing
-from lmd.optimisers.ega import EGA
+from lmd.optimisers.genetic import EGA
 from lmd.optimisers.greedy import Greedy
 from lmd.optimisers.ledger import Budget
 from lmd.planner.figures import additions

@@ -12,7 +12,7 @@ from support.small import problem
 import lmd
 from lmd.core import compiled
 from lmd.core.compiled import PLAIN
-from lmd.optimisers.random_search import RandomSearch
+from lmd.optimisers.genetic import RandomSearch
 
 OPTIMISERS = {"walk": None, "evaluate": RandomSearch}
 # Interpreters of environments with other versions of numba, such as the oldest that is allowed: `NUMBAS=old/bin/python`

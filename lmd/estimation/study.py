@@ -10,8 +10,7 @@ import pandas as pd
 from lmd.core.checks import FloatArray, InputError, IntArray, argument_of, check_fields, real, returned
 from lmd.core.memory import check_memory
 from lmd.core.words import escaped, markdown_table
-from lmd.estimation.consistency import DEGREES
-from lmd.estimation.estimators import Errors, Estimator, pose_errors
+from lmd.estimation.estimators import DEGREES, Errors, Estimator, pose_errors
 from lmd.estimation.flights import TrajectorySource
 from lmd.estimation.recording import Each, Flight, Odometry, Recording, Sensor, record
 from lmd.geometry.se3 import exp

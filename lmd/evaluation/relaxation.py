@@ -1,26 +1,57 @@
 """Concave relaxation F of an objective, its multipliers, and the largest gain of a landmark on the walls.
 
-`lmd.evaluation.bounds` has the symbols and the derivation.
+An interrupted search still gives a valid bound. `lmd.evaluation.bounds` has the symbols and the derivation.
 """
 
 import heapq
 import math
 import operator
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
 from itertools import pairwise
+from math import inf
 from typing import NamedTuple
 
 import numpy as np
 
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import clock
-from lmd.evaluation.time_limit import TimeLimit
 from lmd.scene.criteria import TOLERANCE
 from lmd.scene.deployment import Deployment
 from lmd.sight.evaluator import Evaluator, averaged
 from lmd.sight.poses import Cells, covered_amounts, gains
+
+
+class TimeLimit:
+    """Time limit that starts now; time of compilation does not count.
+
+    Args:
+        seconds: limit, seconds; infinite for no limit, with reproducible results.
+        report: called with texts on the progress.
+    """
+
+    def __init__(self, seconds: float = inf, report: Callable[[str], None] = lambda _: None) -> None:
+        self.seconds, self.report, self._until = seconds, report, clock() + seconds
+        self.cut: list[str] = []
+        """Descriptions of the searches that were cut short."""
+
+    @property
+    def left(self) -> float:
+        """Seconds left, not negative."""
+        return max(self._until - clock(), 0.0)
+
+    def part(self, share: float) -> "TimeLimit":
+        """Make a limit that ends after a share of the remaining time."""
+        return TimeLimit(share * self.left, self.report)
+
+    def leaves(self, seconds: float, what: str) -> bool:
+        """True if at least `seconds` are left; otherwise record that `what` was cut short."""
+        if seconds <= self.left:
+            return True
+        self.cut.append(what)
+        return False
+
 
 # First and last half-width of the smoothing of min(v, 1), and number of steps after which the width is halved.
 FIRST_WIDTH, LAST_WIDTH, STEPS_PER_WIDTH = 0.3, 0.01, 25

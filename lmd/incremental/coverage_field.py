@@ -6,12 +6,19 @@ import numpy as np
 
 from lmd.core.bits import BITS, packed
 from lmd.core.memory import check_views
-from lmd.incremental import camera, camera_occlusion, rig, rig_occlusion  # noqa: F401 # they register their functions
-from lmd.incremental.counts import counts_of, new_counts
+from lmd.incremental import camera, rig, rig_occlusion  # noqa: F401 # they register their functions
 from lmd.incremental.field import accept, bound, places_of, settle, undo
-from lmd.incremental.move import carry_out, exchange_place, fill
-from lmd.incremental.state import RigScratch, RigState, Scratch, State, rig_scratch_of, scratch_of
-from lmd.incremental.trial import bound_move, finish_move
+from lmd.incremental.state import (
+    RigScratch,
+    RigState,
+    Scratch,
+    State,
+    counts_of,
+    new_counts,
+    rig_scratch_of,
+    scratch_of,
+)
+from lmd.incremental.trial import bound_move, carry_out, exchange_place, fill, finish_move
 from lmd.scene.criteria import horizon_of
 from lmd.scene.deployment import Deployment
 from lmd.sight.blocks import boxes_around

@@ -16,6 +16,11 @@ Only blocks of positions within the horizon of both landmarks are searched, in t
    For a rig by a bound for all cameras around a centre, and then by the inequalities for each orientation.
 
 A camera is treated as a mount group with one centre, the position itself, and the radius 0.
+
+Blocks of positions within the horizon of the old place of a landmark or of the place tried.
+
+A trial works in these blocks alone: from other positions neither place is visible, and neither affects another
+landmark. Each trial clears the entries that the previous trial wrote, so no loop runs over the whole room.
 """
 
 import math
@@ -23,27 +28,73 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.bits import LANES, Integer, lowest
+from lmd.core.bits import LANES, ONE, Integer, lowest
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined, inner
 from lmd.core.dispatch import dispatched
 from lmd.geometry.vectors import Vector, column3, dot3, minus3, pair3, row3
-from lmd.incremental.nearby import pose_of, target_of
 from lmd.incremental.state import (
     AIMED,
     BLOCK_COUNT,
     BLOCKS,
+    FIRST,
     LANDMARK,
+    LAST,
     OTHERS,
     PAIR_COUNT,
     POSITION,
+    SPAN_COUNT,
     TOUCHED,
     TOUCHED_COUNT,
     TOUCHED_LIST,
     WANTED,
 )
 from lmd.scene.criteria import TOLERANCE
-from lmd.sight.blocks import SINGLE_ERROR
+from lmd.sight.blocks import BLOCK, SINGLE_ERROR
+
+
+@inlined
+def is_near(field: Any, b: Integer, point: Vector) -> Any:
+    """True if block b is within the horizon of a point, metres."""
+    (x, y, z), (hx, hy, hz) = pair3(field.boxes, b)
+    dx, dy, dz = max(abs(point[0] - x) - hx, 0.0), max(abs(point[1] - y) - hy, 0.0), max(abs(point[2] - z) - hz, 0.0)
+    return dx * dx + dy * dy + dz * dz <= field.horizon * field.horizon
+
+
+@inlined
+def target_of(scratch: Any) -> Any:
+    """Position (metres) and unit normal of the place tried."""
+    target = scratch.target
+    return (target[0], target[1], target[2]), (target[3], target[4], target[5])
+
+
+@inlined
+def pose_of(k: Integer, state: Any) -> Any:
+    """Position (metres) and unit normal of landmark k."""
+    return pair3(state.poses, k)
+
+
+@inner
+def list_blocks(k: Integer, field: Any, state: Any, scratch: Any) -> None:
+    """List the blocks near landmark k or near the place tried."""
+    numbers, size, (there, _), (here, _) = scratch.numbers, field.boxes.shape[1], target_of(scratch), pose_of(k, state)
+    aimed, wanted = scratch.flags[AIMED], scratch.flags[WANTED]
+    blocks, first, last = scratch.lists[BLOCKS], scratch.lists[FIRST], scratch.lists[LAST]
+    for b in range(size):  # without a branch, so that the loop vectorises
+        aimed[b] = is_near(field, b, there)
+        wanted[b] = aimed[b] | is_near(field, b, here)
+    count = number = 0
+    for b in range(size):
+        blocks[count] = b
+        count += wanted[b]
+    for m in range(count):
+        b = blocks[m]
+        if m == 0 or b != blocks[m - 1] + ONE:
+            first[number] = b * np.uint64(BLOCK)
+            number += 1
+        last[number - 1] = (b + ONE) * np.uint64(BLOCK)
+    numbers[BLOCK_COUNT], numbers[SPAN_COUNT] = count, number
+
 
 # Roles of a place in a search: old place, place tried, or place of a landmark that is counted for the first time. The
 # roles are NumPy integers, as numba gives each Python constant a type of its own.

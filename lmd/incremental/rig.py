@@ -13,8 +13,7 @@ from lmd.core.bits import ZERO, Integer
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import allocating, inner
 from lmd.geometry.vectors import column3, minus3, plus3, row3
-from lmd.incremental.counts import JUST, SHORT
-from lmd.incremental.nearby import target_of
+from lmd.incremental.occlusion import target_of
 from lmd.incremental.rig_occlusion import find_occluded
 from lmd.incremental.state import (
     ASKED,
@@ -22,6 +21,7 @@ from lmd.incremental.state import (
     FIRST,
     FRESH,
     HIGH,
+    JUST,
     LANDMARK,
     LAST,
     LISTED,
@@ -29,6 +29,7 @@ from lmd.incremental.state import (
     OCCLUDED,
     PAIR_COUNT,
     POSITION,
+    SHORT,
     SPAN_COUNT,
     SURE,
     TOUCHED,

@@ -13,7 +13,6 @@ from numba import literal_unroll
 from lmd.core.bits import ZERO, Integer, lowest
 from lmd.core.compiled import inlined, inner
 from lmd.geometry.vectors import Vector, column3, cross3, dot3, minus3, plus3, row3
-from lmd.incremental.nearby import pose_of, target_of
 from lmd.incremental.occlusion import (
     FIRST_PLACE,
     NEW_PLACE,
@@ -21,7 +20,9 @@ from lmd.incremental.occlusion import (
     line_radius,
     note_neighbour,
     note_pair,
+    pose_of,
     search,
+    target_of,
     touch,
 )
 from lmd.incremental.state import ASKED, COVERED, LANDMARK, OCCLUDED, POSITION, RigState

@@ -3,11 +3,9 @@
 from lmd.optimisers.annealing import Annealing
 from lmd.optimisers.base import AskTell, Optimiser, Result
 from lmd.optimisers.camera_annealing import CameraAnnealing
-from lmd.optimisers.ega import EGA
+from lmd.optimisers.genetic import EGA, SGA, RandomSearch
 from lmd.optimisers.greedy import Greedy
 from lmd.optimisers.ledger import Budget
-from lmd.optimisers.random_search import RandomSearch
-from lmd.optimisers.sga import SGA
 
 __all__ = [
     "EGA",

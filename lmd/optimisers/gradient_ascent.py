@@ -13,8 +13,7 @@ from lmd.objectives.base import incremental
 from lmd.objectives.crowd import slope_target, target_of
 from lmd.objectives.reference_field import field_of
 from lmd.optimisers.annealing.ascent import PLACES_TRIED, SHARE, slopes
-from lmd.optimisers.base import Callback, Result
-from lmd.optimisers.deployment_search import DeploymentSearch
+from lmd.optimisers.base import Callback, DeploymentSearch, Result
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.stored import array, deployment, deployment_state, generator, generator_state
 from lmd.problem import Problem

@@ -11,7 +11,7 @@ from typing_extensions import override
 from lmd.core.checks import Checked, InputError, Positive, real
 from lmd.objectives.base import Objective, selectable
 from lmd.optimisers.annealing import Annealing, Stage
-from lmd.optimisers.annealing.stage import changed
+from lmd.optimisers.annealing.moves import changed
 from lmd.optimisers.selection import GRID_SPACING, Tags, candidates, select
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment

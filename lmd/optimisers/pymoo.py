@@ -7,7 +7,7 @@ import numpy as np
 from typing_extensions import override
 
 from lmd.core.checks import FloatArray, InputError, integer
-from lmd.optimisers.operators import filled_up
+from lmd.optimisers.genetic import filled_up
 from lmd.optimisers.wrapped import LibraryOptimiser, Wrapped, name_of
 
 

@@ -12,10 +12,9 @@
 """
 
 from lmd.suite.adapters import ioh_problem, nevergrad_function, optuna_objective, pymoo_problem, scipy_function
-from lmd.suite.best import best_deployments, best_rig
 from lmd.suite.black_box import BlackBox
 from lmd.suite.documents import Document, document, names
-from lmd.suite.frozen import problem
+from lmd.suite.frozen import best_deployments, best_rig, problem
 
 __all__ = [
     "BlackBox",

@@ -11,7 +11,7 @@ from lmd.incremental.coverage_field import coverage_field
 from lmd.objectives.coverage import CappedCount, Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.localisation.evaluation import localised_views
-from lmd.optimisers.ega import EGA
+from lmd.optimisers.genetic import EGA
 from lmd.optimisers.ledger import Budget
 from lmd.problem import Problem
 from lmd.scene.deployment_sources import RandomDeployment

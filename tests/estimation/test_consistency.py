@@ -6,10 +6,9 @@ from numpy.testing import assert_allclose
 from scipy.stats import chi2
 from test_fusion import DRIFT, FLIGHTS, TAG, recorded, start_of
 
-from lmd.estimation import observer_covariance
-from lmd.estimation.consistency import interval, squares
+from lmd.estimation.estimators import interval, squares
 from lmd.estimation.fusion import FixedLagSmoother, InvariantKalmanFilter
-from lmd.estimation.observer import Observer
+from lmd.estimation.observer import Observer, with_covariances
 from lmd.estimation.pnp import PerspectiveNPoint
 from lmd.estimation.sensors import PointDetector, TagDetector
 from lmd.geometry import se3
@@ -35,7 +34,7 @@ def test_squares_of_drawn_errors_are_chi_square():
 def test_the_errors_of_the_observer_are_as_its_gains_make_them(form):
     recording = recorded(PointDetector(0.5), DRIFT, FLIGHTS[:6])
     start, observer, assumed = start_of(recording, 0.02), Observer(form), InvariantKalmanFilter(0.02, 0.02)
-    runs = [list(observer_covariance.run(observer, assumed, recording, s, start[s])) for s in range(len(start))]
+    runs = [list(with_covariances(observer, assumed, recording, s, start[s])) for s in range(len(start))]
     assert_allclose([[pose for pose, _ in run] for run in runs], observer.estimates(recording, start), atol=1e-9)
     found = np.stack([squares(run, true)[::20] for run, true in zip(runs, recording.poses, strict=True)])
     for i, degrees in enumerate((6, 3, 3)):

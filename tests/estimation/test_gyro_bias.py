@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from scipy.stats import chi2
 from support.paper import paper_scene
 
-from lmd.estimation.consistency import squares
+from lmd.estimation.estimators import squares
 from lmd.estimation.flights import Pace, RandomMotion
 from lmd.estimation.fusion import CameraPoints, InvariantKalmanFilter
 from lmd.estimation.gyro_bias import BiasedInvariantFilter, EquivariantFilter, State

@@ -20,10 +20,9 @@ from lmd.evaluation.bounds import (
     average_upper_bound,
     fewest_landmarks,
     fitness_upper_bound,
+    selection_upper_bound,
 )
-from lmd.evaluation.relaxation import Relaxation, largest_gain, smoothed_min
-from lmd.evaluation.selection_bound import selection_upper_bound
-from lmd.evaluation.time_limit import TimeLimit
+from lmd.evaluation.relaxation import Relaxation, TimeLimit, largest_gain, smoothed_min
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.sampling import Sampling

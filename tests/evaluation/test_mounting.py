@@ -7,8 +7,7 @@ from matplotlib.image import imread
 from support.paper import X, paper_room, paper_scene
 
 from lmd.core.checks import InputError
-from lmd.evaluation.measured import as_measured, read_measured
-from lmd.evaluation.mounting import VIEWS_PER_DRAW, MountingError, mounted, off_grid_figures
+from lmd.evaluation.mounting import VIEWS_PER_DRAW, MountingError, as_measured, mounted, off_grid_figures, read_measured
 from lmd.evaluation.validation import Sample, validation_metrics
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation

@@ -8,8 +8,7 @@ from support.paper import paper_room, paper_scene
 
 from lmd.detection.frames import draw_poses
 from lmd.evaluation.maps import MountedTags, map_errors
-from lmd.evaluation.rig_sensitivity import RigMoments
-from lmd.evaluation.sensitivity import MISS_PROBABILITIES, sensitivity
+from lmd.evaluation.sensitivity import MISS_PROBABILITIES, RigMoments, sensitivity
 from lmd.evaluation.validation import Sample
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation

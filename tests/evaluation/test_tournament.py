@@ -7,8 +7,15 @@ import pytest
 from scipy import stats
 
 from lmd.evaluation.comparison import OptimiserRun, expected_running_time
-from lmd.evaluation.iohprofiler import attained_share, write_iohprofiler
-from lmd.evaluation.tournament import attained_curve, critical_difference, profile, running_time_ratios, tournament
+from lmd.evaluation.tournament import (
+    attained_curve,
+    attained_share,
+    critical_difference,
+    profile,
+    running_time_ratios,
+    tournament,
+    write_iohprofiler,
+)
 from lmd.optimisers.ledger import Record
 
 

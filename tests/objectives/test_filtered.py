@@ -27,9 +27,13 @@ from support.thorough import examples
 from lmd.geometry.se3 import camera_pose, inverse
 from lmd.geometry.trajectory import Trajectory
 from lmd.objectives.filtered import Drives, Filtered
-from lmd.objectives.filtered.covariance import ENTRIES
-from lmd.objectives.filtered.evaluation import filtered_poses, frame_information
-from lmd.objectives.filtered.reference import reference_filter, reference_information
+from lmd.objectives.filtered.evaluation import (
+    filtered_poses,
+    frame_information,
+    reference_filter,
+    reference_information,
+)
+from lmd.objectives.filtered.lanes import ENTRIES
 from lmd.objectives.localisation.information import deviation_per_variance
 from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.scene import Scene

@@ -8,7 +8,7 @@ import pytest
 from support.paper import paper_room, paper_scene
 from support.references import view_matrices
 
-from lmd.evaluation.selection_bound import GUARANTEE, selection_upper_bound
+from lmd.evaluation.bounds import GUARANTEE, selection_upper_bound
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.optimisers.selection import select

@@ -12,8 +12,7 @@ from lmd.incremental.state import HIDDEN
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.sampling import Sampling
 from lmd.optimisers.annealing import Annealing, Stage
-from lmd.optimisers.annealing.moves import _reflect
-from lmd.optimisers.annealing.stage import SINGLE_STAGE
+from lmd.optimisers.annealing.moves import SINGLE_STAGE, _reflect
 from lmd.optimisers.annealing.surrogate import AVERAGING_ETA, RESTART_M, Conditions, MeanPlaces, Surrogate
 from lmd.optimisers.ledger import Budget
 from lmd.problem import Problem

@@ -9,9 +9,8 @@ from support.small import problem
 
 from lmd.evaluation.comparison import OptimiserRun, attained, curve_targets, expected_running_time
 from lmd.optimisers.checkpoint import Checkpoint
-from lmd.optimisers.ega import EGA
+from lmd.optimisers.genetic import EGA, RandomSearch
 from lmd.optimisers.ledger import Budget, Ledger
-from lmd.optimisers.random_search import RandomSearch
 
 EVALUATIONS = 230  # the last batch of 100 is cut short
 

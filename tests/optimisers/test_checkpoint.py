@@ -19,7 +19,7 @@ from lmd.objectives.coverage import Coverage
 from lmd.objectives.sampling import Sampling
 from lmd.optimisers.annealing import Annealing
 from lmd.optimisers.checkpoint import CHECKPOINT_FILE, DOCUMENT_KEY, Checkpoint
-from lmd.optimisers.ega import EGA
+from lmd.optimisers.genetic import EGA
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.stored import generator, generator_state
 from lmd.problem import Problem

@@ -12,7 +12,7 @@ from lmd.evaluation.validation import Sample, validation_metrics
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.sampling import Sampling
 from lmd.optimisers.annealing import Annealing
-from lmd.optimisers.ega import EGA
+from lmd.optimisers.genetic import EGA
 from lmd.optimisers.greedy import Greedy
 from lmd.optimisers.ledger import Budget
 from lmd.problem import Problem

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from lmd.core.checks import InputError
-from lmd.optimisers.ega import EGA
-from lmd.optimisers.sga import SGA
+from lmd.optimisers.genetic import EGA, SGA
 
 COPIES = {"mutation_probability": 0.0, "recombination_min": 0.0, "recombination_max": 0.0}
 

@@ -7,9 +7,9 @@ from support.small import problem
 from lmd.core.checks import InputError
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.sampling import Sampling
+from lmd.optimisers.genetic import RandomSearch
 from lmd.optimisers.gradient_ascent import GradientAscent, _Climb
 from lmd.optimisers.ledger import Budget
-from lmd.optimisers.random_search import RandomSearch
 from lmd.problem import Problem
 from lmd.scene.deployment_sources import UniformDeployment
 

@@ -12,15 +12,20 @@ from support.paper import paper_camera
 from support.rooms import lab
 
 from lmd.core.checks import InputError
-from lmd.evaluation.bounds import Search, average_upper_bound, fewest_landmarks, fitness_upper_bound
-from lmd.evaluation.selection_bound import selection_upper_bound
+from lmd.evaluation.bounds import (
+    Search,
+    average_upper_bound,
+    fewest_landmarks,
+    fitness_upper_bound,
+    selection_upper_bound,
+)
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.annealing import Annealing, Stage
 from lmd.optimisers.annealing.surrogate import Conditions, Surrogate
+from lmd.optimisers.genetic import RandomSearch
 from lmd.optimisers.greedy import Greedy, GreedyDeployment
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.milp import Milp
-from lmd.optimisers.random_search import RandomSearch
 from lmd.optimisers.selection import Tags, candidates, composition, select, stock_of_sizes
 from lmd.problem import Problem
 from lmd.scene import pdf

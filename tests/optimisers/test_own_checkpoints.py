@@ -9,8 +9,8 @@ from support.small import BUDGET, SETTINGS, problem, resumed, saved, stopped
 from lmd.core.checks import InputError
 from lmd.optimisers.base import Optimiser
 from lmd.optimisers.checkpoint import Checkpoint
+from lmd.optimisers.genetic import RandomSearch
 from lmd.optimisers.ledger import Budget
-from lmd.optimisers.random_search import RandomSearch
 from lmd.problem import Problem
 
 

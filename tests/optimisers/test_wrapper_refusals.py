@@ -9,10 +9,10 @@ from scipy.optimize import differential_evolution
 from support.small import OneByOne, pymoo, run
 
 from lmd.core.checks import InputError
+from lmd.optimisers.genetic import RandomSearch
 from lmd.optimisers.nevergrad import Nevergrad
 from lmd.optimisers.pycma import PyCma
 from lmd.optimisers.pymoo import Pymoo
-from lmd.optimisers.random_search import RandomSearch
 from lmd.optimisers.scipy import Scipy
 from lmd.optimisers.wrapped import AskAndTell
 

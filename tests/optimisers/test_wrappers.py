@@ -16,10 +16,10 @@ from support.processes import environment
 from support.small import OneByOne, problem, pymoo, run
 
 from lmd.core.checks import InputError
+from lmd.optimisers.genetic import RandomSearch
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.nevergrad import Nevergrad
 from lmd.optimisers.pycma import PyCma
-from lmd.optimisers.random_search import RandomSearch
 from lmd.optimisers.scipy import Scipy
 from lmd.optimisers.wrapped import AskAndTell, Wrapped
 from lmd.scene.deployment_sources import RandomDeployment

@@ -47,8 +47,8 @@ def test_a_tournament_has_a_leaderboard(held):
 def test_a_run_of_it_is_that_of_the_library(held):
     """Same problem, same seed, same budget, by `lmd` alone."""
     import lmd.suite
+    from lmd.optimisers.genetic import RandomSearch
     from lmd.optimisers.ledger import Budget
-    from lmd.optimisers.random_search import RandomSearch
 
     records = [json.loads(path.read_text()) for path in (held[0] / "outputs/compare/kept").iterdir()]
     (record,) = (each for each in records if each["name"] == "tiny_mean 80 random_search seed=1")

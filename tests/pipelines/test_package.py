@@ -100,7 +100,7 @@ def work(tmp_path):
     """An otherwise empty working directory with an optimiser of one's own."""
     (tmp_path / "optimiser").mkdir()
     (tmp_path / "optimiser" / "mine.yaml").write_text(
-        "_target_: lmd.optimisers.random_search.RandomSearch\nbatch: 10\nencoding: wall\n"
+        "_target_: lmd.optimisers.genetic.RandomSearch\nbatch: 10\nencoding: wall\n"
     )
     return tmp_path
 

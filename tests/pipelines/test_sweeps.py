@@ -17,7 +17,7 @@ PLUGIN = """
 import os, signal, sys, time
 from pathlib import Path
 
-from lmd.optimisers.random_search import RandomSearch
+from lmd.optimisers.genetic import RandomSearch
 
 
 class Faulty(RandomSearch):

@@ -10,8 +10,8 @@ import pytest
 from support.small import problem
 
 from lmd.core.checks import InputError
+from lmd.optimisers.genetic import RandomSearch
 from lmd.optimisers.ledger import Budget
-from lmd.optimisers.random_search import RandomSearch
 from lmd.planner.actions import Access
 from lmd.planner.server import Planner
 from lmd.planner.session import PlanningSession

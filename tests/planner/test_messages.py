@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from support.small import problem
 
+from lmd.optimisers.genetic import RandomSearch
 from lmd.optimisers.ledger import Budget
-from lmd.optimisers.random_search import RandomSearch
 from lmd.planner.panel import PITCH, YAW, PlannerPanel
 from lmd.planner.server import Planner
 from lmd.planner.session import PlanningSession

@@ -14,8 +14,8 @@ from lmd.formats.trajectories import read_recorded_poses
 from lmd.geometry.projection import project
 from lmd.geometry.se3 import pose_of
 from lmd.objectives.coverage import Coverage
+from lmd.optimisers.genetic import RandomSearch
 from lmd.optimisers.ledger import Budget
-from lmd.optimisers.random_search import RandomSearch
 from lmd.planner.background import TO_COME
 from lmd.planner.panel import PlannerPanel
 from lmd.planner.picture import BALL_RADIUS, Captions, RoomPicture, offsets

@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 from support.paper import experiment_room, paper_camera, paper_scene
 
 from lmd.objectives.coverage import Coverage
+from lmd.optimisers.genetic import RandomSearch
 from lmd.optimisers.ledger import Budget
-from lmd.optimisers.random_search import RandomSearch
 from lmd.planner.server import Planner
 from lmd.planner.session import PlanningSession
 from lmd.problem import Problem

@@ -17,8 +17,8 @@ from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.sampling import Sampling
 from lmd.optimisers.annealing import Annealing
+from lmd.optimisers.genetic import RandomSearch
 from lmd.optimisers.ledger import Budget
-from lmd.optimisers.random_search import RandomSearch
 from lmd.planner.plan import Plan
 from lmd.planner.session import PlanningSession
 from lmd.problem import Problem

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from lmd.core.checks import InputError
-from lmd.evaluation.measured import read_measured
+from lmd.evaluation.mounting import read_measured
 from lmd.formats.tag_maps import FileDeployment
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import GivenDeployment, RandomDeployment, UniformDeployment

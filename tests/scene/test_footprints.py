@@ -16,9 +16,8 @@ from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.sampling import Sampling
 from lmd.optimisers.annealing import Annealing
-from lmd.optimisers.ega import EGA
+from lmd.optimisers.genetic import EGA, RandomSearch
 from lmd.optimisers.greedy import Greedy, GreedyDeployment
-from lmd.optimisers.random_search import RandomSearch
 from lmd.problem import Problem
 from lmd.run import evaluate, optimise
 from lmd.scene import pdf

@@ -12,14 +12,14 @@ from support.rooms import L_SHAPE, PILLAR, RACK, lab, mesh_room
 from lmd.core.checks import InputError
 from lmd.detection.frames import tagged_room
 from lmd.estimation.sensors import corners_of
-from lmd.evaluation.measured import as_measured, read_measured
+from lmd.evaluation.mounting import as_measured, read_measured
 from lmd.evaluation.validation import Sample
 from lmd.formats.tag_map import TagMap
 from lmd.formats.tag_maps import FileDeployment
 from lmd.geometry.squares import corners, upright
 from lmd.objectives.coverage import Coverage
+from lmd.optimisers.genetic import RandomSearch
 from lmd.optimisers.ledger import Budget
-from lmd.optimisers.random_search import RandomSearch
 from lmd.optimisers.stored import points
 from lmd.problem import Problem
 from lmd.scene import pdf

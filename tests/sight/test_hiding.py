@@ -9,7 +9,7 @@ from support.paper import paper_room, paper_scene
 from support.strategies import scenes_with_deployments
 from support.thorough import examples
 
-from lmd.incremental.camera_occlusion import turns
+from lmd.incremental.camera import turns
 from lmd.incremental.coverage_field import coverage_field
 from lmd.incremental.state import HIDDEN, HIDING
 from lmd.scene.deployment_sources import RandomDeployment

@@ -10,8 +10,8 @@ import pytest
 import lmd.suite
 from lmd.core.checks import InputError
 from lmd.suite import documents
-from lmd.suite.best import best_path, reference_fitness
 from lmd.suite.documents import FOLDER
+from lmd.suite.frozen import best_path, reference_fitness
 
 NAMES = lmd.suite.names()
 SINGLE = [name for name in NAMES if "objective" in lmd.suite.document(name).problem]

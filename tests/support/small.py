@@ -11,7 +11,7 @@ import pytest
 
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.checkpoint import Checkpoint
-from lmd.optimisers.ega import EGA
+from lmd.optimisers.genetic import EGA
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.pymoo import Pymoo
 from lmd.problem import Problem

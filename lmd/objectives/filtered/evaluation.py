@@ -1,4 +1,7 @@
-"""Filtered poses of whole deployments: information of every frame, then the filter along each drive."""
+"""Filtered poses of whole deployments: information of every frame, then the filter along each drive; and the reference.
+
+The reference is in NumPy; compiled code must equal it bit for bit.
+"""
 
 from typing import Any, NamedTuple
 
@@ -6,12 +9,20 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.geometry.squares import upright
-from lmd.objectives.filtered.covariance import NUMBERS
 from lmd.objectives.filtered.drives import Drives
-from lmd.objectives.filtered.lanes import Tolerance, filter_drives, lanes
-from lmd.objectives.localisation.body import about_body, gain_of
-from lmd.objectives.localisation.information import Precision, moments, share_of
-from lmd.objectives.localisation.reference import density
+from lmd.objectives.filtered.lanes import (
+    NUMBERS,
+    Tolerance,
+    filter_drives,
+    is_known,
+    lanes,
+    predicted,
+    update_beyond_rounding,
+    updated,
+)
+from lmd.objectives.localisation.information import NUMBERS as CAMERA_NUMBERS
+from lmd.objectives.localisation.information import Precision, about_body, gain_of, moments, share_of
+from lmd.objectives.localisation.reference import density, information_of
 from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
@@ -22,7 +33,7 @@ class FrameInformation(NamedTuple):
     """Information of the tags in view of each frame."""
 
     sums: FloatArray
-    """`(F, 21)` numbers as in `lmd.objectives.localisation.body`."""
+    """`(F, 21)` numbers as in `lmd.objectives.localisation.information`."""
     informed: BoolArray
     """`(F,)` mask of the frames with enough tags in view."""
 
@@ -80,3 +91,39 @@ def filtered_poses(drives: Drives, information: FrameInformation, tolerance: Tol
     informed = information.informed.astype(np.uint8)
     filter_drives(drives.first, drives.moves, information.sums, informed, drives.start, tolerance, lanes(), known, kept)
     return FilteredPoses(known != 0, kept)
+
+
+def reference_information(
+    scene: Scene, deployment: Deployment, asked: Precision, n: int, drives: Drives
+) -> FrameInformation:
+    """Information of each frame, frame by frame, by the reference of localisation."""
+    sums, informed = np.zeros((len(drives.positions), NUMBERS)), np.zeros(len(drives.positions), dtype=np.bool_)
+    for f, (position, axes) in enumerate(zip(drives.positions, drives.axes, strict=True)):
+        numbers, covered = information_of(scene, deployment, asked, position, axes[None])
+        if scene.rig is None:
+            sums[f] = about_body(tuple(numbers[:CAMERA_NUMBERS, 0]), (0.0, 0.0, 0.0))
+        else:
+            sums[f] = numbers[:NUMBERS, 0]
+        informed[f] = covered.sum() >= n
+    return FrameInformation(sums, informed)
+
+
+def reference_filter(drives: Drives, information: FrameInformation, tolerance: Tolerance) -> FilteredPoses:
+    """Filter all drives; each step is done for all drives that are still under way."""
+    known, kept = np.zeros(len(information.sums), dtype=np.bool_), np.zeros_like(information.sums)
+    p: FloatArray = np.repeat(drives.start[:, None], len(drives), axis=1)
+    for step in range(int(np.diff(drives.first).max())):
+        under_way = np.flatnonzero(drives.first[:-1] + step < drives.first[1:])
+        frames = drives.first[under_way] + step
+        x, y, z, *noise = drives.moves[frames].T
+        before = np.stack(predicted(tuple(p[:, under_way]), (x, y, z), *noise))
+        sums, after = np.ascontiguousarray(information.sums[frames].T), before.copy()
+        if tolerance.least is None:
+            after = np.stack(updated(tuple(before), tuple(sums), tolerance.scale))
+        else:
+            for d in range(len(frames)):
+                flat, limits = (after.reshape(-1), sums.reshape(-1)), (tolerance.scale, tolerance.least)
+                update_beyond_rounding(*flat, d, len(frames), *limits, np.empty((3, 6, 6)))
+        p[:, under_way] = np.where(information.informed[frames], after, before)
+        known[frames], kept[frames] = is_known(p[:, under_way], tolerance), p[:, under_way].T
+    return FilteredPoses(known, kept)

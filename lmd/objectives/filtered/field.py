@@ -9,9 +9,8 @@ from lmd.core.bits import LANES as OTHERS_AT_ONCE
 from lmd.core.compiled import for_kernels
 from lmd.core.memory import check_memory
 from lmd.incremental.field import accept, bound, places_of, settle, undo
-from lmd.objectives.filtered.covariance import NUMBERS
 from lmd.objectives.filtered.drives import Drives
-from lmd.objectives.filtered.lanes import Lanes, Tolerance, lanes
+from lmd.objectives.filtered.lanes import NUMBERS, Lanes, Tolerance, lanes
 from lmd.objectives.filtered.sightings import SPOTS
 from lmd.objectives.filtered.trial import bound_move, exchange_move, fill_state, settle_move
 from lmd.objectives.localisation.information import NUMBERS as SUMS

@@ -1,6 +1,25 @@
-"""Filters of several drives side by side, so that each operation of a step is done for all of them at once.
+"""Covariance of a Kalman filter on SE(3) along drives; several drives side by side do each operation of a step at once.
 
 Number j of lane l lies at `array[j * LANES + l]`.
+
+The error of the estimate is X = X^ exp(e) with a body twist e, as in the invariant Kalman filter of
+`lmd.estimation.fusion`. Its covariance goes on with the motion T between two frames and with the information I of the
+tags in view,
+
+    P <- Ad(T^-1) P Ad(T^-1)^T + Q,        P^-1 <- P^-1 + I.
+
+Here the twist is turned to the axes of the world: v is the error of the camera's position and w the error of its
+rotation. In these axes Ad(T^-1) is v <- v + w x d with the displacement d of the camera. Odometry with equal noise
+along all axes has the covariance Q = diag(m^2 h, t^2 h) in any axes, with the densities m and t over the time h. I has
+the numbers of `lmd.objectives.localisation.body`, without rounding the inverse of the squared noise to one.
+
+A covariance or an information is 21 numbers: the block of v as xx, xy, xz, yy, yz, zz, the block of v and w row by row,
+and the block of w as that of v. The functions take numbers or arrays; kernels compile the functions that the reference
+calls, so the results are equal bit for bit.
+
+The information of a view is rounded to multiples of `information.QUANTUM`. In a direction that the view leaves
+undetermined, it is a small number of either sign, which matters where P is large: `update_beyond_rounding` leaves such
+directions out.
 """
 
 from typing import Any, NamedTuple
@@ -11,15 +30,145 @@ from lmd.core.bits import Integer
 from lmd.core.checks import FloatArray, IntArray
 from lmd.core.compiled import inlined, inner, kernel
 from lmd.core.dispatch import overridable
-from lmd.geometry.vectors import read3
-from lmd.objectives.filtered.covariance import (
-    NUMBERS,
-    position_variance,
-    predicted,
-    rotation_variance,
-    update_beyond_rounding,
-    updated,
-)
+from lmd.geometry.vectors import Vector, cross3, dot3, plus3, read3, symmetric3
+
+NUMBERS = 21  # numbers of a covariance
+TURN = 15  # first number of the block of w
+BLOCK, CROSS = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]]), np.arange(6, TURN).reshape(3, 3)
+# Index of each entry of the symmetric 6 x 6 matrix among the 21 numbers.
+ENTRIES = np.block([[BLOCK, CROSS], [CROSS.T, BLOCK + TURN]])
+# Rounding error of a variance, relative to the trace of the covariance.
+COVARIANCE_ERROR = 1e-13
+
+Number = Any  # a number in kernels, an array in the reference
+
+
+@inlined
+def predicted(p: Any, way: Vector, motion: Number, turn: Number) -> tuple[Number, ...]:
+    """Covariance after the displacement `way` [m]; `motion` and `turn` are the variances of the odometry."""
+    vxx, vxy, vxz, vyy, vyz, vzz, xxx, xxy, xxz, xyx, xyy, xyz, xzx, xzy, xzz, wxx, wxy, wxz, wyy, wyz, wzz = p
+    # X' = X - [d]x W, with the rows of X as covariances of v_i with w.
+    yxx, yyx, yzx = plus3((xxx, xyx, xzx), cross3((wxx, wxy, wxz), way))
+    yxy, yyy, yzy = plus3((xxy, xyy, xzy), cross3((wxy, wyy, wyz), way))
+    yxz, yyz, yzz = plus3((xxz, xyz, xzz), cross3((wxz, wyz, wzz), way))
+    # V' = V - [d]x X^T - X' [d]x^T: entry ij loses (d x X_j)_i + (d x X'_i)_j.
+    x, y, z = cross3(way, (xxx, xxy, xxz)), cross3(way, (xyx, xyy, xyz)), cross3(way, (xzx, xzy, xzz))
+    a, b, c = cross3(way, (yxx, yxy, yxz)), cross3(way, (yyx, yyy, yyz)), cross3(way, (yzx, yzy, yzz))
+    uxx, uxy, uxz = vxx - (x[0] + a[0]), vxy - (y[0] + a[1]), vxz - (z[0] + a[2])
+    uyy, uyz, uzz = vyy - (y[1] + b[1]), vyz - (z[1] + b[2]), vzz - (z[2] + c[2])
+    return (
+        uxx + motion, uxy, uxz, uyy + motion, uyz, uzz + motion, yxx, yxy, yxz, yyx, yyy, yyz, yzx, yzy, yzz,
+        wxx + turn, wxy, wxz, wyy + turn, wyz, wzz + turn,
+    )  # fmt: skip
+
+
+@inlined
+def _inverse(matrix: Any) -> tuple[Number, Number, Number, Number, Number, Number]:
+    """Inverse of a positive definite 3 x 3 matrix, six numbers, by L D L^T."""
+    xx, xy, xz, yy, yz, zz = matrix
+    a = 1.0 / xx
+    p, q = xy * a, xz * a
+    b = 1.0 / (yy - p * xy)
+    m = yz - p * xz
+    r = m * b
+    c = 1.0 / ((zz - q * xz) - r * m)
+    s = p * r - q  # L^-1 has the rows (1), (-p, 1), (s, -r, 1)
+    sc, rc = s * c, r * c
+    return a + (p * p * b + s * sc), -(p * b) - r * sc, sc, b + r * rc, -rc, c
+
+
+@inlined
+def inverted(p: Any) -> tuple[Number, ...]:
+    """Inverse of a positive definite matrix, 21 numbers, by its blocks."""
+    vxx, vxy, vxz, vyy, vyz, vzz, xxx, xxy, xxz, xyx, xyy, xyz, xzx, xzy, xzz, wxx, wxy, wxz, wyy, wyz, wzz = p
+    a = _inverse((vxx, vxy, vxz, vyy, vyz, vzz))
+    # G = V^-1 X by columns, and the Schur complement W - X^T G.
+    x, y, z = (xxx, xyx, xzx), (xxy, xyy, xzy), (xxz, xyz, xzz)
+    (gxx, gyx, gzx), (gxy, gyy, gzy), (gxz, gyz, gzz) = gx, gy, gz = (
+        symmetric3(a, x),
+        symmetric3(a, y),
+        symmetric3(a, z),
+    )
+    d = _inverse((
+        wxx - dot3(x, gx), wxy - dot3(x, gy), wxz - dot3(x, gz), wyy - dot3(y, gy), wyz - dot3(y, gz),
+        wzz - dot3(z, gz),
+    ))  # fmt: skip
+    # H = G D by rows; the inverse has the blocks V^-1 + H G^T, -H and D.
+    g, h, k = (gxx, gxy, gxz), (gyx, gyy, gyz), (gzx, gzy, gzz)
+    (hxx, hxy, hxz), (hyx, hyy, hyz), (hzx, hzy, hzz) = p, q, r = symmetric3(d, g), symmetric3(d, h), symmetric3(d, k)
+    return (
+        a[0] + dot3(p, g), a[1] + dot3(p, h), a[2] + dot3(p, k), a[3] + dot3(q, h), a[4] + dot3(q, k),
+        a[5] + dot3(r, k), -hxx, -hxy, -hxz, -hyx, -hyy, -hyz, -hzx, -hzy, -hzz, d[0], d[1], d[2], d[3], d[4], d[5],
+    )  # fmt: skip
+
+
+@inlined
+def updated(p: Any, i: Any, scale: float) -> tuple[Number, ...]:
+    """Covariance after an image with the information `scale` times `i`, 21 numbers."""
+    (
+        l0, l1, l2, l3, l4, l5, l6, l7, l8, l9, l10, l11, l12, l13, l14, l15, l16, l17, l18, l19, l20
+    ) = inverted(p)  # fmt: skip
+    return inverted((
+        l0 + scale * i[0], l1 + scale * i[1], l2 + scale * i[2], l3 + scale * i[3], l4 + scale * i[4],
+        l5 + scale * i[5], l6 + scale * i[6], l7 + scale * i[7], l8 + scale * i[8], l9 + scale * i[9],
+        l10 + scale * i[10], l11 + scale * i[11], l12 + scale * i[12], l13 + scale * i[13], l14 + scale * i[14],
+        l15 + scale * i[15], l16 + scale * i[16], l17 + scale * i[17], l18 + scale * i[18], l19 + scale * i[19],
+        l20 + scale * i[20],
+    ))  # fmt: skip
+
+
+@inner
+def update_beyond_rounding(
+    rows: FloatArray, sums: FloatArray, lane: Integer, step: Integer, scale: float, least: float, work: FloatArray
+) -> None:
+    """Update a covariance in place by an image, with the information of the directions that exceeds its rounding.
+
+    The information is decomposed into directions d h h^T, the largest pivot first, and each updates the covariance as a
+    scalar measurement: P <- P - P h h^T P / (h^T P h + 1 / (scale d)).
+
+    Args:
+        rows, sums: covariances and information; number j is the entry `lane + j * step`.
+        scale: factor of the information.
+        least: least pivot d that is no rounding error.
+        work: working memory, `(3, 6, 6)`.
+    """
+    p, rest, h, g = work[0], work[1], work[2, 0], work[2, 1]
+    for e in range(36):
+        entry = lane + ENTRIES[e // 6, e % 6] * step
+        p[e // 6, e % 6], rest[e // 6, e % 6] = rows[entry], sums[entry]
+    for _ in range(6):
+        k, trace = 0, 0.0
+        for r in range(6):
+            k, trace = r if rest[r, r] > rest[k, k] else k, trace + p[r, r]
+        d = rest[k, k]
+        if not d > least:
+            break
+        for r in range(6):
+            h[r] = rest[r, k] / d
+        spread = max(1.0 / (scale * d), COVARIANCE_ERROR * trace)
+        for r in range(6):
+            g[r] = 0.0
+            for c in range(6):
+                g[r] += p[r, c] * h[c]
+                rest[r, c] -= d * (h[r] * h[c])
+            spread += h[r] * g[r]
+        for e in range(36):
+            p[e // 6, e % 6] -= g[e // 6] * g[e % 6] / spread
+    for e in range(36):
+        rows[lane + ENTRIES[e // 6, e % 6] * step] = p[e // 6, e % 6]
+
+
+@inlined
+def position_variance(p: Any) -> Number:
+    """Trace of the block of v, m^2."""
+    return p[0] + p[3] + p[5]
+
+
+@inlined
+def rotation_variance(p: Any) -> Number:
+    """Trace of the block of w, rad^2."""
+    return p[15] + p[18] + p[20]
+
 
 LANES = 16  # fewer would be unrolled and not vectorised
 MOVES = 5  # numbers of a move, see `Drives.moves`

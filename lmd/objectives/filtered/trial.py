@@ -15,8 +15,7 @@ from lmd.core.bits import ZERO, Integer
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined, inner, kernel
 from lmd.geometry.vectors import pair3
-from lmd.objectives.filtered.covariance import NUMBERS
-from lmd.objectives.filtered.lanes import LANES, MOVES, column, is_known, predict_lanes, update_lanes
+from lmd.objectives.filtered.lanes import LANES, MOVES, NUMBERS, column, is_known, predict_lanes, update_lanes
 from lmd.objectives.filtered.sightings import (
     PAIRS,
     add_landmark,

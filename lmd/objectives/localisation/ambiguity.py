@@ -41,8 +41,16 @@ from lmd.core.bits import Integer
 from lmd.core.compiled import inlined
 from lmd.core.dispatch import overridable
 from lmd.geometry.vectors import dot3, times3
-from lmd.objectives.localisation.body import BODY_NUMBERS, BODY_WIDTH
-from lmd.objectives.localisation.information import NEAREST, NUMBERS, QUANTUM, Number, Precision, Square
+from lmd.objectives.localisation.information import (
+    BODY_NUMBERS,
+    BODY_WIDTH,
+    NEAREST,
+    NUMBERS,
+    QUANTUM,
+    Number,
+    Precision,
+    Square,
+)
 from lmd.scene.criteria import TOLERANCE
 
 CONFIDENCE = 0.99  # least probability that the better pose is the true pose

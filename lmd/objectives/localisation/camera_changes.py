@@ -8,7 +8,7 @@ from lmd.core.bits import ALL, Integer, WordArray
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined, inner
 from lmd.geometry.vectors import Vector, column3, minus3
-from lmd.incremental.nearby import pose_of, target_of
+from lmd.incremental.occlusion import pose_of, target_of
 from lmd.incremental.state import (
     ASKED,
     LANDMARK,
@@ -20,17 +20,6 @@ from lmd.incremental.state import (
     State,
 )
 from lmd.incremental.trial import ask_touched, fresh_of, list_changing, see, see_whole, shown_of, turned
-from lmd.objectives.localisation.changes import (
-    change_sums,
-    clear_moments,
-    find_turns,
-    first_row,
-    see_place,
-    see_rest,
-    see_touched,
-    sum_anew,
-    sum_views,
-)
 from lmd.objectives.localisation.views import (
     APPEARS,
     DISAPPEARS,
@@ -39,10 +28,19 @@ from lmd.objectives.localisation.views import (
     CameraViews,
     add_moments,
     add_to_sums,
+    change_sums,
+    clear_moments,
+    find_turns,
+    first_row,
     landmark_moments,
     load_rows,
     read_rows,
     replace_moments,
+    see_place,
+    see_rest,
+    see_touched,
+    sum_anew,
+    sum_views,
     weigh,
 )
 

@@ -18,8 +18,15 @@ from lmd.core.checks import FloatArray
 from lmd.core.compiled import kernel
 from lmd.core.threads import in_parts
 from lmd.geometry.vectors import row3
-from lmd.objectives.localisation.body import BODY_WIDTH, body_log_det
-from lmd.objectives.localisation.information import NUMBERS, WIDTH, Precision, log_det, share_of
+from lmd.objectives.localisation.information import (
+    BODY_WIDTH,
+    NUMBERS,
+    WIDTH,
+    Precision,
+    body_log_det,
+    log_det,
+    share_of,
+)
 from lmd.objectives.localisation.pairs import (
     GroupCoverage,
     add_of_all,

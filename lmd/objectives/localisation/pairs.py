@@ -14,8 +14,15 @@ from lmd.core.compiled import inlined, inner
 from lmd.geometry.squares import upright
 from lmd.geometry.vectors import Vector, column3, minus3, plus3, read3, row3, write3
 from lmd.objectives.localisation.ambiguity import MIRRORED, least_residual, mirrored_numbers, resolves_ambiguity
-from lmd.objectives.localisation.body import BODY_NUMBERS, about_body, gain_of
-from lmd.objectives.localisation.information import Precision, Square, moments, share_of
+from lmd.objectives.localisation.information import (
+    BODY_NUMBERS,
+    Precision,
+    Square,
+    about_body,
+    gain_of,
+    moments,
+    share_of,
+)
 from lmd.objectives.localisation.views import NUMBER, ORIENTATION, TAKEN, VIEW, WHOSE, WORK, BodyViews, whole
 from lmd.scene.criteria import pixel_density
 from lmd.scene.deployment import Deployment

@@ -25,8 +25,19 @@ from lmd.objectives.localisation.ambiguity import (
     rig_ratio,
     width_of,
 )
-from lmd.objectives.localisation.body import about_body, body_log_det, body_meets, body_variance, gain_of
-from lmd.objectives.localisation.information import Precision, log_det, meets, moments, share_of, variance
+from lmd.objectives.localisation.information import (
+    Precision,
+    about_body,
+    body_log_det,
+    body_meets,
+    body_variance,
+    gain_of,
+    log_det,
+    meets,
+    moments,
+    share_of,
+    variance,
+)
 from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator

@@ -15,8 +15,7 @@ from lmd.core.compiled import for_kernels, kernel
 from lmd.core.threads import in_parts
 from lmd.geometry.vectors import row3
 from lmd.objectives.localisation.ambiguity import body_has_one_pose, width_of
-from lmd.objectives.localisation.body import body_variance, gain_of
-from lmd.objectives.localisation.information import Precision
+from lmd.objectives.localisation.information import Precision, body_variance, gain_of
 from lmd.objectives.localisation.pairs import (
     GroupCoverage,
     Mounts,

@@ -9,12 +9,12 @@ from lmd.core.bits import Integer, WordArray
 from lmd.core.compiled import inlined, inner
 from lmd.geometry.squares import upright_sides
 from lmd.geometry.vectors import column3
-from lmd.incremental.counts import ENOUGH, SHORT
-from lmd.incremental.nearby import pose_of, target_of
+from lmd.incremental.occlusion import pose_of, target_of
 from lmd.incremental.rig import list_near
 from lmd.incremental.state import (
     ASKED,
     COVERED,
+    ENOUGH,
     FIRST,
     LANDMARK,
     LAST,
@@ -22,23 +22,13 @@ from lmd.incremental.state import (
     OCCLUDED,
     PAIR_COUNT,
     POSITION,
+    SHORT,
     SPAN_COUNT,
     TOUCHED,
     RigScratch,
     RigState,
 )
 from lmd.incremental.trial import ask_touched, see, see_whole
-from lmd.objectives.localisation.changes import (
-    change_sums,
-    clear_moments,
-    find_turns,
-    first_row,
-    see_place,
-    see_rest,
-    see_touched,
-    sum_anew,
-    sum_views,
-)
 from lmd.objectives.localisation.information import Precision, Square, half_of
 from lmd.objectives.localisation.pairs import (
     Mounts,
@@ -49,7 +39,18 @@ from lmd.objectives.localisation.pairs import (
     prefetch_sums,
     store_sums,
 )
-from lmd.objectives.localisation.views import BodyViews
+from lmd.objectives.localisation.views import (
+    BodyViews,
+    change_sums,
+    clear_moments,
+    find_turns,
+    first_row,
+    see_place,
+    see_rest,
+    see_touched,
+    sum_anew,
+    sum_views,
+)
 
 
 @see_place.register(RigState)

@@ -21,11 +21,10 @@ import numpy as np
 from lmd.core.bits import ALL, ZERO, Integer, WordArray, at_least
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined, inner, kernel
-from lmd.incremental.counts import ENOUGH, enough_with
-from lmd.incremental.move import exchange_place
 from lmd.incremental.occlusion import NEW_PLACE
 from lmd.incremental.state import (
     ASKED,
+    ENOUGH,
     FIRST,
     LAST,
     LISTED,
@@ -33,20 +32,22 @@ from lmd.incremental.state import (
     TOUCHED,
     TOUCHED_COUNT,
     TOUCHED_LIST,
+    enough_with,
 )
-from lmd.incremental.trial import begin_move, find_pairs, fresh_of, list_changing, shown_of
+from lmd.incremental.trial import begin_move, exchange_place, find_pairs, fresh_of, list_changing, shown_of
 from lmd.objectives.localisation.ambiguity import resolves_ambiguity
-from lmd.objectives.localisation.changes import (
+from lmd.objectives.localisation.views import (
     change_sums,
     clear_moments,
     find_turns,
+    met_views,
     see_place,
     see_rest,
     see_touched,
+    seen_twice,
     sum_anew,
     sum_views,
 )
-from lmd.objectives.localisation.views import met_views, seen_twice
 from lmd.sight.kernels import sum_weights
 
 # Rows of `LocalisationScratch.sets`.
@@ -194,7 +195,7 @@ def _exchange(state: Any, scratch: Any) -> None:
 
 @inner
 def carry_out(field: Any, k: Integer, state: Any, scratch: Any) -> None:
-    """Move landmark k to the place tried last, see `lmd.incremental.move.carry_out`."""
+    """Move landmark k to the place tried last, see `lmd.incremental.trial.carry_out`."""
     see_rest(state.coverage, np.uint64(k), field.coverage, scratch.coverage)
     _change_sums(np.uint64(k), 1.0, field, state, scratch)
     exchange_place(field.coverage, k, state.coverage, scratch.coverage)
@@ -203,7 +204,7 @@ def carry_out(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 @inner
 def undo_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
-    """Undo the last `carry_out`, see `lmd.incremental.move.exchange_place`."""
+    """Undo the last `carry_out`, see `lmd.incremental.trial.exchange_place`."""
     exchange_place(field.coverage, k, state.coverage, scratch.coverage)
     _change_sums(np.uint64(k), -1.0, field, state, scratch)
     _exchange(state, scratch)

@@ -29,7 +29,7 @@ from lmd.incremental.field import stack_of
 from lmd.objectives.base import Selectable, incremental
 from lmd.objectives.reference_field import field_of
 from lmd.optimisers.annealing.ascent import PLACES_TRIED, Ascent
-from lmd.optimisers.annealing.stage import GIVEN_STAGE, SAMPLED_STAGE, SINGLE_STAGE, STACKED_STAGE, Stage, changed
+from lmd.optimisers.annealing.moves import GIVEN_STAGE, SAMPLED_STAGE, SINGLE_STAGE, STACKED_STAGE, Stage, changed
 from lmd.optimisers.annealing.surrogate import (
     STACK_SPREAD,
     Conditions,
@@ -38,8 +38,7 @@ from lmd.optimisers.annealing.surrogate import (
     count_stacks,
     pulled_apart,
 )
-from lmd.optimisers.base import Callback, Result
-from lmd.optimisers.deployment_search import DeploymentSearch
+from lmd.optimisers.base import Callback, DeploymentSearch, Result
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.selection import GRID_SPACING, greedy_start
 from lmd.optimisers.stored import array, deployment, deployment_state, generator, generator_state

@@ -42,8 +42,7 @@ from lmd.scene.criteria import (
     pixel_density,
     sized,
 )
-from lmd.sight.models.fiducial_sight import FiducialSight, of_sizes
-from lmd.sight.models.footprints import may_hide
+from lmd.sight.models.fiducial_sight import FiducialSight, may_hide, of_sizes
 from lmd.sight.models.lens_image import corners_inside, in_rectangle, resolves, room_within, stretch_at
 from lmd.sight.obstacles import half_edge
 

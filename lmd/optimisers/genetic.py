@@ -1,0 +1,231 @@
+"""The genetic algorithms of the paper (Sec. IV-B and V-A), their operators, and random search, the baseline of all."""
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, InputError, choice, integer, real
+from lmd.optimisers.base import AskTell
+
+
+def filled_up(start: FloatArray, size: int, rng: np.random.Generator) -> FloatArray:
+    """Cut the start to `size`, or fill it up with uniform genes, `(size, dim)`."""
+    missing = max(size - len(start), 0)
+    return np.vstack([start[:size], rng.random((missing, start.shape[1]))])
+
+
+def recombination_range(shortest: float, longest: float) -> tuple[float, float]:
+    """Check Y_min and Y_max, fractions of the chromosome.
+
+    Raises:
+        InputError: not 0 <= shortest <= longest <= 1.
+    """
+    longest = real("recombination_max", longest, low=0.0, high=1.0)
+    return real("recombination_min", shortest, low=0.0, high=longest), longest
+
+
+def run_of_genes(rng: np.random.Generator, dim: int, shortest: float, longest: float) -> slice:
+    """Draw a run of genes in a chromosome of `dim` genes; the run is between `shortest` and `longest` times `dim`
+    long.
+    """
+    length = int(rng.integers(round(shortest * dim), round(longest * dim), endpoint=True))
+    first = int(rng.integers(0, dim - length, endpoint=True))
+    return slice(first, first + length)
+
+
+def exchange(rng: np.random.Generator, parents: FloatArray, shortest: float, longest: float) -> FloatArray:
+    """Pair up parents at random and exchange a run of genes in each pair, `(B, dim)`; an unpaired parent is copied."""
+    children = parents.copy()
+    order = rng.permutation(len(parents))
+    for i, j in zip(order[0::2], order[1::2], strict=False):
+        run = run_of_genes(rng, parents.shape[1], shortest, longest)
+        children[i, run], children[j, run] = parents[j, run], parents[i, run]
+    return children
+
+
+def reset(rng: np.random.Generator, genes: FloatArray, probability: float) -> FloatArray:
+    """Draw each gene anew with `probability`."""
+    mutates = rng.random(genes.shape) < probability
+    return np.where(mutates, rng.random(genes.shape), genes)
+
+
+class EGA(AskTell):
+    """Elimination genetic algorithm, the nine-tuple (W, Fit, pop_0, M, Q, Y_min, Y_max, Psi, T).
+
+    In each generation the best chromosome survives unchanged, so the best fitness never falls. The Q worst chromosomes
+    are replaced by random chromosomes. The others form the recombinant pool, exchange a run of genes and mutate. Fit is
+    the problem's fitness, pop_0 the problem's start (filled up with random chromosomes), T the budget.
+
+    The parameters fix choices that the paper leaves open. The defaults follow the text of the paper literally.
+
+    Args:
+        population: M.
+        eliminated: Q, with Q + 1 <= M.
+        recombination_min, recombination_max: Y_min and Y_max, the shortest and longest run of genes exchanged, as
+            fractions of the chromosome: the printed 100 and 300 of 450 genes.
+        mutation_probability: Psi, for each gene of a recombined chromosome.
+        partner: `pool` pairs the chromosomes of the pool at random, and each pair exchanges a run of genes; `survivor`
+            gives each chromosome a run of the survivor's genes.
+        acceptance: `always` lets a child replace its parent; `if_better` does so only if the child's fitness is not
+            lower.
+        mutation: `reset` draws a gene anew; `gaussian` moves the gene by a normal step.
+        mutation_scale: standard deviation of the normal step (genes span 1).
+        encoding: W, see `AskTell`.
+        seed: see `Optimiser`.
+
+    Raises:
+        InputError: a parameter is out of range.
+    """
+
+    def __init__(
+        self,
+        population: int = 30,
+        eliminated: int = 7,
+        recombination_min: float = 100 / 450,
+        recombination_max: float = 300 / 450,
+        mutation_probability: float = 0.1,
+        partner: str = "pool",
+        acceptance: str = "always",
+        mutation: str = "reset",
+        mutation_scale: float = 0.05,
+        encoding: str | None = None,
+        seed: int = 0,
+    ) -> None:
+        super().__init__(seed, encoding)
+        self.population_size = self.start_size = integer("population", population, low=2)
+        self.eliminated = integer("eliminated", eliminated, low=0)
+        if self.eliminated + 1 > self.population_size:
+            raise InputError(f"eliminated = {eliminated} leaves no survivor among {population}.", "eliminated")
+        self.recombination_min, self.recombination_max = recombination_range(recombination_min, recombination_max)
+        self.mutation_probability = real("mutation_probability", mutation_probability, low=0.0, high=1.0)
+        self.partner = choice("partner", partner, ("pool", "survivor"))
+        self.acceptance = choice("acceptance", acceptance, ("always", "if_better"))
+        self.mutation = choice("mutation", mutation, ("reset", "gaussian"))
+        self.mutation_scale = real("mutation_scale", mutation_scale, above=0.0)
+        self.population: FloatArray | None = None  # (M, dim), the survivor first
+        self.fitness: FloatArray
+
+    def _ask(self) -> FloatArray:
+        if self.population is None:
+            return filled_up(self.start, self.population_size, self.rng)
+        pool = self.population[1 : self.population_size - self.eliminated]
+        newcomers = self.rng.random((self.eliminated, self.dim))
+        return np.vstack([self._mutate(self._recombine(pool)), newcomers])
+
+    def _tell(self, genes: FloatArray, fitness: FloatArray) -> None:
+        if self.population is not None:
+            parents, parent_fitness = self.population[1:], self.fitness[1:]
+            if self.acceptance == "if_better":
+                worse = fitness < parent_fitness
+                worse[len(worse) - self.eliminated :] = False  # eliminated chromosomes are replaced in any case
+                genes = np.where(worse[:, None], parents, genes)
+                fitness = np.where(worse, parent_fitness, fitness)
+            genes = np.vstack([self.population[:1], genes])
+            fitness = np.concatenate([self.fitness[:1], fitness])
+        order = np.argsort(-fitness, kind="stable")
+        self.population, self.fitness = genes[order], fitness[order]
+
+    def _recombine(self, pool: FloatArray) -> FloatArray:
+        """Children `(M - 1 - Q, dim)` of the pool, row i descending from parent i."""
+        assert self.population is not None
+        shortest, longest = self.recombination_min, self.recombination_max
+        if self.partner == "pool":
+            return exchange(self.rng, pool, shortest, longest)
+        children = pool.copy()
+        for child in children:
+            run = run_of_genes(self.rng, self.dim, shortest, longest)
+            child[run] = self.population[0, run]
+        return children
+
+    def _mutate(self, genes: FloatArray) -> FloatArray:
+        """Mutate each gene with the probability Psi."""
+        if self.mutation == "reset":
+            return reset(self.rng, genes, self.mutation_probability)
+        mutates = self.rng.random(genes.shape) < self.mutation_probability
+        return genes + mutates * self.rng.normal(0.0, self.mutation_scale, genes.shape)
+
+
+class SGA(AskTell):
+    """Standard genetic algorithm.
+
+    In each generation M parents are drawn with a probability proportional to their fitness (by a roulette wheel, so one
+    chromosome can be drawn often). The parents pair up, exchange a run of genes and mutate; the children replace the
+    population. So the population can get worse; the result is the best chromosome of all generations.
+
+    Args:
+        population: M.
+        recombination_min, recombination_max: the shortest and longest run of genes exchanged, as fractions of the
+            chromosome.
+        mutation_probability: probability that a gene is drawn anew.
+        survivors: number of best chromosomes that take the place of the worst children; 0 as in the paper.
+        encoding: see `AskTell`.
+        seed: see `Optimiser`.
+
+    Raises:
+        InputError: a parameter is out of range.
+    """
+
+    def __init__(
+        self,
+        population: int = 30,
+        recombination_min: float = 100 / 450,
+        recombination_max: float = 300 / 450,
+        mutation_probability: float = 0.1,
+        survivors: int = 0,
+        encoding: str | None = None,
+        seed: int = 0,
+    ) -> None:
+        super().__init__(seed, encoding)
+        self.population_size = self.start_size = integer("population", population, low=2)
+        self.recombination_min, self.recombination_max = recombination_range(recombination_min, recombination_max)
+        self.mutation_probability = real("mutation_probability", mutation_probability, low=0.0, high=1.0)
+        self.survivors = integer("survivors", survivors, low=0, high=self.population_size - 1)
+        self.population: FloatArray | None = None  # (M, dim)
+        self.fitness: FloatArray
+
+    def _ask(self) -> FloatArray:
+        if self.population is None:
+            return filled_up(self.start, self.population_size, self.rng)
+        parents = self.population[self._roulette()]
+        children = exchange(self.rng, parents, self.recombination_min, self.recombination_max)
+        return reset(self.rng, children, self.mutation_probability)
+
+    def _tell(self, genes: FloatArray, fitness: FloatArray) -> None:
+        if self.population is not None and self.survivors:
+            best = np.argsort(-self.fitness, kind="stable")[: self.survivors]
+            worst = np.argsort(fitness, kind="stable")[: self.survivors]
+            genes, fitness = genes.copy(), fitness.copy()
+            genes[worst], fitness[worst] = self.population[best], self.fitness[best]
+        self.population, self.fitness = genes, fitness
+
+    def _roulette(self) -> np.ndarray:
+        """Indices of M parents. A failed evaluation has no share of the wheel; if all evaluations failed, the shares
+        are equal.
+        """
+        share = np.maximum(self.fitness, 0.0)
+        if not share.any():
+            share = np.ones(len(share))
+        return self.rng.choice(len(share), size=len(share), p=share / share.sum())
+
+
+class RandomSearch(AskTell):
+    """Random search: the start, then uniform genes.
+
+    Args:
+        batch: deployments drawn at a time; the result does not depend on the number.
+        encoding: see `AskTell`; with `wall`, uniform genes are uniform over the walls.
+        seed: see `Optimiser`.
+
+    Raises:
+        InputError: `batch` is not positive.
+    """
+
+    def __init__(self, batch: int = 30, encoding: str | None = None, seed: int = 0) -> None:
+        super().__init__(seed, encoding)
+        self.batch = integer("batch", batch, low=1)
+
+    def _ask(self) -> FloatArray:
+        if not self.ledger.evaluations:
+            return filled_up(self.start, self.batch, self.rng)
+        return self.rng.random((self.batch, self.dim))
+
+    def _tell(self, genes: FloatArray, fitness: FloatArray) -> None:
+        """Do nothing, as random search learns nothing from the fitness."""
