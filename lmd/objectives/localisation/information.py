@@ -40,7 +40,8 @@ w. With A, g and C of the camera, the information on (v, w) of the body is
 landmark that two cameras see adds information twice, and counts once among the n landmarks that a view needs. Each
 landmark's contribution to a view is rounded as for a single camera, which makes sums exact in any order.
 
-The numbers of view v of a rig are `sums[v + j * step]`, j from 0 to 20: C as xx, xy, xz, yy, yz, zz, B row by row, and A' as C.
+The numbers of view v of a rig are `sums[v + j * step]`, j from 0 to 20: C as xx, xy, xz, yy, yz, zz, B row by row, and
+A' as C.
 """
 
 from collections.abc import Sequence
