@@ -196,7 +196,7 @@ class Evaluator:
                 kept = counts[b] if keep else counts[0:0].reshape(0, 0)
                 units[b] = self.views.evaluate(landmarks, facing, self.weights, n, kept)
             return units, counts
-        self.run_over_blocks(kernels.evaluate_range, (*self.batch(positions, normals), n, units, counts, keep))
+        self.run_over_blocks(kernels.evaluate_range, (*self.batch(positions, normals), n, units, counts))
         return units, counts
 
     def batch(self, positions: FloatArray, normals: FloatArray) -> tuple[kernels.Batch, Any]:

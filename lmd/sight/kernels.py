@@ -52,13 +52,13 @@ def sum_weights(before: Any, after: Any, weights: Any, p: Integer, w: Integer) -
 
 @kernel
 def evaluate_range(
-    first: Integer, last: Integer, batch: Batch, tables: Any, n: Integer, units: np.ndarray, counts: np.ndarray,
-    keep: bool,
-) -> None:  # fmt: skip
+    first: Integer, last: Integer, batch: Batch, tables: Any, n: Integer, units: np.ndarray, counts: np.ndarray
+) -> None:
     """Evaluate deployments at the positions `order[first:last]`.
 
     Args:
         first, last: range of indices of `order`.
+        batch: the following arguments but `tables`, in their order.
         order: positions by blocks of neighbours, `(P,)`.
         positions: positions of the camera, `(P, 3)`, metres.
         landmarks, normals: positions, metres, and unit normals of B deployments, `(B, 3, K)`.
@@ -71,12 +71,12 @@ def evaluate_range(
         weights: quantised probability of each axis, `(1, D)` for all positions or `(P, D)` for each.
         n: number of landmarks that must be covered.
         units: receives quantised P_n, `(B, P)` int64.
-        counts: receives the number of landmarks covered by axis if `keep` is set, `(B, P, D)` int16 zeros.
-        keep: False to skip `counts`.
+        counts: receives the number of landmarks covered by axis, `(B, P, D)` int16 zeros; empty if it is not asked for.
     """
     order, positions, landmarks, normals, sight, horizon, obstacles, axes, bands, weights = batch
     # numba compiles one branch of `tables is None`, by the type of `tables`.
     size, poses, indices = axes.shape[1], np.empty((6, landmarks.shape[2])), np.arange(landmarks.shape[2])
+    keep = len(counts) > 0
     clear, ends, view = is_clear(obstacles), new_ends(obstacles, len(indices)), viewpoint_for(len(indices))
     near, index, x, y, z, bottom, top = view.near_poses, view.near_index, view.x, view.y, view.z, view.bottom, view.top
     low, high, sure_depth, shown, room = view.low, view.high, view.sure_depth, view.shown, (obstacles, clear, ends)

@@ -117,12 +117,13 @@ def candidate_poses(room: Space, spacing: float) -> Deployment:
 @kernel
 def _gains(
     start: Integer, stop: Integer, points: FloatArray, normals: FloatArray, slack: FloatArray, prices: FloatArray,
-    positions: FloatArray, sight: Any, obstacles: Any, axes: FloatArray, bands: np.ndarray, out: FloatArray,
+    parts: Any, out: FloatArray,
 ) -> None:  # fmt: skip
     """Write the gains of the poses `start` to `stop - 1` into `out` `(N,)`.
 
     Arguments as in `gains`, except that the positions are `(3, P)`.
     """
+    positions, sight, obstacles, axes, bands = parts
     size, row = positions.shape[1], np.empty(axes.shape[1])
     x, y, z, low = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
     bottom, top, reached = np.empty(size, np.int32), np.empty(size, np.int32), np.empty(size, np.bool_)
@@ -154,13 +155,13 @@ def _gains(
 
 @kernel
 def _sum_covered(
-    start: Integer, stop: Integer, points: FloatArray, normals: FloatArray, amounts: FloatArray, positions: FloatArray,
-    sight: Any, obstacles: Any, axes: FloatArray, bands: Any, out: Any,
-) -> None:  # fmt: skip
+    start: Integer, stop: Integer, points: FloatArray, normals: FloatArray, amounts: FloatArray, parts: Any, out: Any
+) -> None:
     """Add the covered amounts at the positions `start` to `stop - 1` to `out` `(P, D)`.
 
     Arguments as in `covered_amounts`.
     """
+    positions, sight, obstacles, axes, bands = parts
     ends = new_ends(obstacles, 1)
     for j in range(len(points)):
         if amounts[j] == 0.0:
@@ -207,7 +208,7 @@ def gains(evaluator: Evaluator, poses: Deployment, prices: FloatArray, slack: Fl
         if e.views is not None:
             out = e.views.gains(*where, prices, slack[index])
         else:
-            fixed = (*where, slack[index], prices, positions, e.sight, e.obstacles, e.axes, e.bands, out)
+            fixed = (*where, slack[index], prices, (positions, e.sight, e.obstacles, e.axes, e.bands), out)
             shared(_gains, len(index), e.threads, fixed)
         gained[index] = out
     return gained
@@ -229,7 +230,7 @@ def covered_amounts(evaluator: Evaluator, poses: Deployment, amounts: FloatArray
         if e.views is not None:
             out += e.views.covered_amounts(*these)
         else:
-            fixed = (*these, e.positions, e.sight, e.obstacles, e.axes, e.bands, out)
+            fixed = (*these, (e.positions, e.sight, e.obstacles, e.axes, e.bands), out)
             shared(_sum_covered, len(e.positions), e.threads, fixed)
     return out
 

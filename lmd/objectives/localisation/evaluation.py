@@ -69,7 +69,7 @@ def localised_views(
     covered, localised = np.zeros((2, batch, size), dtype=np.int64)
     values = ViewValues(covered, localised, np.empty((batch, size, e.axes.shape[1]) if keep else (0, 0, 0)))
     digits = max(positions.shape[1], n, 2).bit_length()
-    fixed = (*e.batch(positions, normals), n, digits, precision, precision.asks, values, keep)
+    fixed = (*e.batch(positions, normals), n, digits, precision, precision.asks, values)
     e.run_over_blocks(_localise_range, fixed, CHUNKS_PER_THREAD)
     return values
 
@@ -77,20 +77,19 @@ def localised_views(
 @kernel
 def _localise_range(
     first: Integer, last: Integer, batch: Batch, tables: Any, n: Integer, places: Integer, precision: Precision,
-    asks: bool, values: ViewValues, keep: bool,
+    asks: bool, values: ViewValues,
 ) -> None:  # fmt: skip
     """Evaluate deployments at the positions `order[first:last]`.
 
     Args:
-        first, last, order, positions, landmarks, normals, sight, horizon, obstacles, axes, bands, tables, weights, n:
-            see `kernels.evaluate_range`.
+        first, last, batch, tables, n: see `kernels.evaluate_range`.
         places: number of binary digits of a count of landmarks.
         precision, asks: least information of a localised view, and its `Precision.asks`.
-        covered, localised, variances: see `ViewValues`.
-        keep: True to write `variances`.
+        values: receives the values; the variances are empty if they are not asked for.
     """
     order, positions, landmarks, normals, sight, horizon, obstacles, axes, bands, weights = batch
     (covered, localised, variances), words = values, np.uint64(axes.shape[1] // BITS)
+    keep = len(variances) > 0
     poses, indices = np.empty((6, landmarks.shape[2])), np.arange(landmarks.shape[2])
     clear, ends, view = is_clear(obstacles), new_ends(obstacles, len(indices)), viewpoint_for(len(indices))
     near, index, x, y, z, bottom, top = view.near_poses, view.near_index, view.x, view.y, view.z, view.bottom, view.top

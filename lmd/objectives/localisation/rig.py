@@ -62,7 +62,7 @@ def rig_views(
         places, kinds = evaluator.positions[here], weights[here] if len(weights) > 1 else weights
         every, found = coverage_by_group(evaluator, groups, places, landmarks), np.zeros((2, len(here)), dtype=np.int64)
         variances = np.full((len(here), orientations), np.inf) if keep else np.empty((0, 0))
-        _localise(every, places, tags, kinds, n, precision, precision.asks, body_views(), found, variances)
+        _localise(every, places, tags, kinds, n, precision, precision.asks, body_views(), (found, variances))
         covered[b, here], localised[b, here] = found
         if keep:
             kept[b, here] = variances
@@ -78,9 +78,9 @@ def rig_views(
 @kernel
 def _localise(
     every: tuple[GroupCoverage, ...], positions: FloatArray, tags: FloatArray, weights: IntArray, n: Integer,
-    precision: Precision, asks: bool, views: BodyViews, found: IntArray, variances: FloatArray,
+    precision: Precision, asks: bool, views: BodyViews, out: tuple[IntArray, FloatArray],
 ) -> None:  # fmt: skip
-    """Write quantised P_n and L into `found` `(2, P)`.
+    """Write quantised P_n and L, `(2, P)`, and variances into `out`.
 
     Args:
         every: coverage of the landmarks by mount group.
@@ -94,6 +94,7 @@ def _localise(
             infinity; empty to skip the variances.
     """
     some: Any = np.zeros(max(n, 2), dtype=np.uint64)
+    found, variances = out
     words = np.uint64(weights.shape[1]) // VIEW
     shown, bits = np.empty(len(tags), dtype=np.int64), views.lists[ORIENTATION]
     for p in range(np.uint64(len(positions))):

@@ -74,8 +74,8 @@ def _find_turns(state: Any, scratch: Any) -> None:
 
 @inner
 def _decide_word(
-    k: Integer, q: Integer, w: Integer, lost: np.uint64, gained: np.uint64, has: np.uint64, several: np.uint64,
-    field: Any, state: Any, scratch: Any,
+    where: Any, lost: np.uint64, gained: np.uint64, has: np.uint64, several: np.uint64, field: Any, state: Any,
+    scratch: Any,
 ) -> Any:  # fmt: skip
     """Decide if the views `has` of word w, which cover n landmarks, are localised; the result is written to
     `LOCALISED`.
@@ -87,6 +87,7 @@ def _decide_word(
         several: views that cover two landmarks or more.
         field, state, scratch: field, state and scratch of localisation.
     """
+    k, q, w = where
     known = state.localised[q, w]
     left = has & ((lost & gained) | (lost & known) | (gained & ~known))
     good = known & has & ~left
@@ -127,7 +128,7 @@ def _decide(k: Integer, positions: WordArray, field: Any, state: Any, scratch: A
                 several = (
                     seen_twice(ZERO, now, digits[q, w]) if touched[q] else seen_twice(was, now, counts.digits[q, w])
                 )
-            good = _decide_word(k, q, w, lost, gained, has, several, field, state, scratch) if field.asks else has
+            good = _decide_word((k, q, w), lost, gained, has, several, field, state, scratch) if field.asks else has
             covered += sum_weights(before, has, weights, q, w)
             located += sum_weights(state.localised[q, w], good, weights, q, w)
             localised[q, w] = good

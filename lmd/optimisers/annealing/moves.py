@@ -110,15 +110,9 @@ def gather(k: int, members: IntArray, poses: FloatArray, group: IntArray) -> Non
 
 @inner
 def propose(
-    group: IntArray,
-    here: Places,
-    surfaces: SurfaceArrays,
-    footprints: FootprintArrays,
-    settings: Settings,
-    rng: np.random.Generator,
-    new: FloatArray,
-    on: IntArray,
-) -> bool:
+    group: IntArray, here: Places, surfaces: SurfaceArrays, footprints: FootprintArrays, settings: Settings,
+    rng: np.random.Generator, new: FloatArray, on: IntArray,
+) -> bool:  # fmt: skip
     """Propose a place for the first landmark of `group`; the others keep their offsets from the first along u and v.
 
     Returns:
@@ -182,12 +176,7 @@ def exchange(
 
 @inner
 def overlap(
-    group: IntArray,
-    on: IntArray,
-    new: FloatArray,
-    here: Places,
-    surfaces: SurfaceArrays,
-    footprints: FootprintArrays,
+    group: IntArray, on: IntArray, new: FloatArray, here: Places, surfaces: SurfaceArrays, footprints: FootprintArrays
 ) -> bool:
     """Return True if a footprint of `group` at its new place would overlap another footprint on that surface."""
     poses, edges = here.poses, footprints.edges

@@ -20,7 +20,7 @@ from lmd.incremental.field import Field, Places, Stacking, placed, places_of, ru
 from lmd.objectives.crowd import target_of
 from lmd.objectives.reference_field import field_of
 from lmd.optimisers.annealing.moves import FootprintArrays, Settings
-from lmd.optimisers.annealing.walk import Best, walk
+from lmd.optimisers.annealing.walk import Best, Walker, walk
 from lmd.optimisers.stored import array, points
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
@@ -47,24 +47,6 @@ class Conditions:
     """Completed share of the stage, in [0, 1]."""
     settings: Settings
     """Settings of the walk."""
-
-
-@dataclass(frozen=True)
-class Walker:
-    """Memory of one of several simultaneous walks."""
-
-    members: IntArray
-    """`(M,)` indices of the landmarks that this walk moves."""
-    group: IntArray
-    """`(n,)` working memory: landmarks that move together."""
-    state: Any
-    """State of the field with the landmarks at the end of the last phase."""
-    scratches: Any
-    """`layers` of a scratch, one for each landmark of a group."""
-    best: Best
-    """Best deployment of the walk. This deployment is the best for the true problem only if all landmarks move together
-    on that problem.
-    """
 
 
 class Surrogate:
@@ -130,9 +112,8 @@ class Surrogate:
         shares, run = np.diff(np.linspace(0, moves, number + 1).astype(int)), runner(self._field, walk)
 
         def go(walker: Walker, share: int, own: np.random.Generator) -> None:
-            w, room = walker, (self._surfaces, self._footprints)
-            memory = self._field, w.state, w.scratches
-            run(share, places, w.members, w.group, *memory, self._target, *room, conditions.settings, own, w.best)
+            room = self._surfaces, self._footprints
+            run(share, places, walker, self._field, self._target, room, conditions.settings, own)
 
         at_once(self._threads, go, self._walkers, shares, rngs)
         first = self._walkers[0].best
@@ -161,7 +142,7 @@ class Surrogate:
         slices = self._slices(here, self._first_movable(in_stacks), number, rng)
         if same:
             walkers = zip(self._walkers, slices, strict=True)
-            self._walkers = [Walker(members, w.group, w.state, w.scratches, w.best) for w, members in walkers]
+            self._walkers = [walker._replace(members=members) for walker, members in walkers]
             return places_of(here)
         self._field = self._true
         if isinstance(self._true, Stacking):

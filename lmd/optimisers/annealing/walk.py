@@ -52,6 +52,23 @@ class Best(NamedTuple):
     """Poses and surfaces of the deployment's landmarks."""
 
 
+class Walker(NamedTuple):
+    """Memory of one of several simultaneous walks."""
+
+    members: IntArray
+    """`(M,)` indices of the landmarks that the walker moves."""
+    group: IntArray
+    """`(n,)` working memory: landmarks that move together."""
+    state: Any
+    """State of the field with the landmarks at the end of the walker's last stretch."""
+    scratches: Any
+    """`layers` of a scratch, one for each landmark of a group."""
+    best: Best
+    """Best deployment of the walk. It is the best for the true problem only if a single walker walks on that
+    problem.
+    """
+
+
 class Known(NamedTuple):
     """Smoothed objective of the walk's deployment; Q positions."""
 
@@ -93,22 +110,15 @@ def _keep_best(units: IntArray, here: Places, target: Any, best: Best) -> None:
 
 @inner
 def _try(
-    group: IntArray,
-    on: IntArray,
-    new: FloatArray,
-    field: Any,
-    state: Any,
-    scratches: Any,
-    target: Any,
-    settings: Settings,
-    rng: np.random.Generator,
+    tried: Any, field: Any, state: Any, scratches: Any, target: Any, settings: Settings, rng: np.random.Generator,
     known: Known,
-) -> tuple[float, bool]:
-    """Move the landmarks of `group` to `new` on the surfaces `on`, or reject the move by Metropolis' rule.
+) -> tuple[float, bool]:  # fmt: skip
+    """Make the move `tried`, the `group`, `new` and `on` of `propose`, or reject the move by Metropolis' rule.
 
     Returns:
         smoothed objective after the decision, and True if the landmarks were moved.
     """
+    group, new, on = tried
     last = len(group) - 1
     for m in range(last + 1):
         k, scratch = group[m], layer(scratches, m)
@@ -138,37 +148,22 @@ def _try(
 
 @kernel
 def walk(
-    moves: int,
-    places: Places,
-    members: IntArray,
-    several: IntArray,
-    field: Any,
-    state: Any,
-    scratches: Any,
-    target: Any,
-    surfaces: SurfaceArrays,
-    footprints: FootprintArrays,
-    settings: Settings,
-    rng: np.random.Generator,
-    best: Best,
-) -> None:
-    """Move landmarks `moves` times from `places`; `state` ends where the walk ends, and `best` is updated.
+    moves: int, places: Places, walker: Walker, field: Any, target: Any, room: tuple[SurfaceArrays, FootprintArrays],
+    settings: Settings, rng: np.random.Generator,
+) -> None:  # fmt: skip
+    """Move landmarks `moves` times from `places`; the walker's state ends where the walk ends.
 
     Args:
         moves: total number of moved landmarks; moves that are proposed but not tried count.
         places: places at the beginning of the walk; if empty, the walk begins at `state`.
-        members: `(M,)` indices of the landmarks that may move, M >= the length of `several`.
-        several: `(n,)` working memory: the landmarks that move together.
+        walker: memory of the walk, with at least n scratches, and two for an exchange.
         field: values of positions, a `Field`.
-        state: state of `field`.
-        scratches: `layers` of a scratch, at least n of them, and two for an exchange.
         target: fitness of values, a `Target`.
-        surfaces: surfaces of the room.
-        footprints: footprints of all landmarks.
+        room: surfaces of the room, and footprints of all landmarks.
         settings: conditions of the walk.
         rng: draws proposals and decisions.
-        best: the best deployment.
     """
+    (members, several, state, scratches, best), (surfaces, footprints) = walker, room
     # The places are reached in this kernel, as in another kernel the functions that move landmarks would be compiled
     # again.
     move_to(places, field, state, scratches, np.empty(6))
@@ -201,7 +196,7 @@ def walk(
         if not possible or (footprints.edges[0] > 0.0 and overlap(group, on, new, here, surfaces, footprints)):
             continue
         known = Known(total, units, terms, tried)
-        total, taken = _try(group, on, new, field, state, scratches, target, settings, rng, known)
+        total, taken = _try((group, new, on), field, state, scratches, target, settings, rng, known)
         if taken:
             for p in range(positions):
                 units[p] = state.units[p]
