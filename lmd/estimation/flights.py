@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, check_fields, real, said_of, vector
+from lmd.core.checks import Checked, FloatArray, InputError, Positive, real, said_of, vector
 from lmd.core.memory import check_memory
 from lmd.formats.trajectories import TrajectoryFile
 from lmd.geometry.se3 import camera_pose
@@ -34,7 +34,7 @@ class TrajectorySource(Protocol):
 
 
 @dataclass(frozen=True)
-class Pace:
+class Pace(Checked):
     """Limits of the motion between waypoints, and the frame rate.
 
     Between two waypoints position, yaw and pitch follow the minimum-jerk profile 10 t^3 - 15 t^4 + 6 t^5, as fast as
@@ -44,15 +44,12 @@ class Pace:
         InputError: a value is not positive.
     """
 
-    speed: float
+    speed: Positive
     """Limit of |v|, m/s."""
-    turn_rate: float
+    turn_rate: Positive
     """Limit of |w|, rad/s; yaw and pitch turn about perpendicular axes."""
-    frame_rate: float
+    frame_rate: Positive
     """Frames per second."""
-
-    def __post_init__(self) -> None:
-        check_fields(self, real, "speed", "turn_rate", "frame_rate", above=0.0)
 
     def seconds(self, steps: FloatArray) -> FloatArray:
         """Duration of each change (x, y, z, yaw, pitch) `(..., 5)`, seconds, `(...)`."""
@@ -86,7 +83,7 @@ class Pace:
 
 
 @dataclass(frozen=True)
-class RandomMotion:
+class RandomMotion(Checked):
     """Random motion in the reachable volume, straight from one random waypoint to the next.
 
     Waypoints are uniform in the part of the reachable volume with a free straight path from the previous waypoint;
@@ -96,13 +93,12 @@ class RandomMotion:
         InputError: the duration is not positive.
     """
 
-    duration: float
+    duration: Positive
     """Duration of the motion, seconds."""
     pace: Pace
     """Limits and frame rate."""
 
-    def __post_init__(self) -> None:
-        check_fields(self, real, "duration", above=0.0)
+    def _validate(self) -> None:
         frames = self.duration * self.pace.frame_rate
         made = f"duration = {self.duration:g} s makes {frames:.4g} frames, which"
         check_memory(FRAME_BYTES * frames, made, "duration")

@@ -1,12 +1,13 @@
 """Estimators of GTSAM with models of the measurement noise: a Kalman filter and a fixed-lag smoother."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, fields
-from typing import Any, NamedTuple, Protocol
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Annotated, Any, NamedTuple, Protocol
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, check_fields, choice, real
+from lmd.core.checks import Checked, FloatArray, Positive, choice
 from lmd.core.optional import optional
 from lmd.estimation.estimators import Errors, errors_of
 from lmd.estimation.pnp import images_of, likely
@@ -17,26 +18,25 @@ from lmd.geometry.se3 import seen_by_twist
 
 
 @dataclass(frozen=True)
-class Uncertainty:
+class Uncertainty(Checked):
     """Uncertainties that an estimator assumes.
 
     Raises:
         InputError: a value is not positive.
     """
 
-    attitude: float
+    attitude: Positive
     """Standard deviation of the initial estimate about each axis, rad."""
-    position: float
+    position: Positive
     """Standard deviation of the initial estimate along each axis, metres."""
-    least_turn_noise: float = 1e-3
+    least_turn_noise: Positive = 1e-3
     """Lower bound on the noise of the odometry about each axis, rad per root second."""
-    least_motion_noise: float = 1e-3
+    least_motion_noise: Positive = 1e-3
     """Lower bound on the noise of the odometry along each axis, metres per root second."""
-    least_pixel_noise: float = 0.1
+    least_pixel_noise: Positive = 0.1
     """Lower bound on the noise of the detector, pixels."""
 
-    def __post_init__(self) -> None:
-        check_fields(self, real, *(each.name for each in fields(self) if each.type is not str), above=0.0)
+    def _validate(self) -> None:
         optional("gtsam", "estimators")
 
     @property
@@ -124,12 +124,8 @@ class InvariantKalmanFilter(Uncertainty):
         InputError: a value is not positive, or `measured` is unknown.
     """
 
-    measured: str = field(default="points", kw_only=True)
+    measured: Annotated[str, partial(choice, options=("points", "corners"))] = field(default="points", kw_only=True)
     """`points`, the position of each tag by its own image, or `corners`, the images of the corners of all tags."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        choice("measured", self.measured, ("points", "corners"))
 
     def errors(self, recording: Recording, start: FloatArray) -> Errors:
         """See `lmd.estimation.estimators.Estimator.errors`."""
@@ -163,7 +159,7 @@ class FixedLagSmoother(Uncertainty):
         InputError: a value is not positive.
     """
 
-    lag: float = field(default=1.0, kw_only=True)
+    lag: Positive = field(default=1.0, kw_only=True)
     """Time span of the graph, seconds; older frames are marginalised."""
 
     def errors(self, recording: Recording, start: FloatArray) -> Errors:

@@ -25,10 +25,20 @@ so that x <- (I + h sum G_i H_i) x + h sum G_i n_i. A step of odometry has x <- 
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
+from typing import Annotated
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, check_fields, choice, real
+from lmd.core.checks import (
+    BoolArray,
+    Checked,
+    FloatArray,
+    InputError,
+    NotNegative,
+    Positive,
+    choice,
+)
 from lmd.estimation.estimators import Errors, pose_errors
 from lmd.estimation.fusion import CameraPoints, Uncertainty
 from lmd.estimation.recording import Recording
@@ -40,29 +50,23 @@ STABILITY_LIMIT = 2.0
 
 
 @dataclass(frozen=True)
-class Observer:
+class Observer(Checked):
     """Observer: prediction with the measured twist, and correction with the landmarks in view.
 
     Raises:
         InputError: a value is out of range.
     """
 
-    form: str = "right"
+    form: Annotated[str, partial(choice, options=FORMS)] = "right"
     """`right`-invariant, or `left`-invariant as printed."""
-    gain: float = 10.0
+    gain: Positive = 10.0
     """kappa, 1/s. All k_i of a frame are kappa / sum(1 + |z_i|^2 / l^2), where z is C (right) or y (left). So kappa is
     the fastest rate of convergence for any number of landmarks.
     """
-    damping: float = 1.0
+    damping: NotNegative = 1.0
     """Damping k_0, 1/s."""
-    length: float = 2.0
+    length: Positive = 2.0
     """Length l of the metric, metres: the position error with the weight of one radian."""
-
-    def __post_init__(self) -> None:
-        choice("form", self.form, FORMS)
-        check_fields(self, real, "gain", above=0.0)
-        check_fields(self, real, "damping", low=0.0)
-        check_fields(self, real, "length", above=0.0)
 
     def landmark_gain(self, landmarks: FloatArray, measured: FloatArray, seen: BoolArray) -> FloatArray:
         """Gain k_i, equal for all landmarks of a frame, `(...)`; 0 if no landmark is in view.

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, check_fields, real
+from lmd.core.checks import BoolArray, Checked, FloatArray, InputError, IntArray, NotNegative
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import act, axis_and_right
 from lmd.geometry.trajectory import Trajectory
@@ -21,7 +21,7 @@ from lmd.sight.views import visible_to_each
 
 
 @dataclass(frozen=True)
-class Odometry:
+class Odometry(Checked):
     """Odometry: twists between frames with independent normal errors, whose integral drifts, and a biased gyro.
 
     The bias of the gyro adds to the measured turn rates. The bias is normal at the first frame and walks at random.
@@ -30,17 +30,14 @@ class Odometry:
         InputError: a value is negative.
     """
 
-    turn_noise: float = 0.0
+    turn_noise: NotNegative = 0.0
     """Standard deviation about each axis, rad per root second."""
-    motion_noise: float = 0.0
+    motion_noise: NotNegative = 0.0
     """Standard deviation along each axis, metres per root second."""
-    gyro_bias: float = 0.0
+    gyro_bias: NotNegative = 0.0
     """Standard deviation of the first bias about each axis, rad/s."""
-    gyro_walk: float = 0.0
+    gyro_walk: NotNegative = 0.0
     """Standard deviation of the walk of the bias about each axis, rad/s per root second."""
-
-    def __post_init__(self) -> None:
-        check_fields(self, real, *self.__dataclass_fields__, low=0.0)
 
     def measured(self, twists: FloatArray, steps: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Measure twists, `(T - 1, 6)`, rad/s and m/s.

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, IntArray, check_fields, real
+from lmd.core.checks import Checked, FloatArray, InputError, IntArray, NotNegative, Positive
 from lmd.detection.corner_errors import inward, shortest_side
 from lmd.detection.detectors import Detections, Detector
 from lmd.detection.frames import tagged_room
@@ -35,7 +35,7 @@ class Frame(NamedTuple):
 
 
 @dataclass(frozen=True)
-class RenderedDetector:
+class RenderedDetector(Checked):
     """Real detector on rendered frames, with missed and false detections; a `Sensor`.
 
     The mean shift of the detector's corners, which a calibration finds, is taken out of them. The position of a tag
@@ -53,18 +53,15 @@ class RenderedDetector:
     """Detector of the frames."""
     imaging: Imaging
     """Lens, light and noise."""
-    pixel_noise: float | None = None
+    pixel_noise: Positive | None = None
     """Standard deviation of the corners that estimators assume, pixels; None for that of the detector, by pitch."""
-    shutter: float = 0.0
+    shutter: NotNegative = 0.0
     """Exposure time, seconds; the motion of the camera blurs the frame."""
 
-    def __post_init__(self) -> None:
+    def _validate(self) -> None:
         self.tag.check_edge()
         if not hasattr(self.reader, "corner_errors"):
             raise InputError(f"reader must state its corner_errors, {type(self.reader).__name__} does not.", "reader")
-        if self.pixel_noise is not None:
-            check_fields(self, real, "pixel_noise", above=0.0)
-        check_fields(self, real, "shutter", low=0.0)
 
     def tags(self, deployment: Deployment) -> FloatArray:
         """See `Sensor.tags`."""

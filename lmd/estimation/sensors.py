@@ -2,11 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import Annotated
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from lmd.core.checks import BoolArray, FloatArray, check_fields, choice, real
+from lmd.core.checks import BoolArray, Checked, FloatArray, NotNegative, Positive, Share, choice
 from lmd.core.optional import optional
 from lmd.detection.corner_errors import CORNER_ERRORS, pitch
 from lmd.estimation.recording import Each, Flight, Look, Observation, Sensor, check_images, merged
@@ -21,7 +23,7 @@ from lmd.scene.tag import Tag
 
 
 @dataclass(frozen=True)
-class PointDetector:
+class PointDetector(Checked):
     """Detector of landmarks that are points; a `lmd.estimation.recording.Sensor`.
 
     Three measured numbers of each landmark have independent normal errors. These are the two image coordinates of the
@@ -31,17 +33,12 @@ class PointDetector:
         InputError: a value is out of range.
     """
 
-    pixel_noise: float = 0.0
+    pixel_noise: NotNegative = 0.0
     """Standard deviation sigma of the three numbers, pixels; 0 for exact measurements."""
-    missed: float = 0.0
+    missed: Share = 0.0
     """Probability that a visible landmark is not detected."""
-    edge: float = 0.1
+    edge: Positive = 0.1
     """Edge length a of a landmark, metres."""
-
-    def __post_init__(self) -> None:
-        check_fields(self, real, "pixel_noise", low=0.0)
-        check_fields(self, real, "missed", low=0.0, high=1.0)
-        check_fields(self, real, "edge", above=0.0)
 
     def observed(self, flights: Sequence[Flight], each: Each = map) -> list[Observation]:
         """See `Sensor.observed`; the visibility model of the scene decides which landmarks are visible."""
@@ -123,7 +120,7 @@ def detected(seen: BoolArray, missed: float, rng: np.random.Generator) -> BoolAr
 
 
 @dataclass(frozen=True)
-class TagDetector:
+class TagDetector(Checked):
     """Detector of tags with the measured errors of a real detector; a `Sensor`.
 
     Corner errors are drawn by pitch (`lmd.detection.corner_errors`). The position of a tag follows from its corners.
@@ -134,15 +131,13 @@ class TagDetector:
 
     tag: Tag
     """Tag at every landmark, upright."""
-    reader: str = "aruco"
+    reader: Annotated[str, partial(choice, options=tuple(CORNER_ERRORS))] = "aruco"
     """Detector whose errors are drawn, one of `CORNER_ERRORS`."""
-    missed: float = 0.0
+    missed: Share = 0.0
     """Probability that a visible tag is not detected."""
 
-    def __post_init__(self) -> None:
+    def _validate(self) -> None:
         self.tag.check_edge()
-        choice("reader", self.reader, tuple(CORNER_ERRORS))
-        check_fields(self, real, "missed", low=0.0, high=1.0)
 
     def observed(self, flights: Sequence[Flight], each: Each = map) -> list[Observation]:
         """See `Sensor.observed`; the visibility model of the scene decides which tags are visible."""

@@ -2,12 +2,22 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
 
-from lmd.core.checks import FloatArray, InputError, IntArray, argument_of, check_fields, real, returned
+from lmd.core.checks import (
+    Checked,
+    FloatArray,
+    InputError,
+    IntArray,
+    NotNegative,
+    argument_of,
+    real,
+    returned,
+)
 from lmd.core.memory import check_memory
 from lmd.core.words import escaped, markdown_table
 from lmd.estimation.estimators import DEGREES, Errors, Estimator, pose_errors
@@ -32,21 +42,17 @@ CURVE_WINDOWS = 300
 
 
 @dataclass(frozen=True)
-class InitialError:
+class InitialError(Checked):
     """Error of the first estimate, in random directions.
 
     Raises:
         InputError: a value is negative, or the attitude is more than pi.
     """
 
-    position: float
+    position: NotNegative
     """Position error, metres."""
-    attitude: float
+    attitude: Annotated[float, partial(real, low=0.0, high=np.pi)]
     """Attitude error, rad."""
-
-    def __post_init__(self) -> None:
-        check_fields(self, real, "position", low=0.0)
-        check_fields(self, real, "attitude", low=0.0, high=np.pi)
 
     def applied(self, pose: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Draw a first estimate of a camera pose `(4, 4)`."""

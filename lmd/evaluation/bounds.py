@@ -54,7 +54,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, check_fields, integer, real
+from lmd.core.checks import Checked, Count, FloatArray, InputError, Positive, real
 from lmd.core.compiled import clock
 from lmd.evaluation.relaxation import Dual, Relaxation, TimeLimit, largest_gain, solve
 from lmd.objectives.base import selectable
@@ -76,26 +76,21 @@ MULTIPLIERS_SHARE = 0.3  # share of the time for the multipliers
 
 
 @dataclass(frozen=True)
-class Search:
+class Search(Checked):
     """Effort to improve a bound.
 
     Raises:
         InputError: a number is out of range.
     """
 
-    spacing: float = 0.125
+    spacing: Positive = 0.125
     """Largest distance between the poses of the grid on which the multipliers are found, metres."""
-    iterations: int = 200
+    iterations: Count = 200
     """Largest number of steps."""
-    tolerance: float = 1e-3
+    tolerance: Positive = 1e-3
     """Distance from the best bound on the grid at which the search stops."""
     limit: TimeLimit = field(default_factory=TimeLimit)
     """Time limit; the share `MULTIPLIERS_SHARE` is for the multipliers, and the rest for the search on the walls."""
-
-    def __post_init__(self) -> None:
-        real("spacing", self.spacing, above=0.0)
-        check_fields(self, integer, "iterations", low=1)
-        real("tolerance", self.tolerance, above=0.0)
 
 
 @dataclass(frozen=True)

@@ -6,11 +6,12 @@ mounted tags, which a survey would give.
 """
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, check_fields, integer, real
+from lmd.core.checks import Checked, Count, FloatArray, InputError, NotNegative, real
 from lmd.core.memory import check_memory
 from lmd.detection.frames import draw_poses
 from lmd.evaluation.maps import (
@@ -47,27 +48,27 @@ POSE_BYTES = 4 * 4 * 8  # memory of a pose
 MOUNTING_STREAM = 0x6D6F756E74  # separates the random numbers of the draws from other uses of the seed
 
 
+QuarterTurn = Annotated[float, partial(real, low=0.0, high=np.pi / 2.0)]
+
+
 @dataclass(frozen=True)
-class MountingError:
+class MountingError(Checked):
     """Standard deviations of the independent normal errors with which tags are mounted.
 
     Raises:
         InputError: a value is negative, an angle more than a quarter turn, or there is no draw.
     """
 
-    position: float = 0.0
+    position: NotNegative = 0.0
     """Error of position along each of the two directions of the surface, metres."""
-    turn: float = 0.0
+    turn: QuarterTurn = 0.0
     """Error of rotation in the plane of the tag, rad."""
-    tilt: float = 0.0
+    tilt: QuarterTurn = 0.0
     """Error of the normal about each of the two directions of the surface, rad."""
-    draws: int = 100
+    draws: Count = 100
     """Number of mountings drawn."""
 
-    def __post_init__(self) -> None:
-        check_fields(self, real, "position", low=0.0)
-        check_fields(self, real, "turn", "tilt", low=0.0, high=np.pi / 2.0)
-        check_fields(self, integer, "draws", low=1)
+    def _validate(self) -> None:
         what = f"draws = {self.draws} mountings, each in {VIEWS_PER_DRAW} views,"
         check_memory(POSE_BYTES * VIEWS_PER_DRAW * self.draws, what, "draws")
 

@@ -6,10 +6,12 @@ The tag hangs upright in the middle of the view and is turned about the vertical
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Annotated
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, real, vector
+from lmd.core.checks import Checked, FloatArray, Positive, vector
 from lmd.estimation.cramer_rao import cramer_rao_bound, pose_information
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import camera_pose
@@ -120,24 +122,19 @@ def pose_bounds(
 
 
 @dataclass(frozen=True)
-class Reading:
+class Reading(Checked):
     """Angles and distances at which a tag is looked at.
 
     Raises:
         InputError: a value is out of range.
     """
 
-    incidence: Sequence[float] = (0.0, 30.0, 45.0, 60.0)
+    incidence: Annotated[Sequence[float], partial(vector, size=None, low=0.0, high=90.0)] = (0.0, 30.0, 45.0, 60.0)
     """Angles between the tag's normal and the line of sight, degrees."""
-    distance: Sequence[float] = (0.5, 1.0, 2.0, 4.0, 8.0)
+    distance: Annotated[Sequence[float], partial(vector, size=None, above=0.0)] = (0.5, 1.0, 2.0, 4.0, 8.0)
     """Distances from the camera, metres."""
-    pixel_noise: float = 0.5
+    pixel_noise: Positive = 0.5
     """Standard deviation of a corner, pixels."""
-
-    def __post_init__(self) -> None:
-        vector("incidence", self.incidence, len(self.incidence), low=0.0, high=90.0)
-        vector("distance", self.distance, len(self.distance), above=0.0)
-        real("pixel_noise", self.pixel_noise, above=0.0)
 
 
 def reach_text(camera: Camera, tag: Tag, criteria: Fiducial, reading: Reading) -> str:

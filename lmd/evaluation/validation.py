@@ -21,12 +21,13 @@ held-out poses.
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
 from lmd.core.bits import BITS
-from lmd.core.checks import BoolArray, FloatArray, integer, returned
+from lmd.core.checks import BoolArray, Checked, Count, FloatArray, integer, returned
 from lmd.core.compiled import PYTHON
 from lmd.geometry.frames import angles_of
 from lmd.objectives.base import SelfValidating, with_error
@@ -52,7 +53,7 @@ FINEST_OF_A_RIG = 8  # largest `divisions` for a rig with such criteria, which t
 
 
 @dataclass(frozen=True)
-class Sample:
+class Sample(Checked):
     """Size of a sample of random poses: `groups` times `positions` positions, each in many orientations.
 
     The positions of a group are spread evenly, from a random shift. All positions of a group have the same
@@ -65,16 +66,12 @@ class Sample:
         InputError: a number is too small.
     """
 
-    groups: int = 16
+    groups: Annotated[int, partial(integer, low=2)] = 16
     """Number of groups, at least 2."""
-    positions: int = 4096
+    positions: Count = 4096
     """Number of positions in each group."""
-    divisions: int = 32
+    divisions: Count = 32
     """Number of cells of half a turn."""
-
-    def __post_init__(self) -> None:
-        for name, low in (("groups", 2), ("positions", 1), ("divisions", 1)):
-            object.__setattr__(self, name, integer(name, getattr(self, name), low=low))
 
 
 def validation_metrics(

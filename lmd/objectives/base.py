@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, check_fields, integer, real
+from lmd.core.checks import BoolArray, Checked, Count, FloatArray, InputError, Share
 from lmd.scene.criteria import TOLERANCE
 from lmd.scene.deployment import Deployment
 from lmd.sight.evaluator import Evaluator
@@ -209,7 +209,7 @@ def selectable(objective: Objective) -> Selectable:
 
 
 @dataclass(frozen=True)
-class AtLeast:
+class AtLeast(Checked):
     """Base of objectives that count landmarks seen at the same time.
 
     Args:
@@ -220,12 +220,8 @@ class AtLeast:
         InputError: n < 1 or thold_p outside [0, 1].
     """
 
-    n: int
-    thold_p: float
-
-    def __post_init__(self) -> None:
-        check_fields(self, integer, "n", low=1)
-        check_fields(self, real, "thold_p", low=0.0, high=1.0)
+    n: Count
+    thold_p: Share
 
     @property
     def threshold(self) -> float:

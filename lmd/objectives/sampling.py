@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lmd.core.checks import IntArray, check_fields, integer, returned
+from lmd.core.checks import Checked, Count, IntArray, returned
 from lmd.core.memory import check_memory
 from lmd.scene.pdf import divisions_of
 from lmd.scene.scene import Scene
@@ -16,7 +16,7 @@ POSITION_BYTES = 3 * 8
 
 
 @dataclass(frozen=True)
-class Sampling:
+class Sampling(Checked):
     """Size of a stratified random sample of positions and orientations.
 
     Args:
@@ -30,11 +30,10 @@ class Sampling:
         InputError: a number is less than 1, or there is not enough memory for the orientations.
     """
 
-    positions: int = 20
+    positions: Count = 20
     divisions: int = 18
 
-    def __post_init__(self) -> None:
-        check_fields(self, integer, "positions", low=1)
+    def _validate(self) -> None:
         object.__setattr__(self, "divisions", divisions_of(self.divisions))
 
     def evaluator(self, scene: Scene, repeats: int, rng: np.random.Generator, threads: int | None) -> Evaluator:

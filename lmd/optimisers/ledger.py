@@ -8,32 +8,28 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, check_fields, integer, real
+from lmd.core.checks import Checked, Count, FloatArray, InputError, Positive
 from lmd.optimisers.stored import array
 
 ROUNDING = 1e-6  # evaluations are sums of parts 1/K
 
 
 @dataclass(frozen=True)
-class Budget:
+class Budget(Checked):
     """Limits of a run.
 
     Raises:
         InputError: a limit is not positive, or no limit is given.
     """
 
-    evaluations: int | None = None
+    evaluations: Count | None = None
     """Greatest number of full evaluations; a moved landmark counts 1/K. None for no limit."""
-    seconds: float | None = None
+    seconds: Positive | None = None
     """Wall time after which no evaluation starts, seconds, without compilation; None for no limit."""
 
-    def __post_init__(self) -> None:
+    def _validate(self) -> None:
         if self.evaluations is None and self.seconds is None:
             raise InputError("evaluations or seconds must be given.", "evaluations")
-        if self.evaluations is not None:
-            check_fields(self, integer, "evaluations", low=1)
-        if self.seconds is not None:
-            real("seconds", self.seconds, above=0.0)
 
     @property
     def limit(self) -> float:

@@ -4,11 +4,11 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from lmd.core.checks import InputError, choice, integer, real
+from lmd.core.checks import Checked, Count, InputError, choice, real
 from lmd.core.files import read_bytes, read_keys
 
 SETS = ("small", "full")
@@ -34,7 +34,7 @@ class Best:
 
 
 @dataclass(frozen=True)
-class Document:
+class Document(Checked):
     """A frozen problem of the suite.
 
     Raises:
@@ -45,26 +45,22 @@ class Document:
     """Name, that of its file."""
     about: str
     """A sentence."""
-    set: str
+    set: Annotated[str, partial(choice, options=SETS)]
     """Smallest set that contains it, one of `SETS`."""
-    version: int
+    version: Count
     """Version of the problem; a changed hash needs a new version."""
     hash: str
     """Digest of everything that decides the fitness, as `digest` gives it."""
     budgets: Sequence[int]
     """Evaluations of the three budgets, ascending."""
-    bound: float | None
+    bound: Annotated[float, partial(real, above=0.0, high=1.0)] | None
     """Proven upper bound of the fitness of all candidates; None for none below 1."""
     best: Best | None
     """Best candidate known; None before one was recorded."""
     problem: Mapping[str, Any]
     """Nodes of the problem, as in a configuration of `pipelines.optimise`."""
 
-    def __post_init__(self) -> None:
-        choice("set", self.set, SETS)
-        integer("version", self.version, low=1)
-        if self.bound is not None:
-            real("bound", self.bound, above=0.0, high=1.0)
+    def _validate(self) -> None:
         if not self.budgets or sorted(set(self.budgets)) != list(self.budgets):
             raise InputError(f"{self.name}: budgets must ascend, got {list(self.budgets)}.", "budgets")
 

@@ -2,23 +2,26 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
+from typing import Annotated
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, IntArray, check_fields, real
+from lmd.core.checks import Checked, FloatArray, InputError, IntArray, real
 from lmd.geometry.se3 import axis_and_right
 from lmd.geometry.trajectory import Trajectory
 
 DECIMALS = 9  # of the duration of a frame, seconds: regular frames last equally long
 LARGEST = 1e6  # greatest standard deviation, in its unit
+Noise = Annotated[float, partial(real, low=0.0, high=LARGEST)]
+Deviation = Annotated[float, partial(real, low=1.0 / LARGEST, high=LARGEST)]
 # Standard deviations of a camera whose pose in a building is unknown: of its position along an axis, metres, and of its
 # rotation about an axis, rad, where half a turn is the greatest error. Greater ones say no more.
 UNKNOWN_POSITION, UNKNOWN_ATTITUDE = 1e3, np.pi
 
 
 @dataclass(frozen=True)
-class Drives:
+class Drives(Checked):
     """D drives with F frames in total, one drive after the other.
 
     Raises:
@@ -27,18 +30,16 @@ class Drives:
 
     trajectories: Sequence[Trajectory]
     """Poses of the camera, or of the rig's body, at the images of each drive."""
-    turn_noise: float
+    turn_noise: Noise
     """Noise of the odometry about each axis, rad per root second."""
-    motion_noise: float
+    motion_noise: Noise
     """Noise of the odometry along each axis, metres per root second."""
-    start_position: float = 1.0
+    start_position: Deviation = 1.0
     """Standard deviation of the first estimate along each axis, metres."""
-    start_attitude: float = 0.5
+    start_attitude: Deviation = 0.5
     """Standard deviation of the first estimate about each axis, rad."""
 
-    def __post_init__(self) -> None:
-        check_fields(self, real, "turn_noise", "motion_noise", low=0.0, high=LARGEST)
-        check_fields(self, real, "start_position", "start_attitude", low=1.0 / LARGEST, high=LARGEST)
+    def _validate(self) -> None:
         if not self.trajectories:
             raise InputError("drives must be at least one, got none.", "drives")
 

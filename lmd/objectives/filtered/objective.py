@@ -3,10 +3,12 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
+from typing import Annotated
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, check_fields, real
+from lmd.core.checks import BoolArray, Count, FloatArray, InputError, Positive, Share, real
 from lmd.incremental.field import Field
 from lmd.objectives.base import AtLeast, Headline, figure_of, with_error
 from lmd.objectives.coverage import Mean
@@ -101,25 +103,18 @@ class Filtered(AtLeast):
         InputError: a value is out of range.
     """
 
-    n: int = 1
-    thold_p: float = 1.0
+    n: Count = 1
+    thold_p: Share = 1.0
     drives: Drives = None  # type: ignore[assignment] # required, though the fields of the base have defaults
     fresh: Drives | None = None
-    tolerance: float = 0.02
-    rotation_tolerance: float | None = None
-    pixel_noise: float = 0.5
-    worst: float | None = None
+    tolerance: Positive = 0.02
+    rotation_tolerance: Positive | None = None
+    pixel_noise: Annotated[float, partial(real, low=1e-6)] = 0.5
+    worst: Annotated[float, partial(real, above=0.0, high=1.0)] | None = None
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _validate(self) -> None:
         if not isinstance(self.drives, Drives):
             raise InputError(f"drives must be Drives, got {self.drives!r}.", "drives")
-        check_fields(self, real, "tolerance", above=0.0)
-        check_fields(self, real, "pixel_noise", low=1e-6)
-        if self.rotation_tolerance is not None:
-            check_fields(self, real, "rotation_tolerance", above=0.0)
-        if self.worst is not None:
-            check_fields(self, real, "worst", above=0.0, high=1.0)
 
     @property
     def sampling(self) -> Sampling | None:

@@ -3,11 +3,12 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import partial
+from typing import Annotated, Any
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, check_fields, choice, real
+from lmd.core.checks import BoolArray, Count, FloatArray, Positive, Share, choice, real
 from lmd.objectives.base import AtLeast, Headline, Selection, figure_of, with_error
 from lmd.objectives.coverage import Mean, Threshold
 from lmd.objectives.localisation.ambiguity import resolved
@@ -57,25 +58,18 @@ class Localisation(AtLeast):
         InputError: a value is out of range.
     """
 
-    n: int = 2
-    thold_p: float = 0.5
-    tolerance: float = 0.02
-    pixel_noise: float = 0.5
+    n: Count = 2
+    thold_p: Share = 0.5
+    tolerance: Annotated[float, partial(real, above=0.0, infinite=True)] = 0.02
+    pixel_noise: Positive = 0.5
     climbs: str = "mean"
-    rotation_tolerance: float | None = None
-    ambiguity: str = "resolved"
-    coverage_weight: float = 0.0
+    rotation_tolerance: Positive | None = None
+    ambiguity: Annotated[str, partial(choice, options=AMBIGUITY)] = "resolved"
+    coverage_weight: Share = 0.0
     sampling: Sampling | None = SAMPLING
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_fields(self, real, "tolerance", above=0.0, infinite=True)
-        check_fields(self, real, "pixel_noise", above=0.0)
+    def _validate(self) -> None:
         choice("fitness", self.climbs, FITNESS)
-        choice("ambiguity", self.ambiguity, AMBIGUITY)
-        if self.rotation_tolerance is not None:
-            check_fields(self, real, "rotation_tolerance", above=0.0)
-        check_fields(self, real, "coverage_weight", low=0.0, high=1.0)
 
     @property
     def headline(self) -> Headline:

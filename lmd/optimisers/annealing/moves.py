@@ -6,11 +6,23 @@ their new poses, position and normal, are written to `new` `(G, 6)`, and their n
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, IntArray, argument_of, check_fields, choice, real, vector
+from lmd.core.checks import (
+    Checked,
+    Finite,
+    FloatArray,
+    IntArray,
+    NotNegative,
+    Share,
+    argument_of,
+    choice,
+    real,
+    vector,
+)
 from lmd.core.compiled import inner
 from lmd.incremental.field import Places
 from lmd.space.allowed import allows, spread_one
@@ -210,8 +222,11 @@ PAIRS = ("temperature", "width", "step")
 CONSTANTS = ("margin", "share", "jump", "join", "together", "exchange")
 
 
+Course = Annotated[Sequence[float], partial(vector, size=2, above=0.0)]
+
+
 @dataclass(frozen=True)
-class Stage:
+class Stage(Checked):
     """Conditions of one stage; a pair has the values at the beginning and at the end of the stage, with geometric
     interpolation.
 
@@ -219,31 +234,27 @@ class Stage:
         InputError: a value is out of range.
     """
 
-    temperature: Sequence[float]
+    temperature: Course
     """Loss in the smoothed objective that is accepted with probability 1/e; the objective is a mean over positions."""
-    width: Sequence[float]
+    width: Course
     """Width of the smooth step around the threshold, in value."""
-    step: Sequence[float]
+    step: Course
     """Standard deviation of a local move, metres."""
-    margin: float = 0.0
+    margin: Finite = 0.0
     """Height of the middle of the smooth step above the threshold, in value."""
-    share: float = 0.02
+    share: NotNegative = 0.02
     """Weight of the mean value beside the smooth step."""
-    jump: float = 0.1
+    jump: Share = 0.1
     """Probability of a move to a place drawn uniformly from all surfaces."""
     join: float = 0.1
     """Probability of a move next to another landmark."""
-    together: float = 0.0
+    together: Share = 0.0
     """Probability that a landmark moves with its n - 1 nearest neighbours."""
-    exchange: float = 0.05
+    exchange: Share = 0.05
     """Probability that a landmark exchanges its place with a landmark of another size, if there are several sizes."""
 
-    def __post_init__(self) -> None:
-        check_fields(self, vector, *PAIRS, size=2, above=0.0)
-        real("margin", self.margin)
-        real("share", self.share, low=0.0)
-        real("join", self.join, low=0.0, high=1.0 - real("jump", self.jump, low=0.0, high=1.0))
-        check_fields(self, real, "together", "exchange", low=0.0, high=1.0)
+    def _validate(self) -> None:
+        real("join", self.join, low=0.0, high=1.0 - self.jump)
 
     def settings(self, progress: float, near: float) -> Settings:
         """Settings of the walk after a share `progress` in [0, 1] of the stage.

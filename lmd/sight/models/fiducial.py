@@ -36,7 +36,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, check_fields, real
+from lmd.core.checks import BoolArray, Checked, FloatArray, InputError, NotNegative
 from lmd.geometry.camera import MM_PER_M, Camera
 from lmd.geometry.lens import EQUIDISTANT, Lens
 from lmd.geometry.se3 import cross
@@ -61,7 +61,7 @@ FAR = 1.6
 
 
 @dataclass(frozen=True)
-class Fiducial:
+class Fiducial(Checked):
     """Criteria of a tag detector; a `lmd.scene.criteria.Criteria`.
 
     Args:
@@ -80,18 +80,17 @@ class Fiducial:
     tag: Tag
     detector: str = "aruco"
     limits: Limits | Mapping[str, Any] | None = None
-    psf_sigma: float = 0.5
-    motion_blur: float = 0.0
+    psf_sigma: NotNegative = 0.5
+    motion_blur: NotNegative = 0.0
     edges: tuple[float, ...] | None = None
 
     needs_roll = True  # see `Criteria.needs_roll`: the image is a rectangle
 
-    def __post_init__(self) -> None:
+    def _validate(self) -> None:
         if self.tag.is_point:
             raise InputError("tag must have an edge, in metres: what a detector sees depends on its size.")
         if not isinstance(self.limits, Limits):
             object.__setattr__(self, "limits", limits_of(self.detector, self.tag.family, self.limits or {}))
-        check_fields(self, real, "psf_sigma", "motion_blur", low=0.0)
 
     @property
     def spacing(self) -> float:

@@ -7,13 +7,23 @@ A preset is a YAML file with the keys `detector`, `family` and the fields of `Li
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, argument_of, check_fields, choice, real, said_of
+from lmd.core.checks import (
+    BoolArray,
+    Checked,
+    FloatArray,
+    InputError,
+    NotNegative,
+    argument_of,
+    choice,
+    real,
+    said_of,
+)
 from lmd.core.files import read_keys
 from lmd.scene.families import family_named
 
@@ -22,7 +32,7 @@ SUFFIXES = (".yaml", ".yml")
 
 
 @dataclass(frozen=True)
-class Limits:
+class Limits(Checked):
     """Limits within which a detector finds a tag, in the terms of `lmd.detection.corner_errors`.
 
     Args:
@@ -36,15 +46,11 @@ class Limits:
         InputError: a value is out of range.
     """
 
-    pitch: float
-    blur: float
-    edge: float
-    incidence: float
-    margin: float
-
-    def __post_init__(self) -> None:
-        check_fields(self, real, "pitch", "blur", "edge", "margin", low=0.0)
-        check_fields(self, real, "incidence", above=0.0, high=89.0)
+    pitch: NotNegative
+    blur: NotNegative
+    edge: NotNegative
+    incidence: Annotated[float, partial(real, above=0.0, high=89.0)]
+    margin: NotNegative
 
     def found(self, pitch: FloatArray, incidence: FloatArray, edge: FloatArray, sigma: FloatArray) -> BoolArray:
         """Mask of the views that the detector finds, for tags wholly in the image; arrays of one shape.

@@ -16,11 +16,12 @@ Source: Lei et al., "Optimization of Directional Landmark Deployment for Visual 
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, check_fields, choice, real
+from lmd.core.checks import BoolArray, Checked, FloatArray, NotNegative, Positive, choice
 from lmd.geometry.camera import Camera
 from lmd.geometry.vectors import Vector, cross3, dot3
 from lmd.scene.criteria import TOLERANCE, from_around, from_position, hide, in_cone, in_image, in_view
@@ -127,7 +128,7 @@ OCCLUSION_MODES = ("paper", "line_of_sight", "none")
 
 
 @dataclass(frozen=True)
-class Visibility:
+class Visibility(Checked):
     """Thresholds of the paper's criteria; a `lmd.scene.criteria.Criteria`.
 
     Args:
@@ -143,18 +144,12 @@ class Visibility:
         InputError: a value is out of range.
     """
 
-    thold: float
-    nu: float = 0.05
-    occlusion: str = "paper"
-    circle_of_confusion: float = 4.0
+    thold: Positive
+    nu: NotNegative = 0.05
+    occlusion: Annotated[str, partial(choice, options=OCCLUSION_MODES)] = "paper"
+    circle_of_confusion: Positive = 4.0
 
     needs_roll = False  # see `Criteria.needs_roll`: the cone of view is round
-
-    def __post_init__(self) -> None:
-        check_fields(self, real, "thold", above=0.0)
-        check_fields(self, real, "nu", low=0.0)
-        choice("occlusion", self.occlusion, OCCLUSION_MODES)
-        check_fields(self, real, "circle_of_confusion", above=0.0)
 
     @property
     def tests_other_landmarks(self) -> bool:
