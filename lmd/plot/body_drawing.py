@@ -75,11 +75,9 @@ def _draw(axes: "Axes", view: str, onto: FloatArray, body: Body, rig: Rig) -> No
     axes.set_title(view)
     if view == "from above":
         axes.xaxis.set_major_formatter(lambda value, _: f"{0.0 - value:.0f}")
-    axes.set_xlabel(AXES[view][0])
-    axes.set_ylabel(AXES[view][1])
-    axes.set_aspect("equal")
-    axes.set_xlim(first[0] - 0.45 * size, last[0] + 0.45 * size)
-    axes.set_ylim(first[1] - 0.45 * size, last[1] + 0.45 * size)
+    (x_low, y_low), (x_high, y_high) = first - 0.45 * size, last + 0.45 * size
+    limits = {"xlim": (x_low, x_high), "ylim": (y_low, y_high)}
+    axes.set(xlabel=AXES[view][0], ylabel=AXES[view][1], aspect="equal", **limits)
 
 
 def _shown(onto: FloatArray) -> list[int]:

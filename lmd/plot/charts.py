@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from lmd.core.checks import FloatArray
 from lmd.objectives.base import Headline
-from lmd.plot.common import literal, logarithmic_ticks, new_figure, series, set_ticks
+from lmd.plot.common import draw_band, dress, literal, new_panels, series, set_log_ticks
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -37,17 +37,14 @@ def save_convergence_figure(path: str | Path, history: Mapping[str, ArrayLike], 
 
     evaluations, fitness, seconds = (np.asarray(history[key]) for key in ("evaluations", "best_fitness", "wall_time"))
     best = 100.0 * fitness
-    figure = new_figure((9.0, 5.0))
-    axes = figure.add_subplot()
+    figure, ((axes,),) = new_panels((9.0, 5.0), title, 1, 1)
     axes.step(evaluations, best, where="post", linewidth=1.8)
     axes.plot(evaluations[-1], best[-1], "o", color="C0", clip_on=False)
-    axes.set(title=literal(title), xlabel="evaluations", ylabel="best fitness [%]")
+    dress(axes, xlabel="evaluations", ylabel="best fitness [%]", xlim=(0.0, None))
     if best.min() >= 0.0 and best.max() <= 100.0:  # an objective of one's own may be no share
         axes.set_ylim(0.0, 100.0)
-    axes.set_xlim(left=0)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.xaxis.set_major_formatter("{x:,.0f}")
-    axes.grid(alpha=0.4)
     # The text is in the upper or lower half, away from the end of the line.
     y, align = (0.04, "bottom") if best[-1] > np.mean(axes.get_ylim()) else (0.96, "top")
     text = f"{best[-1]:.2f}% after {evaluations[-1]:,.0f} evaluations, {_duration(seconds[-1])}"
@@ -87,8 +84,7 @@ def save_comparison_figure(
     last = max(getattr(run.history[-1], axis) for run in runs)
     at = np.geomspace(max(first, 1e-3 * last), last, 300)
     targets = curve_targets(runs)
-    figure = new_figure((15, 6), title)
-    convergence, distribution = figure.subplots(1, 2, sharex=True)
+    figure, ((convergence, distribution),) = new_panels((15, 6), title, 1, 2, sharex=True)
     for i, (name, group) in enumerate(groups.items()):
         _draw_median(convergence, at, best_at(group, axis, at), literal(name), i)
         distribution.step(at, 100.0 * attained(group, axis, at, targets), lw=1.8, where="post", **series(i))
@@ -99,10 +95,8 @@ def save_comparison_figure(
     distribution.set(title=f"{len(targets)} targets: best fitness of {low:.1f} to {high:.1f}%", ylim=(0.0, 100.0))
     distribution.set_ylabel("share of (run, target) pairs reached [%]")
     for axes in (convergence, distribution):
-        axes.set_xscale("log")
-        set_ticks(axes.xaxis, logarithmic_ticks(at[0], at[-1]))
-        axes.set_xlabel("wall time [s]" if axis == "wall_time" else axis)
-        axes.grid(alpha=0.3)
+        dress(axes, xscale="log", xlabel="wall time [s]" if axis == "wall_time" else axis)
+        set_log_ticks(axes.xaxis, at[0], at[-1])
     figure.legend(loc="outside right upper", frameon=False, title="best fitness at the end, median")
     figure.savefig(path)
 
@@ -110,10 +104,8 @@ def save_comparison_figure(
 def _draw_median(axes: Any, at: FloatArray, curves: FloatArray, name: str, number: int) -> None:
     """Draw the median of fitness curves `(R, N)` over `at` `(N,)`, per cent, and a band from the worst to the best."""
     known = np.isfinite(curves).all(axis=0)
-    curves, style = 100.0 * curves[:, known], series(number)
-    median = np.median(curves, axis=0)
-    axes.fill_between(at[known], curves.min(axis=0), curves.max(axis=0), color=style["color"], alpha=0.15, lw=0)
-    axes.plot(at[known], median, lw=1.8, label=f"{name} {median[-1]:.1f}%", **style)
+    band = np.quantile(100.0 * curves[:, known], (0.0, 0.5, 1.0), axis=0)
+    draw_band(axes, at[known], band, f"{name} {band[1, -1]:.1f}%", lw=1.8, **series(number))
 
 
 class Searched(NamedTuple):
@@ -143,8 +135,7 @@ def save_groups_figure(
     """
     from lmd.evaluation.comparison import best_at
 
-    figure = new_figure((15, 6), title)
-    convergence, ends = figure.subplots(1, 2)
+    figure, ((convergence, ends),) = new_panels((15, 6), title, 1, 2)
     spent = [job.history[-1].evaluations for jobs in groups.values() for job in jobs]
     at = np.geomspace(1.0, max(*spent, 2.0), 300)
     values = list(dict.fromkeys(group[-1] if group else "" for group in groups))
@@ -159,21 +150,18 @@ def save_groups_figure(
         points.sort(key=lambda point: places[point[0]])
         x, style = [places[value] for value, _ in points], series(i)
         ranges = 100.0 * np.array([np.quantile([job.fitness for job in jobs], [0, 0.5, 1]) for _, jobs in points])
-        ends.fill_between(x, ranges[:, 0], ranges[:, 2], color=style["color"], alpha=0.15, lw=0)
-        ends.plot(x, ranges[:, 1], "o", ls=style["linestyle"], color=style["color"], label=_labelled(keys, others))
+        draw_band(ends, x, ranges.T, _labelled(keys, others), "o", **style)
         off = [[job.off_grid for job in jobs if job.off_grid is not None] for _, jobs in points]
         if all(off):
             medians = [100.0 * np.median(each) for each in off]
             ends.plot(x, medians, "x", ls="none", color=style["color"], label="off the grid" if i == 0 else None)
     convergence.set(title="median over the seeds, band from worst to best", ylabel="best fitness [%]", xscale="log")
     convergence.set_xlabel("evaluations")
-    set_ticks(convergence.xaxis, logarithmic_ticks(at[0], at[-1]))
+    set_log_ticks(convergence.xaxis, at[0], at[-1])
     ends.set(title="at the end: median over the seeds", ylabel="fitness [%]", xlabel=literal(keys[-1] if keys else ""))
     ends.set_xticks(list(places.values()), [literal(value) for value in places])
     for axes in (convergence, ends):
-        axes.grid(alpha=0.3)
-        if 0 < len(axes.get_legend_handles_labels()[0]) <= LEGEND:
-            axes.legend(frameon=False)
+        dress(axes, legend=0 < len(axes.get_legend_handles_labels()[0]) <= LEGEND)
     figure.savefig(path)
 
 
@@ -230,17 +218,16 @@ def save_tradeoff_figure(
     mixed = [curve for curve in curves if MIXED in str(curve)]  # at most one
     colours = {curve: f"C{i}" for i, curve in enumerate(curve for curve in curves if curve not in mixed)}
     number = len(panels) + len(mixed)
-    figure = new_figure((5.5 * number, 4.5), title)
-    drawn: Any = figure.subplots(1, number, squeeze=False)
+    figure, drawn = new_panels((5.5 * number, 4.5), title, 1, number)
     if mixed:
         _draw_counts(drawn[0, -1], points[points[axis.curve] == mixed[0]], axis, colours)
     for axes, panel in zip(drawn[0], panels, strict=False):
         for curve in [*mixed, *colours]:
             by_size = points[points[axis.curve] == curve].groupby(axis.along)
             colour, name, width = colours.get(curve, "0.6"), curve_name(curve), 5 if curve in mixed else 1.5
-            shares = 100.0 * by_size[panel.figure].agg(["median", "min", "max"])
-            axes.fill_between(shares.index, shares["min"], shares["max"], color=colour, alpha=0.2, lw=0)
-            axes.plot(shares.index, shares["median"], "o-", color=colour, ms=4, lw=width, label=name)
+            shares = 100.0 * by_size[panel.figure].agg(["min", "median", "max"])
+            style = {"color": colour, "ms": 4, "lw": width}
+            draw_band(axes, shares.index, shares.to_numpy().T, name, "o-", **style)
             if panel.on_grid is not None:
                 on_grid = 100.0 * by_size[panel.on_grid].median()
                 label = None if mixed else f"{name}, on the grid"
@@ -249,10 +236,7 @@ def save_tradeoff_figure(
             axes.axhline(100.0 * panel.wanted, color="0.5", ls="--", label="wanted")
         axes.set_ylabel(f"{panel.label} [%]")
     for axes in drawn[0]:
-        axes.set_xlabel(AXES[axis.along])
-        axes.set_ylim(bottom=0.0)
-        axes.grid(alpha=0.3)
-        axes.legend(frameon=False)
+        dress(axes, legend=True, xlabel=AXES[axis.along], ylim=(0.0, None))
     figure.savefig(path)
 
 
@@ -280,8 +264,7 @@ def save_heat_map(path: str | Path, tables: "Mapping[str, pd.DataFrame]", title:
     """
     rows, columns = next(iter(tables.values())).shape
     size = (1.6 + 1.0 * max(columns, 3) * len(tables), 1.8 + 0.8 * max(rows, 3))
-    figure = new_figure(size, title)
-    panels = figure.subplots(1, len(tables), sharey=True, squeeze=False)[0]
+    figure, (panels,) = new_panels(size, title, 1, len(tables), sharey=True)
     for axes, (name, table) in zip(panels, tables.items(), strict=True):
         image = axes.imshow(table, cmap="Greens", vmin=0.0, vmax=1.0, aspect="auto")
         for (row, column), value in np.ndenumerate(table.to_numpy()):
@@ -334,8 +317,7 @@ def save_sensitivity_figure(path: str | Path, found: "Sensitivity", title: str) 
     from lmd.evaluation.sensitivity import SHARE_COLUMNS
 
     styles = dict(zip(SHARE_COLUMNS, (("localised", "-"), ("enough landmarks covered", "--")), strict=True))
-    figure = new_figure((15.0, 5.0), title)
-    panels: Any = figure.subplots(1, 3)
+    figure, (panels,) = new_panels((15.0, 5.0), title, 1, 3)
     varied, missed, lost = panels
     for i, (name, rows) in enumerate(found.assumptions.groupby("assumption", sort=False)):
         for share, (_, style) in styles.items():
@@ -358,6 +340,5 @@ def save_sensitivity_figure(path: str | Path, found: "Sensitivity", title: str) 
         axes.set_ylim(0.0, 100.0)
     lost.set_ylim(bottom=min(0.0, lost.get_ylim()[0]))
     for axes in panels:
-        axes.grid(alpha=0.3)
-        axes.legend(frameon=False)
+        dress(axes, legend=True)
     figure.savefig(path)

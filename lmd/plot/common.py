@@ -83,10 +83,41 @@ def logarithmic_ticks(low: float, high: float) -> FloatArray:
     return ticks if len(ticks) else np.array([low])
 
 
+def set_log_ticks(axis: Any, low: float, high: float) -> None:
+    """Put a few round numbers on a logarithmic axis or colour bar from `low` to `high`, and remove minor ticks."""
+    set_ticks(axis, logarithmic_ticks(low, high))
+
+
 def set_ticks(axis: Any, ticks: FloatArray) -> None:
     """Put ticks with short numbers on an axis or a colour bar, and remove minor ticks."""
     axis.set_ticks(ticks.tolist(), labels=[f"{tick:g}" for tick in ticks])
     axis.set_ticks([], minor=True)
+
+
+def dress(axes: Any, legend: bool = False, **settings: Any) -> None:
+    """Give axes their labels and limits, a faint grid, and a legend without a frame."""
+    axes.set(**settings)
+    axes.grid(alpha=0.3)
+    if legend:
+        axes.legend(frameon=False)
+
+
+def draw_band(axes: Any, x: Any, band: Any, label: str | None, mark: str = "", **style: Any) -> None:
+    """Draw a line through the middle values of a band `(3, N)`, and a faint area from its low to its high values."""
+    low, middle, high = band
+    axes.fill_between(x, low, high, color=style["color"], alpha=0.2, lw=0)
+    axes.plot(x, middle, mark, label=label, **style)
+
+
+def draw_arrows(axes: Any, places: FloatArray, ways: FloatArray, **style: Any) -> None:
+    """Draw arrows from places along ways, `(N, 2)` each, in the unit of the axes."""
+    lengths: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0}
+    axes.quiver(*places.T, *ways.T, **{"width": 0.003, "zorder": 3, **lengths, **style})
+
+
+def from_above(axes: Any, **settings: Any) -> None:
+    """Give axes in the plane of a floor equal scales and their labels."""
+    axes.set(**{"aspect": "equal", "xlabel": AXIS_LABELS[0], "ylabel": AXIS_LABELS[1], **settings})
 
 
 class Group(NamedTuple):
@@ -136,8 +167,7 @@ def draw_tags(axes: Any, deployment: Deployment, groups: Sequence[Group]) -> Non
     ids: dict[tuple[float, ...], list[int]] = {}
     for group in groups:
         start, arrows = at[group.chosen], ARROW_LENGTH * ways[group.chosen]
-        axes.quiver(*start.T, *arrows.T, color=group.colour, angles="xy", scale_units="xy", scale=1.0,
-                    width=0.003, zorder=3)  # fmt: skip
+        draw_arrows(axes, start, arrows, color=group.colour)
         axes.plot(*start.T, "o", color=group.colour, ms=2.5, zorder=3)
     for number, place, way in zip(deployment.ids, at.round(2), ways.round(1) + 0.0, strict=True):
         ids.setdefault((*place, *way), []).append(number)
@@ -162,6 +192,12 @@ def literal(text: object) -> str:
 def wrapped(title: str, inches: float) -> str:
     """Title in lines that fit into a figure of this width."""
     return textwrap.fill(literal(title), int(LETTERS_PER_INCH * inches))
+
+
+def new_panels(inches: tuple[float, float], title: str | None, rows: int, columns: int, **shared: Any) -> Any:
+    """Make a figure as `new_figure` with panels side by side; returns the figure and its panels `(rows, columns)`."""
+    figure = new_figure(inches, title)
+    return figure, figure.subplots(rows, columns, squeeze=False, **shared)
 
 
 def new_figure(inches: tuple[float, float], title: str | None = None) -> Any:

@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,7 +12,7 @@ from lmd.core.optional import optional
 from lmd.detection.calibration import DetectorCalibration, predicted_views
 from lmd.detection.detectors import TAG_NUMBERS
 from lmd.detection.predictions import PLACES
-from lmd.plot.common import literal, new_figure, set_ticks, shrink
+from lmd.plot.common import dress, literal, new_panels, set_ticks, shrink
 from lmd.render.imaging import UInt8Array
 
 # Colours of outlines in frames: red, green, blue.
@@ -38,8 +37,7 @@ def save_calibration_figure(path: str | Path, figures: pd.DataFrame, pitches: pd
         title: title of the figure.
     """
     names, detectors = list(figures.deployment.unique()), list(figures.detector.unique())
-    figure = new_figure((2.0 + 5.0 * len(names), 9.0), title)
-    panels: Any = figure.subplots(2, len(names), sharey="row", squeeze=False)
+    figure, panels = new_panels((2.0 + 5.0 * len(names), 9.0), title, 2, len(names), sharey="row")
     width = 0.8 / (1 + len(detectors))
     for axes, name in zip(panels[0], names, strict=True):
         rows = figures[figures.deployment == name].set_index("detector")
@@ -58,10 +56,9 @@ def save_calibration_figure(path: str | Path, figures: pd.DataFrame, pitches: pd
             if i == 0:
                 axes.plot(_middle(rows), rows.predicted, "o--", color="#9e9e9e", label="predicted")
             axes.plot(_middle(rows), rows.detected, "o-", color=f"C{i}", label=literal(detector))
-        axes.set(xscale="log", xlabel="pixels a module, tags wholly in the image", ylim=(-0.02, 1.02))
+        dress(axes, xscale="log", xlabel="pixels a module, tags wholly in the image", ylim=(-0.02, 1.02))
         set_ticks(axes.xaxis, np.array(PITCH_TICKS))
         axes.set_xlim(PITCH_TICKS[0], PITCH_TICKS[-1])
-        axes.grid(alpha=0.3)
     panels[0][0].set_ylabel("share of frames")
     panels[1][0].set_ylabel("share of tags")
     handles, labels = panels[0][0].get_legend_handles_labels()
@@ -77,8 +74,7 @@ def save_places_figure(path: str | Path, places: pd.DataFrame, title: str) -> No
         places: rows of `lmd.detection.predictions.by_place`.
         title: title of the figure.
     """
-    figure = new_figure((12.0, 4.6), title)
-    panels: Any = figure.subplots(1, 2)
+    figure, (panels,) = new_panels((12.0, 4.6), title, 1, 2)
     for axes, which in zip(panels, ("predicted", "detected"), strict=True):
         shares = np.full(PLACES[::-1], np.nan)
         shares[places.row, places.column] = places[which]
@@ -101,8 +97,7 @@ def save_limits_figure(path: str | Path, calibrations: Mapping[str, DetectorCali
         calibrations: calibrations by the name of the detector.
         title: title of the figure.
     """
-    figure = new_figure((12.0, 0.6 + 4.2 * len(calibrations)), title)
-    panels: Any = figure.subplots(len(calibrations), 2, squeeze=False)
+    figure, panels = new_panels((12.0, 0.6 + 4.2 * len(calibrations)), title, len(calibrations), 2)
     for (left, right), (name, calibration) in zip(panels, calibrations.items(), strict=True):
         views, limits = calibration.views, calibration.fit.limits
         facing = replace(limits, pitch=0.0, blur=0.0, edge=0.0)  # limits of incidence and margin alone
@@ -116,9 +111,8 @@ def save_limits_figure(path: str | Path, calibrations: Mapping[str, DetectorCali
         left.set(title=literal(name), xlabel="blur sigma [px]", ylabel="pixels a module", ylim=(0.0, None))
         left.legend(loc="upper left", markerscale=3.0, framealpha=0.9)
         with np.errstate(divide="ignore"):  # a limit of 0 is no limit
-            ratio = np.minimum(
-                views.pitch / np.hypot(limits.pitch, limits.blur * views.sigma), views.edge / np.float64(limits.edge)
-            )
+            least = np.hypot(limits.pitch, limits.blur * views.sigma)
+            ratio = np.minimum(views.pitch / least, views.edge / np.float64(limits.edge))
         place = np.searchsorted(RATIOS, ratio, side="right") - 1
         for b in range(len(RATIOS) - 1):
             members = views.seen[shown & (place == b)]
@@ -127,8 +121,7 @@ def save_limits_figure(path: str | Path, calibrations: Mapping[str, DetectorCali
                 error = np.sqrt(share * (1.0 - share) / len(members))
                 right.errorbar((RATIOS[b] + RATIOS[b + 1]) / 2.0, share, error, fmt="o", color="C0")
         right.plot([RATIOS[0], 1.0, 1.0, RATIOS[-1]], [0.0, 0.0, 1.0, 1.0], "k", lw=1.0)
-        right.set(xlabel="size over the limit", ylabel="share found", ylim=(-0.02, 1.02))
-        right.grid(alpha=0.3)
+        dress(right, xlabel="size over the limit", ylabel="share found", ylim=(-0.02, 1.02))
     figure.savefig(path)
 
 

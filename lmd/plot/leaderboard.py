@@ -30,7 +30,7 @@ from textwrap import shorten
 from typing import TYPE_CHECKING
 
 from lmd.core.checks import FloatArray
-from lmd.plot.common import literal, logarithmic_ticks, new_figure, series, set_ticks
+from lmd.plot.common import dress, literal, new_panels, series, set_log_ticks
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -53,11 +53,9 @@ def save_critical_difference_diagram(path: Path, ranks: "pd.Series", critical: f
     count, half = len(ranks), (len(ranks) + 1) // 2
     bars = _cliques(ranks.to_numpy(), critical)
     height = HEAD + ROW * half + 0.12 * len(bars) + 0.5
-    figure = new_figure((9.0, height))
-    axes = figure.add_subplot()
+    figure, ((axes,),) = new_panels((9.0, height), title, 1, 1)
     axes.set(xlim=(0.0, 1.0), ylim=(height - 0.4, 0.0))
     axes.axis("off")
-    axes.set_title(literal(title))
 
     def place(rank: float) -> float:
         return LEFT + (rank - 1.0) / max(count - 1, 1) * (RIGHT - LEFT)
@@ -113,8 +111,7 @@ def save_profile_figure(
         target: name of the target of the profiles.
         title: title of the figure.
     """
-    figure = new_figure((12.0, 5.0))
-    left, right = figure.subplots(1, 2)
+    figure, ((left, right),) = new_panels((12.0, 5.0), title, 1, 2)
     left.set(title=f"target: {target}", xlabel="evaluations to the target, over the fewest")
     left.set_ylabel("share of problems whose target is reached [%]")
     right.set(title="targets: from 0 to the best value known", xlabel="evaluations done [% of the budget]")
@@ -122,11 +119,9 @@ def save_profile_figure(
     for axes, (at, curves), scale in ((left, profiles, 1.0), (right, shares, 100.0)):
         for i, (name, curve) in enumerate(curves.items()):
             axes.step(scale * at, 100.0 * curve, where="post", label=_label(name), **series(i))
-        axes.set(ylim=(-2.0, 102.0), xscale="log")
-        set_ticks(axes.xaxis, logarithmic_ticks(scale * at[0], scale * at[-1]))
-        axes.grid(alpha=0.4)
+        dress(axes, ylim=(-2.0, 102.0), xscale="log")
+        set_log_ticks(axes.xaxis, scale * at[0], scale * at[-1])
     right.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    figure.suptitle(literal(title))
     figure.savefig(path)
 
 

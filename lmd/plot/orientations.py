@@ -8,7 +8,7 @@ import numpy as np
 from lmd.core.checks import FloatArray
 from lmd.orientation.procedure import Marginal, PdfEstimate
 from lmd.plot import common
-from lmd.plot.common import new_figure
+from lmd.plot.common import new_panels
 from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
 from lmd.sight.reference import cap_count, coverage_caps, coverage_probability
@@ -66,18 +66,10 @@ def save_cap_figure(
     most = max(n, *(int(np.nanmax(half)) for half in halves))
     colours = ListedColormap([*_shades("Greys", 0.08, 0.35, n), *_shades("Greens", 0.4, 0.95, most - n + 1)])
 
-    figure = new_figure((10.0, 5.6))
-    figure.suptitle(common.literal(title), fontsize=14)
-    panels = figure.subplots(1, 2)
+    figure, (panels,) = new_panels((10.0, 5.6), title, 1, 2)
     for axes, half, view, name in zip(panels, halves, views, HALF_TITLES, strict=True):
-        image = axes.imshow(
-            half,
-            origin="lower",
-            extent=(-1.0, 1.0, -1.0, 1.0),
-            cmap=colours,
-            norm=BoundaryNorm(np.arange(most + 2) - 0.5, most + 1),
-            interpolation="nearest",
-        )
+        norm, square = BoundaryNorm(np.arange(most + 2) - 0.5, most + 1), (-1.0, 1.0, -1.0, 1.0)
+        image = axes.imshow(half, colours, norm, origin="lower", extent=square, interpolation="nearest")
         if np.nanmin(half) < n <= np.nanmax(half):
             pixel = (np.arange(PIXELS) + 0.5) / PIXELS * 2.0 - 1.0
             axes.contour(pixel, pixel, half, levels=[n - 0.5], colors="black", linewidths=1.2)
@@ -130,8 +122,7 @@ def save_orientation_figure(path: str | Path, estimate: PdfEstimate, title: str)
     """Write a PNG of 1500 x 500 pixels: histograms of yaw and pitch with all fitted densities, and the PDF of both
     angles.
     """
-    figure = new_figure((15.0, 5.0), title)
-    left, middle, right = figure.subplots(1, 3, width_ratios=(1.2, 1.0, 1.2))
+    figure, ((left, middle, right),) = new_panels((15.0, 5.0), title, 1, 3, width_ratios=(1.2, 1.0, 1.2))
     _draw_marginal(left, estimate.yaw, "yaw")
     _draw_marginal(middle, estimate.pitch, "pitch")
     _draw_pdf(right, estimate)
@@ -161,15 +152,8 @@ def _draw_pdf(axes: Any, estimate: PdfEstimate) -> None:
     low = np.degrees(estimate.yaw.axis.low)
     measured, yaw = ((np.degrees(angle) - low) % 360.0 + low for angle in (samples.yaw, pdf.yaw))
     axes.plot(measured, np.degrees(samples.pitch), ".", color="0.75", markersize=3.0, zorder=1)
-    dots = axes.scatter(
-        yaw,
-        np.degrees(pdf.pitch),
-        s=15.0 + 60.0 * pdf.weight / pdf.weight.max(),
-        c=pdf.weight,
-        cmap=common.COLOUR_MAP,
-        vmin=0.0,
-        zorder=2,
-    )
+    area = 15.0 + 60.0 * pdf.weight / pdf.weight.max()
+    dots = axes.scatter(yaw, np.degrees(pdf.pitch), area, pdf.weight, cmap=common.COLOUR_MAP, vmin=0.0, zorder=2)
     axes.set(xlabel="yaw [°]", ylabel="pitch [°]", xlim=(low, low + 360.0), ylim=(-92.0, 92.0))
     axes.set_title(f"{len(pdf.weight)} orientations, {estimate.form}", fontsize="medium")
     axes.xaxis.set_major_locator(_steps())

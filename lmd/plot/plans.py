@@ -10,7 +10,7 @@ from lmd.adjust.gauge import in_world
 from lmd.core.checks import FloatArray
 from lmd.evaluation.accuracy import plan_of_errors
 from lmd.plot import common
-from lmd.plot.common import LANDMARK, draw_plan, literal, new_figure, shrink
+from lmd.plot.common import LANDMARK, draw_plan, dress, literal, new_panels, shrink
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.space.crowd import RADIUS, X, Y
@@ -52,9 +52,9 @@ def save_room_figure(path: str | Path, room: Space, title: str, people: FloatArr
     from matplotlib.patches import Circle
 
     length, width, _ = common.size_of(room)
-    figure = new_figure((11.0, float(np.clip(11.0 * width / length, 4.0, 22.0)) + 0.8), title)
-    axes: Any = figure.subplots()
-    axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
+    inches = 11.0, float(np.clip(11.0 * width / length, 4.0, 22.0)) + 0.8
+    figure, ((axes,),) = new_panels(inches, title, 1, 1)
+    common.from_above(axes)
     axes.plot(*room.grid()[:, :2].T, ".", color=POSITION, markersize=2.0, label="position of the camera", zorder=1)
     draw_plan(axes, room, lw=1.0)
     carried, level = [], [surface.name for surface in room.surfaces() if not surface.is_upright]
@@ -68,11 +68,8 @@ def save_room_figure(path: str | Path, room: Space, title: str, people: FloatArr
         for piece in shapely.get_parts(allowed) if surface.is_upright else ():
             left, _, right, _ = piece.bounds
             carried.append(surface.point(np.array([left, right]), np.zeros(2))[:, :2])
-    axes.add_collection(
-        LineCollection(
-            carried, colors=LANDMARK, linewidths=4.0, zorder=1, label=", on ".join(["landmarks may hang here", *level])
-        )
-    )
+    label = ", on ".join(["landmarks may hang here", *level])
+    axes.add_collection(LineCollection(carried, colors=LANDMARK, linewidths=4.0, zorder=1, label=label))
     handles, labels = axes.get_legend_handles_labels()
     if people is not None:
         circles = [Circle(each[[X, Y]], each[RADIUS]) for state in people for each in state]
@@ -106,20 +103,17 @@ def save_accuracy_figure(path: str | Path, deployments: Mapping[str, tuple[Probl
     colours = colormaps[f"{common.COLOUR_MAP}_r"].with_extremes(over=NO_MEDIAN_COLOUR)  # bright is good
     length, width, _ = np.max([common.size_of(problem.scene.room) for problem, _ in deployments.values()], axis=0)
     size = (1.0 + 5.0 * len(plans), 2.2 + 5.0 * width / length)
-    figure = new_figure(size, title)
-    panels: Any = figure.subplots(1, len(plans), squeeze=False, sharex=True, sharey=True)[0]
+    figure, (panels,) = new_panels(size, title, 1, len(plans), sharex=True, sharey=True)
     for axes, plan, (heading, (problem, deployment)) in zip(panels, plans, deployments.items(), strict=True):
         shown = np.where(np.isinf(plan), 2.0 * high, plan)  # infinite values have no logarithm
-        mesh = axes.pcolormesh(
-            plan.columns, plan.index, shown, cmap=colours, norm=LogNorm(low, high), shading="nearest"
-        )
+        style = {"cmap": colours, "norm": LogNorm(low, high), "shading": "nearest"}
+        mesh = axes.pcolormesh(plan.columns, plan.index, shown, **style)
         draw_plan(axes, problem.scene.room, lw=1.0)
         common.draw_tags(axes, deployment, common.landmark_groups(len(deployment), problem.fixed_count))
-        axes.set(xlabel=common.AXIS_LABELS[0], title=literal(heading), aspect="equal")
-    panels[0].set_ylabel(common.AXIS_LABELS[1])
+        common.from_above(axes, title=literal(heading), ylabel=common.AXIS_LABELS[1] if axes is panels[0] else "")
     label = "median predicted error of the position [mm];\ngrey where most views see too few landmarks"
     bar = figure.colorbar(mesh, ax=list(panels), label=label, extend="max", orientation="horizontal", aspect=60)
-    common.set_ticks(bar, common.logarithmic_ticks(low, high))
+    common.set_log_ticks(bar, low, high)
     figure.savefig(path)
 
 
@@ -132,14 +126,12 @@ def save_survey_figure(path: str | Path, survey: "Survey", room: Space | None, t
         room: room whose outline is drawn; None if unknown.
         title: title of the figure.
     """
-    figure = new_figure((15.0, 7.0))
-    left, right = figure.subplots(1, 2)
+    figure, ((left, right),) = new_panels((15.0, 7.0), title, 1, 2)
     _draw_above(left, survey, room)
     if survey.known.plan is None:
         _draw_sigmas(right, survey)
     else:
         _draw_offsets(right, survey)
-    figure.suptitle(literal(title), fontsize=13)
     figure.savefig(path)
     shrink(path)
 
@@ -165,15 +157,7 @@ def _draw_above(axes: Any, survey: "Survey", room: Space | None) -> None:
         way *= np.minimum(1.0, LONGEST_SHARE * size / scale / np.maximum(length, 1e-9))[:, None]
         for k in far_from_plan(survey):
             axes.annotate(f"{survey.ids[k]}", tags[k, :2, 3], fontsize=9, va="bottom")
-        axes.quiver(
-            *planned[both][:, :2, 3].T,
-            *(scale * way).T,
-            angles="xy",
-            scale_units="xy",
-            scale=1.0,
-            width=0.003,
-            zorder=4,
-        )
+        common.draw_arrows(axes, planned[both][:, :2, 3], scale * way, zorder=4)
         missing = np.isfinite(planned[:, 0, 0]) & ~placed
         axes.plot(*planned[missing][:, :2, 3].T, "x", color=UNSEEN, zorder=5)
         for number, (x, y) in zip(survey.ids[missing], planned[missing][:, :2, 3], strict=True):
@@ -181,12 +165,11 @@ def _draw_above(axes: Any, survey: "Survey", room: Space | None) -> None:
         axes.set_title(f"from above; arrows from the plan, {scale:.0f} times as long", fontsize=11)
     else:
         scale /= 1e-3 * sigma
-        axes.set_title(
-            f"against the z axis; ellipses of {ELLIPSE_SIGMAS:g} sigma, {scale:.0f} times as large", fontsize=11
-        )
+        head = f"against the z axis; ellipses of {ELLIPSE_SIGMAS:g} sigma, {scale:.0f} times as large"
+        axes.set_title(head, fontsize=11)
     for pose, covariance in zip(tags[placed], covariances[placed][:, :2, :2], strict=True):
         axes.plot(*(pose[:2, 3, None] + scale * ellipse(covariance)), color="black", linewidth=0.6, zorder=4)
-    axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    common.from_above(axes)
 
 
 def edge_lines(tags: FloatArray, edges: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -210,11 +193,8 @@ def _draw_offsets(axes: Any, survey: "Survey") -> None:
 
     columns = tag_columns(survey)
     offset = 1e3 * np.stack([np.asarray(columns[name], dtype=np.float64) for name in ("right", "up", "out")], axis=1)
-    there, far, length = (
-        np.flatnonzero(np.isfinite(offset[:, 0])),
-        far_from_plan(survey),
-        np.linalg.norm(offset, axis=1),
-    )
+    there, far = np.flatnonzero(np.isfinite(offset[:, 0])), far_from_plan(survey)
+    length = np.linalg.norm(offset, axis=1)
     near = np.setdiff1d(there, far)
     if len(near) and len(far):  # tags far off are drawn in their direction at the border
         border = BORDER * length[near].max()
@@ -232,9 +212,8 @@ def _draw_offsets(axes: Any, survey: "Survey") -> None:
     axes.axvline(0.0, color=PLANNED, linewidth=0.8, zorder=1)
     axes.figure.colorbar(dots, ax=axes, label="off the wall [mm]")
     axes.set(xlabel="to the right of the plan [mm]", ylabel="above the plan [mm]", aspect="equal")
-    axes.set_title(
-        f"how far tags are off, each as one stands before it; ellipses of {ELLIPSE_SIGMAS:g} sigma", fontsize=11
-    )
+    head = f"how far tags are off, each as one stands before it; ellipses of {ELLIPSE_SIGMAS:g} sigma"
+    axes.set_title(head, fontsize=11)
 
 
 def _draw_sigmas(axes: Any, survey: "Survey") -> None:
@@ -246,8 +225,7 @@ def _draw_sigmas(axes: Any, survey: "Survey") -> None:
     axes.loglog(seen[survey.placed], sigma[survey.placed], "o", color=LANDMARK, markersize=5)
     for k in np.argsort(-np.where(survey.placed, sigma, -np.inf))[:MOST_NAMED]:
         axes.annotate(f" {survey.ids[k]}", (seen[k], sigma[k]), fontsize=9)
-    axes.set(xlabel="sightings that place a tag", ylabel="standard deviation beside the others [mm]")
-    axes.grid(alpha=0.3)
+    dress(axes, xlabel="sightings that place a tag", ylabel="standard deviation beside the others [mm]")
 
 
 SINGLE, SMOOTHED = "#9e9e9e", "#1f77b4"
@@ -267,11 +245,9 @@ def save_localised_figure(path: str | Path, result: Localisation, room: Space | 
         room: room whose outline is drawn; None if unknown.
         title: title of the figure.
     """
-    figure = new_figure((15.0, 7.0))
-    left, right = figure.subplots(1, 2)
+    figure, ((left, right),) = new_panels((15.0, 7.0), title, 1, 2)
     _draw_way(left, result, room)
     _draw_deviations(right, result)
-    figure.suptitle(literal(title), fontsize=13)
     figure.savefig(path)
     shrink(path)
 
@@ -311,9 +287,8 @@ def _draw_way(axes: Any, result: Localisation, room: Space | None) -> None:
         sigma = float(np.median(np.sqrt(np.trace(own, axis1=1, axis2=2))))
         scale = max(LARGE_SHARE * extent / (ELLIPSE_SIGMAS * sigma), 1.0)
         for pose, covariance in zip(frames[some], own, strict=True):
-            (line,) = axes.plot(
-                *(pose[:2, 3, None] + scale * ellipse(covariance)), color=colour, linewidth=0.6, zorder=4
-            )
+            points = pose[:2, 3, None] + scale * ellipse(covariance)
+            (line,) = axes.plot(*points, color=colour, linewidth=0.6, zorder=4)
         line.set_label(f"{ELLIPSE_SIGMAS:g} sigma, {scale:.0f} times as large")
     for kind, colour in CHANGED.items():
         own_changes = [change for change in every if change.kind == kind]
@@ -327,7 +302,7 @@ def _draw_way(axes: Any, result: Localisation, room: Space | None) -> None:
         for change, pose in zip(own_changes[:MOST_CHANGED], at, strict=False):
             axes.annotate(f" {change.tag}", pose[:2, 3], color=colour, fontsize=10)
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=4, fontsize=9, frameon=False)
-    axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    common.from_above(axes)
 
 
 def _draw_deviations(axes: Any, result: Localisation) -> None:

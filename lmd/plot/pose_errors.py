@@ -12,7 +12,7 @@ from lmd.evaluation.accuracy import TOLERANCES
 from lmd.evaluation.uncertainty import ONE
 from lmd.evaluation.uncertainty_law import UncertaintyLaw, per_axis
 from lmd.plot import common
-from lmd.plot.common import LANDMARK, draw_plan, literal, new_figure, series, set_ticks, shrink
+from lmd.plot.common import LANDMARK, draw_band, draw_plan, dress, literal, new_figure, new_panels, series, shrink
 from lmd.plot.plans import NO_MEDIAN_COLOUR
 from lmd.space.space import Space
 
@@ -54,11 +54,9 @@ def save_error_figure(
         for axes, estimator in zip(row, estimators, strict=True):
             for i, name in enumerate(names):
                 curve = curves[(curves.estimator == estimator) & (curves.deployment == name)]
-                low, median, high = (curve[f"{quantity}_{part}"].to_numpy() for part in ("low", "median", "high"))
-                axes.fill_between(curve.time, low, high, color=series(i)["color"], alpha=0.2, lw=0)
-                axes.plot(curve.time, median, lw=1.6, label=literal(name), **series(i))
-            axes.set_yscale("log")
-            axes.grid(alpha=0.3)
+                bands = [curve[f"{quantity}_{part}"].to_numpy() for part in ("low", "median", "high")]
+                draw_band(axes, curve.time, bands, literal(name), lw=1.6, **series(i))
+            dress(axes, yscale="log")
         low, top = curves[f"{quantity}_low"], float(curves[f"{quantity}_high"].max())
         if top > 0.0:  # without noise a bound is 0 and has no logarithm
             row[0].set_ylim(bottom=max(top * 10.0**-DECADES, 0.3 * float(low[low > 0.0].min())))
@@ -69,8 +67,7 @@ def save_error_figure(
     for i, name in enumerate(names):
         axes.step(time, counts[name], where="post", lw=0.8, alpha=0.8, **series(i))
     axes.axhline(n, color="green", linestyle=":", lw=2.0)
-    axes.set(xlabel="time [s]", ylabel="landmarks in view, first flight")
-    axes.grid(alpha=0.3)
+    dress(axes, xlabel="time [s]", ylabel="landmarks in view, first flight")
     figure.savefig(path)
 
 
@@ -109,7 +106,7 @@ def save_cramer_rao_map(path: str | Path, room: Space, bounds: CramerRaoMap, tit
         if drawn.any():
             bar = figure.colorbar(balls, ax=axes, orientation="horizontal", shrink=0.6, pad=0.02, label=label)
             if "norm" in scale:
-                common.set_ticks(bar, common.logarithmic_ticks(np.nanmin(values), np.nanmax(values)))
+                common.set_log_ticks(bar, np.nanmin(values), np.nanmax(values))
     figure.savefig(path)
 
 
@@ -122,21 +119,15 @@ def save_map_figure(path: str | Path, views: pd.DataFrame, title: str) -> None:
         views: rows of `lmd.evaluation.maps.map_errors`; views without an estimate count as infinitely far off.
         title: title of the figure.
     """
-    figure = new_figure((8.0, 5.0))
-    axes = figure.subplots()
+    figure, ((axes,),) = new_panels((8.0, 5.0), title, 1, 1)
     for column in views.columns[views.columns.str.startswith("position_")]:
         errors = 1e3 * np.sort(views[column].dropna())
         below = 100.0 * np.arange(1, len(errors) + 1) / max(len(views), 1)
         axes.step(errors, below, where="post", label=literal(f"map as {column.removeprefix('position_')}"))
     for limit in TOLERANCES:
         axes.axvline(1e3 * limit, color="0.7", linestyle=":", zorder=0)
-    axes.set_xscale("log")
-    axes.set(
-        xlabel="position error of one image by PnP, less than [mm]", ylabel="share of views [%]", ylim=(0.0, 100.0)
-    )
-    axes.set_title(literal(title), fontsize=11)
-    axes.grid(alpha=0.3)
-    axes.legend(frameon=False)
+    label = "position error of one image by PnP, less than [mm]"
+    dress(axes, legend=True, xscale="log", xlabel=label, ylabel="share of views [%]", ylim=(0.0, 100.0))
     figure.savefig(path)
 
 
@@ -170,8 +161,8 @@ def save_uncertainty_figure(
         title: title of the figure.
     """
     length, width, _ = common.size_of(problem.scene.room)
-    figure = new_figure((17.0, 2.4 + 5.4 * float(np.clip(width / length, 0.5, 1.2))), title)
-    shares, errors, by_distance = figure.subplots(1, 3)
+    inches = 17.0, 2.4 + 5.4 * float(np.clip(width / length, 0.5, 1.2))
+    figure, ((shares, errors, by_distance),) = new_panels(inches, title, 1, 3)
     views = found.views.assign(sd=per_axis(found.views)["position"], one=found.views.pose == ONE)
     x, y, cell = _cells(views[["x", "y"]].to_numpy())
     _draw_shares(shares, views, x, y, cell)
@@ -179,9 +170,8 @@ def save_uncertainty_figure(
     for axes in (shares, errors):
         draw_plan(axes, problem.scene.room, lw=1.0)
         arrows = common.ARROW_LENGTH * deployment.normals[:, :2]
-        axes.quiver(*deployment.places[:, :2].T, *arrows.T, color=LANDMARK, angles="xy", scale_units="xy", scale=1.0,
-                    width=0.003, zorder=3)  # fmt: skip
-        axes.set(xlabel=common.AXIS_LABELS[0], ylabel=common.AXIS_LABELS[1], aspect="equal")
+        common.draw_arrows(axes, deployment.places[:, :2], arrows, color=LANDMARK)
+        common.from_above(axes)
     _draw_law(by_distance, views, law)
     figure.savefig(path)
     shrink(path)
@@ -199,22 +189,25 @@ def _cells(places: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
 def _draw_shares(axes: Any, views: Any, x: FloatArray, y: FloatArray, cell: IntArray) -> None:
     """Draw the share of views with one pose in each cell, and the heading with the least share as an arrow."""
     columns, rows = len(x) - 1, len(y) - 1
-    number, hits = (np.bincount(cell, weights, columns * rows) for weights in (None, views.one.astype(float)))
-    share = np.where(number >= LEAST_IN_CELL, hits / np.maximum(number, 1), np.nan)
+    share = _shares(cell, views.one, columns * rows)
     mesh = axes.pcolormesh(x, y, share.reshape(rows, columns), cmap=common.COLOUR_MAP)
     sector = np.floor((views.yaw.to_numpy() / (2.0 * np.pi) + 0.5 / SECTORS) * SECTORS).astype(int) % SECTORS
-    both = cell * SECTORS + sector
-    number, hits = (np.bincount(both, weights, share.size * SECTORS) for weights in (None, views.one.astype(float)))
-    ratio = np.where(number >= LEAST_IN_CELL, hits / np.maximum(number, 1), np.nan).reshape(-1, SECTORS)
+    ratio = _shares(cell * SECTORS + sector, views.one, share.size * SECTORS).reshape(-1, SECTORS)
     known = np.flatnonzero(np.isfinite(ratio).any(axis=1))
     worst = np.nanargmin(ratio[known], axis=1) * 2.0 * np.pi / SECTORS
     middle = x[known % columns] + (x[1] - x[0]) / 2.0, y[known // columns] + (y[1] - y[0]) / 2.0
-    reach = 0.8 * min(x[1] - x[0], y[1] - y[0])
-    axes.quiver(*middle, reach * np.sin(worst), reach * np.cos(worst), angles="xy", scale_units="xy", scale=1.0,
-                pivot="middle", color="white", edgecolor="black", linewidth=0.5, width=0.006, zorder=4)  # fmt: skip
+    ways = 0.8 * min(x[1] - x[0], y[1] - y[0]) * np.stack([np.sin(worst), np.cos(worst)], axis=1)
+    style = {"color": "white", "edgecolor": "black", "linewidth": 0.5, "width": 0.006, "zorder": 4}
+    common.draw_arrows(axes, np.stack(middle, axis=1), ways, pivot="middle", **style)
     label = "share of views with one pose"
     axes.figure.colorbar(mesh, ax=axes, label=label, orientation="horizontal", aspect=40)
     axes.set_title("one pose; arrows: heading with the least share", fontsize=11)
+
+
+def _shares(cell: IntArray, hit: Any, count: int) -> FloatArray:
+    """Share of hits in each of `count` cells; NaN in cells with few views."""
+    number, hits = np.bincount(cell, minlength=count), np.bincount(cell, hit.astype(float), count)
+    return np.where(number >= LEAST_IN_CELL, hits / np.maximum(number, 1), np.nan)
 
 
 def _draw_errors(axes: Any, views: Any, x: FloatArray, y: FloatArray, cell: IntArray) -> None:
@@ -235,7 +228,7 @@ def _draw_errors(axes: Any, views: Any, x: FloatArray, y: FloatArray, cell: IntA
                            norm=LogNorm(low, high))  # fmt: skip
     label = "median standard deviation of the position per axis [mm]"
     bar = axes.figure.colorbar(mesh, ax=axes, label=label, orientation="horizontal", aspect=40)
-    set_ticks(bar, common.logarithmic_ticks(low, high))
+    common.set_log_ticks(bar, low, high)
     axes.set_title("views with one pose", fontsize=11)
 
 
@@ -252,9 +245,8 @@ def _draw_law(axes: Any, views: Any, law: UncertaintyLaw) -> None:
         along = np.linspace(some.distance.min(), some.distance.max(), 50)
         expected = law.laws["position"].at(along, np.full(len(along), number))
         axes.loglog(along, 1e3 * expected, color=drawn.get_color(), lw=2.0, label=name)
-    axes.set(xlabel="mean distance of the tags [m]", ylabel="standard deviation of the position per axis [mm]")
+    label = "standard deviation of the position per axis [mm]"
+    dress(axes, legend=True, xlabel="mean distance of the tags [m]", ylabel=label)
     axes.set_title("dots: views; lines: law", fontsize=11)
-    for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
-        set_ticks(axis, common.logarithmic_ticks(low, high))
-    axes.legend()
-    axes.grid(alpha=0.3)
+    common.set_log_ticks(axes.xaxis, *axes.get_xlim())
+    common.set_log_ticks(axes.yaxis, *axes.get_ylim())

@@ -77,8 +77,10 @@ def _draw_from_above(
     from matplotlib.collections import PatchCollection
     from matplotlib.patches import Rectangle
 
-    figure, (length, width, _) = common.new_figure(SCENE, title), common.size_of(room)
-    panels: Any = figure.subplots(*((2, 1) if length > 2.0 * width else (1, 2)), sharex=True, sharey=True)
+    length, width, _ = common.size_of(room)
+    shape = (2, 1) if length > 2.0 * width else (1, 2)
+    figure, panels = common.new_panels(SCENE, title, *shape, sharex=True, sharey=True)
+    panels = panels.reshape(-1)
     side = 1.03 * min(common.spacing_of(room, positions), max(length, width) / 10.0)  # no gaps by rounding
     squares = [Rectangle(tuple(at - side / 2.0), side, side) for at in positions[:, :2]]
     coloured: dict[str, Any] = {"cmap": common.COLOUR_MAP, "clim": (0.0, 1.0)}
@@ -86,7 +88,7 @@ def _draw_from_above(
         axes.add_collection(PatchCollection(squares, linewidths=0, zorder=0, **colours))
         common.draw_plan(axes, room, lw=1.0)
         common.draw_tags(axes, deployment, groups)
-        axes.set(aspect="equal", xlabel=common.AXIS_LABELS[0], ylabel=common.AXIS_LABELS[1])
+        common.from_above(axes)
     panels[0].collections[0].set_array(values)
     return figure, figure.colorbar(panels[0].collections[0], ax=list(panels), orientation="horizontal", aspect=60)
 
