@@ -10,7 +10,6 @@ from lmd.core.checks import InputError
 from lmd.detection.corner_errors import inward
 from lmd.geometry.se3 import exp, inverse
 from lmd.plot import plans
-from lmd.plot.common import new_figure
 from lmd.scene.deployment import Deployment
 from lmd.scene.labels import Labels, Surveyed
 from lmd.scene.tag import Tag
@@ -79,7 +78,8 @@ def test_a_tag_far_from_its_plan_is_named_and_capped_in_the_picture(room, tmp_pa
     axes = {}
     monkeypatch.setattr(plans, "shrink", lambda _path: axes.update(enumerate(figures[-1].axes)))
     figures = []
-    monkeypatch.setattr(plans, "new_figure", lambda size: figures.append(new_figure(size)) or figures[-1])
+    made = plans.new_panels
+    monkeypatch.setattr(plans, "new_panels", lambda *size: (figures.append((both := made(*size))[0]), both)[1])
     plans.save_survey_figure(tmp_path / "survey.png", found, None, "")
     assert np.ptp(axes[1].get_xlim()) < 100.0  # millimetres
     assert any(text.get_text().startswith("  3 (1") for text in axes[1].texts)
