@@ -111,6 +111,20 @@ class Optimiser(ABC):
         """Best cameras; None before any is found, or if no cameras are placed."""
         return None
 
+    def _spend(
+        self, problem: Problem, budget: Budget, callback: Callback | None, step: Callable[[float], None],
+        spent: Callable[[], float],
+    ) -> Result:  # fmt: skip
+        """Call `step` with the spent share of the budget until it is used up, or the callback stops the run.
+
+        `spent` returns the evaluations spent, which the ledger may know as a sum of rounded parts.
+        """
+        while (used := budget.used(spent(), self.ledger.seconds)) < 1.0:
+            step(used)
+            if callback and callback(self):
+                return self.result(problem, "interrupted")
+        return self.result(problem, "budget")
+
     def result(self, problem: Problem, stopped: str) -> Result:
         """Result of `run` from the ledger, also for an interrupted run.
 
@@ -260,8 +274,8 @@ class AskTell(Optimiser):
             if genome.varies and len(self.start) < self.start_size:
                 drawn = f"of its {self.start_size} candidates to start from the budget allows {len(self.start)}"
                 print(f"note: {self.called}: {drawn}; no generation will be complete", file=sys.stderr)
-        stopped = "budget"
-        while budget.used(ledger.evaluations, ledger.seconds) < 1.0:
+
+        def step(_: float) -> None:
             genes = self.ask()
             asked = len(genes)
             genes = genes[: int(min(asked, budget.limit - ledger.evaluations))]
@@ -273,10 +287,8 @@ class AskTell(Optimiser):
                     break
             fitness = np.concatenate(parts)
             self._note_or_tell(genes[: len(fitness)], fitness, asked)
-            if callback and callback(self):
-                stopped = "interrupted"
-                break
-        return self.result(problem, stopped)
+
+        return self._spend(problem, budget, callback, step, lambda: ledger.evaluations)
 
     @override
     def found(self, problem: Problem) -> Deployment | None:

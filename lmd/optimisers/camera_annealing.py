@@ -84,21 +84,21 @@ class CameraAnnealing(Optimiser):
     @override
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
         """Sweep over all cameras until the budget is used up; each sweep counts as an evaluation."""
-        cameras, ledger, stopped = _cameras(problem), self.ledger, "budget"
+        cameras, ledger = _cameras(problem), self.ledger
         began = clock() - ledger.seconds
         if self.here is None:
             self.here = self.best = cameras.draw_genes(self.rng).reshape(cameras.space.count, -1)
             ledger.note(1, self._scored(cameras, self.here)[0])
         energy = self._scored(cameras, self.here)[1]
-        while (used := budget.used(ledger.evaluations, ledger.seconds)) < 1.0:
+
+        def step(used: float) -> None:
+            nonlocal energy
             skipped = 0.0 if cameras.varies else SHARE_SKIPPED
             energy, fitness = self._swept(cameras, skipped + (1.0 - skipped) * used, energy)
             ledger.seconds = clock() - began
             self._note(fitness)
-            if callback and callback(self):
-                stopped = "interrupted"
-                break
-        return self.result(problem, stopped)
+
+        return self._spend(problem, budget, callback, step, lambda: ledger.evaluations)
 
     @override
     def found(self, problem: Problem) -> Deployment | None:

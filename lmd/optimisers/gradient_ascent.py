@@ -89,18 +89,17 @@ class GradientAscent(DeploymentSearch):
             self.here = _movable(problem, problem.draw(self.rng))
             note(count, self.here)
         self.climb = self.climb or _Climb(problem, self.here)
-        slopes_cost, stopped = PLACES_TRIED * problem.free_count, "budget"
-        while budget.used(self.spent / count, ledger.seconds) < 1.0:
+        climb, slopes_cost = self.climb, PLACES_TRIED * problem.free_count
+
+        def step(_: float) -> None:
             cost = count + (slopes_cost if self.direction is None else 0)
             left = budget.limit * count - self.spent
             if left < cost:
                 note(int(left), None)  # too little for a trial
             else:
-                note(cost, self._trial(problem, self.climb))
-            if callback and callback(self):
-                stopped = "interrupted"
-                break
-        return self.result(problem, stopped)
+                note(cost, self._trial(problem, climb))
+
+        return self._spend(problem, budget, callback, step, lambda: self.spent / count)
 
     def _trial(self, problem: Problem, climb: "_Climb") -> Deployment:
         """Try a step, or begin the next ascent; returns the deployment to evaluate."""

@@ -110,19 +110,12 @@ def tables(sight: SightModel, axes: FloatArray) -> tuple[np.ndarray, np.ndarray]
         axes: axis and right, `(6, 64 W)`, padded with zeros to whole words.
     """
     certain, possible = np.zeros((2, EMPTY_ROW + 1, axes.shape[1] // BITS), dtype=np.uint64)
-    fill_tables(sight, axes, np.zeros((3, axes.shape[1])), 0.0, 0.0, certain=certain, possible=possible)
+    fill_tables(sight, axes, (np.zeros((3, axes.shape[1])), 0.0, 0.0), certain, possible)
     return certain, possible
 
 
 def fill_tables(
-    sight: SightModel,
-    axes: FloatArray,
-    shifts: FloatArray,
-    longest: float,
-    error: float,
-    *,
-    certain: IntArray,
-    possible: IntArray,
+    sight: SightModel, axes: FloatArray, shift: tuple[FloatArray, float, float], certain: IntArray, possible: IntArray
 ) -> None:
     """Fill the tables for cameras that are displaced from the point at the centre of the sphere of directions.
 
@@ -133,19 +126,17 @@ def fill_tables(
 
     Args:
         sight, axes: as in `tables`.
-        shifts: approximate s by axis, `(3, 64 W)`.
-        longest: upper bound on |s|.
-        error: upper bound on the distance between s and `shifts`.
+        shift: `shifts`, which approximate s by axis, `(3, 64 W)`; `longest`, an upper bound on |s|; and `error`, an upper
+            bound on the distance between s and `shifts`.
         certain, possible: tables whose first `SIDE * SIDE` rows are filled, `(>= SIDE * SIDE, W)`.
     """
-    centres, rho = _cells()
+    (centres, rho), (shifts, longest, error) = _cells(), shift
     chord = (2.0 * np.sin(rho / 2.0) + error) / (2.0 * (1.0 - longest))
     angles = rho if error == longest == 0.0 else _SLACK + 2.0 * np.arcsin(np.minimum(chord, 1.0))
     sight = sized(sight, 0)  # the field of view does not depend on the size
     wide = angles + sight.inset < np.pi / 2.0
-    fill = (sight, centres)
-    _fill(*fill, np.where(wide, angles + sight.inset, 0.0), axes, shifts, certain)
-    _fill(*fill, -angles, axes, shifts, possible)
+    _fill(sight, centres, np.where(wide, angles + sight.inset, 0.0), axes, shifts, certain)
+    _fill(sight, centres, -angles, axes, shifts, possible)
     certain[: len(rho)][~wide] = ZERO
 
 

@@ -99,7 +99,7 @@ def _group_of(number: int, sight: Any, offsets: FloatArray, axes: FloatArray) ->
         for level in range(levels):
             rows = slice(FIRST + level * CELLS, FIRST + (level + 1) * CELLS)
             certain, possible = np.zeros((2, CELLS, words), dtype=np.uint64)
-            _fill_level(sight, turned[m], shift, radius[centre[m]], level, certain=certain, possible=possible)
+            fill_tables(sight, turned[m], _shift_at(level, shift, radius[centre[m]]), certain, possible)
             found[rows, 0, m], found[rows, 1, m] = certain, possible
     return MountGroup(
         number=number,
@@ -137,16 +137,13 @@ def _all_of(size: int, words: int) -> np.ndarray:
     return np.array([(1 << min(max(size - BITS * w, 0), BITS)) - 1 for w in range(words)], dtype=np.uint64)
 
 
-def _fill_level(
-    sight: Any, axes: FloatArray, shift: FloatArray, radius: float, level: int, **tables: np.ndarray
-) -> None:
-    """Fill the tables for distances of 2^(level + 1) to 2^(level + 2) radii; the last level has no upper limit."""
+def _shift_at(level: int, shift: FloatArray, radius: float) -> tuple[FloatArray, float, float]:
+    """Argument of `fill_tables` for 2^(level + 1) to 2^(level + 2) radii; the last level has no upper limit."""
     if radius == 0.0:
-        fill_tables(sight, axes, 0.0 * shift, 0.0, 0.0, **tables)
-        return
+        return 0.0 * shift, 0.0, 0.0
     nearest, farthest = 0.5 ** (level + 1), 0.5 ** (level + 2) if level < LEVELS - 1 else 0.0  # radii per distance
     middle = (nearest + farthest) / 2.0
-    fill_tables(sight, axes, middle / radius * shift, nearest, nearest - middle, **tables)
+    return middle / radius * shift, nearest, nearest - middle
 
 
 @inlined
@@ -154,8 +151,8 @@ def bounds_from(group: Any, c: Integer, k: Integer, offset: Vector, normal: Vect
     """Bounds on the coverage of landmark k by the cameras around centre c, over all orientations.
 
     Args:
-        x, y, z: offset of the landmark from the centre, metres.
-        nx, ny, nz: unit normal of the landmark.
+        offset: offset of the landmark from the centre, metres.
+        normal: unit normal of the landmark.
 
     Returns:
         reached, most, start, sure: see `criteria.from_around`.

@@ -164,20 +164,19 @@ def seen_from(
     scene: Scene,
     camera: Camera,
     deployment: Deployment,
-    positions: FloatArray,
-    axes: FloatArray,
+    poses: tuple[FloatArray, FloatArray],
     states: IntArray | None = None,
 ) -> BoolArray:
     """Mask `(N, K)` of the landmarks that a camera covers from poses with positions `(N, 3)` and axes `(N, 6)`, and
     with crowd states `(N,)` if there is a crowd.
     """
+    positions, axes = poses
+    seen = np.empty((len(positions), len(deployment)), dtype=np.bool_)
     if states is not None:
-        seen = np.empty((len(positions), len(deployment)), dtype=np.bool_)
         for s in np.unique(states):
             here = states == s
-            seen[here] = seen_from(scene.in_state(s), camera, deployment, positions[here], axes[here])
+            seen[here] = seen_from(scene.in_state(s), camera, deployment, (positions[here], axes[here]))
         return seen
-    seen = np.empty((len(positions), len(deployment)), dtype=np.bool_)
     places, place = np.unique(positions, axis=0, return_inverse=True)
     order = np.argsort(place.reshape(-1), kind="stable")
     for at, there in zip(places, np.split(order, np.cumsum(np.bincount(place.reshape(-1)))[:-1]), strict=True):

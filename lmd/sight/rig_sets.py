@@ -4,7 +4,7 @@ Sets are bit sets; the set of a rig is the union over its cameras.
 """
 
 import math
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -29,6 +29,8 @@ from lmd.sight.obstacles import find_ends, is_clear, new_ends, obstacles_at
 from lmd.sight.viewpoint import gather_near, viewpoint_for
 from lmd.space.blockers import Blockers
 from lmd.space.triangles import Triangles
+
+Poses: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]  # see `covered_sets`
 
 
 @inlined
@@ -193,9 +195,7 @@ def covered_sets(
     groups: tuple[MountGroup, ...],
     blockers: Blockers | Triangles | None,
     positions: FloatArray,
-    landmarks: FloatArray,
-    normals: FloatArray,
-    slack: FloatArray,
+    poses: Poses,
     n: int = 0,
 ) -> np.ndarray:
     """Sets of the orientations with which some camera covers each landmark, `(P, K, W)`.
@@ -204,45 +204,40 @@ def covered_sets(
         groups: the mounts of the rig.
         blockers: bodies of the room that block lines of sight; None for none.
         positions: positions of the body, `(P, 3)`, metres.
-        landmarks, normals: positions, metres, and unit normals, `(K, 3)`.
-        slack: see `_add_covered`, `(K,)`, metres.
+        poses: positions, metres, and unit normals of the landmarks, `(K, 3)`, and their slack (see `_add_covered`),
+            `(K,)`, metres.
         n: number of covered landmarks that suffices for each position and orientation; 0 to test all landmarks.
     """
-    seen = _empty_sets(1, groups[0], positions, landmarks)
+    seen = _empty_sets(1, groups[0], positions, poses)
     for group in groups:
-        _add_group(group, blockers, positions, landmarks, normals, slack, n, seen)
+        _add_group(group, blockers, positions, poses, n, seen)
     return np.asarray(seen[0])
 
 
 def covered_sets_by_mount(
-    group: MountGroup,
-    blockers: Blockers | Triangles | None,
-    positions: FloatArray,
-    landmarks: FloatArray,
-    normals: FloatArray,
+    group: MountGroup, blockers: Blockers | Triangles | None, positions: FloatArray, poses: Poses
 ) -> np.ndarray:
     """Sets of the orientations with which each mount of a group covers each landmark, `(M, P, K, W)`."""
-    seen = _empty_sets(len(group.axes), group, positions, landmarks)
-    _add_group(group, blockers, positions, landmarks, normals, np.zeros(len(landmarks)), 0, seen)
+    seen = _empty_sets(len(group.axes), group, positions, poses)
+    _add_group(group, blockers, positions, poses, 0, seen)
     return seen
 
 
-def _empty_sets(count: int, group: MountGroup, positions: FloatArray, landmarks: FloatArray) -> np.ndarray:
+def _empty_sets(count: int, group: MountGroup, positions: FloatArray, poses: Poses) -> np.ndarray:
     """Empty sets of orientations, `(count, P, K, W)`."""
-    return np.zeros((count, len(positions), len(landmarks), group.axes.shape[2] // BITS), dtype=np.uint64)
+    return np.zeros((count, len(positions), len(poses[0]), group.axes.shape[2] // BITS), dtype=np.uint64)
 
 
 def _add_group(
     group: MountGroup,
     blockers: Blockers | Triangles | None,
     positions: FloatArray,
-    landmarks: FloatArray,
-    normals: FloatArray,
-    slack: FloatArray,
+    poses: Poses,
     n: int,
     seen: np.ndarray,
 ) -> None:
     """Call `_add_covered` for a group; other arguments as in `covered_sets`."""
+    landmarks, normals, slack = poses
     points, directions = (for_kernels(v.T[None]) for v in (landmarks, normals))
     obstacles = obstacles_at(blockers, places_around(positions, group) if blockers is not None else positions)
     group = group._replace(horizon=group.horizon + float(slack.max(initial=0.0)), obstacles=obstacles)

@@ -136,7 +136,7 @@ class RigViews:
         def job(part: slice) -> None:
             here = self._order[part]
             found_counts = np.zeros((len(here) if len(counts) else 0, counts.shape[1]), dtype=np.int16)
-            seen = covered_sets(groups, self.blockers, ordered[part], landmarks, normals, slack, enough)
+            seen = covered_sets(groups, self.blockers, ordered[part], (landmarks, normals, slack), enough)
             found = np.empty(len(here), dtype=np.int64)
             _sum_probability(seen, weights[here] if len(weights) > 1 else weights, n, found, found_counts)
             units[here] = found
@@ -152,7 +152,7 @@ class RigViews:
 
         def job(part: slice) -> None:
             poses = landmarks[part], normals[part], slack[part]
-            _sum_gains(covered_sets(single, self.blockers, self.positions, *poses), prices, out[part])
+            _sum_gains(covered_sets(single, self.blockers, self.positions, poses), prices, out[part])
 
         self._shared(len(landmarks), job)
         return out
@@ -165,7 +165,7 @@ class RigViews:
 
         def job(part: slice) -> None:
             poses = landmarks, normals, np.zeros(len(landmarks))
-            _sum_amounts(covered_sets(single, self.blockers, self.positions[part], *poses), amounts, out[part])
+            _sum_amounts(covered_sets(single, self.blockers, self.positions[part], poses), amounts, out[part])
 
         self._shared(len(out), job)
         return out

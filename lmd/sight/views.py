@@ -73,37 +73,33 @@ def visible_to_each(
     evaluator = evaluator.sized(deployment.edges)
     scene, axes = evaluator.scene, np.pad(axes, [(0, 0), (0, 6 - axes.shape[1])])
     if scene.rig is None:
-        return _visible(scene, scene.cameras[0], deployment, positions, axes, states)[None]
+        return _visible(scene, scene.cameras[0], deployment, (positions, axes), states)[None]
     views = zip(scene.cameras, *scene.rig.views(axes), strict=True)
-    return np.stack([
-        _visible(scene, camera, deployment, positions + offsets, turned)
-        for camera, offsets, turned in views
-    ])  # fmt: skip
+    return np.stack([_visible(scene, camera, deployment, (positions + by, turned)) for camera, by, turned in views])
 
 
 def visible_through(scene: Scene, camera: Camera, deployment: Deployment, poses: FloatArray) -> BoolArray:
     """Mask `(N, K)` of the landmarks covered by a camera at `poses` `(N, 4, 4)`, see `lmd.geometry.se3.camera_pose`."""
     scene = scene.sized(deployment.edges)
-    return _visible(scene, camera, deployment, poses[:, :3, 3], axis_and_right(poses))
+    return _visible(scene, camera, deployment, (poses[:, :3, 3], axis_and_right(poses)))
 
 
 def _visible(
     scene: Scene,
     camera: Camera,
     deployment: Deployment,
-    positions: FloatArray,
-    axes: FloatArray,
+    poses: tuple[FloatArray, FloatArray],
     states: IntArray | None = None,
 ) -> BoolArray:
-    """Mask of the landmarks covered by one camera, `(N, K)`; positions `(N, 3)`, axes `(N, 6)`."""
+    """Mask of the landmarks covered by one camera, `(N, K)`; poses are positions `(N, 3)` and axes `(N, 6)`."""
     scene.check_count(len(deployment))
     if states is None:
         scene.check_no_crowd("a view from single poses")
     sight = scene.visibility.sight(camera)
     if sight is None:
-        return seen_from(scene, camera, deployment, positions, axes, states)
+        return seen_from(scene, camera, deployment, poses, states)
+    positions, axes = for_kernels(poses[0]), for_kernels(poses[1].T)
     seen = np.zeros((len(positions), len(deployment)), dtype=np.bool_)
     landmarks, normals = (for_kernels(v.T[None]) for v in (deployment.positions, deployment.normals))
-    positions, axes = for_kernels(positions), for_kernels(axes.T)
     _mark_visible(positions, axes, landmarks, normals, sight, obstacles_of(scene, positions, states), seen)
     return seen

@@ -11,7 +11,7 @@ tags in view,
 Here the twist is turned to the axes of the world: v is the error of the camera's position and w the error of its
 rotation. In these axes Ad(T^-1) is v <- v + w x d with the displacement d of the camera. Odometry with equal noise
 along all axes has the covariance Q = diag(m^2 h, t^2 h) in any axes, with the densities m and t over the time h. I has
-the numbers of `lmd.objectives.localisation.body`, without rounding the inverse of the squared noise to one.
+the numbers of `lmd.objectives.localisation.information`, without rounding the inverse of the squared noise to one.
 
 A covariance or an information is 21 numbers: the block of v as xx, xy, xz, yy, yz, zz, the block of v and w row by row,
 and the block of w as that of v. The functions take numbers or arrays; kernels compile the functions that the reference

@@ -41,12 +41,7 @@ class ViewValues(NamedTuple):
 
 
 def localised_views(
-    evaluator: Evaluator,
-    positions: FloatArray,
-    normals: FloatArray,
-    n: int,
-    precision: Precision,
-    keep: bool = False,
+    evaluator: Evaluator, positions: FloatArray, normals: FloatArray, n: int, precision: Precision, keep: bool = False
 ) -> ViewValues:
     """Evaluate deployments; a view of a rig has the images of all its cameras.
 

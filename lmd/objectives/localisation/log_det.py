@@ -55,11 +55,7 @@ OF_CAMERA, OF_BODY = ([9, 12, 14], [0, 3, 5]), ([0, 3, 5], [15, 18, 20])
 
 
 def log_det_selection(
-    evaluator: Evaluator,
-    relevance: FloatArray,
-    precision: Callable[[Scene], Precision],
-    position: float,
-    rotation: float,
+    evaluator: Evaluator, relevance: FloatArray, precision: Callable[[Scene], Precision], prior: tuple[float, float]
 ) -> "LogDeterminant":
     """Mean over positions and orientations of log det(prior + information), a `Selection`.
 
@@ -67,12 +63,12 @@ def log_det_selection(
         evaluator: scene and positions.
         relevance: weights of the positions, `(P,)`.
         precision: function that returns the `information.precision` of a scene, which includes the size of its tags.
-        position, rotation: prior information on position and rotation, 1 / `variance` of `information`.
+        prior: prior information on position and rotation, 1 / `variance` of `information`.
     """
     kind: type[LogDeterminant] = RigLogDeterminant if evaluator.groups else CameraLogDeterminant
     if evaluator.by_reference:
         kind = ReferenceLogDeterminant
-    return kind(evaluator, relevance, precision, position, rotation)
+    return kind(evaluator, relevance, precision, prior)
 
 
 class LogDeterminant:
@@ -87,14 +83,13 @@ class LogDeterminant:
         evaluator: Evaluator,
         relevance: FloatArray,
         precision: Callable[[Scene], Precision],
-        position: float,
-        rotation: float,
+        known: tuple[float, float],
     ) -> None:
         evaluator.check_memory(8 * (self.width + 2))
         self.evaluator, self.precision = evaluator, precision
         self.prices = relevance[:, None] / relevance.sum() * evaluator.probability
         prior, (of_position, of_rotation) = np.zeros(self.width), OF_CAMERA if self.of_camera else OF_BODY
-        prior[of_position], prior[of_rotation] = position, rotation
+        prior[of_position], prior[of_rotation] = known
         self.sums = np.tile(prior, (*self.prices.shape, 1))
         self.known = np.full(self.prices.shape, self.log_det_of(prior))
 

@@ -161,7 +161,7 @@ class Localisation(AtLeast):
         scale = deviation_per_variance(scene.cameras[0], self.pixel_noise)
         prior = PRIOR_TOLERANCES * self.tolerance if math.isfinite(self.tolerance) else PRIOR_POSITION
         known = (scale / prior) ** 2, (scale / PRIOR_ROTATION) ** 2
-        return log_det_selection(evaluator, relevance, replace(self, ambiguity="ignored").precision, *known)
+        return log_det_selection(evaluator, relevance, replace(self, ambiguity="ignored").precision, known)
 
 
 def localisation(fitness: str = "mean", **settings: Any) -> Localisation:

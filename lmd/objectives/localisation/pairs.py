@@ -63,8 +63,11 @@ def coverage_by_group(
     evaluator: Evaluator, groups: tuple[MountGroup, ...], positions: FloatArray, deployment: Deployment
 ) -> tuple[GroupCoverage, ...]:
     """Coverage of a deployment by mount groups of the evaluator, or variants of them, from `positions` `(P, 3)`."""
-    args = evaluator.scene.room.blockers(), positions, deployment.positions, deployment.normals
-    sets = [covered_sets_by_mount(group, *args) for group in groups]
+    blockers, poses = (
+        evaluator.scene.room.blockers(),
+        (deployment.positions, deployment.normals, np.zeros(len(deployment))),
+    )
+    sets = [covered_sets_by_mount(group, blockers, positions, poses) for group in groups]
     return tuple(map(GroupCoverage, mounts_of(evaluator, groups), sets))
 
 

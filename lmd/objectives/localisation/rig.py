@@ -41,12 +41,7 @@ VIEWS_AT_ONCE = 1 << 16  # greatest number of views in memory, 8 bytes per landm
 
 
 def rig_views(
-    evaluator: Evaluator,
-    positions: FloatArray,
-    normals: FloatArray,
-    n: int,
-    precision: Precision,
-    keep: bool,
+    evaluator: Evaluator, positions: FloatArray, normals: FloatArray, n: int, precision: Precision, keep: bool
 ) -> tuple[IntArray, IntArray, FloatArray]:
     """See `evaluation.localised_views`; the precision is in the units of the first camera."""
     size, orientations = len(evaluator.positions), evaluator.axes.shape[1]

@@ -139,16 +139,14 @@ class Annealing(DeploymentSearch):
         if not self.spent:
             moved = self._begin(problem, surrogate.stack, limit, lambda: budget.used(0.0, clock() - began) >= 1.0)
             note(moved + count, self.start)
-        stopped = "budget"
-        while (used := budget.used(self.spent / count, ledger.seconds)) < 1.0:
+
+        def step(used: float) -> None:
             if self.spent < walk_limit and used < 1.0 - share:
                 note(*self._walk(problem, surrogate, used, walk_limit - self.spent))
             else:
                 note(*self._climb(problem, used, limit - self.spent))
-            if callback and callback(self):
-                stopped = "interrupted"
-                break
-        return self.result(problem, stopped)
+
+        return self._spend(problem, budget, callback, step, lambda: self.spent / count)
 
     def _begin(self, problem: Problem, stack: int, limit: float, stop: Callable[[], bool]) -> int:
         """Draw the start, as stacks if the budget suffices, and return the cost of the start in moved landmarks.
