@@ -126,8 +126,8 @@ def fill_tables(
 
     Args:
         sight, axes: as in `tables`.
-        shift: `shifts`, which approximate s by axis, `(3, 64 W)`; `longest`, an upper bound on |s|; and `error`, an upper
-            bound on the distance between s and `shifts`.
+        shift: `shifts`, which approximate s by axis, `(3, 64 W)`; `longest`, an upper bound on |s|; and `error`, an
+            upper bound on the distance between s and `shifts`.
         certain, possible: tables whose first `SIDE * SIDE` rows are filled, `(>= SIDE * SIDE, W)`.
     """
     (centres, rho), (shifts, longest, error) = _cells(), shift

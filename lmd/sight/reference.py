@@ -9,6 +9,7 @@ Source: Lei et al., "Optimization of Directional Landmark Deployment for Visual 
 
 import sys
 from functools import cache
+from typing import TypeAlias
 
 import numpy as np
 
@@ -160,12 +161,11 @@ class ReferenceViews:
         return np.stack([self.caps(deployment, p)[:, 0] for p in range(len(self._positions))])
 
 
+Views: TypeAlias = tuple[FloatArray, FloatArray]  # positions `(N, 3)` and axes `(N, 6)` of N poses
+
+
 def seen_from(
-    scene: Scene,
-    camera: Camera,
-    deployment: Deployment,
-    poses: tuple[FloatArray, FloatArray],
-    states: IntArray | None = None,
+    scene: Scene, camera: Camera, deployment: Deployment, poses: Views, states: IntArray | None = None
 ) -> BoolArray:
     """Mask `(N, K)` of the landmarks that a camera covers from poses with positions `(N, 3)` and axes `(N, 6)`, and
     with crowd states `(N,)` if there is a crowd.

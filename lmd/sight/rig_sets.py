@@ -30,6 +30,7 @@ from lmd.sight.viewpoint import gather_near, viewpoint_for
 from lmd.space.blockers import Blockers
 from lmd.space.triangles import Triangles
 
+Blocking: TypeAlias = Blockers | Triangles | None
 Poses: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]  # see `covered_sets`
 
 
@@ -192,11 +193,7 @@ def _add_within_slack(group: Any, body: Vector, pose: Any, k: Integer, slack: An
 
 
 def covered_sets(
-    groups: tuple[MountGroup, ...],
-    blockers: Blockers | Triangles | None,
-    positions: FloatArray,
-    poses: Poses,
-    n: int = 0,
+    groups: tuple[MountGroup, ...], blockers: Blocking, positions: FloatArray, poses: Poses, n: int = 0
 ) -> np.ndarray:
     """Sets of the orientations with which some camera covers each landmark, `(P, K, W)`.
 
@@ -214,9 +211,7 @@ def covered_sets(
     return np.asarray(seen[0])
 
 
-def covered_sets_by_mount(
-    group: MountGroup, blockers: Blockers | Triangles | None, positions: FloatArray, poses: Poses
-) -> np.ndarray:
+def covered_sets_by_mount(group: MountGroup, blockers: Blocking, positions: FloatArray, poses: Poses) -> np.ndarray:
     """Sets of the orientations with which each mount of a group covers each landmark, `(M, P, K, W)`."""
     seen = _empty_sets(len(group.axes), group, positions, poses)
     _add_group(group, blockers, positions, poses, 0, seen)
@@ -229,12 +224,7 @@ def _empty_sets(count: int, group: MountGroup, positions: FloatArray, poses: Pos
 
 
 def _add_group(
-    group: MountGroup,
-    blockers: Blockers | Triangles | None,
-    positions: FloatArray,
-    poses: Poses,
-    n: int,
-    seen: np.ndarray,
+    group: MountGroup, blockers: Blocking, positions: FloatArray, poses: Poses, n: int, seen: np.ndarray
 ) -> None:
     """Call `_add_covered` for a group; other arguments as in `covered_sets`."""
     landmarks, normals, slack = poses

@@ -16,9 +16,7 @@ from lmd.core.threads import in_parts
 from lmd.sight.blocks import in_blocks
 from lmd.sight.kernels import weights_row
 from lmd.sight.mounts import MountGroup, with_sight
-from lmd.sight.rig_sets import covered_sets
-from lmd.space.blockers import Blockers
-from lmd.space.triangles import Triangles
+from lmd.sight.rig_sets import Blocking, covered_sets
 
 # Greatest number of positions or poses that a thread evaluates at once; it limits the memory of the sets.
 LARGEST_BATCH = 256
@@ -93,9 +91,7 @@ class RigViews:
         threads: number of threads.
     """
 
-    def __init__(
-        self, groups: tuple[MountGroup, ...], blockers: Blockers | Triangles | None, positions: FloatArray, threads: int
-    ) -> None:
+    def __init__(self, groups: tuple[MountGroup, ...], blockers: Blocking, positions: FloatArray, threads: int) -> None:
         self.groups, self.blockers, self.positions, self.threads = groups, blockers, positions, threads
         self._order = in_blocks(positions)[0][: len(positions)]
 

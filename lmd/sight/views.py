@@ -19,7 +19,7 @@ from lmd.scene.scene import Scene
 from lmd.sight.crowd import obstacles_of
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.obstacles import is_clear, new_ends
-from lmd.sight.reference import seen_from
+from lmd.sight.reference import Views, seen_from
 from lmd.sight.viewpoint import fill_viewpoint, is_shown, load_deployment, viewpoint_for
 
 
@@ -85,11 +85,7 @@ def visible_through(scene: Scene, camera: Camera, deployment: Deployment, poses:
 
 
 def _visible(
-    scene: Scene,
-    camera: Camera,
-    deployment: Deployment,
-    poses: tuple[FloatArray, FloatArray],
-    states: IntArray | None = None,
+    scene: Scene, camera: Camera, deployment: Deployment, poses: Views, states: IntArray | None = None
 ) -> BoolArray:
     """Mask of the landmarks covered by one camera, `(N, K)`; poses are positions `(N, 3)` and axes `(N, 6)`."""
     scene.check_count(len(deployment))

@@ -127,13 +127,9 @@ def deviation_per_variance(camera: Camera, pixel_noise: float) -> float:
 
 
 def precision(
-    camera: Camera,
-    tag: Tag,
-    pixel_noise: float,
-    tolerance: float,
-    rotation: float | None = None,
+    camera: Camera, tag: Tag, pixel_noise: float, tolerance: float, rotation: float | None = None,
     edges: Sequence[float] | None = None,
-) -> Precision:
+) -> Precision:  # fmt: skip
     """Precision from the greatest standard deviations of a view.
 
     Args:

@@ -9,7 +9,7 @@ one place would gain more than any improvement of another place.
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -50,12 +50,13 @@ from lmd.sight.viewpoint import see_alone
 
 # Greatest number of poses per thread whose views by a rig are in memory at a time.
 AT_A_TIME = 64
+Prior: TypeAlias = tuple[float, float]
 # Indices of the numbers of a view on the diagonal of the information: position, rotation.
 OF_CAMERA, OF_BODY = ([9, 12, 14], [0, 3, 5]), ([0, 3, 5], [15, 18, 20])
 
 
 def log_det_selection(
-    evaluator: Evaluator, relevance: FloatArray, precision: Callable[[Scene], Precision], prior: tuple[float, float]
+    evaluator: Evaluator, relevance: FloatArray, precision: Callable[[Scene], Precision], prior: Prior
 ) -> "LogDeterminant":
     """Mean over positions and orientations of log det(prior + information), a `Selection`.
 
@@ -79,11 +80,7 @@ class LogDeterminant:
     of_camera = True
 
     def __init__(
-        self,
-        evaluator: Evaluator,
-        relevance: FloatArray,
-        precision: Callable[[Scene], Precision],
-        known: tuple[float, float],
+        self, evaluator: Evaluator, relevance: FloatArray, precision: Callable[[Scene], Precision], known: Prior
     ) -> None:
         evaluator.check_memory(8 * (self.width + 2))
         self.evaluator, self.precision = evaluator, precision

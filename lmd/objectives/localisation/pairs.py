@@ -63,10 +63,8 @@ def coverage_by_group(
     evaluator: Evaluator, groups: tuple[MountGroup, ...], positions: FloatArray, deployment: Deployment
 ) -> tuple[GroupCoverage, ...]:
     """Coverage of a deployment by mount groups of the evaluator, or variants of them, from `positions` `(P, 3)`."""
-    blockers, poses = (
-        evaluator.scene.room.blockers(),
-        (deployment.positions, deployment.normals, np.zeros(len(deployment))),
-    )
+    blockers, slack = evaluator.scene.room.blockers(), np.zeros(len(deployment))
+    poses = deployment.positions, deployment.normals, slack
     sets = [covered_sets_by_mount(group, blockers, positions, poses) for group in groups]
     return tuple(map(GroupCoverage, mounts_of(evaluator, groups), sets))
 
