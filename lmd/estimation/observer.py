@@ -30,15 +30,7 @@ from typing import Annotated
 
 import numpy as np
 
-from lmd.core.checks import (
-    BoolArray,
-    Checked,
-    FloatArray,
-    InputError,
-    NotNegative,
-    Positive,
-    choice,
-)
+from lmd.core.checks import BoolArray, Checked, FloatArray, InputError, NotNegative, Positive, choice
 from lmd.estimation.estimators import Errors, pose_errors
 from lmd.estimation.fusion import CameraPoints, Uncertainty
 from lmd.estimation.recording import Recording

@@ -259,21 +259,12 @@ def record(
     twists = [odometry.measured(f.trajectory.twists, np.diff(time), f.rng.spawn(1)[0]) for f in flights]
     tags = [detector.tags(flight.deployment) for flight in flights]
     cameras = len(flights[0].camera.cameras)
-    corners = [observation.corners for observation in observations]
-    return Recording(
-        time,
-        np.stack([flight.poses for flight in flights]),
-        np.stack(twists),
-        odometry,
-        np.stack([np.tile(flight.deployment.positions, (cameras, 1)) for flight in flights]),
-        flights[0].camera,
-        np.stack([observation.seen for observation in observations]),
-        np.stack([observation.points for observation in observations]),
-        np.concatenate([observation.noise for observation in observations]),
-        np.concatenate([observation.covariance for observation in observations]),
-        None if tags[0] is None else np.stack([np.tile(tag, (cameras, 1, 1)) for tag in tags]),  # type: ignore[arg-type] # all of them or none
-        None if corners[0] is None else np.concatenate(corners),  # type: ignore[arg-type]
-    )
+    seen, points, noise, covariance, corners = zip(*observations, strict=True)
+    poses, landmarks = [f.poses for f in flights], [np.tile(f.deployment.positions, (cameras, 1)) for f in flights]
+    truth = time, np.stack(poses), np.stack(twists), odometry, np.stack(landmarks), flights[0].camera
+    squares = None if tags[0] is None else np.stack([np.tile(tag, (cameras, 1, 1)) for tag in tags])  # type: ignore[arg-type] # all of them or none
+    detected = np.stack(seen), np.stack(points), np.concatenate(noise), np.concatenate(covariance)
+    return Recording(*truth, *detected, squares, None if corners[0] is None else np.concatenate(corners))
 
 
 def check_images(flights: Sequence[Flight]) -> None:

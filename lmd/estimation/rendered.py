@@ -87,13 +87,8 @@ class RenderedDetector(Checked):
             for first in range(0, len(whole.frames), FRAME_BATCH)
         ]
         found = iter([detections for batch in each(read, jobs) for detections in batch])
-        return [
-            merged(
-                [self._observed(look, list(islice(found, len(look.in_view)))) for look in those],
-                f.camera.extrinsics,
-            )
-            for f, those in zip(flights, looks, strict=True)
-        ]
+        seen = [[self._observed(look, list(islice(found, len(look.in_view)))) for look in those] for those in looks]
+        return [merged(parts, flight.camera.extrinsics) for flight, parts in zip(flights, seen, strict=True)]
 
     def _observed(self, look: Look, found: Sequence[Detections]) -> Observation:
         corners = believed(found, look.flight.deployment.ids)

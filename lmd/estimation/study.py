@@ -8,16 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 import pandas as pd
 
-from lmd.core.checks import (
-    Checked,
-    FloatArray,
-    InputError,
-    IntArray,
-    NotNegative,
-    argument_of,
-    real,
-    returned,
-)
+from lmd.core.checks import Checked, FloatArray, InputError, IntArray, NotNegative, argument_of, real, returned
 from lmd.core.memory import check_memory
 from lmd.core.words import escaped, markdown_table
 from lmd.estimation.estimators import DEGREES, Errors, Estimator, pose_errors
@@ -93,16 +84,11 @@ class Flights:
 
     def over(self, problem: Problem, all_visible: bool = False) -> list[Flight]:
         """Flights over the start of `problem`; a random start is drawn for each seed."""
-        return [
-            Flight(
-                problem.evaluator,
-                problem.draw(np.random.default_rng(seed)),
-                trajectory,
-                np.random.default_rng([seed, FLIGHTS_STREAM, 1]),
-                all_visible,
-            )
-            for seed, trajectory in zip(self.seeds, self.trajectories, strict=True)
-        ]
+        flights = []
+        for seed, trajectory in zip(self.seeds, self.trajectories, strict=True):
+            drawn, rng = problem.draw(np.random.default_rng(seed)), np.random.default_rng([seed, FLIGHTS_STREAM, 1])
+            flights.append(Flight(problem.evaluator, drawn, trajectory, rng, all_visible))
+        return flights
 
 
 @dataclass(frozen=True)

@@ -116,31 +116,23 @@ def sightings(subjects: Mapping[str, Rendered], seed: int, each: Each) -> dict[s
         seed: seed of the noise.
         each: function that applies a function to each of some jobs, in their order.
     """
-    jobs = {
-        (name, c, first): Frames(
-            part.renderer,
-            subject.detectors,
-            part.poses[first : first + CHUNK],
-            c * len(part.poses) + first,
-            seed,
-            None if part.people is None else part.people[first : first + CHUNK],
-        )
-        for name, subject in subjects.items()
-        for c, part in enumerate(subject.prediction.parts)
-        for first in range(0, len(part.poses), CHUNK)
-    }
+    jobs = {}
+    for name, subject in subjects.items():
+        for c, part in enumerate(subject.prediction.parts):
+            for first in range(0, len(part.poses), CHUNK):
+                some = slice(first, first + CHUNK)
+                people = None if part.people is None else part.people[some]
+                job = part.renderer, subject.detectors, part.poses[some], c * len(part.poses) + first, seed, people
+                jobs[name, c, first] = Frames(*job)
     found = dict(zip(jobs, each(look, list(jobs.values())), strict=True))
 
     def of(name: str, camera: int, detector: str) -> Matches:
         return Matches.concatenated([part[detector] for key, part in found.items() if key[:2] == (name, camera)])
 
-    return {
-        name: {
-            key: Matches.beside([of(name, c, key) for c in range(len(subject.prediction.parts))])
-            for key in subject.detectors
-        }
-        for name, subject in subjects.items()
-    }
+    def beside(name: str, detector: str) -> Matches:
+        return Matches.beside([of(name, c, detector) for c in range(len(subjects[name].prediction.parts))])
+
+    return {name: {key: beside(name, key) for key in subject.detectors} for name, subject in subjects.items()}
 
 
 @dataclass(frozen=True)
@@ -173,9 +165,11 @@ class DetectionStudy:
 
     def metrics(self) -> dict[str, float]:
         """Finite figures by `<figure>/<deployment>/<detector>`."""
-        return {
-            f"{key}/{row['deployment']}/{row['detector']}": float(value)
-            for row in self.tables["figures"].to_dict("records")
-            for key, value in row.items()
-            if key not in NAMES and math.isfinite(value)
+        records = self.tables["figures"].to_dict("records")
+        found = {
+            f"{key}/{row['deployment']}/{row['detector']}": row[key]
+            for row in records
+            for key in row
+            if key not in NAMES
         }
+        return {name: float(value) for name, value in found.items() if math.isfinite(value)}

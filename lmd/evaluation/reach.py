@@ -152,12 +152,7 @@ def reach_text(camera: Camera, tag: Tag, criteria: Fiducial, reading: Reading) -
     return "\n".join(lines)
 
 
-def _reads(
-    camera: Camera,
-    tag: Tag,
-    criteria: Fiducial,
-    reading: Reading,
-) -> list[list[str]]:
+def _reads(camera: Camera, tag: Tag, criteria: Fiducial, reading: Reading) -> list[list[str]]:
     """Table of the range of a tag at each angle, and of the pose error at each distance within the range."""
     rows = [["incidence", "read from", "to", *(f"alone at {distance:g} m" for distance in reading.distance)]]
     for angle in reading.incidence:

@@ -132,11 +132,7 @@ def nearest_on_simplex(v: FloatArray, total: float) -> FloatArray:
 
 
 def solve(
-    relaxation: Relaxation,
-    kinds: Sequence[tuple[Deployment, int]],
-    iterations: int,
-    tolerance: float,
-    limit: TimeLimit,
+    relaxation: Relaxation, kinds: Sequence[tuple[Deployment, int]], iterations: int, tolerance: float, limit: TimeLimit
 ) -> tuple[Dual, float, float]:
     """Find multipliers by accelerated projected ascent of F.
 

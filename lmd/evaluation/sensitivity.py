@@ -185,21 +185,16 @@ class Sensitivity:
     def to_text(self) -> str:
         """Text for a terminal, per cent."""
         by_factor = self.assumptions.groupby("factor")
-        varied = pd.DataFrame(
-            {f"x {x:g}": rows.set_index("assumption")[SHARE_COLUMNS].stack() for x, rows in by_factor}
-        )
+        each = {f"x {x:g}": rows.set_index("assumption")[SHARE_COLUMNS].stack() for x, rows in by_factor}
+        varied = pd.DataFrame(each)
         missed = self.misses.set_index("missed").T
         missed.columns = pd.Index([f"missed {share:g}" for share in missed.columns])
-        notes = [
-            f"edge x {row['factor']:g}: {row['note']}" for row in self.assumptions.to_dict("records") if row["note"]
-        ]
-        lost = self.lost.set_index(["lost", "share"])
-        failed = (
-            [] if self.cameras is None else [percent_text(self.cameras.set_index("camera").rename_axis("camera fails"))]
-        )
-        return "\n\n".join(
-            ["sensitivity, per cent", percent_text(varied), *notes, *map(percent_text, (missed, lost)), *failed]
-        )
+        rows = self.assumptions.to_dict("records")
+        notes = [f"edge x {row['factor']:g}: {row['note']}" for row in rows if row["note"]]
+        tables = [missed, self.lost.set_index(["lost", "share"])]
+        if self.cameras is not None:
+            tables.append(self.cameras.set_index("camera").rename_axis("camera fails"))
+        return "\n\n".join(["sensitivity, per cent", percent_text(varied), *notes, *map(percent_text, tables)])
 
 
 def sensitivity(problem: Problem, deployment: Deployment, seed: int, sample: Sample = SAMPLE) -> Sensitivity:
@@ -219,15 +214,14 @@ def sensitivity(problem: Problem, deployment: Deployment, seed: int, sample: Sam
     rows = [[v.assumption, v.factor, v.value, *shares, v.note] for v, shares in zip(variants, assumed, strict=True)]
     losses = missed[0][:, None, None] - without
     tags, many = np.diagonal(losses, axis1=1, axis2=2), range(1, min(2, len(deployment)) + 1)
+    ids, shares = deployment.ids, list(enumerate(SHARE_COLUMNS))
+    misses = pd.DataFrame(missed, columns=SHARE_COLUMNS)
+    misses.insert(0, "missed", MISS_PROBABILITIES)
     return Sensitivity(
         assumptions=pd.DataFrame(rows, columns=["assumption", "factor", "value", *SHARE_COLUMNS, "note"]),
-        misses=pd.DataFrame(missed, columns=SHARE_COLUMNS).assign(missed=MISS_PROBABILITIES)[
-            ["missed", *SHARE_COLUMNS]
-        ],
-        tags=pd.DataFrame({"id": deployment.ids, "localised_loss": tags[0], "covered_loss": tags[1]}),
-        lost=pd.DataFrame(
-            [_worst(lost, share, losses[i], deployment.ids) for i, share in enumerate(SHARE_COLUMNS) for lost in many]
-        ),
+        misses=misses,
+        tags=pd.DataFrame({"id": ids, "localised_loss": tags[0], "covered_loss": tags[1]}),
+        lost=pd.DataFrame([_worst(lost, share, losses[i], ids) for i, share in shares for lost in many]),
         cameras=_cameras(failed, missed[0]) if len(failed) else None,
     )
 

@@ -155,11 +155,7 @@ def headline_off_grid(problem: Problem) -> str:
 
 
 def sampled_values(
-    problem: Problem,
-    deployment: Deployment,
-    seed: int,
-    sample: Sample,
-    between: Callable[[], None] = lambda: None,
+    problem: Problem, deployment: Deployment, seed: int, sample: Sample, between: Callable[[], None] = lambda: None
 ) -> FloatArray:
     """Values of the objective at the positions of a sample, `(groups, positions)`; args as in `validation_metrics`."""
     landmarks = deployment.positions[None], deployment.normals[None]

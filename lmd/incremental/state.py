@@ -118,10 +118,7 @@ FRESH = 0  # orientations among `ASKED` that cover the place tried; for a camera
 ASKED = 1  # orientations that are tested
 
 # Rows of `Scratch.pairs`.
-LANDMARK, POSITION = (
-    0,
-    1,
-)  # a landmark, and a position; in `GroupScratch.pairs`, centre c and position q as c Q + q
+LANDMARK, POSITION = (0, 1)  # a landmark, and a position; in `GroupScratch.pairs`, centre c and position q as c Q + q
 
 # Rows of `seen`: the place tried as seen from a position, with the bounds of `criteria.from_position` or `from_around`.
 X, Y, Z = 0, 1, 2  # offset of the place from the position, or from the centre, metres

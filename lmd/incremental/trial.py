@@ -157,12 +157,8 @@ def _count_others(k: Integer, state: Any, scratch: Any) -> None:
     """Count the landmarks other than k at touched positions in `digits`, with the occlusion of the pairs after the
     move.
     """
-    counts, digits, landmark, position = (
-        state.counts.digits,
-        scratch.digits,
-        scratch.pairs[LANDMARK],
-        scratch.pairs[POSITION],
-    )
+    landmark, position = scratch.pairs[LANDMARK], scratch.pairs[POSITION]
+    counts, digits = state.counts.digits, scratch.digits
     words = np.uint64(counts.shape[1])
     for p in scratch.lists[TOUCHED_LIST][: scratch.numbers[TOUCHED_COUNT]]:
         for w in range(words):
@@ -243,11 +239,8 @@ def finish_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 @inner
 def exchange(k: Integer, field: Any, state: Any, scratch: Any) -> None:
     """Exchange the data of landmark k and of the pairs between state and scratch, and update the counts."""
-    words, landmark, position = (
-        np.uint64(state.counts.digits.shape[1]),
-        scratch.pairs[LANDMARK],
-        scratch.pairs[POSITION],
-    )
+    landmark, position = scratch.pairs[LANDMARK], scratch.pairs[POSITION]
+    words = np.uint64(state.counts.digits.shape[1])
     for p in scratch.lists[LISTED][: list_changing(state, k, scratch)]:
         for w in range(words):
             was, now = exchange_sets(state, k, p, w, scratch)

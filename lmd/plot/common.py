@@ -143,10 +143,7 @@ def landmark_groups(count: int, fixed: int) -> list[Group]:
 def qualified_labels(is_qualified: BoolArray, threshold: float) -> tuple[str, str]:
     """Legend entries of the qualified and of the unqualified positions."""
     share = 100.0 * is_qualified.mean()
-    return (
-        f"qualified, probability ≥ {threshold:g} ({share:.1f} %)",
-        f"unqualified ({100.0 - share:.1f} %)",
-    )
+    return (f"qualified, probability ≥ {threshold:g} ({share:.1f} %)", f"unqualified ({100.0 - share:.1f} %)")
 
 
 def draw_plan(axes: Any, room: Space, **style: Any) -> None:

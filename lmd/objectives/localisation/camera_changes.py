@@ -9,16 +9,7 @@ from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined, inner
 from lmd.geometry.vectors import Vector, column3, minus3
 from lmd.incremental.occlusion import pose_of, target_of
-from lmd.incremental.state import (
-    ASKED,
-    LANDMARK,
-    PAIR_COUNT,
-    POSITION,
-    REACHED,
-    TOUCHED,
-    Scratch,
-    State,
-)
+from lmd.incremental.state import ASKED, LANDMARK, PAIR_COUNT, POSITION, REACHED, TOUCHED, Scratch, State
 from lmd.incremental.trial import ask_touched, fresh_of, list_changing, see, see_whole, shown_of, turned
 from lmd.objectives.localisation.views import (
     APPEARS,

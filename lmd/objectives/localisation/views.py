@@ -292,16 +292,9 @@ def sum_views(
 
 @dispatched
 def change_sums(
-    known: Any,
-    k: Integer,
-    p: Integer,
-    w: Integer,
-    changed: np.uint64,
-    sign: float,
-    field: Any,
-    state: Any,
+    known: Any, k: Integer, p: Integer, w: Integer, changed: np.uint64, sign: float, field: Any, state: Any,
     scratch: Any,
-) -> None:
+) -> None:  # fmt: skip
     """Add the changes of a move to the sums of the views `changed` of word w, times `sign`."""
 
 

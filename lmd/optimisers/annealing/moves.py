@@ -11,18 +11,7 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import (
-    Checked,
-    Finite,
-    FloatArray,
-    IntArray,
-    NotNegative,
-    Share,
-    argument_of,
-    choice,
-    real,
-    vector,
-)
+from lmd.core.checks import Checked, Finite, FloatArray, IntArray, NotNegative, Share, argument_of, choice, real, vector
 from lmd.core.compiled import inner
 from lmd.incremental.field import Places
 from lmd.space.allowed import allows, spread_one

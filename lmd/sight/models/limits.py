@@ -13,17 +13,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from lmd.core.checks import (
-    BoolArray,
-    Checked,
-    FloatArray,
-    InputError,
-    NotNegative,
-    argument_of,
-    choice,
-    real,
-    said_of,
-)
+from lmd.core.checks import BoolArray, Checked, FloatArray, InputError, NotNegative, argument_of, choice, real, said_of
 from lmd.core.files import read_keys
 from lmd.scene.families import family_named
 
