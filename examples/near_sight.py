@@ -4,6 +4,7 @@ import math
 from typing import Any, NamedTuple
 
 from lmd.geometry.camera import Camera
+from lmd.geometry.vectors import dot3
 from lmd.scene.criteria import TOLERANCE, from_position, hide, in_cone, in_image, in_view
 from near import COSINE, Near
 
@@ -39,22 +40,22 @@ class CompiledNear(Near):
 
 
 @from_position.register(NearSight)
-def _from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untyped-def]
-    nearest = math.sqrt(x * x + y * y + z * z) - slack
-    facing = nx * x + ny * y + nz * z < 0.0  # the same for all of a wall
+def _from_position(sight, offset, normal, slack):  # type: ignore[no-untyped-def]
+    nearest = math.sqrt(dot3(offset, offset)) - slack
+    facing = dot3(normal, offset) < 0.0  # the same for all of a wall
     return (nearest <= sight.range) & facing, COSINE * nearest - slack, math.inf, -math.inf
 
 
 @in_image.register(NearSight)
-def _in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
-    return ax * x + ay * y + az * z >= low
+def _in_image(sight, offset, normal, low, slack, axis, right):  # type: ignore[no-untyped-def]
+    return dot3(axis, offset) >= low
 
 
 @in_view.register(NearSight)
-def _in_view(sight, x, y, z, sine, cosine, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
-    return in_cone(COSINE + (TOLERANCE if sine > 0.0 else -TOLERANCE), x, y, z, sine, cosine, ax, ay, az)
+def _in_view(sight, way, sine, cosine, axis, right):  # type: ignore[no-untyped-def]
+    return in_cone(COSINE + (TOLERANCE if sine > 0.0 else -TOLERANCE), way, sine, cosine, axis)
 
 
 @hide.register(NearSight)
-def _hide(sight, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type: ignore[no-untyped-def]
+def _hide(sight, a, aa, b, bb, u, v):  # type: ignore[no-untyped-def]
     return False, False

@@ -4,7 +4,7 @@ import optuna
 
 import lmd
 import lmd.suite
-from lmd.optimisers.ega import EGA
+from lmd.optimisers.genetic import EGA
 
 
 def tuned(trials: int = 30, evaluations: int = 500) -> optuna.Study:

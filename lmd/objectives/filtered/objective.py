@@ -31,8 +31,8 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
 from lmd.sight.blocks import SINGLE_ERROR
 from lmd.sight.evaluator import Evaluator
-from lmd.space.crowd import worst_mean, worst_of
 from lmd.sight.views import visible
+from lmd.space.crowd import worst_mean, worst_of
 
 
 class SeenFrames:
