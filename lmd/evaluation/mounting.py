@@ -194,17 +194,21 @@ def mounted(problem: Problem, plan: Deployment, error: MountingError, seed: int,
     streams = np.random.default_rng([seed, MOUNTING_STREAM]).spawn(error.draws)
     hung = [error.draw(problem, plan, rng) for rng in streams]
     all_of_them = [plan, *(each.deployment for each in hung)]
-    on_grid = pd.DataFrame([problem.metrics(deployment) for deployment in all_of_them])
-    figures = pd.concat([on_grid, off_grid_figures(problem, all_of_them, seed, sample)], axis=1)
+    figures = _figures(problem, all_of_them, seed, sample)
     poses = draw_poses(problem.scene, error.draws * VIEWS_PER_DRAW, seed).reshape(error.draws, VIEWS_PER_DRAW, 4, 4)
-    drawn = zip(hung, poses, streams, strict=True)
-    as_planned = MountedTags.of(plan)
-    views = [
-        map_errors(problem, each, {"planned": as_planned, "mounted": each}, some, rng) for each, some, rng in drawn
-    ]
+    maps = [{"planned": MountedTags.of(plan), "mounted": each} for each in hung]
+    views = [map_errors(problem, *drawn) for drawn in zip(hung, maps, poses, streams, strict=True)]
     numbered = pd.concat(views, keys=range(error.draws), names=["draw"]).reset_index("draw").reset_index(drop=True)
     draws = figures.iloc[1:].reset_index(drop=True).rename_axis("draw")
     return Mounted(error, seed, problem.objective.n, figures.iloc[0], draws, numbered)
+
+
+def _figures(problem: Problem, deployments: list[Deployment], seed: int, sample: Sample) -> "pd.DataFrame":
+    """Figures on the grid and off it, a row for each deployment of K landmarks."""
+    import pandas as pd
+
+    on_grid = pd.DataFrame([problem.metrics(each) for each in deployments])
+    return pd.concat([on_grid, off_grid_figures(problem, deployments, seed, sample)], axis=1)
 
 
 def off_grid_figures(problem: Problem, deployments: list[Deployment], seed: int, sample: Sample) -> "pd.DataFrame":
@@ -246,13 +250,11 @@ def read_measured(path: str | Path, problem: Problem, plan: Deployment, **table:
             belongs to no surface.
     """
     measured = read_deployment(path, "measured", problem.scene.tag.own_family, **table)
-    for name, ids in (
-        ("lacks the", np.setdiff1d(plan.ids, measured.ids)),
-        ("has a", np.setdiff1d(measured.ids, plan.ids)),
-    ):
+    lacking, further = np.setdiff1d(plan.ids, measured.ids), np.setdiff1d(measured.ids, plan.ids)
+    for ids, wrong in ((lacking, "lacks the landmark {} that is"), (further, "has a landmark {} that is not")):
         if len(ids):
-            other = "that is planned" if name == "lacks the" else "that is not planned"
-            raise InputError(f"measured: {path} {name} landmark {ids[0]} {other} ({len(ids)} in all).", "measured")
+            message = f"measured: {path} {wrong.format(ids[0])} planned ({len(ids)} in all)."
+            raise InputError(message, "measured")
     places = np.argsort(measured.ids)[np.searchsorted(np.sort(measured.ids), plan.ids)]
     with said_of(f"measured: {path}", "measured"):
         measured, scene = replace(measured[places], note=measured.note), problem.scene
@@ -318,26 +320,16 @@ def as_measured(
         views: number of random views.
     """
     both = {"planned": plan, "measured": measured}
-    on_grid = pd.DataFrame([problem.metrics(each) for each in both.values()])
-    figures = pd.concat([on_grid, off_grid_figures(problem, list(both.values()), seed, sample)], axis=1)
+    figures = _figures(problem, list(both.values()), seed, sample).set_axis(list(both)).T.rename_axis("figure")
     maps, poses = {name: MountedTags.of(each) for name, each in both.items()}, draw_poses(problem.scene, views, seed)
-    noise = np.random.default_rng([seed, MEASURED_STREAM])
-    return Measured(
-        problem.objective.n,
-        _moved(plan, measured),
-        figures.set_axis(list(both)).T.rename_axis("figure"),
-        map_errors(problem, maps["measured"], maps, poses, noise),
-    )
+    errors = map_errors(problem, maps["measured"], maps, poses, np.random.default_rng([seed, MEASURED_STREAM]))
+    return Measured(problem.objective.n, _moved(plan, measured), figures, errors)
 
 
 def _moved(plan: Deployment, measured: Deployment) -> pd.DataFrame:
     """Table `Measured.moved`."""
     way = measured.places - plan.places
     chord = np.linalg.norm(measured.normals - plan.normals, axis=1)  # more accurate than the cosine
-    rows = {
-        "id": plan.ids,
-        "moved": np.linalg.norm(way, axis=1),
-        **dict(zip(("dx", "dy", "dz"), way.T, strict=True)),
-        "tilted": 2.0 * np.arcsin(np.clip(chord / 2.0, 0.0, 1.0)),
-    }
-    return pd.DataFrame(rows).sort_values("moved", ascending=False, kind="stable", ignore_index=True)
+    rows = {"id": plan.ids, "moved": np.linalg.norm(way, axis=1), "dx": way[:, 0], "dy": way[:, 1], "dz": way[:, 2]}
+    table = pd.DataFrame({**rows, "tilted": 2.0 * np.arcsin(np.clip(chord / 2.0, 0.0, 1.0))})
+    return table.sort_values("moved", ascending=False, kind="stable", ignore_index=True)

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -19,6 +19,8 @@ BALL_POINTS = 7.0  # diameter of a ball, points
 # Marker of the legend, as a path: for a text, matplotlib would load its parser of formulas.
 ARROW = ((-1.0, 0.0), (1.0, 0.0), (0.4, 0.35), (1.0, 0.0), (0.4, -0.35))
 
+Groups: TypeAlias = Sequence[common.Group]
+
 
 def save_scene_figure(path: str | Path, problem: Problem, deployment: Deployment, title: str) -> None:
     """Write a PNG of 1500 x 750 pixels: positions coloured by the objective's value, and by qualification.
@@ -31,13 +33,13 @@ def save_scene_figure(path: str | Path, problem: Problem, deployment: Deployment
         deployment: landmarks, drawn as red arrows along the normals, or blue arrows if they hung already.
         title: title of the figure.
     """
-    room, objective, positions = problem.scene.room, problem.objective, problem.places
+    room, objective = problem.scene.room, problem.objective
     values = problem.by_place(problem.values(deployment))
     good = objective.qualified(values)
     groups = common.landmark_groups(len(deployment), problem.fixed_count)
-    is_level = np.ptp(positions[:, 2]) == 0.0
+    is_level = np.ptp(problem.places[:, 2]) == 0.0
     draw = _draw_from_above if is_level else _draw_in_space
-    figure, bar = draw(room, positions, values, good, deployment, groups, title)
+    figure, bar = draw(problem, values, good, deployment, groups, title)
     bar.set_label(objective.value_label, fontsize=12)
     bar.ax.axvline(objective.threshold, color="white", linewidth=4.0)
     bar.ax.axvline(objective.threshold, color="black", linewidth=1.5)
@@ -51,12 +53,12 @@ def save_scene_figure(path: str | Path, problem: Problem, deployment: Deployment
 
 
 def _draw_in_space(
-    room: Space, positions: FloatArray, values: FloatArray, good: BoolArray, deployment: Deployment,
-    groups: Sequence[common.Group], title: str,
-) -> tuple[Any, Any]:  # fmt: skip
+    problem: Problem, values: FloatArray, good: BoolArray, deployment: Deployment, groups: Groups, title: str
+) -> tuple[Any, Any]:
     """Figure of two views in perspective, and the bar of its colours."""
     from matplotlib.figure import Figure
 
+    room, positions = problem.scene.room, problem.places
     figure = Figure(figsize=SCENE, dpi=100, facecolor="white")
     figure.suptitle(common.wrapped(title, SCENE[0]), fontsize=15, y=0.985)
     left, right = (
@@ -70,13 +72,13 @@ def _draw_in_space(
 
 
 def _draw_from_above(
-    room: Space, positions: FloatArray, values: FloatArray, good: BoolArray, deployment: Deployment,
-    groups: Sequence[common.Group], title: str,
-) -> tuple[Any, Any]:  # fmt: skip
+    problem: Problem, values: FloatArray, good: BoolArray, deployment: Deployment, groups: Groups, title: str
+) -> tuple[Any, Any]:
     """Figure of two plans, and the bar of its colours."""
     from matplotlib.collections import PatchCollection
     from matplotlib.patches import Rectangle
 
+    room, positions = problem.scene.room, problem.places
     length, width, _ = common.size_of(room)
     shape = (2, 1) if length > 2.0 * width else (1, 2)
     figure, panels = common.new_panels(SCENE, title, *shape, sharex=True, sharey=True)
@@ -93,7 +95,7 @@ def _draw_from_above(
     return figure, figure.colorbar(panels[0].collections[0], ax=list(panels), orientation="horizontal", aspect=60)
 
 
-def _legends(room: Space, groups: Sequence[common.Group], labels: tuple[str, str]) -> tuple[list[Any], list[Any]]:
+def _legends(room: Space, groups: Groups, labels: tuple[str, str]) -> tuple[list[Any], list[Any]]:
     """Legend entries of the room and the landmarks, and of qualified and unqualified positions."""
     from matplotlib.lines import Line2D
 
@@ -145,7 +147,7 @@ def save_deployments_figure(
     figure.savefig(path)
 
 
-def _draw_surroundings(axes: Any, room: Space, deployment: Deployment, groups: Sequence[common.Group]) -> None:
+def _draw_surroundings(axes: Any, room: Space, deployment: Deployment, groups: Groups) -> None:
     """Draw everything except the balls: room, reachable area, groups of landmarks and axes."""
     from matplotlib.ticker import MaxNLocator, MultipleLocator
     from mpl_toolkits.mplot3d.art3d import Line3DCollection

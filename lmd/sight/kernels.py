@@ -98,12 +98,8 @@ def evaluate_range(
                     row[a] = 0
                 for m in range(found):
                     k = shown[m]
-                    offset, least, (_, normal), mine = (
-                        (x[k], y[k], z[k]),
-                        low[k],
-                        pair3(near, k),
-                        sized(sight, index[k]),
-                    )
+                    offset, (_, normal), mine = (x[k], y[k], z[k]), pair3(near, k), sized(sight, index[k])
+                    least = low[k]
                     start, stop = bands[bottom[k]] & -BLOCK, (bands[top[k]] + BLOCK - 1) & -BLOCK
                     # Unsigned indices cannot be negative, so the compiler vectorises the loop.
                     for a in range(np.uint64(start), np.uint64(stop)):

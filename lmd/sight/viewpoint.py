@@ -221,13 +221,8 @@ def is_hidden(
         squared: squared lengths of the offsets, `(K,)`, m^2.
         poses: positions and unit normals, `(6, K)`.
     """
-    mine, offset, square, (_, normal), hiding = (
-        sized(sight, index[k]),
-        (x[k], y[k], z[k]),
-        squared[k],
-        pair3(poses, k),
-        0,
-    )
+    mine, offset, square, hiding = sized(sight, index[k]), (x[k], y[k], z[k]), squared[k], 0
+    _, normal = pair3(poses, k)
     for j in range(count):
         other, (_, facing) = (x[j], y[j], z[j]), pair3(poses, j)
         hides, _ = hide_between(sized(sight, index[j]), mine, other, squared[j], offset, square, facing, normal)

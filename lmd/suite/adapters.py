@@ -60,14 +60,8 @@ def ioh_problem(problem: BlackBox) -> Any:
     """
     ioh = optional("ioh", "suite")
     check_single(problem, "ioh")
-    return ioh.wrap_problem(
-        lambda x: float(problem(x)),
-        name=problem.name,
-        dimension=problem.dim,
-        optimization_type=ioh.OptimizationType.MAX,
-        lb=0.0,
-        ub=1.0,
-    )
+    largest = {"optimization_type": ioh.OptimizationType.MAX, "lb": 0.0, "ub": 1.0}
+    return ioh.wrap_problem(lambda x: float(problem(x)), name=problem.name, dimension=problem.dim, **largest)
 
 
 def optuna_objective(problem: BlackBox) -> "Callable[[optuna.Trial], float | list[float]]":

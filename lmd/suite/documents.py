@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -68,7 +68,9 @@ class Document(Checked):
     def digest(self) -> str:
         """Digest of the problem's nodes, and of the bytes of all named files."""
         text = hashlib.sha256(json.dumps(self.problem, sort_keys=True).encode())
-        for file in sorted(set(_files(self.problem))):
+        files = dict[str, str]()
+        _with_files(self.problem, lambda file: files.setdefault(file, file))
+        for file in sorted(files):
             text.update(read_bytes(FOLDER / file, f"{self.name}: {FILE}"))
         return text.hexdigest()[:HASH_DIGITS]
 
@@ -102,22 +104,12 @@ def document(name: str) -> Document:
 
 def with_paths(node: Any) -> Any:
     """Copy the nodes of a problem with the full paths of all files."""
-    if isinstance(node, Mapping):
-        return {
-            key: str(FOLDER / value) if key == FILE and value is not None else with_paths(value)
-            for key, value in node.items()
-        }
-    return [with_paths(value) for value in node] if isinstance(node, list) else node
+    return _with_files(node, lambda file: str(FOLDER / file))
 
 
-def _files(node: Any) -> Iterator[str]:
-    """Files that the nodes of a problem name."""
+def _with_files(node: Any, change: Callable[[str], str]) -> Any:
+    """Copy the nodes of a problem with each file changed."""
     if isinstance(node, Mapping):
-        for key, value in node.items():
-            if key == FILE and value is not None:
-                yield str(value)
-            else:
-                yield from _files(value)
-    elif isinstance(node, list):
-        for value in node:
-            yield from _files(value)
+        named = [(key, value, key == FILE and value is not None) for key, value in node.items()]
+        return {key: change(str(value)) if is_file else _with_files(value, change) for key, value, is_file in named}
+    return [_with_files(value, change) for value in node] if isinstance(node, list) else node

@@ -165,20 +165,16 @@ def _localise_range(
                         weight = pixel_density(sight, offset, axes, a)
                         for t in range(terms):
                             sums[a, t] += share_of(moment[t], weight)
-            if asks:
-                total = np.int64(0)
-                for m in range(useful):
-                    a, start = listed[m], listed[m] * np.uint64(WIDTH)
-                    one_pose = several[a // VIEW] >> a % VIEW & ONE != ZERO
-                    one_pose |= has_one_pose(precision.residual, flat, start, ONE)
+            for i in range(np.uint64(variances.shape[2]) if keep else ZERO):
+                variances[b, p, i] = np.inf
+            total = np.int64(0) if asks else total
+            for m in range(useful):
+                a, start = listed[m], listed[m] * np.uint64(WIDTH)
+                one_pose = several[a // VIEW] >> a % VIEW & ONE != ZERO
+                one_pose |= has_one_pose(precision.residual, flat, start, ONE)
+                if asks:
                     total += weights[row_of, a] if meets(precision, flat, start, ONE) & one_pose else 0
-                localised[b, p] = total
-            if keep:
-                for i in range(np.uint64(variances.shape[2])):
-                    variances[b, p, i] = np.inf
-                for m in range(useful):
-                    a, start = listed[m], listed[m] * np.uint64(WIDTH)
-                    one_pose = several[a // VIEW] >> a % VIEW & ONE != ZERO
-                    one_pose |= has_one_pose(precision.residual, flat, start, ONE)
+                if keep:
                     value, fixed = variance(flat, start, ONE)
                     variances[b, p, a] = value if fixed & one_pose else np.inf
+            localised[b, p] = total
