@@ -292,8 +292,7 @@ def save_landmark_count_figure(
     """
     from matplotlib.ticker import PercentFormatter
 
-    figure = new_figure((8.0, 4.8))
-    axes = figure.add_subplot(title=title, xlabel="landmarks K", ylabel="qualified ratio")
+    figure, ((axes,),) = new_panels((8.0, 4.8), None, 1, 1)
     medians = ratios.groupby("count")["qualified_ratio"].median()
     axes.plot(medians.index, medians, color="C2", label="median of the runs")
     axes.plot(ratios["count"], ratios["qualified_ratio"], "o", color="C2", markersize=5, alpha=0.6, label="run")
@@ -301,7 +300,7 @@ def save_landmark_count_figure(
         axes.plot(count, ratio, marker="D", color=f"C{3 + i}", linestyle="none", label=name)
     axes.set_ylim(0.0, 1.0)
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))
-    axes.grid(alpha=0.3)
+    dress(axes, title=title, xlabel="landmarks K", ylabel="qualified ratio")
     axes.legend(loc="lower right")
     figure.savefig(path)
 
