@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lmd.adjust.gauge import in_world
 from lmd.core.checks import FloatArray
 from lmd.evaluation.accuracy import plan_of_errors
 from lmd.plot import common
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
 from lmd.adjust.gauge import in_world
 from lmd.adjust.motion import seconds_of
 from lmd.localise.localise import Localisation
-from lmd.localise.results import changes_of
 
 NO_MEDIAN_COLOUR = "#c8c8c8"  # colour of places without a finite median
 PLANNED, UNSEEN = "#9e9e9e", "#ff7f0e"
@@ -254,11 +252,8 @@ def save_localised_figure(path: str | Path, result: Localisation, room: Space | 
 
 def _ways(result: Localisation) -> list[tuple[str, str, FloatArray, FloatArray]]:
     """Name, colour, poses and covariances, of single images and of the smoothed drive."""
-    found, smoothed = result.found, result.smoothed
-    ways = [("single images", SINGLE, found.frames, found.covariances)]
-    if smoothed is not None:
-        ways.append(("smoothed", SMOOTHED, smoothed.frames, smoothed.covariances))
-    return ways
+    every = ("single images", SINGLE, result.found), ("smoothed", SMOOTHED, result.smoothed)
+    return [(name, colour, one.poses.frames, one.frame_covariances) for name, colour, one in every if one is not None]
 
 
 def _draw_way(axes: Any, result: Localisation, room: Space | None) -> None:
@@ -266,7 +261,7 @@ def _draw_way(axes: Any, result: Localisation, room: Space | None) -> None:
     if room is not None:
         draw_plan(axes, room, lw=0.8, zorder=1)
         axes.lines[0].set_label("room")
-    known, every = result.known, changes_of(result)
+    known, every = result.known, result.changes
     lines = axes.plot(*edge_lines(known.poses, known.edges), color=LANDMARK, linewidth=2.0, zorder=2)
     lines[0].set_label("tag of the map")
     same = ~np.isin(known.ids, [change.tag for change in every])
@@ -294,10 +289,7 @@ def _draw_way(axes: Any, result: Localisation, room: Space | None) -> None:
         own_changes = [change for change in every if change.kind == kind]
         if not own_changes:
             continue
-        at = np.array([
-            known.poses[np.searchsorted(known.ids, one.tag)] if one.found is None else one.found.pose
-            for one in own_changes
-        ])  # fmt: skip
+        at = np.array([one.before if kind == "vanished" else one.pose for one in own_changes])
         axes.plot(*at[:, :2, 3].T, MARKERS[kind], color=colour, markersize=8, zorder=5, label=kind)
         for change, pose in zip(own_changes[:MOST_CHANGED], at, strict=False):
             axes.annotate(f" {change.tag}", pose[:2, 3], color=colour, fontsize=10)
@@ -314,7 +306,7 @@ def _draw_deviations(axes: Any, result: Localisation) -> None:
         there = np.flatnonzero(np.isfinite(frames[:, 0, 0]))
         worst = np.sqrt(np.linalg.eigvalsh(covariances[there][:, 3:, 3:])[:, -1])
         axes.semilogy(along[there], 1e3 * worst, ".", color=colour, label=name, markersize=4)
-    refused = np.flatnonzero(~result.found.localised)
+    refused = np.flatnonzero(~result.found.poses.known_frames)
     if len(refused):
         axes.plot(along[refused], np.zeros(len(refused)), "|", color=CHANGED["vanished"], markersize=10,
                   transform=axes.get_xaxis_transform(), label="refused", clip_on=False)  # fmt: skip
