@@ -6,8 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lmd.adjust.gauge import in_world
+from lmd.adjust.motion import seconds_of
 from lmd.core.checks import FloatArray
 from lmd.evaluation.accuracy import plan_of_errors
+from lmd.localise.localise import Localisation
 from lmd.plot import common
 from lmd.plot.common import LANDMARK, draw_plan, dress, literal, new_panels, shrink
 from lmd.problem import Problem
@@ -17,11 +20,6 @@ from lmd.space.space import Space, outwards
 
 if TYPE_CHECKING:
     from lmd.survey.survey import Survey
-
-
-from lmd.adjust.gauge import in_world
-from lmd.adjust.motion import seconds_of
-from lmd.localise.localise import Localisation
 
 NO_MEDIAN_COLOUR = "#c8c8c8"  # colour of places without a finite median
 PLANNED, UNSEEN = "#9e9e9e", "#ff7f0e"
