@@ -148,8 +148,7 @@ def test_a_criterion_that_ignores_slack_is_found_out(guides):
     @from_position.register(CarelessSight)
     def _from_position(sight, offset, normal, slack):
         distance = math.sqrt(dot3(offset, offset))
-        facing = -dot3(normal, offset) > 0.0
-        return (distance <= sight.range) & facing, cosine * distance, math.inf, -math.inf
+        return (distance <= sight.range) & (dot3(normal, offset) < 0.0), cosine * distance, math.inf, -math.inf
 
     for function, body in ((in_image, near._in_image), (in_view, near._in_view), (hide, near._hide)):
         function.register(CarelessSight)(body)

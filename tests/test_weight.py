@@ -11,8 +11,8 @@ import weight
 # What the project may weigh. What a change adds it pays by what it takes out; lower a number when you have lowered the
 # amount, and raise none.
 BUDGET = {
-    "files of lmd": 319,
-    "code lines of lmd": 30391,
+    "files of lmd": 291,
+    "code lines of lmd": 29759,
     "files of pipelines": 48,
     "code lines of pipelines": 3709,
     "code lines of tests": 24042,

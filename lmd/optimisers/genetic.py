@@ -42,7 +42,7 @@ def exchange(rng: np.random.Generator, parents: FloatArray, shortest: float, lon
 
 
 def reset(rng: np.random.Generator, genes: FloatArray, probability: float) -> FloatArray:
-    """Draw each gene anew with `probability`."""
+    """Draw a new value of each gene with `probability`."""
     mutates = rng.random(genes.shape) < probability
     return np.where(mutates, rng.random(genes.shape), genes)
 
@@ -66,7 +66,7 @@ class EGA(AskTell):
             gives each chromosome a run of the survivor's genes.
         acceptance: `always` lets a child replace its parent; `if_better` does so only if the child's fitness is not
             lower.
-        mutation: `reset` draws a gene anew; `gaussian` moves the gene by a normal step.
+        mutation: `reset` draws a new gene; `gaussian` moves the gene by a normal step.
         mutation_scale: standard deviation of the normal step (genes span 1).
         encoding: W, see `AskTell`.
         seed: see `Optimiser`.
@@ -154,7 +154,7 @@ class SGA(AskTell):
         population: M.
         recombination_min, recombination_max: the shortest and longest run of genes exchanged, as fractions of the
             chromosome.
-        mutation_probability: probability that a gene is drawn anew.
+        mutation_probability: probability of a new gene.
         survivors: number of best chromosomes that take the place of the worst children; 0 as in the paper.
         encoding: see `AskTell`.
         seed: see `Optimiser`.

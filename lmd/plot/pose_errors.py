@@ -148,7 +148,7 @@ def save_uncertainty_figure(
 ) -> None:
     """Write a PNG of three panels.
 
-    From above: the share of views with one pose and the heading with the least share in each cell; the median standard
+    From above: the share of views with one pose and the heading with the least share in each cell. The median standard
     deviation of the position, per axis, of the views with one pose. At the right: that deviation over the mean distance
     of the tags, with its law.
 

@@ -103,7 +103,7 @@ def best_deployments(name: str) -> list[Deployment]:
     """Best deployment known of a problem, or the front of a problem with several objectives.
 
     Raises:
-        InputError: there is no problem of that name, none is recorded, or the problem places cameras.
+        InputError: no problem has that name, nothing is recorded, or the problem places cameras.
     """
     path = best_path(_recorded(name))
     if path.suffix != ".csv":
@@ -120,7 +120,7 @@ def best_rig(name: str) -> Rig:
     """Best cameras known of a problem that places cameras.
 
     Raises:
-        InputError: there is no problem of that name, none is recorded, or the problem places landmarks.
+        InputError: no problem has that name, nothing is recorded, or the problem places landmarks.
     """
     path = best_path(_recorded(name))
     if path.suffix == ".csv":

@@ -86,10 +86,7 @@ def check_sight(criteria, camera, views, covered, rng):
     assert (cosines[covered] >= sight.outer_cosine).all(), "covered beyond the outer cone"
     radius = 0.3
     nearby = radius * rng.uniform(-1.0, 1.0, 3) / np.sqrt(3.0)
-    bounds = [
-        from_around(sight, tuple(offset), tuple(normal), radius)
-        for offset, normal in zip(positions, normals, strict=True)
-    ]
+    bounds = [from_around(sight, *map(tuple, pair), radius) for pair in zip(positions, normals, strict=True)]
     reached, most = (np.array([each[i] for each in bounds]) for i in (0, 1))
     moved = criteria.covered(camera, nearby, axes, positions, normals)
     assert not moved[:, ~reached].any(), "covered from a place around a point from which it is not reached"

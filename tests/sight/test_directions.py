@@ -45,11 +45,8 @@ def test_no_axis_with_a_direction_in_view_is_missed_and_the_certain_ones_have_al
     towards = directions(seed, 50)
     cells = np.array([cell_of(tuple(direction)) for direction in towards])
 
-    def in_view(directions, asked):
-        return [
-            seen(sight, tuple(directions[d]), 0.0, 1.0, tuple(AXES[:3, a]), tuple(AXES[3:, a]))
-            for d, a in np.argwhere(asked)
-        ]
+    def in_view(ways, at):
+        return [seen(sight, tuple(ways[d]), 0.0, 1.0, *map(tuple, np.split(AXES[:, a], 2))) for d, a in np.argwhere(at)]
 
     assert not any(in_view(towards, ~possible[cells]))
     near = towards + 0.99 * math.tan(sight.inset) * directions(rng.integers(2**32), 50)

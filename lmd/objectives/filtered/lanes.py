@@ -3,7 +3,7 @@
 Number j of lane l lies at `array[j * LANES + l]`.
 
 The error of the estimate is X = X^ exp(e) with a body twist e, as in the invariant Kalman filter of
-`lmd.estimation.fusion`. Its covariance goes on with the motion T between two frames and with the information I of the
+`lmd.estimation.fusion`. The covariance goes on with the motion T between two frames and with the information I of the
 tags in view,
 
     P <- Ad(T^-1) P Ad(T^-1)^T + Q,        P^-1 <- P^-1 + I.
