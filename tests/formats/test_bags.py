@@ -6,30 +6,13 @@ import numpy as np
 import pytest
 from support import bags as bf
 from support import localisations as ld
+from support.bags import GREY, SMALL, bag_of, images, only
 
 from lmd.core.checks import InputError
-from lmd.detection.photographed import images_in
 from lmd.formats.bags import CAMERA_INFO, DETECTIONS, IMAGE, Bag, is_bag
 from lmd.formats.calibrations import calibrated_camera
 from lmd.formats.detection_formats import read_detections
 from lmd.geometry.camera import Camera
-
-SMALL = Camera(2.0, 0.01, 0.01, (8.0, 6.0), 16, 12, 0.0)
-GREY = np.random.default_rng(0).integers(0, 256, (12, 16), dtype=np.uint8)
-
-
-def bag_of(path, values, kind=IMAGE, count=1, topic="/image"):
-    """A bag with the same message each tenth of a second."""
-    return bf.write(path, [(topic, kind, k * 10**8, values) for k in range(count)])
-
-
-def images(path, **more):
-    return images_in(path, **{"topic": None, "rate": 5.0, "argument": "photographs", "count": 1, **more})
-
-
-def only(path, **more):
-    (found,) = images(path, **more).values()
-    return found
 
 
 def test_a_camera_info_is_a_calibration(tmp_path):

@@ -93,11 +93,6 @@ def test_an_entry_point_without_a_format_is_named(others, write):
         read_calibration(write(json.dumps(PRINTED)))
 
 
-def test_a_format_has_a_family_that_is_known():
-    with pytest.raises(InputError, match=r"family must be one of calibration, trajectory, .*, got 'soup'"):
-        Format("soup", "acme", bool)
-
-
 @pytest.mark.parametrize("family", FAMILIES)
 def test_the_formats_of_a_family_are_read_or_refused(family):
     for form in registry.formats(family):

@@ -43,16 +43,6 @@ def test_pictures_and_the_table_are_those_of_the_apriltag_library(name):
         assert (ours == theirs).all()
 
 
-@pytest.mark.parametrize("name", ["36h11", "16h5", "4x4_50", "aruco_original"])
-def test_a_picture_has_a_black_border_and_something_inside(name):
-    shown = picture(name, 3)
-    border = np.ones_like(shown)
-    border[1:-1, 1:-1] = False
-    assert shown.shape == (FAMILIES[name].modules,) * 2
-    assert not shown[border].any()
-    assert shown.any()
-
-
 def test_an_apriltag_hangs_as_in_apriltags_own_picture():
     # The first row inside the border of its tag 0; OpenCV has it, backwards, as the last.
     assert "".join(".#"[not white] for white in picture("36h11", 0)[1]) == "#..#.#.#"

@@ -68,21 +68,19 @@ def test_where_cameras_are_mounted_agrees_with_what_they_look_at():
     assert_allclose(rig.mounted[1, :3, 3], first.T @ (offsets[1] - offsets[0])[0], atol=1e-9)
 
 
-def test_back_to_back_each_camera_adds_its_share():
-    alone, rig = scene_with(), scene_with(*around(2))
-    assert probability(alone, AHEAD, 1) == pytest.approx(SEEN / YAWS, abs=1e-12)
-    assert probability(rig, AHEAD, 1) == pytest.approx(2 * SEEN / YAWS, abs=1e-12)
-
-
-def test_three_cameras_add_three_shares_and_six_see_all_around():
-    assert probability(scene_with(*around(3)), AHEAD, 1) == pytest.approx(3 * SEEN / YAWS, abs=1e-12)
-    assert probability(scene_with(*around(6)), AHEAD, 1) == 1.0  # 60 degrees apart, each 69.7 wide
-
-
-def test_a_landmark_that_two_cameras_see_counts_once():
-    twice = scene_with(Mount(CAMERA), Mount(CAMERA))
-    assert probability(twice, AHEAD, 1) == pytest.approx(SEEN / YAWS, abs=1e-12)
-    assert probability(twice, AHEAD, 2) == 0.0
+@pytest.mark.parametrize(
+    ("mounts", "n", "share"),
+    [
+        ([], 1, SEEN / YAWS),
+        (around(2), 1, 2 * SEEN / YAWS),
+        (around(3), 1, 3 * SEEN / YAWS),
+        (around(6), 1, 1.0),  # 60 degrees apart, each 69.7 wide
+        ([Mount(CAMERA), Mount(CAMERA)], 1, SEEN / YAWS),
+        ([Mount(CAMERA), Mount(CAMERA)], 2, 0.0),  # what both see counts once
+    ],
+)
+def test_each_camera_adds_its_share_of_one_landmark(mounts, n, share):
+    assert probability(scene_with(*mounts), AHEAD, n) == pytest.approx(share, abs=1e-12)
 
 
 def test_two_landmarks_may_be_seen_by_one_camera_each():
@@ -168,29 +166,16 @@ def test_what_single_poses_gain_is_what_some_camera_covers():
     check_slack(scene, 0.2, rng)
 
 
-def test_threads_do_not_change_what_a_rig_scores():
-    scene = replace(paper_scene(orientations=pdf.level_flight(6)), camera=Rig(tuple(around(2))))
-    deployment = RandomDeployment(30).draw(scene.room, np.random.default_rng(0))
-    one, four = (Evaluator(scene, threads=threads).probabilities(deployment, 2) for threads in (1, 4))
-    assert_array_equal(one, four)
-
-
-def test_off_the_grid_bounds_and_causes_know_rigs():
+def test_off_the_grid_bounds_and_causes_know_rigs_and_verdicts_refuse_them():
     scene = scene_with(*around(2))
     problem = Problem(scene, Coverage(1, 0.3), RandomDeployment(6), threads=1)
     deployment = problem.draw(np.random.default_rng(0))
-    figures = validation_metrics(problem, deployment, 0, Sample(2, 4, 6))
-    assert 0.0 <= figures["grid_free_qualified_ratio"] <= 1.0
+    assert 0.0 <= validation_metrics(problem, deployment, 0, Sample(2, 4, 6))["grid_free_qualified_ratio"] <= 1.0
     bound = fitness_upper_bound(problem, 6, Search(spacing=1.0, iterations=20)).walls
     assert bound >= problem.fitness_of(deployment)
     found = causes(scene, deployment, 0)
     assert found.sightings == 2 * 256 * 16 * 6
     assert found.limits["field_of_view"] == "within 34.8 degrees of the optical axis"
-
-
-def test_what_knows_no_rig_says_so():
-    scene = scene_with(*around(2))
-    deployment = AHEAD
     with pytest.raises(InputError, match="works with a single camera, not with a rig of 2"):
         verdicts(scene, deployment, np.eye(4)[None])
 
@@ -244,14 +229,14 @@ def test_cameras_on_an_imu_are_a_rig_too(text, write):
         assert_allclose(by_imu.rotation, chained.rotation, atol=1e-12)
 
 
-def test_a_camera_that_leaves_the_room_between_the_positions_of_the_grid_is_refused():
-    room = Cuboid((4.0, 4.0, 4.0), (3.6, 3.6, 3.6), 0.9)  # the grid keeps 0.65 m from the walls, the body 0.2 m
-    scene = scene_with(Mount(CAMERA, (0.5, 0.0, 0.0)), room=room)
+@pytest.mark.parametrize(
+    ("ahead", "room"),
+    [
+        (2.5, one_position_room()),
+        (0.5, Cuboid((4.0, 4.0, 4.0), (3.6, 3.6, 3.6), 0.9)),  # the grid keeps 0.65 m from the walls, the body 0.2 m
+    ],
+)
+def test_a_camera_outside_the_room_is_refused(ahead, room):
+    scene = scene_with(Mount(CAMERA, (ahead, 0.0, 0.0)), room=room)
     with pytest.raises(InputError, match=r"rig has a camera at .*, outside the room"):
-        Problem(scene, Coverage(1, 0.3), RandomDeployment(6), threads=1)
-
-
-def test_a_camera_outside_the_room_is_refused():
-    scene = scene_with(Mount(CAMERA, (2.5, 0.0, 0.0)))
-    with pytest.raises(InputError, match=r"rig has a camera at .*, outside the room, when the body is at \[2, 2, 2\]"):
         Problem(scene, Coverage(1, 0.3), RandomDeployment(6), threads=1)
