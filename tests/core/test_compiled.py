@@ -234,26 +234,16 @@ def test_where_nothing_can_be_written_kernels_are_compiled_all_the_same(monkeypa
 
 
 @pytest.mark.parametrize("damage", [b"", b"cgone.module\nClass\n.", b"cmath\ngone\n.", b"\x80"])
-def test_an_index_that_cannot_be_read_is_written_anew(tmp_path, damage):
+@pytest.mark.parametrize("ending", ["nbi", "nbc"])
+def test_an_index_or_a_kernel_that_cannot_be_read_is_written_anew(tmp_path, ending, damage):
     index = inside_numba._Index(str(tmp_path), "kernel", "stamp")
     assert index.load("key") is None
     index.save("key", "machine code")
     assert index.load("key") == "machine code"
-    path = tmp_path / "kernel.nbi"
-    version = pickle.dumps(numba.__version__, protocol=-1)
+    (path,) = tmp_path.glob(f"*.{ending}")
+    version = pickle.dumps(numba.__version__, protocol=-1) if ending == "nbi" else b""
     assert path.read_bytes().startswith(version)
     path.write_bytes(version + damage)
-    assert index.load("key") is None
-    index.save("key", "machine code")
-    assert index.load("key") == "machine code"
-
-
-@pytest.mark.parametrize("damage", [b"", b"\x80", b"cgone.module\nClass\n."])
-def test_a_kernel_that_cannot_be_read_is_compiled_anew(tmp_path, damage):
-    index = inside_numba._Index(str(tmp_path), "kernel", "stamp")
-    index.save("key", "machine code")
-    (path,) = tmp_path.glob("*.nbc")
-    path.write_bytes(damage)
     assert index.load("key") is None
     index.save("key", "machine code")
     assert index.load("key") == "machine code"

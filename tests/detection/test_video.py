@@ -181,12 +181,6 @@ def test_a_video_that_was_cut_says_so(tmp_path):
     np.testing.assert_allclose(means(images, 0, count), np.arange(count) * 10.0, atol=3.0)
 
 
-def test_a_video_of_another_size_is_refused(video):
-    other = Camera(4.0, 0.02, 0.02, (160.0, 120.0), 322, 240, 0.0)
-    with pytest.raises(InputError, match=r"has 320 x 240 pixels, the camera 322 x 240\.$"):
-        list(Video(video, 5).read(0, 1, other))
-
-
 @pytest.mark.parametrize(
     ("name", "text"),
     [

@@ -184,16 +184,6 @@ def test_both_bounds_agree_with_a_linear_program(n, count, cover):
         assert exact - 1e-9 <= bound.grid <= exact + 1e-3
 
 
-def test_more_iterations_close_the_gap():
-    problem = small_problem()
-    gaps = []
-    for iterations in (1, 20, 150):
-        bound = average_upper_bound(problem, 12, replace(COARSE, iterations=iterations))
-        gaps.append(bound.grid - bound.fractional)
-    assert gaps[0] > gaps[1] > gaps[2]
-    assert gaps[2] < 1e-3
-
-
 def test_more_landmarks_have_a_higher_bound_and_one_dual_bounds_every_number():
     problem = small_problem()
     bounds = {count: average_upper_bound(problem, count, COARSE) for count in (4, 8, 16, 32)}
@@ -213,17 +203,13 @@ def test_the_fewest_landmarks_are_where_the_bound_reaches_the_target():
     assert fewest_landmarks(problem, 0.0, COARSE) == 2
 
 
-def test_a_target_out_of_reach_is_refused():
+def test_where_nothing_can_be_seen_the_bound_says_so_and_no_target_is_in_reach():
     problem = small_problem(n=1, thold_p=1.0, thold=5.0)
-    with pytest.raises(InputError, match=r"^target = 1 is out of reach of 10000 landmarks\."):
-        fewest_landmarks(problem, 1.0, COARSE)
-
-
-def test_where_nothing_can_be_seen_the_bound_says_so():
-    problem = small_problem(thold=5.0)
     bound = average_upper_bound(problem, 12, COARSE)
     assert bound.walls <= COARSE.tolerance
     assert bound.fractional == 0.0
+    with pytest.raises(InputError, match=r"^target = 1 is out of reach of 10000 landmarks\."):
+        fewest_landmarks(problem, 1.0, COARSE)
 
 
 def test_the_result_does_not_depend_on_threads():

@@ -1,7 +1,5 @@
-import json
 import signal
 import subprocess
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -12,7 +10,6 @@ from support.processes import call, command, start
 from lmd.evaluation.comparison import OptimiserRun, attained, best_at, compared, comparison_markdown, curve_targets
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.ledger import Record
-from lmd.plot.charts import save_comparison_figure
 from lmd.scene.deployment import Deployment
 
 
@@ -100,21 +97,6 @@ def test_it_says_what_its_seeds_can_show(seeds, others, limit):
         assert found.table.p_value.min() == pytest.approx(others * 2.0 ** (1 - seeds))
 
 
-def test_the_picture_says_what_its_axes_are_and_has_a_style_for_each(tmp_path, monkeypatch):
-    saved = []
-    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda figure, *_: saved.append(figure))
-    runs = [run_of(f"r{i}", seed, 0.1, 0.2 + 0.02 * i + 0.1 * seed) for i in range(12) for seed in (0, 1)]
-    save_comparison_figure(tmp_path / "c.png", runs, "evaluations", Coverage.headline, "title")
-    convergence, distribution = saved[0].axes
-    assert distribution.get_ylabel() == "share of (run, target) pairs reached [%]"
-    assert distribution.get_title() == "50 targets: best fitness of 10.8 to 52.0%"
-    best = max(line.get_ydata()[-1] for line in distribution.lines)
-    assert best == pytest.approx(50.0 * (1.0 + np.mean(curve_targets(runs) <= 0.42)))
-    for axes in (convergence, distribution):
-        assert len({(line.get_color(), line.get_linestyle()) for line in axes.lines}) == 12
-        assert len({line.get_color() for line in axes.lines}) == 10
-
-
 def test_the_markdown_table_has_a_row_for_each_and_says_what_was_tested():
     lines = comparison_markdown(compared(RUNS, KEY), Coverage.headline).splitlines()
     assert "**85.00%** (80.00% to 90.00%)" in lines[2]
@@ -162,20 +144,6 @@ def test_a_comparison_leaves_a_table_a_plot_and_nested_runs(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_comparison_gives_what_single_runs_give(tmp_path):
-    shared = ("deployment.count=20", "tag.edge=0.05", "tracking=none", "budget.evaluations=40")
-    call("compare", *shared, "optimisers=[ega]", "seeds=1", "seed=3", "workers=1", "hydra.run.dir=many", cwd=tmp_path)
-    call("optimise", *shared, "optimiser=ega", "seed=3", "hydra.run.dir=one", cwd=tmp_path)
-    one = json.loads((tmp_path / "one" / "metrics.json").read_text())
-    landmarks = Path("landmarks.csv")
-    kept = tmp_path / "many" / "runs" / "ega seed=3" / landmarks
-    assert kept.read_text().startswith("id,x,y,z,nx,ny,nz,ux,uy,uz\n")
-    assert kept.read_text() == (tmp_path / "one" / landmarks).read_text()
-    table = pd.read_csv(tmp_path / "many" / "comparison.csv")
-    assert (table.qualified_ratio[0], table.fitness_max[0]) == (one["qualified_ratio"], one["fitness"])
-
-
-@pytest.mark.slow
 def test_an_interrupted_comparison_keeps_a_table_of_what_is_finished_and_goes_on_from_there(tmp_path):
     shared = ["optimisers=[ega]", "workers=1", "budget.evaluations=20", "deployment.count=20", "hydra.run.dir=run"]
     shared += ["tracking.uri=sqlite:///store.db"]
@@ -209,47 +177,3 @@ PARENT = "mlflow.parentRunId"
 
 def recorded(cwd):
     return MlflowClient(tracking_uri=f"sqlite:///{cwd}/store.db").search_runs(["1"])
-
-
-@pytest.mark.slow
-def test_a_misspelt_optimiser_fails_before_anything_runs(tmp_path):
-    done = call("compare", "optimisers=[ega,egg]", "tracking=none", "hydra.run.dir=run", cwd=tmp_path)
-    assert done.returncode == 1
-    assert done.stderr.startswith("error: optimisers: 'egg' is refused")
-    assert not (tmp_path / "run").exists()
-
-
-PLUGIN = """
-from lmd.optimisers.base import AskTell
-
-
-class HillClimber(AskTell):
-    def __init__(self, step=0.1, seed=0):
-        super().__init__(seed)
-        self.step = step
-
-    def _ask(self):
-        if self.best_genes is None:
-            return self.start
-        return self.best_genes + self.rng.normal(0.0, self.step, (4, self.dim))
-
-    def _tell(self, genes, fitness):
-        pass
-"""
-
-
-@pytest.mark.slow
-def test_an_optimiser_is_added_from_a_folder_outside_the_repository(tmp_path):
-    group = tmp_path / "mine" / "optimiser"
-    group.mkdir(parents=True)
-    (group / "hill.yaml").write_text("_target_: climbing.HillClimber\nstep: 0.05\n")
-    (tmp_path / "climbing.py").write_text(PLUGIN)
-    overrides = [f"hydra.searchpath=[file://{tmp_path}/mine]", "optimiser=hill", "budget.evaluations=33",
-                 "deployment.count=20", "hydra.run.dir=run",
-                 "tracking.uri=sqlite:///store.db"]  # fmt: skip
-    done = call("optimise", *overrides, cwd=tmp_path, folders=[tmp_path])
-    assert done.returncode == 0, done.stderr
-    assert json.loads((tmp_path / "run" / "metrics.json").read_text())["evaluations"] == 33
-    (run,) = MlflowClient(tracking_uri=f"sqlite:///{tmp_path}/store.db").search_runs(["1"])
-    assert run.data.tags["choice.optimiser"] == "hill"
-    assert run.data.params["optimiser.step"] == "0.05"

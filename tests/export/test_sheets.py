@@ -51,13 +51,9 @@ def pages(path):
     [
         (Tag(0.15), "a4", 3, 1),
         (Tag(0.1651), "a4", 1, 1),  # of FIRST robotics: the paper is wider than what is printed of it
-        (Tag(0.1651), "letter", 1, 1),
         (Tag(0.1), "a4", 3, 2),
         (Tag(0.1185), "a4", 3, 2),  # the papers of two fill the width of the sheet
         (Tag(0.0625, "41h12"), "a4", 3, 2),
-        (Tag(0.1), "letter", 3, 2),
-        (Tag(0.08), "a4", 5, 4),
-        (Tag(0.06), "a4", 8, 6),
         (Tag(0.05), "letter", 14, 12),
         (Tag(0.04, "25h9"), "a4", 16, 15),
         (Tag(0.1, "4x4_50"), "a3", 7, 6),

@@ -9,7 +9,6 @@ import yaml
 
 from lmd.core.checks import InputError
 from lmd.formats.calibrations import Calibration, calibrated_camera, read_calibration
-from lmd.formats.rigs import read_chain, rig_of
 from lmd.geometry.camera import PIXEL_CENTRE
 from lmd.geometry.projection import project
 from lmd.geometry.se3 import exp
@@ -168,20 +167,6 @@ def test_arrays_that_are_no_calibration_are_named(tmp_path):
     np.savez(path, mtx=np.array([{"a": 1}], dtype=object))
     with pytest.raises(InputError, match=r"holds no small arrays: write it by numpy\.savez"):
         read_calibration(path)
-
-
-def test_cameras_of_a_chain_are_a_rig(write):
-    """A quarter turn to the left, and 0.1 m to the right of the one before."""
-    step = [[0.0, 1.0, 0.0, -0.1], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
-    chain = {"cam0": KALIBR, "cam1": KALIBR | {"T_cn_cnm1": step}, "cam2": KALIBR | {"T_cn_cnm1": step}}
-    poses = read_chain(path := write(json.dumps(chain)))
-    point = np.array([1.0, 2.0, 3.0, 1.0])
-    np.testing.assert_allclose(np.linalg.inv(poses["cam2"]) @ point, step @ (step @ point), atol=1e-12)
-    rig = rig_of({"path": path})
-    np.testing.assert_allclose(rig.extrinsics[2], rig.extrinsics[0] @ poses["cam2"], atol=1e-12)
-    assert list(read_chain(path, ["cam2", "cam0"])) == ["cam2", "cam0"]
-    with pytest.raises(InputError, match="has no camera 'cam3', only cam0, cam1, cam2"):
-        read_chain(path, ["cam3"])
 
 
 @pytest.mark.parametrize("lens", [[0.0, 0.0, 0.0, 0.0], [-0.02, 0.01, -0.004, 0.001], [0.3, -0.1, 0.05, 0.0]])

@@ -66,30 +66,14 @@ def overlaps(deployment, room, edge):
 
 
 @examples(60)
-@given(room=rooms(), edge=st.floats(0.02, 0.5), count=st.integers(1, 30), seed=seeds)
-def test_footprints_are_pushed_apart_or_there_is_no_room(room, edge, count, seed):
-    footprints, rng = Footprints(room, Tag(edge, quiet_zone=0.0)), np.random.default_rng(seed)
-    drawn = RandomDeployment(count).draw(footprints.hanging, rng)
-    apart = footprints.separated(drawn)
-    if apart is None:
-        assert count > footprints.capacity(edge) / 4  # squares anywhere block at most four places of a lattice
-        return
-    assert not overlaps(apart, room, edge)
-    footprints.check(apart)
-    again = footprints.separated(apart)
-    np.testing.assert_array_equal(again.positions, apart.positions)
-    np.testing.assert_array_equal(room.surfaces_of(apart.positions, apart.normals) >= 0, True)
-
-
-@examples(60)
 @given(
     room=rooms(),
-    edges=st.lists(st.floats(0.02, 0.5), min_size=2, max_size=4, unique=True),
-    count=st.integers(2, 30),
+    edges=st.lists(st.floats(0.02, 0.5), min_size=1, max_size=4, unique=True),
+    count=st.integers(1, 30),
     fixed=st.integers(0, 3),
     seed=seeds,
 )
-def test_footprints_of_several_sizes_are_pushed_apart(room, edges, count, fixed, seed):
+def test_footprints_of_all_sizes_are_pushed_apart_or_there_is_no_room(room, edges, count, fixed, seed):
     footprints = Footprints(room, Tag(0.3, quiet_zone=0.5, edges=edges))
     drawn = RandomDeployment(count).draw(footprints.hanging, np.random.default_rng(seed), footprints.tag)
     papers = footprints.papers(drawn)
@@ -101,6 +85,7 @@ def test_footprints_of_several_sizes_are_pushed_apart(room, edges, count, fixed,
     assert not overlaps(apart, room, papers)
     footprints.check(apart)
     np.testing.assert_array_equal(apart.edges, drawn.edges)
+    assert (room.surfaces_of(apart.positions, apart.normals) >= 0).all()
     again = footprints.separated(apart)
     np.testing.assert_array_equal(again.positions, apart.positions)
     # Those that hang already stay, and the others make room for them, too.

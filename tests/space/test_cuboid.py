@@ -12,28 +12,18 @@ from lmd.space.cuboid import WALLS, Cuboid
 from lmd.space.space import Relevance
 
 
-@pytest.mark.parametrize(("positions", "shape", "count"), [("cells", (12, 7, 9), 756), ("vertices", (13, 8, 10), 1040)])
-def test_paper_room_has_756_cells_or_1040_vertices(positions, shape, count):
-    room = paper_room(positions=positions)
+@pytest.mark.parametrize(
+    ("room", "shape", "count"),
+    [
+        (paper_room(), (12, 7, 9), 756),
+        (paper_room(positions="vertices"), (13, 8, 10), 1040),
+        (experiment_room(), (7, 7, 3), 147),
+        (paper_room(spacing=(1.0, 0.5, 4.5)), (6, 7, 1), 42),
+    ],
+)
+def test_rooms_have_as_many_positions_as_printed(room, shape, count):
     assert room.grid_shape() == shape
     assert room.grid().shape == (count, 3)
-
-
-def test_experiment_room_has_147_cells():
-    assert experiment_room().grid_shape() == (7, 7, 3)
-    assert len(experiment_room().grid()) == 147
-
-
-def test_paper_cells_are_centred_on_half_metres():
-    grid = paper_room().grid()
-    assert_allclose(grid[0], [1.0, 1.0, 1.0])
-    assert_allclose(grid[1], [1.0, 1.0, 1.5])
-    assert_allclose(grid[-1], [6.5, 4.0, 5.0])
-
-
-def test_vertices_reach_the_corners_of_the_reachable_box():
-    grid = paper_room(positions="vertices").grid()
-    assert_allclose([grid[0], grid[-1]], [[0.75, 0.75, 0.75], [6.75, 4.25, 5.25]])
 
 
 @given(rooms())
@@ -52,10 +42,6 @@ def test_the_grid_is_centred_and_no_coarser_than_the_spacing(room):
     for axis in range(3):
         gaps = np.diff(np.unique(np.round(grid[:, axis], 9)))
         assert (gaps <= room.spacing[axis] + 1e-8).all()
-
-
-def test_spacing_may_differ_per_axis():
-    assert paper_room(spacing=(1.0, 0.5, 4.5)).grid_shape() == (6, 7, 1)
 
 
 @given(rooms(), st.sampled_from(WALLS))
@@ -112,10 +98,6 @@ def test_a_micrometre_outside_is_still_inside():
 
 
 UPPER_HALF = {"low": [0, 0, 3.0], "high": [7.5, 5, 6], "weight": 3}
-
-
-def test_every_position_matters_alike_by_default():
-    assert_array_equal(paper_room().relevance.weights(paper_room().grid()), np.ones(756))
 
 
 def test_a_region_weighs_what_lies_in_it_and_the_background_the_rest():

@@ -14,7 +14,7 @@ def refusals(test_file, **calls):
 
     The table has rows `[arguments, regular expression]` by what is called: a name in `calls`, or a dotted one of the
     library. Of named arguments a `text` is written to a file, whose path comes first; without others the sentence names
-    that file, which may be `called` something.
+    that file, which may be `called` something. With no file it names the argument that the error has.
     """
     table = yaml.safe_load(Path(test_file).with_name("refused.yaml").read_text(encoding="utf-8"))
     rows = [pytest.param(of, *row, id=f"{of}: {row[1][:60]}") for of, own in table.items() for row in own]
@@ -28,6 +28,7 @@ def refusals(test_file, **calls):
             call(*path, *([] if isinstance(given, dict) else given), **named)
         message = str(refused.value)
         assert "\n" not in message
+        assert path or (refused.value.argument or "") in message
         assert named or all(Path(one).name in message for one in path)
 
     return refuses
