@@ -2,7 +2,7 @@
 
 import numpy as np
 from support.paper import paper_room, paper_scene
-from support.refusals import refusals
+from support.tables import refusals
 
 from lmd.core.files import read_keys
 from lmd.core.tables import read_numbers

@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from support.tables import rows
 
 from lmd.core.checks import InputError
 from lmd.detection.video import Video, container_of
@@ -181,17 +182,7 @@ def test_a_video_that_was_cut_says_so(tmp_path):
     np.testing.assert_allclose(means(images, 0, count), np.arange(count) * 10.0, atol=3.0)
 
 
-@pytest.mark.parametrize(
-    ("name", "text"),
-    [
-        ("walk.m3u8", "#EXTM3U\n#EXTINF:2.0,\n{}\n#EXT-X-ENDLIST\n"),
-        ("walk.mp4", "ffconcat version 1.0\nfile {}\n"),
-        ("walk.avi", "#EXTM3U\n#EXTINF:2.0,\n{}\n#EXT-X-ENDLIST\n"),
-        ("walk.sdp", "v=0\no=- 0 0 IN IP4 127.0.0.1\nc=IN IP4 127.0.0.1\nm=video 5004 RTP/AVP 96\n# {}"),
-        ("walk%02d.png", "{}"),
-        ("walk.mpd", "<MPD><Period><AdaptationSet><BaseURL>{}</BaseURL></AdaptationSet></Period></MPD>"),
-    ],
-)
+@pytest.mark.parametrize(("name", "text"), rows(__file__, "files that name another one"))
 def test_a_file_that_names_another_one_is_refused_before_it_is_opened(tmp_path, monkeypatch, name, text):
     other = film(tmp_path / "walk01.mp4", "mp4v")
     monkeypatch.setattr(cv2, "VideoCapture", None)

@@ -6,6 +6,7 @@ import pandas as pd
 import pytest
 from mlflow import MlflowClient
 from support.processes import call, command, start
+from support.tables import rows
 
 from lmd.evaluation.comparison import OptimiserRun, attained, best_at, compared, comparison_markdown, curve_targets
 from lmd.objectives.coverage import Coverage
@@ -79,15 +80,7 @@ def test_of_seeds_that_not_all_have_run_those_of_both_are_pairs():
     assert compared(GOOD[:1], KEY).test == ""
 
 
-@pytest.mark.parametrize(
-    ("seeds", "others", "limit"),
-    [
-        (3, 1, "With 3 seeds p is at least 0.25, so no difference can reach p < 0.05; 6 seeds can."),
-        (6, 2, "With 6 seeds p is at least 0.062, so no difference can reach p < 0.05; 7 seeds can."),
-        (7, 2, "With 7 seeds p can fall to 0.031."),
-        (1, 2, "With 1 seed there is no test, so no difference can reach p < 0.05; 7 seeds can."),
-    ],
-)
+@pytest.mark.parametrize(("seeds", "others", "limit"), rows(__file__, "what seeds can show"))
 def test_it_says_what_its_seeds_can_show(seeds, others, limit):
     """The least p of the signed-rank test is 2 / 2^seeds, times the comparisons for Holm."""
     runs = [run for i in range(others + 1) for run in runs_of(f"r{i}", *(0.01 * np.arange(1, seeds + 1) + 0.2 * i))]

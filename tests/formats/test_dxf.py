@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import shapely
 import yaml
+from support.tables import rows
 
 from lmd.core.checks import InputError
 from lmd.formats.plans import EXAMPLE, read_plan_room
@@ -119,22 +120,7 @@ def test_a_drawing_whose_layers_do_not_name_walls_asks_for_them(draw):
     assert len(room_of(path, layers=["1"]).plan.outline) == 4
 
 
-@pytest.mark.parametrize(
-    ("within", "on", "more", "area"),
-    [
-        (None, "WALL_OFF", {}, 24.0),
-        (None, "wall_frozen", {}, 24.0),  # case does not matter
-        (None, "WALLS", {"invisible": 1}, 24.0),
-        (None, "WALLS", {"paperspace": 1}, 24.0),
-        (None, "PLAIN", {}, 12.0),  # shown on the screen, though not plotted
-        ("0", "WALL_OFF", {}, 24.0),  # the line takes the layer of the block
-        ("0", "WALLS", {}, 12.0),
-        ("WALL_OFF", "WALLS", {}, 24.0),
-        ("WALLS", "WALL_OFF", {}, 12.0),
-        ("WALLS", "WALL_FROZEN", {}, 24.0),
-        ("WALLS", "WALLS", {"invisible": 1}, 24.0),
-    ],
-)
+@pytest.mark.parametrize(("within", "on", "more", "area"), rows(__file__, "layers that are not shown"))
 def test_a_wall_that_a_cad_program_does_not_show_is_none(tmp_path, within, on, more, area):
     document = ezdxf.new(units=6)
     document.layers.add("WALL_OFF").off()

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from support.tables import rows
 
 from lmd.core.checks import InputError
 from lmd.formats.placed_tag import NUMBERS, tag_named
@@ -43,19 +44,7 @@ def test_a_source_asks_for_the_family_of_its_tag_and_not_of_points(tmp_path):
             source.draw(room, rng, Tag(0.1))
 
 
-@pytest.mark.parametrize(
-    ("family", "names"),
-    [
-        ("36h11", "tag36h11:7 tag36h11_00007 36h11-7 map/tag36h11:7 Apriltag36_11_00007 DICT_APRILTAG_36H11_7"),
-        ("41h12", "tagStandard41h12:7"),
-        ("48h12", "tagCustom48h12:7"),  # not known here, which a map of tags is told
-        ("4x4_50", "DICT_4X4_50:7 4x4_50_7"),
-        ("aruco_original", "aruco_original_7"),
-        ("aruco_mip_36h12", "ARUCO_MIP_36h12_7"),
-        ("unsure", "tag36h11 36h11 4x4_50 aruco_4x4_50 tag_16_5 tag_7_8 wall_7 door -7  None"),
-        (None, "7 07 7.0 tag_7 tag-7 marker7 fiducial_7 ar_marker_7"),
-    ],
-)
+@pytest.mark.parametrize(("family", "names"), rows(__file__, "names of tags"))
 def test_a_name_has_the_family_and_the_number_of_a_tag(family, names):
     assert {tag_named(name) for name in names.split(" ")} == {None if family == "unsure" else (family, 7)}
     assert tag_named("tag_3611") == (None, 3611)

@@ -1,6 +1,6 @@
 """Bad files and settings of formats get one sentence."""
 
-from support.refusals import refusals
+from support.tables import refusals
 
 from lmd.formats.calibrations import calibrated_camera, read_calibration
 from lmd.formats.tag_maps import read_deployment

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.paper import paper_room
 from support.rooms import lab
+from support.tables import rows
 
 from lmd.planner.viewing import FIELD_OF_VIEW, FILLED_SHARE, Framing, framed, pointed_at
 from lmd.space.surface import SurfaceArrays
@@ -89,17 +90,7 @@ def at(eye, target, room=None, own="none"):
     return names[s], pytest.approx(surfaces.origin[s] + a * surfaces.u[s] + b * surfaces.v[s])
 
 
-@pytest.mark.parametrize(
-    ("eye", "target", "own", "found", "point"),
-    [
-        ((3, 2, 3), (4, 5, 2), "none", "y_max", (4, 5, 2)),
-        ((3, -20, 3), (4, 5, 2), "none", "y_max", (4, 5, 2)),  # through the back of a wall
-        ((-5, 2.5, 3), (-6, 2.5, 3.5), "none", None, None),
-        ((3, -5, 3), (3, 0, 9), "none", None, None),
-        ((3, -5, 3), (3, 0, 9), "y_min", "y_min", (3, 0, 9)),  # beyond its own wall and from behind
-        ((3, -5, 3), (4, -5, 3), "y_min", None, None),  # along the plane
-    ],
-)
+@pytest.mark.parametrize(("eye", "target", "own", "found", "point"), rows(__file__, "rays"))
 def test_a_ray_meets_the_front_of_a_surface_or_the_plane_of_its_own(eye, target, own, found, point):
     assert at(eye, target, own=own) == (found, point)
 

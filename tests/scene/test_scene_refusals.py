@@ -2,9 +2,9 @@
 
 import numpy as np
 from support.paper import paper_camera, paper_room
-from support.refusals import refusals
 from support.rooms import lab
 from support.small import problem
+from support.tables import refusals
 
 from lmd.formats.rigs import rig_of
 from lmd.formats.tag_maps import FileDeployment

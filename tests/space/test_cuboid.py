@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from support.paper import SIDE_WALLS, experiment_room, paper_room
 from support.strategies import rooms
+from support.tables import rows
 
 from lmd.space.cuboid import WALLS, Cuboid
 from lmd.space.space import Relevance
@@ -61,17 +62,7 @@ def test_the_six_walls_have_the_corners_and_the_area_of_the_room(room):
     assert sum(wall.area for wall in walls) == pytest.approx(2 * (x * y + y * z + z * x))
 
 
-@pytest.mark.parametrize(
-    ("name", "corner", "far_corner", "normal"),
-    [
-        ("x_min", [0, 0, 0], [0, 5, 6], [1, 0, 0]),
-        ("x_max", [7.5, 0, 0], [7.5, 5, 6], [-1, 0, 0]),
-        ("y_min", [0, 0, 0], [7.5, 0, 6], [0, 1, 0]),
-        ("y_max", [0, 5, 0], [7.5, 5, 6], [0, -1, 0]),
-        ("floor", [0, 0, 0], [7.5, 5, 0], [0, 0, 1]),
-        ("ceiling", [0, 0, 6], [7.5, 5, 6], [0, 0, -1]),
-    ],
-)
+@pytest.mark.parametrize(("name", "corner", "far_corner", "normal"), rows(__file__, "walls of the paper's room"))
 def test_each_wall_is_where_its_name_says(name, corner, far_corner, normal):
     (wall,) = paper_room(walls=(name,)).surfaces()
     assert_array_equal(wall.point(0.0, 0.0), corner)

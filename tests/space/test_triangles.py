@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 import trimesh
 from numpy.testing import assert_allclose, assert_array_equal
+from support.tables import rows
 from support.thorough import SHARE
 
 from lmd.space.triangles import Triangles
@@ -93,26 +94,7 @@ def test_nothing_slips_through_edges_and_corners(divided):
     assert of(ball).clear(np.zeros(3), 0.9 * targets).all()
 
 
-@pytest.mark.parametrize(
-    ("start", "end", "clear"),
-    [
-        ([-1, 0.5, 0.5], [2, 0.5, 0.5], False),  # through
-        ([-1, 1, 0.5], [2, 1, 0.5], True),  # along a face
-        ([-1, 1, 1], [2, 1, 1], True),  # along an edge
-        ([-1, 0, 0.5], [1, 2, 0.5], True),  # touches an edge
-        ([0, 2, 0], [2, 0, 2], True),  # touches the corner (1, 1, 1)
-        ([2, 2, 0], [0, 0, 2], True),
-        ([2, 2, 2], [0.5, 0.5, 0.5], False),  # into it
-        ([-1, 0.01, 0.5], [1.01, 2, 0.5], True),
-        ([-1, -0.01, 0.5], [1.01, 2, 0.5], False),
-        ([-1, -1, 0.5], [2, 2, 0.5], False),  # in and out through edges
-        ([-1, -1, -1], [2, 2, 2], False),  # through two corners
-        ([-1, 0.5, 0.5], [0, 0.5, 0.5], True),  # to a face
-        ([-1, 0.5, 0.5], [0.01, 0.5, 0.5], False),  # into it
-        ([0, 0.5, 0.5], [1, 0.5, 0.5], True),  # from face to face inside
-        ([-1, -1, 0.5], [0, 0, 0.5], True),  # to an edge
-    ],
-)
+@pytest.mark.parametrize(("start", "end", "clear"), rows(__file__, "lines of sight beside a box"))
 def test_what_touches_a_box_is_clear_and_what_enters_is_not(start, end, clear):
     box = of(trimesh.creation.box(bounds=[[0, 0, 0], [1, 1, 1]]))
     for one, two in ((start, end), (end, start)):
