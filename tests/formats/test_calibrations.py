@@ -32,25 +32,8 @@ def radial(rays, k1, k2, k3):
 
 
 REAL = Path(__file__).parents[2] / ".." / "shared" / "real" / "calibration"
-MATRIX = np.array([[612.5, 0.0, 317.25], [0.0, 608.0, 244.5], [0.0, 0.0, 1.0]])
-LENS = [-0.21, 0.06, 0.0012, -0.0008, 1e-5]
-ROS = {
-    "image_width": 640,
-    "image_height": 480,
-    "camera_name": "narrow_stereo",
-    "camera_matrix": {"rows": 3, "cols": 3, "data": MATRIX.ravel().tolist()},
-    "distortion_model": "plumb_bob",
-    "distortion_coefficients": {"rows": 1, "cols": 5, "data": LENS},
-    "rectification_matrix": {"rows": 3, "cols": 3, "data": np.eye(3).ravel().tolist()},
-}
-KALIBR = {
-    "camera_model": "pinhole",
-    "intrinsics": [612.5, 608.0, 317.25, 244.5],
-    "distortion_model": "radtan",
-    "distortion_coeffs": LENS[:4],
-    "resolution": [640, 480],
-    "rostopic": "/cam0/image_raw",
-}
+ROS, KALIBR = yaml.safe_load(Path(__file__).with_name("files").joinpath("cameras.yaml").read_text()).values()
+MATRIX, LENS = np.reshape(ROS["camera_matrix"]["data"], (3, 3)), ROS["distortion_coefficients"]["data"]
 FISHEYE = KALIBR | {"distortion_model": "equidistant"}
 
 

@@ -62,6 +62,9 @@ def test_doors_windows_pillars_and_partitions(draw):
     expected = shapely.box(0.2, 0.2, 5.0, 4.8).difference(pillar | partition)
     assert shapely.Polygon(plan.outline, plan.holes).symmetric_difference(expected).area < 1e-3
     assert "walls are the lines of A-WALL, without those of FURNITURE (1)" in plan.note
+    assert "2.4 m2 is left out: start = [" in plan.note
+    east = shapely.Polygon(room_of(draw(flat), start=[6.0, 3.0]).plan.outline)
+    assert east.bounds == pytest.approx((5.1, 0.2, 7.8, 4.8), abs=1e-3)
 
 
 @pytest.mark.parametrize(("code", "unit", "scale"), [(1, "inches", 0.0254), (2, "feet", 0.3048), (6, "metres", 1.0)])

@@ -5,6 +5,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 from support.small import problem
+from support.tables import rows
 
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.random_search import RandomSearch
@@ -18,20 +19,9 @@ import zstandard  # noqa: E402
 from websockets.sync.client import connect  # noqa: E402
 
 LIMIT = 60.0
-CAMERA = {
-    "type": "ViewerCameraMessage", "wxyz": (1, 0, 0, 0), "position": (3, -6, 3), "fov": 1.3, "near": 0.01, "far": 100,
-    "image_height": 800, "image_width": 1200, "look_at": (3, 2, 3), "up_direction": (0, 0, 1),
-}  # fmt: skip
-POINTED = {
-    "type": "SceneNodeClickMessage", "instance_index": 0, "ray_origin": (3, -6, 3), "ray_direction": (0, 1, 0),
-    "screen_pos": (0, 0), "modifier": None,
-}  # fmt: skip
+# A drag is to a place that is not finite, so that it changes nothing, whichever of its events are applied.
+CAMERA, POINTED, DRAGGED = rows(__file__, "messages of a browser").values()
 NAN, HUGE = float("nan"), 1e308
-DRAGGED = {  # to a place that is not finite, so that it changes nothing, whichever of its events are applied
-    "type": "SceneNodeDragMessage", "name": "/tags", "instance_index": 0, "start_position": (2, 5, 1),
-    "start_screen_pos": (0, 0), "end_position": (NAN, 5, 1), "end_screen_pos": (0, 0), "button": "left",
-    "modifier": None,
-}  # fmt: skip
 
 
 class Ended(KeyboardInterrupt):

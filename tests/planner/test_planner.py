@@ -93,24 +93,6 @@ def test_a_survey_is_drawn_beside_the_plan():
     planner.close()
 
 
-def test_colours_stay_while_a_tag_is_dragged_and_figures_say_what_changed(planner, monkeypatch):
-    shown = planner(problem())
-    session, spans, rows = shown._session, [], []
-    monkeypatch.setattr(shown._panel, "show_span", spans.append)
-    monkeypatch.setattr(shown._panel, "show_figures", rows.append)
-    before, number = session.metrics()["fitness"], int(session.deployment.ids[0])
-    for values in (np.array([0.2, 0.6]), np.array([0.0, 0.9])):
-        monkeypatch.setattr(session, "values", lambda values=values: values)
-        monkeypatch.setattr(shown._picture, "show_values", lambda *_: None)
-        session.drag(number, 1, np.array([0.3, 0.4]))
-        shown._show()
-        shown._dragged = number
-    shown._drop()
-    assert spans == [(0.2, 0.6), (0.2, 0.6), (0.0, 0.9)]
-    gained = 100.0 * (session.metrics()["fitness"] - before)
-    assert rows[-1]["since opened"] == f"{gained:+.2f} points of fitness"
-
-
 def test_the_image_of_a_camera_shows_its_tags_where_they_are_projected():
     planned = problem(tag=Tag(0.6))
     place = np.array([[0.0, 2.0, 2.0]])  # on x_min, straight ahead of the camera, 0.2 m to its right
