@@ -114,29 +114,6 @@ def test_curves_are_steps():
 
 
 @pytest.mark.slow
-def test_a_comparison_leaves_a_table_a_plot_and_nested_runs(tmp_path):
-    done = call(
-        "compare", "optimisers=[ega,'ega optimiser.population=12']", "seeds=2", "budget.evaluations=40",
-        "deployment.count=20", "hydra.run.dir=run", "validate=true", "tracking.uri=sqlite:///store.db",
-        cwd=tmp_path,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    table = pd.read_csv(tmp_path / "run" / "comparison.csv")
-    assert set(table.optimiser) == {"ega", "ega optimiser.population=12"}
-    assert (table.runs == 2).all()
-    for kind in ("md", "png"):
-        saved = (tmp_path / "docs" / f"table.{kind}").read_bytes()
-        assert saved == (tmp_path / "run" / f"comparison.{kind}").read_bytes()
-    runs = recorded(tmp_path)
-    parents = [r.data.tags.get(PARENT) for r in runs]
-    (parent,) = [r.info.run_id for r in runs if PARENT not in r.data.tags]
-    found = [r.data.metrics["off_grid"] for r in runs if PARENT in r.data.tags and r.data.params["optimiser"] == "ega"]
-    assert table.set_index("optimiser").off_grid["ega"] == np.median(found)
-    assert sorted(map(str, parents)) == sorted(["None"] + 4 * [parent])
-    assert all(r.info.status == "FINISHED" for r in runs)
-
-
-@pytest.mark.slow
 def test_an_interrupted_comparison_keeps_a_table_of_what_is_finished_and_goes_on_from_there(tmp_path):
     shared = ["optimisers=[ega]", "workers=1", "budget.evaluations=20", "deployment.count=20", "hydra.run.dir=run"]
     shared += ["tracking.uri=sqlite:///store.db"]

@@ -192,21 +192,6 @@ def test_the_largest_edge_on_a_sheet_is_the_last_that_is_not_cut(family, paper):
     assert isinstance(layout(Tag(edge + 2e-5, family), paper), Pieces)
 
 
-@pytest.mark.parametrize("tag", [Tag(0.035), Tag(0.0464), Tag(0.2), Tag(0.06, quiet_zone=0.3)])
-def test_labels_have_whole_names_that_end_on_the_printable_sheet(tag, tmp_path, monkeypatch):
-    long = [replace(surface, name="obstacle_12_of_the_long_rack_x_max") for surface in ROOM.surfaces()]
-    monkeypatch.setattr(Cuboid, "surfaces", lambda _: long)
-    sheets(tmp_path / "sheets.pdf", tag, 24, "a4")
-    for page in pypdfium2.PdfDocument(tmp_path / "sheets.pdf"):
-        text, found = page.get_textpage(), 0
-        search = text.search(long[0].name)
-        while at := search.get_next():
-            right = max(text.get_charbox(i)[2] for i in range(at[0], sum(at)))
-            assert right / 72 * 25.4 <= page.get_size()[0] / 72 * 25.4 - MARGIN + 0.1
-            found += 1
-        assert found or tag.edge == 0.2  # further pieces of a large tag
-
-
 def test_what_takes_too_many_sheets_is_refused_and_left_out_of_all_formats():
     with pytest.raises(
         InputError,

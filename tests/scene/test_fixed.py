@@ -123,15 +123,6 @@ def test_stacks_beside_fixed_landmarks_are_as_many_landmarks_on_one_point(data, 
         np.testing.assert_array_equal(state.units[field.index_of], units)
 
 
-@pytest.mark.parametrize("optimiser", ["annealing", "greedy"])
-def test_half_of_a_good_deployment_is_built_upon(optimiser):
-    good = make("annealing").run(problem(), Budget(400)).deployment
-    half = good[:15]
-    alone = problem().fitness_of(half)
-    built = make(optimiser).run(problem(RandomDeployment(15), fixed=half), Budget(200))
-    assert built.fitness > alone
-
-
 SAMPLED = [
     Coverage(2, 0.5, Sampling(2, 4)),
     pytest.param(Localisation(tolerance=0.1, sampling=Sampling(2, 4)), marks=pytest.mark.slow),

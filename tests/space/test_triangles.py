@@ -49,39 +49,6 @@ def test_lines_of_sight_are_those_of_trimesh():
         asked += len(starts)
 
 
-def every_triangle(triangles, starts, ends):
-    """Whether lines cross a triangle, from the definition, one after the other without the tree."""
-    crossed = np.zeros(len(starts), dtype=bool)
-    for i in range(len(triangles.normals)):
-        one, two = (points @ triangles.normals[i] - triangles.offsets[i] for points in (starts, ends))
-        through = (np.minimum(one, two) < -TOLERANCE) & (np.maximum(one, two) > TOLERANCE)
-        with np.errstate(all="ignore"):
-            at = starts + np.where(through, one / (one - two), 0.0)[:, None] * (ends - starts)
-        for border, beyond in zip(triangles.borders[i], triangles.beyond[i], strict=True):
-            same = np.sign(two - one) * ((ends - starts) @ beyond) > TOLERANCE
-            through &= at @ border[:3] - border[3] > np.where(same, -TOLERANCE, TOLERANCE)
-        for v in np.unique(triangles.apex[i]):
-            first, last = triangles.ending[v : v + 2]
-            one, other = np.moveaxis(triangles.spokes[first:last] @ (ends - starts).T, 1, 0)
-            touched = ((np.minimum(abs(one), abs(other)) <= TOLERANCE) | (one * other < 0)).any(axis=0)
-            near = [at @ b[:3] - b[3] <= TOLERANCE for b in triangles.borders[i]]
-            k = list(triangles.apex[i]).index(v)
-            through &= ~(near[k - 1] & near[k] & touched)
-        crossed |= through
-    return crossed
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_the_tree_leaves_nothing_out(seed):
-    rng = np.random.default_rng(seed)
-    mesh = furnished(rng)
-    triangles, (starts, ends) = of(mesh), lines(rng, 3000)
-    # Many in the planes and through the corners of triangles.
-    starts[::3] = mesh.vertices[rng.integers(len(mesh.vertices), size=1000)]
-    ends[::2] = mesh.vertices[rng.integers(len(mesh.vertices), size=1500)]
-    assert_array_equal(triangles.clear(starts, ends), ~every_triangle(triangles, starts, ends))
-
-
 @pytest.mark.parametrize("divided", [0, 3])
 def test_nothing_slips_through_edges_and_corners(divided):
     # From the middle of a ball through every corner, and through points on every edge.
