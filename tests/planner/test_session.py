@@ -1,7 +1,6 @@
 """A planning session without a browser: after any changes, its figures are those of `Problem`."""
 
 import threading
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -250,19 +249,6 @@ def test_a_search_can_be_stopped_and_worse_deployments_are_not_applied():
     assert planned.take() == 0.0
     assert search.progress.fitness <= planned.metrics()["fitness"]
     assert planned.plan is before
-
-
-def test_the_end_applies_the_best_deployment_of_a_search():
-    planned = session()
-    planned.end_search()  # there is none
-    search, start = planned.optimise(Annealing(), Budget(10**9)), planned.metrics()["fitness"]
-    while search.progress is None or search.progress.fitness <= start:
-        assert search.running
-        time.sleep(0.01)
-    planned.end_search()
-    assert planned.search is None
-    assert planned.metrics()["fitness"] == search.progress.fitness > start
-    assert not planned.is_saved
 
 
 def test_a_search_that_cannot_begin_or_fails_says_why():
