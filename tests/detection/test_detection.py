@@ -3,6 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.tables import rows
 
 from lmd.core.checks import InputError
 from lmd.detection.calibration import fit
@@ -95,13 +96,7 @@ def test_an_image_without_tags():
             detector.detect(blank.astype(float))
 
 
-@pytest.mark.parametrize(
-    "lens",
-    [
-        {"distortion": (-0.2, 0.05, 0.001, 0.002)},
-        {"distortion": (0.01, -0.02, 0.005, 0.0), "distortion_model": "equidistant"},
-    ],
-)
+@pytest.mark.parametrize("lens", rows(__file__, "lenses"))
 def test_pose_by_exact_corners(lens):
     renderer = Renderer(replace(CAMERA, **lens), room("36h11"))
     image = renderer.corners(POSE)

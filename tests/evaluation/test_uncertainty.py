@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from support.composing import composed
+from support.tables import rows
 
 from lmd.core.checks import InputError
 from lmd.estimation.deviation_law import LEAST_VIEWS, QUANTITIES, PowerLaw, fit_law, fit_rule, ratio_quantiles
@@ -76,15 +77,7 @@ def test_a_mounting_error_is_a_covariance(lab):
         assert np.trace(covariance[3:, 3:]) == pytest.approx(0.02**2 + 2 * 0.03**2)
 
 
-@pytest.mark.parametrize(
-    ("settings", "reader", "shift"),
-    [
-        ({"frames": 30}, "of aruco in 30 rendered images", 0.2),
-        ({"frames": 5}, "of the table of aruco, measured with another camera, as images could not be rendered: ", 0.2),
-        ({"corners": "objective"}, "of the objective", 0.0),
-        ({"corners": "apriltag", "shift": 0.3}, "of the table of apriltag", 0.3),
-    ],
-)
+@pytest.mark.parametrize(("settings", "reader", "shift"), rows(__file__, "corner errors"))
 def test_corner_errors_come_from_the_detector_of_the_scene(lab, settings, reader, shift):
     """Of 30 images ArUco's errors are measured: it finds tags too small by a quarter of a pixel on each side."""
     errors, about = UncertaintyStudy(**settings).errors(*lab, 0)

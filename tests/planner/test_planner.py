@@ -4,25 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.paper import paper_scene
 from support.small import problem
 
 from lmd.core.checks import InputError
-from lmd.formats.trajectories import read_recorded_poses
 from lmd.geometry.projection import project
 from lmd.geometry.se3 import pose_of
-from lmd.objectives.coverage import Coverage
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.random_search import RandomSearch
-from lmd.planner.background import TO_COME
 from lmd.planner.panel import PlannerPanel
 from lmd.planner.picture import offsets
 from lmd.planner.server import Planner
 from lmd.planner.session import PlanningSession
 from lmd.planner.viewing import seen_by
-from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
-from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.tag import Tag
 
 viser = pytest.importorskip("viser")
@@ -44,29 +38,6 @@ def planner():
 
     yield make
     made[0].close()
-
-
-def recorded(write):
-    """A camera that looks ahead at one place for 20 s, of which every third second is held out."""
-    path = write("time,x,y,z,yaw,pitch\n" + "".join(f"{t},2,2.5,3,1.5,0\n" for t in range(21)))
-    poses = read_recorded_poses(
-        path, spacing=0.5, bandwidth=0.2, direction_bandwidth=5.0, divisions=12, held_out=3, block=1.0
-    )
-    scene = paper_scene()
-    scene = replace(scene, room=poses.visited(scene.room), pdf=poses.pdf, recorded=poses)
-    return Problem(scene, Coverage(1, 0.3), RandomDeployment(6), threads=1)
-
-
-def test_with_recorded_poses_it_shows_held_out_figures(planner, monkeypatch, write):
-    def show(_, rows):
-        if rows != TO_COME:
-            raise Shown(rows)
-
-    monkeypatch.setattr("lmd.planner.background.additions", lambda *_: None)
-    monkeypatch.setattr(PlannerPanel, "show_off_grid", show)
-    with pytest.raises(Shown) as shown:
-        planner(recorded(write)).run()
-    assert set(shown.value.args[0]) == {"held out", "optimised on"}
 
 
 def test_a_failure_of_background_work_is_shown(planner, monkeypatch):

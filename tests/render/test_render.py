@@ -205,17 +205,8 @@ def test_a_view_is_drawn_as_its_lens_bends_it():
 
 
 # 74 degrees to the borders, 109 to the corners: the picture is made of five faces of a cube.
-FISHEYE = Camera(
-    focal_length=1.0,
-    pixel_width=1.0 / 400.0,
-    pixel_height=1.0 / 400.0,
-    principal_point=(510.0, 520.0),
-    image_width=1024,
-    image_height=1024,
-    aperture=0.0,
-    distortion=(0.0035, 0.0007, -0.002, 0.0002),
-    distortion_model="equidistant",
-)
+LENS = {"distortion": (0.0035, 0.0007, -0.002, 0.0002), "distortion_model": "equidistant"}
+FISHEYE = Camera(1.0, 1.0 / 400.0, 1.0 / 400.0, (510.0, 520.0), 1024, 1024, 0.0, **LENS)
 
 
 def through(fisheye):

@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import chisquare, kstest
 from support.paper import X, Y, Z, experiment_room, paper_room
 from support.strategies import deployments, rooms, seeds
+from support.tables import rows
 
 from lmd.core.checks import InputError
 from lmd.formats.tag_maps import FileDeployment
@@ -74,16 +75,7 @@ def test_by_area_counts_are_the_shares_rounded(room, count):
     assert (np.abs(counts - count * area / area.sum()) < 1.0).all()
 
 
-@pytest.mark.parametrize(
-    ("count", "expected"),
-    [
-        (1, [0, 0, 1, 0, 0, 0]),
-        (2, [0, 0, 1, 1, 0, 0]),
-        (4, [0, 0, 1, 1, 1, 1]),
-        (7, [1, 1, 2, 1, 1, 1]),
-        (94, [15, 15, 16, 16, 16, 16]),
-    ],
-)
+@pytest.mark.parametrize(("count", "expected"), rows(__file__, "tags by wall"))
 def test_what_is_left_over_goes_to_the_largest_walls(count, expected):
     assert per_wall(uniform(count), paper_room()) == expected
 

@@ -9,12 +9,11 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 from support.paper import paper_camera, paper_scene
-from support.rooms import lab
+from support.rooms import lab, recorded
 
 from lmd.core.checks import InputError
 from lmd.estimation.flights import Pace, RandomMotion
 from lmd.evaluation.validation import describe_validation, exact_values, held_out_metrics, validation_metrics
-from lmd.formats.trajectories import read_recorded_poses
 from lmd.geometry import se3
 from lmd.geometry.frames import rotation
 from lmd.objectives.coverage import Coverage
@@ -31,19 +30,7 @@ from lmd.sight.models.fiducial import Fiducial
 from lmd.sight.views import visible
 
 HEADER = "time,x,y,z,yaw,pitch\n"
-DEFAULTS = {
-    "spacing": 0.5,
-    "bandwidth": 0.2,
-    "direction_bandwidth": 5.0,
-    "divisions": 12,
-    "held_out": None,
-    "block": 1.0,
-}
 AHEAD, BACK = np.pi / 2, -np.pi / 2  # yaw turns from y towards x
-
-
-def recorded(path, **changes):
-    return read_recorded_poses(path, **(DEFAULTS | changes))
 
 
 def scene_of(poses, room=None):

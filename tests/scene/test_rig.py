@@ -10,6 +10,7 @@ from contracts.criterion import check_gains, check_slack
 from numpy.testing import assert_allclose, assert_array_equal
 from support.paper import facing, one_position_room, paper_camera, paper_scene
 from support.rooms import L_SHAPE
+from support.tables import rows
 
 from lmd.core.checks import InputError
 from lmd.evaluation.bounds import Search, fitness_upper_bound
@@ -107,16 +108,7 @@ def test_a_camera_beside_the_body_sees_past_a_pillar():
     assert_array_equal(Evaluator(left, threads=1).counts(mark), counts(left, mark))
 
 
-@pytest.mark.parametrize(
-    ("mount", "axis"),
-    [
-        ({"yaw": math.pi / 2}, [0.0, 1.0, 0.0]),  # the body looks along +x: to its left is +y
-        ({"pitch": math.pi / 2}, [0.0, 0.0, -1.0]),  # as in URDF, down
-        ({"roll": 1.0}, [1.0, 0.0, 0.0]),
-        ({"quaternion": (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))}, [0.0, 1.0, 0.0]),
-        ({"quaternion": (0.0, 0.0, 1.0, 0.0)}, [-1.0, 0.0, 0.0]),
-    ],
-)
+@pytest.mark.parametrize(("mount", "axis"), rows(__file__, "angles of ROS"))
 def test_the_angles_are_those_of_ros(mount, axis):
     offsets, turned = Rig((Mount(CAMERA, (0.1, 0.2, 0.3), **mount),)).views(np.array([[1.0, 0, 0, 0, -1.0, 0]]))
     assert_allclose(turned[0, 0, :3], axis, atol=1e-12)
