@@ -34,7 +34,6 @@ def radial(rays, k1, k2, k3):
 REAL = Path(__file__).parents[2] / ".." / "shared" / "real" / "calibration"
 ROS, KALIBR = yaml.safe_load(Path(__file__).with_name("files").joinpath("cameras.yaml").read_text()).values()
 MATRIX, LENS = np.reshape(ROS["camera_matrix"]["data"], (3, 3)), ROS["distortion_coefficients"]["data"]
-FISHEYE = KALIBR | {"distortion_model": "equidistant"}
 
 
 def opencv(path, lens):
@@ -150,26 +149,6 @@ def test_arrays_that_are_no_calibration_are_named(tmp_path):
     np.savez(path, mtx=np.array([{"a": 1}], dtype=object))
     with pytest.raises(InputError, match=r"holds no small arrays: write it by numpy\.savez"):
         read_calibration(path)
-
-
-@pytest.mark.parametrize("lens", [[0.0, 0.0, 0.0, 0.0], [-0.02, 0.01, -0.004, 0.001], [0.3, -0.1, 0.05, 0.0]])
-def test_a_fisheye_images_as_opencvs_does(lens, write):
-    camera = calibrated_camera(write(json.dumps({"cam0": FISHEYE | {"distortion_coeffs": lens}})))
-    rng = np.random.default_rng(0)
-    rays = np.concatenate([rng.uniform(-1.2, 1.2, (4000, 2)), np.ones((4000, 1))], axis=1)
-    expected = cv2.fisheye.projectPoints(rays[:, None], np.zeros(3), np.zeros(3), MATRIX, np.array(lens))[0][:, 0]
-    expected = expected + PIXEL_CENTRE
-    inside = ((expected >= 0.0) & (expected <= [640.0, 480.0])).all(axis=1)
-    assert inside.mean() > 0.1
-    np.testing.assert_allclose(project(camera, np.eye(4), rays)[inside], expected[inside], atol=1e-9)
-
-
-def test_a_fisheye_may_see_what_is_behind_it(write):
-    wide = FISHEYE | {"intrinsics": [200.0, 200.0, 319.5, 239.5], "distortion_coeffs": [0.0] * 4}
-    camera = calibrated_camera(write(json.dumps({"cam0": wide})))
-    assert camera.widest_angle == pytest.approx(2.0)  # 400 pixels from the centre to a corner
-    behind = np.array([[math.sin(1.9) * 0.8, math.sin(1.9) * 0.6, math.cos(1.9)]])
-    np.testing.assert_allclose(project(camera, np.eye(4), behind), [[320 + 380 * 0.8, 240 + 380 * 0.6]])
 
 
 def test_a_lens_gives_pixels_their_size(tmp_path):

@@ -63,22 +63,15 @@ def act(planned, rng):
     """Do one random action; a refused one must change nothing."""
     number, place = int(rng.choice(planned.deployment.ids)), somewhere(planned.problem, rng)
     before = planned.plan
+
+    def drag():
+        for _ in range(3):
+            planned.drag(number, *somewhere(planned.problem, rng))
+        planned.drop()
+
+    changes = lambda: planned.add(*place), lambda: planned.delete(number), lambda: planned.pin(number)
     try:
-        match int(rng.integers(8)):
-            case 0:
-                planned.add(*place)
-            case 1:
-                planned.delete(number)
-            case 2:
-                planned.pin(number)
-            case 3:
-                planned.undo()
-            case 4:
-                planned.redo()
-            case _:
-                for _ in range(3):
-                    planned.drag(number, *somewhere(planned.problem, rng))
-                planned.drop()
+        (*changes, planned.undo, planned.redo, drag, drag, drag)[int(rng.integers(8))]()
     except InputError:
         assert planned.plan is before
 

@@ -1,6 +1,5 @@
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 
@@ -8,7 +7,7 @@ from lmd.core.checks import InputError
 from lmd.detection.detectors import AprilTagDetector
 from lmd.detection.frames import tagged_room
 from lmd.geometry.camera import Camera
-from lmd.geometry.projection import BEND, bearings, intrinsics, project, to_camera, view_edges
+from lmd.geometry.projection import BEND, project, to_camera, view_edges
 from lmd.geometry.se3 import camera_pose, exp
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
@@ -37,25 +36,6 @@ def facing(centre=(0.0, 1.0, 0.0), edge=0.16, turn=0.0, surfaces=(), family="36h
 
 def frame(camera=CAMERA, room=None, imaging=SHARP, pose=ORIGIN, seed=0, motion=None):
     return Renderer(camera, room or facing(), imaging).frame(pose, np.random.default_rng(seed), motion)
-
-
-def test_projection_by_hand():
-    # 0.1 m right, 0.02 m up, 2 m ahead: 500 / 2 pixels a metre.
-    assert project(CAMERA, ORIGIN, np.array([[0.1, 2.0, 0.02]])).tolist() == [[185.0, 115.0]]
-    assert np.isnan(project(CAMERA, ORIGIN, np.array([[0.0, -1.0, 0.0]]))).all()
-
-
-def test_distortion_is_that_of_opencv_half_a_pixel_away():
-    points = np.random.default_rng(0).uniform([-0.4, -0.4, 1.0], [0.4, 0.4, 2.0], (50, 3))
-    matrix, far = intrinsics(BENT), np.arctan2(np.hypot(*points.T[:2]), points[:, 2]) > BENT.widest_angle
-    expected = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, np.array(BARREL))[0][:, 0]
-    image = project(BENT, np.eye(4), points)
-    np.testing.assert_allclose(image[~far], expected[~far], atol=1e-9)
-    assert np.isnan(image[far]).all()
-    assert 0 < far.sum() < 10
-    ahead = points / np.linalg.norm(points, axis=-1, keepdims=True)
-    np.testing.assert_allclose(bearings(BENT, image[~far]), ahead[~far], atol=1e-9)
-    np.testing.assert_allclose(bearings(CAMERA, project(CAMERA, np.eye(4), points)), ahead, atol=1e-12)
 
 
 def test_a_sharp_tag_is_its_picture():

@@ -18,16 +18,13 @@ def second_moment(orientations):
     return (orientations.axes.T * orientations.by_axis.weight) @ orientations.axes
 
 
-def test_the_grid_with_both_ends_has_325_orientations_and_266_axes():
-    orientations = pdf.grid_with_ends()
-    assert len(orientations.weight) == 325
-    assert len(orientations.axes) == 266
-    assert (orientations.weight == 1.0 / 325.0).all()
-
-
-@pytest.mark.parametrize("build", [pdf.grid_of_cells, pdf.solid_angle])
-def test_the_grid_of_cells_has_288_orientations_all_distinct(build):
-    assert len(build().weight) == len(build().axes) == 288
+@pytest.mark.parametrize(
+    ("build", "count", "axes"),
+    [(pdf.grid_with_ends, 325, 266), (pdf.grid_of_cells, 288, 288), (pdf.solid_angle, 288, 288)],
+)
+def test_the_grids_have_as_many_orientations_and_axes_as_printed(build, count, axes):
+    assert (len(build().weight), len(build().axes)) == (count, axes)
+    assert build is pdf.solid_angle or (build().weight == 1.0 / count).all()
 
 
 def test_the_grid_with_ends_counts_the_poles_25_times_and_the_seam_twice():
