@@ -10,6 +10,7 @@ import pypdfium2
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from support.tables import rows
 from support.thorough import examples
 
 from lmd.core.checks import InputError
@@ -46,21 +47,9 @@ def pages(path):
         )
 
 
-@pytest.mark.parametrize(
-    ("tag", "paper", "count", "per_page"),
-    [
-        (Tag(0.15), "a4", 3, 1),
-        (Tag(0.1651), "a4", 1, 1),  # of FIRST robotics: the paper is wider than what is printed of it
-        (Tag(0.1), "a4", 3, 2),
-        (Tag(0.1185), "a4", 3, 2),  # the papers of two fill the width of the sheet
-        (Tag(0.0625, "41h12"), "a4", 3, 2),
-        (Tag(0.05), "letter", 14, 12),
-        (Tag(0.04, "25h9"), "a4", 16, 15),
-        (Tag(0.1, "4x4_50"), "a3", 7, 6),
-        (Tag(0.06, quiet_zone=0.3), "a4", 10, 9),  # labels stand beside the paper
-    ],
-)
+@pytest.mark.parametrize(("tag", "paper", "count", "per_page"), rows(__file__, "sheets"))
 def test_a_detector_reads_every_tag_upright_and_at_its_size(tag, paper, count, per_page, tmp_path):
+    tag = Tag(**tag)
     sheets(tmp_path / "sheets.pdf", tag, count, paper, first=5)
     family, detectors = FAMILIES[tag.family], []
     detectors += [ArucoDetector(tag.family)] if family.dictionary else []

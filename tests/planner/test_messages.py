@@ -1,5 +1,6 @@
 """Invalid messages: the planner refuses them and still serves the next browser."""
 
+from functools import partial
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -37,6 +38,10 @@ def shown_to(connection):
         text = zstandard.ZstdDecompressor().decompress(window[16 : 16 + size])
         found += msgspec.msgpack.decode(text)["messages"]
     return found
+
+
+def send(socket, message):
+    socket.send(msgspec.msgpack.encode(message))
 
 
 def widget(messages, label):
@@ -78,28 +83,20 @@ def test_invalid_messages_do_no_harm(monkeypatch):
     session = PlanningSession(planned, planned.draw(np.random.default_rng(0)))
     planner = Planner(session, 0, save, RandomSearch, Budget(1), seed=None)
     before, mine = session.plan, urlsplit(planner.address)
-    open_socket = lambda: connect(  # noqa: E731
-        f"ws://{mine.netloc}{mine.path}",
-        origin=f"http://{mine.netloc}",
-        subprotocols=[f"viser-v{viser.__version__}"],
-        max_size=None,
-    )
+    how = {"origin": f"http://{mine.netloc}", "subprotocols": [f"viser-v{viser.__version__}"], "max_size": None}
+    open_socket = partial(connect, f"ws://{mine.netloc}{mine.path}", **how)
     try:
         with open_socket() as socket:
             messages = shown_to(socket)
-            socket.send(msgspec.msgpack.encode(CAMERA))
-            socket.send(msgspec.msgpack.encode({**POINTED, "name": "/positions"}))  # places the camera
+            send(socket, CAMERA)
+            send(socket, {**POINTED, "name": "/positions"})  # places the camera
             said.clear()
             refused = 0
             for is_refused, odd in odd_messages(lambda label: widget(messages, label)):
                 refused += is_refused
                 for message in odd:
-                    socket.send(msgspec.msgpack.encode(message))
-            socket.send(
-                msgspec.msgpack.encode(
-                    {"type": "GuiUpdateMessage", "uuid": widget(messages, "Save"), "updates": {"value": True}}
-                )
-            )
+                    send(socket, message)
+            send(socket, {"type": "GuiUpdateMessage", "uuid": widget(messages, "Save"), "updates": {"value": True}})
             with pytest.raises(Ended):
                 planner.run()
         assert saved[0] is before.deployment
