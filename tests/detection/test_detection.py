@@ -159,9 +159,8 @@ def test_neither_kind_of_error_outweighs_the_other():
     rng = np.random.default_rng(0)
     pitch, incidence, sigma = rng.uniform([0.5, 0.0, 0.5], [6.0, 1.4, 0.5], (20000, 3)).T
     seen = rng.random(len(pitch)) < np.clip((pitch - 1.0) / 4.0, 0.0, 0.7)  # the most accurate limit sees too few
-    result = fit(
-        TagViews(pitch, incidence, np.full(len(pitch), 50.0), sigma, seen, np.zeros(len(pitch))), rng, margin=0.0
-    )
+    views = TagViews(pitch, incidence, np.full(len(pitch), 50.0), sigma, seen, np.zeros(len(pitch)))
+    result = fit(views, rng, margin=0.0)
     assert result.precision == pytest.approx(result.recall, abs=0.05)
 
 

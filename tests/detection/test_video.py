@@ -48,11 +48,7 @@ def test_so_many_frames_a_second_are_taken_of_a_video(video, rate, step):
     assert images.remarks == []
 
 
-@pytest.mark.parametrize(
-    ("name", "code"),
-    [("a.mp4", "mp4v"), ("a.mov", "mp4v"), ("a.mkv", "MJPG"), ("a.webm", "VP80"),
-     ("a.ts", "mp2v"), ("a.mpg", "mp2v")],
-)  # fmt: skip
+@pytest.mark.parametrize(("name", "code"), rows(__file__, "kinds of videos"))
 def test_videos_of_many_kinds_are_read_from_any_frame_on(tmp_path, name, code):
     images = Video(film(tmp_path / name, code), 100)
     assert [float(name) for name in images.names] == pytest.approx([k / RATE for k in range(FRAMES)], abs=2e-3)

@@ -21,12 +21,8 @@ def run_of(name, seed, *fitness):
 
 
 KEY = "qualified_ratio"
-RUNS = [
-    run_of("slow", 0, 0.2, 0.4),
-    run_of("slow", 1, 0.1, 0.5),
-    run_of("fast", 0, 0.5, 0.9),
-    run_of("fast", 1, 0.7, 0.8),
-]
+FITNESS = {"slow": ((0.2, 0.4), (0.1, 0.5)), "fast": ((0.5, 0.9), (0.7, 0.8))}
+RUNS = [run_of(name, seed, *fitness) for name, both in FITNESS.items() for seed, fitness in enumerate(both)]
 
 
 def test_the_best_median_comes_first():

@@ -71,14 +71,6 @@ def test_what_hangs_already_stays():
         np.testing.assert_array_equal(deployment.positions[:2], fixed.positions)
 
 
-def test_a_problem_can_be_started_from_any_deployment():
-    problem = problem_of(12)
-    deployment = drawn(problem, seed=3)
-    again = started(problem, deployment)
-    np.testing.assert_array_equal(drawn(again).positions, deployment.positions)
-    assert again.fitness_of(deployment) == problem.fitness_of(deployment)
-
-
 def test_neighbours_lend_what_they_have_found():
     """Searches that do nothing: all that is found is what neighbours give."""
     known = {count: Found(drawn(problem_of(count)), 0.0, ANEW) for count in (8, 10, 12)}

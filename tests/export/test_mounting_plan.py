@@ -8,6 +8,7 @@ import pypdfium2
 import pytest
 import trimesh
 from support import rooms
+from support.tables import rows
 
 from lmd.export.paper import PAPERS
 from lmd.export.plan import View, write_plan
@@ -26,15 +27,7 @@ ROOM = Cuboid((6.0, 4.0, 2.8), (5.0, 3.0, 1.2), 0.5)
 TAG = Tag(0.2)
 PIXELS = 20  # a mm
 LIGHT = 217  # of the black squares on the plan
-# By hand, for whoever stands before the surface: where the tag is, and where it is from the left and from below, mm.
-SEEN = {
-    "x_min": ((0.0, 1.0, 1.2), (1000, 1200)),
-    "x_max": ((6.0, 1.0, 1.2), (3000, 1200)),
-    "y_min": ((2.0, 0.0, 0.7), (4000, 700)),
-    "y_max": ((2.0, 4.0, 0.7), (2000, 700)),
-    "floor": ((2.0, 1.0, 0.0), (2000, 1000)),
-    "ceiling": ((2.0, 1.0, 2.8), (4000, 1000)),
-}
+SEEN = rows(__file__, "tags by hand")  # place in the room, and from the left and from below, mm
 # An obstacle that hangs in the room, so that all of its faces are seen.
 FACES = {"low": [4, 0.5, 0.5], "high": [5, 1.5, 1.5], "faces": ["x_min", "x_max", "y_min", "y_max", "bottom", "top"]}
 

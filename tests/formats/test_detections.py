@@ -25,12 +25,8 @@ def written(tmp_path, text):
 
 def test_frames_are_told_apart_by_what_is_written(tmp_path):
     """The two stamps are the same number in double precision."""
-    rows = (
-        ("left", "1527206460.042570304", 7),
-        ("right", "1527206460.042570304", 8),
-        ("left", "1527206460.042570305", 7),
-    )
-    text = HEADER + "".join(f"{topic},{stamp},{number},0,{SQUARE}\n" for topic, stamp, number in rows)
+    rows = (("left", 4, 7), ("right", 4, 8), ("left", 5, 7))
+    text = HEADER + "".join(f"{topic},1527206460.04257030{end},{number},0,{SQUARE}\n" for topic, end, number in rows)
     found = read_detections(written(tmp_path, text))
     assert found.cameras == ("left", "right")
     assert len(found.times) == 2

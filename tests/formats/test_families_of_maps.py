@@ -35,10 +35,8 @@ def test_a_map_keeps_to_the_family_that_it_names(write):
 def test_a_source_asks_for_the_family_of_its_tag_and_not_of_points(tmp_path):
     (tmp_path / "map.fmap").write_text(json.dumps(fmap("apriltag3_16h5_classic")))
     room, rng = Cuboid((8.0, 4.0, 3.0), (7.0, 3.0, 1.0), 0.5), np.random.default_rng(0)
-    for source in (
-        FileDeployment(tmp_path / "map.fmap", free=True),
-        FileDeployment(tmp_path / "map.fmap", None, True, "36h11"),
-    ):
+    for family in ((), ("36h11",)):
+        source = FileDeployment(tmp_path / "map.fmap", None, True, *family)
         assert len(source.draw(room, rng)) == 1
         with pytest.raises(InputError, match=r"^family=16h5 is needed"):
             source.draw(room, rng, Tag(0.1))

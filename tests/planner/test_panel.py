@@ -7,9 +7,8 @@ import pytest
 
 from lmd.core.checks import InputError
 from lmd.optimisers.ledger import Budget
+from lmd.planner.colours import span_of
 from lmd.planner.panel import TAGS, PlannerPanel
-from lmd.planner.plan import SearchProgress
-from lmd.planner.viewing import span_of
 
 viser = pytest.importorskip("viser")
 
@@ -34,20 +33,6 @@ def test_the_budget_of_a_search_is_shown_and_can_be_typed(gui, budget):
             with pytest.raises(InputError, match=name):
                 panel.budget  # noqa: B018
         field.value = before
-
-
-def test_a_search_shows_its_share_of_the_budget_and_what_it_waits_for(gui, monkeypatch):
-    panel = PlannerPanel(gui, "P", Budget(2000, 60.0), ids=True)
-    for compiling, text in ((True, "compiling what this needs, once"), (False, "begins")):
-        monkeypatch.setattr("lmd.planner.panel.is_compiling", lambda compiling=compiling: compiling)
-        panel.show_progress(None, running=True)
-        assert f">{text}<" in panel._progress.content
-    panel.show_progress(SearchProgress(0.25, 0.4321, None), running=True)
-    assert ">25% of 2000 evaluations or 60 seconds; best fitness 43.21%<" in panel._progress.content
-    assert panel._bar.visible
-    assert panel._bar.value == 25.0
-    panel.show_progress(None, running=False)
-    assert not panel._bar.visible
 
 
 def test_the_legend_has_colours_with_numbers_that_span_the_values_that_are_there(gui):

@@ -44,9 +44,8 @@ def sampled():
 
 
 def localising():
-    return Problem(
-        small_scene(paper_room(spacing=2.0), TAG), Localisation(sampling=None), RandomDeployment(9), threads=1
-    )
+    scene = small_scene(paper_room(spacing=2.0), TAG)
+    return Problem(scene, Localisation(sampling=None), RandomDeployment(9), threads=1)
 
 
 def on_a_floor_plan():

@@ -8,7 +8,7 @@ from lmd.detection.detectors import AprilTagDetector
 from lmd.detection.frames import tagged_room
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import BEND, project, to_camera, view_edges
-from lmd.geometry.se3 import camera_pose, exp
+from lmd.geometry.se3 import camera_pose
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
@@ -240,14 +240,6 @@ def test_a_lens_that_distorts_blurs_as_much_as_any():
     slopes = [np.diff(line)[:-12].max() for line in (lines[0], lines[1][::-1], lines[2], lines[3][::-1])]
     sigma = 240.0 / (np.array(slopes) * np.sqrt(2.0 * np.pi))
     assert np.exp(np.log(sigma).mean()) == pytest.approx(2.0, rel=0.08)
-
-
-def test_many_poses_at_once():
-    renderer = Renderer(CAMERA, facing())
-    poses = np.stack([ORIGIN, ORIGIN @ exp(np.array([0.0, 0.5, 0.0, 0.0, 0.0, 0.0]))])
-    assert renderer.corners(poses).shape == (2, 1, 4, 2)
-    assert renderer.inside(poses).tolist() == [[True], [False]]
-    assert renderer.inside(poses, margin=81.0).tolist() == [[False], [False]]
 
 
 @pytest.mark.parametrize(

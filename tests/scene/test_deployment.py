@@ -63,14 +63,9 @@ def test_landmarks_are_as_many_as_asked_flush_inside_and_apart(room, count, layo
 
 
 @given(rooms(), st.integers(1, 100))
-def test_per_wall_counts_differ_by_at_most_one(room, count):
-    counts = per_wall(uniform(count, room), room)
+def test_counts_by_wall_differ_by_at_most_one_and_by_area_are_the_shares_rounded(room, count):
+    counts, area = per_wall(uniform(count, room), room), np.array([wall.area for wall in room.surfaces()])
     assert max(counts) - min(counts) <= 1
-
-
-@given(rooms(), st.integers(1, 100))
-def test_by_area_counts_are_the_shares_rounded(room, count):
-    area = np.array([wall.area for wall in room.surfaces()])
     counts = per_wall(uniform(count, room, layout="by_area"), room)
     assert (np.abs(counts - count * area / area.sum()) < 1.0).all()
 
