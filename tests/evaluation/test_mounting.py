@@ -54,9 +54,7 @@ def test_tags_are_off_by_what_was_said():
 
 def test_papers_stay_on_their_walls_and_apart():
     edge = TAG.paper_edge
-    side_by_side = Deployment(
-        np.array([[0.0, edge / 2.0, 3.0], [0.0, 1.5 * edge, 3.0], [0.0, 2.5 * edge, 3.0]]), np.array([X, X, X])
-    )
+    side_by_side = Deployment([[0.0, edge * at, 3.0] for at in (0.5, 1.5, 2.5)], [X, X, X])
     problem = problem_of(count=3)
     plan = side_by_side.with_surfaces(problem.scene.footprints.hanging)
     for seed in range(20):

@@ -40,9 +40,8 @@ TAG = Tag(0.1)
 
 
 def problem_of(deployment=None, objective=None, tag=TAG, threads=1, **visibility):
-    scene = replace(
-        paper_scene(room=paper_room(spacing=1.5), orientations=pdf.grid_with_ends(6), **visibility), tag=tag
-    )
+    scene = paper_scene(room=paper_room(spacing=1.5), orientations=pdf.grid_with_ends(6), **visibility)
+    scene = replace(scene, tag=tag)
     start = UniformDeployment(30) if deployment is None else GivenDeployment(deployment.with_surfaces(scene.room))
     return Problem(scene, objective or Localisation(), start, threads)
 
@@ -63,10 +62,8 @@ def tagged(scene, edge):
     tolerance=st.sampled_from([0.02, 0.2, np.inf]),
 )
 def test_what_is_left_without_landmarks_is_what_the_others_are_worth(data, scene, n, tolerance):
-    deployment, objective = (
-        data.draw(deployments(scene.room, 6)),
-        Localisation(n, tolerance=tolerance, ambiguity="ignored"),
-    )
+    deployment = data.draw(deployments(scene.room, 6))
+    objective = Localisation(n, tolerance=tolerance, ambiguity="ignored")
     assume(len(deployment) >= 3)
     evaluator = Evaluator(scene, threads=1)
     found = lost_shares(objective.field(evaluator), deployment)

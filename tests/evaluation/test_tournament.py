@@ -71,10 +71,8 @@ def test_the_critical_difference_is_that_of_demsar():
 
 def test_profiles_count_the_problems_that_are_solved_within_a_ratio():
     fast, slow = [0.0, 1.0], [0.0, 0.0, 0.0, 1.0]
-    values = {"p": (fast, slow), "q": ([0.0, 0.0], fast), "r": ([0.0], [0.0])}
-    runs = [
-        run_of(problem, name, 0, each) for problem, two in values.items() for name, each in zip("ab", two, strict=True)
-    ]
+    values = {"pa": fast, "pb": slow, "qa": [0.0, 0.0], "qb": fast, "ra": [0.0], "rb": [0.0]}
+    runs = [run_of(*both, 0, each) for both, each in values.items()]
     ratios = running_time_ratios(runs, {"p": 1.0, "q": 1.0, "r": 1.0})
     assert ratios.loc["p"].to_dict() == {"a": 1.0, "b": 2.0}
     assert ratios.loc["q"].to_dict() == {"a": math.inf, "b": 1.0}

@@ -19,9 +19,8 @@ RATIO, AVERAGE = "grid_free_qualified_ratio", "grid_free_average_coverage_probab
 
 
 def coarse_problem(orientations=None, threads=None, sampling=None, **room):
-    scene = paper_scene(
-        room=paper_room(**({"spacing": 1.5} | room)), orientations=orientations or pdf.grid_with_ends(6)
-    )
+    there = paper_room(**({"spacing": 1.5} | room))
+    scene = paper_scene(there, orientations=orientations or pdf.grid_with_ends(6))
     return Problem(scene, Coverage(2, 0.4, sampling), UniformDeployment(90), threads=threads)
 
 
@@ -86,10 +85,8 @@ def test_the_average_agrees_with_independent_poses():
     positions = rng.uniform(p.scene.room.reachable_low, p.scene.room.reachable_high, (poses, 3))
     axes = rng.normal(size=(poses, 1, 3))
     axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
-    covered = [
-        reference.coverage_caps(p.scene, deployment, at, axis).sum() >= 2
-        for at, axis in zip(positions, axes, strict=True)
-    ]
+    views = zip(positions, axes, strict=True)
+    covered = [reference.coverage_caps(p.scene, deployment, at, axis).sum() >= 2 for at, axis in views]
     metrics = validation_metrics(p, deployment, 0, SMALL)
     error = np.hypot(metrics[f"{AVERAGE}_standard_error"], np.std(covered) / np.sqrt(poses))
     assert metrics[AVERAGE] == pytest.approx(np.mean(covered), abs=4.0 * error)
