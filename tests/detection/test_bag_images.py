@@ -8,7 +8,7 @@ from support import walks
 from support.bags import GREY, SMALL, bag_of, only
 
 from lmd.core.checks import InputError
-from lmd.detection.bag_images import ENCODINGS
+from lmd.detection.photographed import ENCODINGS
 from lmd.formats.bags import COMPRESSED, IMAGE
 
 

@@ -7,8 +7,8 @@ import pytest
 
 from lmd.core.checks import InputError
 from lmd.optimisers.ledger import Budget
-from lmd.planner.colours import span_of
 from lmd.planner.panel import TAGS, PlannerPanel
+from lmd.planner.viewing import span_of
 
 viser = pytest.importorskip("viser")
 

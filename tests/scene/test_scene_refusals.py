@@ -6,8 +6,8 @@ from support.rooms import lab, recorded
 from support.small import problem
 from support.tables import refusals
 
-from lmd.formats.deployments import FileDeployment
 from lmd.formats.rigs import rig_of
+from lmd.formats.tag_maps import FileDeployment
 from lmd.scene.deployment import Deployment
 from lmd.scene.tag import Tag
 

@@ -13,8 +13,8 @@ from lmd.core.checks import InputError
 from lmd.detection.frames import tagged_room
 from lmd.estimation.sensors import corners_of
 from lmd.evaluation.measured import read_measured
-from lmd.formats.deployments import FileDeployment
 from lmd.formats.tag_map import TagMap
+from lmd.formats.tag_maps import FileDeployment
 from lmd.geometry.squares import corners, upright
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.ledger import Budget

@@ -3,7 +3,7 @@
 import numpy as np
 from mcap_ros2.writer import Writer
 
-from lmd.detection.bag_images import images_in
+from lmd.detection.photographed import images_in
 from lmd.formats import bags
 from lmd.geometry.camera import Camera
 
