@@ -9,6 +9,7 @@ FOLDER has `detections.csv` and `cameras.yaml` of one camera.
 """
 
 import argparse
+import sys
 import time
 from pathlib import Path
 
@@ -151,18 +152,19 @@ def changes(drives: int, moved: float) -> None:
 
 
 def truth(seeds: int) -> None:
-    """Errors of smoothed poses beside those stated, of each scenario of `tests/support/localisations.py`."""
-    from support import localisations
+    """Errors of smoothed poses beside those stated, of each scenario of `tests/localise/opencv_rooms.py`."""
+    sys.path.append(str(Path(__file__).parents[1] / "tests" / "localise"))
+    import opencv_rooms
 
     print("| scenario | walks | failed | chi²/6, 10 %, 50 %, 90 % | in .2 to 3 | off, mm | stated, mm | localised |")
     print("| --- |" + " --- |" * 7)
-    for name in localisations.NAMES:
+    for name in opencv_rooms.NAMES:
         rows = []
         for seed in range(seeds):
-            walk = localisations.scenario(name, seed)
+            walk = opencv_rooms.scenario(name, seed)
             result = walk.localised()
             if result.smoothed is not None:
-                rows.append((*localisations.figures(walk, result), float(result.smoothed.poses.known_frames.mean())))
+                rows.append((*opencv_rooms.figures(walk, result), float(result.smoothed.poses.known_frames.mean())))
         square, off, stated, localised = np.array(rows).T
         low, middle, high = np.quantile(square, (0.1, 0.5, 0.9))
         cells = [f"{low:.2f}, {middle:.2f}, {high:.2f}", f"{((square > 0.2) & (square < 3.0)).mean():.0%}"]

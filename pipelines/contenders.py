@@ -36,7 +36,7 @@ class Contender:
     """An optimiser with a seed on a problem: a run that is compared with others."""
 
     optimiser: str
-    """Its entry of `optimisers`."""
+    """Entry of `optimisers`."""
     cfg: DictConfig
     """Configuration of `optimise` for this entry."""
     seed: int

@@ -146,7 +146,7 @@ def shares_among(figures: Iterable[str]) -> list[str]:
 
 
 class Points:
-    """Results at all points. A point is the number of a ladder, and a place along that ladder.
+    """Results at all points. A point is the number of a curve, and a place along that curve.
 
     Args:
         ladders: ladders of every curve and seed.
@@ -192,7 +192,7 @@ class Points:
             yield key, result
 
     def name(self, number: int, *places: float) -> str:
-        """Name of a point, or of several points of one ladder."""
+        """Name of a point, or of several points of one curve."""
         ladder, listed = self.ladders[number], ",".join(f"{at:.10g}" for at in places)
         size = [f"{self.axis.curve}={ladder.curve}"] if ladder.edges[0] else []
         return " ".join([f"{self.limited or 'K'}={listed}", *size, f"seed={ladder.seed}"])
@@ -213,7 +213,7 @@ class Points:
         return Axis("edges", self.limited, min(costs or ((tag.paper_share * min(tag.sizes)) ** 2,)))
 
     def __iter__(self) -> "Iterator[tuple[int, float, Found, dict[str, float]]]":
-        """Iterate over the points: number of the ladder, place along the ladder, result, and figures."""
+        """Iterate over the points: number of the curve, place along the curve, result, and figures."""
         for n, at in sorted(self._figures):
             yield n, at, self._found[n][at], self._figures[n, at]
 

@@ -67,7 +67,7 @@ def runs(cfg: DictConfig) -> None:
 
 
 def going_on(run: "pd.Series") -> str:
-    """Command that goes on with a run, as its record has it; empty if the run has finished, has left no checkpoint, or
+    """Command that goes on with a run, as its record has it. Empty if the run has finished, has left no checkpoint, or
     is the job of a sweep, which goes on with the command of the sweep.
 
     Args:

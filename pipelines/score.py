@@ -130,7 +130,7 @@ def scored(
 
 
 def in_words(problem: "Problem", subject: str) -> str:
-    """Title that says what was placed, objective, visibility and room in words."""
+    """Title with the placed objects, objective, visibility and room in words."""
     scene, of = problem.scene, getattr(problem.scene.visibility, "detector", None)
     visibility = f"visibility {choices().get('visibility', '')}{f' ({of})' if of else ''}"
     placed = f"{subject}, {problem.count} landmarks: {problem.objective.value_label}"

@@ -70,7 +70,7 @@ class Study:
     about: str = ""
     """Description of the run; by default the title of its problem."""
     problem: "Problem | None" = None
-    """Its problem, if it has one."""
+    """Problem, or None."""
     earlier: tuple[str | None, Path] = (None, Path())
     """The tracked run that it continues, if any, and the folder of that run."""
     hint: Callable[[], str] = str

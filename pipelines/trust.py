@@ -1,8 +1,8 @@
 """Checks of the code that a configuration of other origin names, as Hydra imports and calls every `_target_`.
 
 A configuration that is neither part of this project nor on the command line is read as plain data and checked before
-any import: the configuration of `run=DIR`, configurations in a tracking store, and the overrides of a resumed run.
-docs/trust.md lists the rights of each kind of file.
+any import: the configuration of `run=DIR`, configurations in a tracking store, and the overrides of a resumed
+run. docs/trust.md lists the rights of each kind of file.
 """
 
 import re
@@ -49,7 +49,7 @@ class Trust:
             runtime: Hydra's record of the run, with the places where it has looked for configurations.
 
         Raises:
-            InputError: `trust` is no list of names.
+            InputError: `trust` is not a list of names.
         """
         from lmd.core.checks import InputError
 
@@ -161,7 +161,7 @@ def read_yaml(file: Path, source: str) -> dict[Any, Any]:
 
 
 def _place(found: Any, key: str, name: str) -> Any:
-    """Value to which the interpolation `${name}` of the value at `key` leads; None if there is none."""
+    """Value to which the interpolation `${name}` of the value at `key` leads; None without one."""
     plain = name.lstrip(".")
     up = len(name) - len(plain)
     for word in [*(key.split(".")[:-up] if up else []), *re.findall(r"\w+", plain)]:

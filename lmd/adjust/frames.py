@@ -1,6 +1,6 @@
 """Frames of a bundle adjustment, which are eliminated from its normal equations.
 
-A sighting connects one frame with tags, cameras and other *kept* unknowns, so the block H_ff of the frames is block
+A sighting connects one frame with tags, cameras and other *kept* unknowns. So the block H_ff of the frames is block
 diagonal, or block tridiagonal if motion links each frame with the next one (`lmd.adjust.motion`). With links, its
 Cholesky factor is a band matrix. Time and memory are linear in the number of frames.
 

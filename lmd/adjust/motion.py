@@ -14,7 +14,7 @@ frames. A frame that shows a single tag thus places the tag relative to the tags
   as a camera carried straight ahead may turn on the way.
 
 Real bodies are not driven by white noise, so the errors across long gaps do not follow from the errors of short links.
-They are measured in stretches of the drive without gaps, see `lmd.adjust.drive`.
+They are measured in pieces of the drive without gaps, see `lmd.adjust.drive`.
 
 Source: Barfoot, "State Estimation for Robotics".
 """
@@ -186,7 +186,7 @@ class Motion:
     piece: IntArray | None = None
     """`(F,)` piece of each frame; frames of different pieces are not linked. None for one piece."""
     gaps: FloatArray | None = None
-    """`(n, 3)` lengths of gaps, seconds, ascending, for which a constant velocity was tested in stretches without gaps,
+    """`(n, 3)` lengths of gaps, seconds, ascending, for which a constant velocity was tested in pieces without gaps,
     and the spreads that explain the errors across them; longer gaps are not bridged. None without tests.
     """
 

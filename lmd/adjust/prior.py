@@ -50,7 +50,7 @@ class Sheets:
     """`(6,)` inverse variances of the components of d_k."""
 
     def of(self, placed: BoolArray) -> "Sheets | None":
-        """Sheets of the tags that are `placed`, `(K,)`, at least two for each sheet; None if there are none."""
+        """Sheets of the tags that are `placed`, `(K,)`, at least two for each sheet; None without any."""
         own = placed[self.tag]
         own &= np.bincount(self.board[own], minlength=self.board.max(initial=0) + 1)[self.board] >= FEWEST
         board = np.unique(self.board[own], return_inverse=True)[1]

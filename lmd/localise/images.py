@@ -45,7 +45,7 @@ class RoughPoses(NamedTuple):
     poses: Poses
     """Poses; tags are NaN if they are not in the map or contradict it, frames if they show no other tag."""
     others: FloatArray
-    """`(F, 4, 4)` the best pose that differs from the pose of the frame; NaN if there is none."""
+    """`(F, 4, 4)` the best pose that differs from the pose of the frame; NaN without one."""
     gross: BoolArray
     """`(K,)` True for tags that contradict the others."""
     agreed: int
@@ -128,7 +128,7 @@ def states_of(found: Estimate, others: FloatArray) -> tuple[list[State], FloatAr
 
     Args:
         found: estimate with a pose of each frame that shows a tag of the map.
-        others: other poses of the frames, `(F, 4, 4)`; NaN if there is none.
+        others: other poses of the frames, `(F, 4, 4)`; NaN without one.
     """
     some = found.sightings.of(found.poses.known_tags[found.sightings.tag])
     seen = np.bincount(some.frame, minlength=some.frames)

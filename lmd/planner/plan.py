@@ -42,7 +42,7 @@ class Plan:
 
     @classmethod
     def of(cls, deployment: Deployment, hung: Deployment | None = None) -> "Plan":
-        """Plan of a deployment, in which the tags `hung`, which hang already, are pinned."""
+        """Plan of a deployment, in which the tags `hung`, which are fixed, are pinned."""
         labels = deployment.labels or Labels(deployment.ids)
         pinned = frozenset() if hung is None else frozenset(hung.ids.tolist())
         return cls(replace(deployment, labels=labels), pinned)

@@ -71,7 +71,8 @@ def join_groups(sightings: Sightings, poses: Poses, group: IntArray, prior: Prio
     worlds, joined = _worlds(replace(nodes, motion=motion), there.frames, joint)
     tags = np.where((parts < 0)[:, None, None], np.nan, worlds[parts] @ there.tags)
     frames, views = np.full_like(poses.frames, np.nan), worlds[nodes.part] @ there.frames
-    # Of several nodes of a frame the last node counts: the node with most tags or, in a tie, nearest to its neighbours.
+    # If a frame has several nodes, the last node counts: the node with most tags or, in a tie, nearest to its
+    # neighbours.
     counts = np.bincount(nodes.sightings.frame, minlength=len(nodes.frame))
     before, after = nodes.following(LEAP_FOLLOWING)
     apart = np.linalg.norm(views[after, :3, 3] - views[before, :3, 3], axis=1)

@@ -17,7 +17,6 @@ from lmd.objectives.base import AtLeast
 from lmd.objectives.coverage import Coverage, MeanCoverage
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.sampling import Sampling
-from lmd.optimisers.checkpoint import Checkpoint
 from lmd.optimisers.ledger import Budget
 from lmd.problem import Problem
 from lmd.scene import pdf
@@ -121,19 +120,6 @@ def test_annealing_beats_random_search_at_the_same_cost():
     ours, random = (make(name).run(problem(MeanCoverage(2, 0.5), 3), Budget(60)) for name in
                     ("camera_annealing", "random_search"))  # fmt: skip
     assert ours.fitness > random.fitness
-
-
-def test_interrupted_and_resumed_it_ends_where_it_would_have(tmp_path):
-    whole = make("camera_annealing").run(problem(), Budget(30))
-    calls, optimiser = iter(range(99)), make("camera_annealing")
-    stopped = optimiser.run(problem(), Budget(30), lambda _: next(calls) == 7)
-    assert (stopped.stopped, stopped.evaluations) == ("interrupted", 9)
-    Checkpoint(optimiser, {}).save(tmp_path)
-    checkpoint = Checkpoint(make("camera_annealing"), {})
-    checkpoint.resume(tmp_path, problem())
-    again = checkpoint.optimiser.run(problem(), Budget(30))
-    assert again.rig == whole.rig
-    assert [r.best_fitness for r in again.history] == [r.best_fitness for r in whole.history]
 
 
 @pytest.mark.parametrize("name", ["camera_annealing", "ega"])

@@ -1,7 +1,7 @@
 """Bad bodies and mounts get one sentence."""
 
 import numpy as np
-from support.refusals import refusals
+from support.tables import refusals
 from test_body import space
 
 

@@ -90,16 +90,6 @@ def _given(a):
 
 
 @kernel
-def _hand_on_slices(a):
-    return _slices(a, 2)
-
-
-@kernel
-def _hand_on_what_was_given(a):
-    return _given(a)
-
-
-@kernel
 def _return_slices(a):
     return a[:2], a[2:]
 
@@ -109,54 +99,33 @@ def _return_what_is_borrowed(a):
     return a
 
 
-@pytest.mark.parametrize(
-    ("refused", "name"),
-    [
-        (_hand_on_slices, "_slices"),
-        (_hand_on_what_was_given, "_given"),
-        (_return_slices, "_return_slices"),
-        (_return_what_is_borrowed, "_return_what_is_borrowed"),
-    ],
-)
-def test_arrays_that_nothing_would_hold_are_not_returned(refused, name):
-    """The memory would be freed while it is used, and the process would die."""
-    with pytest.raises(TypeError, match=rf"\.{name} \(.*test_compiled.py, line \d+\) returns arrays that nothing"):
-        refused(np.arange(5.0))
-    assert not compile_clock.CLOCK.active
-
-
-@inner
-def _same(values):
-    return values
-
-
-@kernel
-def _hand_on_a_list(n):
-    return len(_same([float(n), 2.0]))
-
-
-@kernel
-def _hand_on_a_text(n):
-    return len(_same(str(n)))
-
-
 @inner
 def _printed(x):
     print(x)
     return x
 
 
-@kernel
-def _print_within(x):
-    return _printed(x)
+HELD = r"returns arrays that nothing"
+ARRAY = np.arange(5.0)
 
 
-def test_inner_functions_return_no_other_memory_and_print_nothing():
-    for refused in (_hand_on_a_list, _hand_on_a_text):
-        with pytest.raises(TypeError, match=r"\._same \(.* returns arrays that nothing"):
-            refused(3)
-    with pytest.raises(TypeError, match=r"\._printed \(.* prints, or uses objects of Python"):
-        _print_within(3)
+@pytest.mark.parametrize(
+    ("refused", "argument", "name", "message"),
+    [
+        (kernel(lambda a: _slices(a, 2)), ARRAY, "_slices", HELD),
+        (kernel(lambda a: _given(a)), ARRAY, "_given", HELD),
+        (_return_slices, ARRAY, "_return_slices", HELD),
+        (_return_what_is_borrowed, ARRAY, "_return_what_is_borrowed", HELD),
+        (kernel(lambda n: len(_given([float(n), 2.0]))), 3, "_given", HELD),
+        (kernel(lambda n: len(_given(str(n)))), 3, "_given", HELD),
+        (kernel(lambda n: _printed(n)), 3, "_printed", "prints, or uses objects of Python"),
+    ],
+)
+def test_memory_that_nothing_would_hold_is_not_returned_and_nothing_is_printed(refused, argument, name, message):
+    """The memory would be freed while it is used, and the process would die."""
+    with pytest.raises(TypeError, match=rf"\.{name} \(.*test_compiled.py, line \d+\) {message}"):
+        refused(argument)
+    assert not compile_clock.CLOCK.active
 
 
 @allocating
@@ -234,26 +203,16 @@ def test_where_nothing_can_be_written_kernels_are_compiled_all_the_same(monkeypa
 
 
 @pytest.mark.parametrize("damage", [b"", b"cgone.module\nClass\n.", b"cmath\ngone\n.", b"\x80"])
-def test_an_index_that_cannot_be_read_is_written_anew(tmp_path, damage):
+@pytest.mark.parametrize("ending", ["nbi", "nbc"])
+def test_an_index_or_a_kernel_that_cannot_be_read_is_written_anew(tmp_path, ending, damage):
     index = inside_numba._Index(str(tmp_path), "kernel", "stamp")
     assert index.load("key") is None
     index.save("key", "machine code")
     assert index.load("key") == "machine code"
-    path = tmp_path / "kernel.nbi"
-    version = pickle.dumps(numba.__version__, protocol=-1)
+    (path,) = tmp_path.glob(f"*.{ending}")
+    version = pickle.dumps(numba.__version__, protocol=-1) if ending == "nbi" else b""
     assert path.read_bytes().startswith(version)
     path.write_bytes(version + damage)
-    assert index.load("key") is None
-    index.save("key", "machine code")
-    assert index.load("key") == "machine code"
-
-
-@pytest.mark.parametrize("damage", [b"", b"\x80", b"cgone.module\nClass\n."])
-def test_a_kernel_that_cannot_be_read_is_compiled_anew(tmp_path, damage):
-    index = inside_numba._Index(str(tmp_path), "kernel", "stamp")
-    index.save("key", "machine code")
-    (path,) = tmp_path.glob("*.nbc")
-    path.write_bytes(damage)
     assert index.load("key") is None
     index.save("key", "machine code")
     assert index.load("key") == "machine code"

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from support.composing import composed
 from support.processes import call
+from support.tables import rows
 
 from lmd.core.checks import InputError
 from lmd.core.optional import EXTRAS, missing_of, optional
@@ -57,10 +58,7 @@ def test_a_package_that_is_missing_is_named_with_the_command_that_installs_it(hi
     assert str(told.value).endswith(" -m pip install --constraint constraints.txt --editable '.[mesh]'.")
 
 
-@pytest.mark.parametrize(
-    ("package", "optimiser", "extra"),
-    [("pymoo", "pymoo_ga", "optimisers"), ("nevergrad", "nevergrad", "nevergrad"), ("cma", "cma_es", "optimisers")],
-)
+@pytest.mark.parametrize(("package", "optimiser", "extra"), rows(__file__, "optimisers of libraries"))
 def test_an_optimiser_of_a_library_that_is_missing_says_so(hidden, package, optimiser, extra):
     for name in [name for name in sys.modules if name.partition(".")[0] == package]:
         hidden(name)
@@ -83,14 +81,7 @@ def test_another_error_is_no_missing_package():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("pipeline", "override", "package", "extra"),
-    [
-        ("evaluate", "studies=detect", "cv2", "detection"),
-        ("view", "port=0", "viser", "view"),
-        ("optimise", "hydra/launcher=joblib", "hydra_plugins", "sweeps"),
-    ],
-)
+@pytest.mark.parametrize(("pipeline", "override", "package", "extra"), rows(__file__, "commands and their packages"))
 def test_a_command_that_lacks_a_package_says_so_before_anything_is_computed(
     pipeline, override, package, extra, tmp_path
 ):

@@ -21,16 +21,6 @@ def test_numba_and_llvmlite_are_left_as_they_were(tmp_path):
     assert done.stdout.splitlines()[-1] == "changed: []"
 
 
-@pytest.mark.slow
-def test_programs_of_others_give_the_same(tmp_path):
-    """15 s of processor time, as numba compiles what they use."""
-    done = ran("-m", "others_programs", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines() == ["3.5", "49", "3", "[2.0, 3.0]", "42", "100.0", "5", "4", "1.0"]
-    told = [line for line in done.stderr.splitlines() if "compiling kernel" in line]
-    assert not any("others_programs" in line or "numba" in line for line in told)
-
-
 # Of numba's own tests; the first take 10 s of processor time, those of the second line 70 s.
 QUICK = ("test_compiler_lock", "test_tuples.TestTupleReturn", "test_tuples.TestNamedTuple", "test_event")
 LONG = ("test_tuples", "test_dispatcher", "test_jitclasses")

@@ -65,23 +65,6 @@ def test_told_to_stop_while_it_waits_it_waits_for_what_others_have_begun():
         signal.signal(signal.SIGALRM, before)
 
 
-@pytest.mark.parametrize("main", [True, False])
-def test_an_error_of_one_thread_is_raised_when_the_others_are_done(main):
-    both, done = threading.Barrier(2, timeout=30.0), []
-
-    def work(i):
-        both.wait()
-        if (threading.current_thread() is threading.main_thread()) is main:
-            raise KeyboardInterrupt
-        time.sleep(0.1)
-        done.append(i)
-
-    with pytest.raises(KeyboardInterrupt):
-        at_once(2, work, range(2))
-    assert len(done) == 1
-    assert at_once(2, str, range(2)) == ["0", "1"]
-
-
 @pytest.mark.parametrize("threads", THREADS)
 def test_shared_work_may_share_work(threads):
     inner = lambda i: sum(at_once(threads, lambda j: 10 * i + j, range(4)))  # noqa: E731

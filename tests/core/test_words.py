@@ -6,6 +6,7 @@ from pathlib import Path
 import markdown
 import pandas as pd
 import pytest
+from support.tables import rows
 
 from lmd.core.words import as_code, escaped, markdown_table
 from lmd.detection.calibration import limits_markdown
@@ -15,26 +16,7 @@ from lmd.plot.common import literal, new_figure
 from pipelines.operations.sweeps.folder import Job, JobFolder, Sweep
 from pipelines.operations.sweeps.summary import Outcome, by_group
 
-PAYLOADS = (
-    "<script>alert(1)</script>",
-    "x</code><script>alert(1)</script>",
-    "`<script>alert(1)</script>`",
-    "a | b",
-    "line\n\n<script>alert(1)</script>\n\n# heading",
-    "[click](javascript:alert(1))",
-    "![x](http://example.org/x.png)",
-    "<img src=x onerror=alert(1)>",
-    "&#60;script&#62;",
-    "**bold** _it_ ~~gone~~",
-    r"\`x\`|\|",
-    "{: onclick=alert(1) }",
-    "$x_{",
-    "\x1b[2J\u202e",
-    "``",
-    "",
-    " ",
-    "'\"><svg onload=alert(1)>",
-)
+PAYLOADS = rows(__file__, "texts of strangers")
 EXTENSIONS = ["tables", "attr_list", "admonition", "pymdownx.highlight", "pymdownx.superfences"]  # of the site
 HARMLESS = {"table", "thead", "tbody", "tr", "th", "td", "p", "code", "strong", "h1", "h2", "html", "head", "meta"}
 HARMLESS |= {"title", "style", "body"}

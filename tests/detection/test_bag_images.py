@@ -5,28 +5,11 @@ import numpy as np
 import pytest
 from support import bags as bf
 from support import walks
+from support.bags import GREY, SMALL, bag_of, only
 
 from lmd.core.checks import InputError
-from lmd.detection.photographed import ENCODINGS, images_in
+from lmd.detection.photographed import ENCODINGS
 from lmd.formats.bags import COMPRESSED, IMAGE
-from lmd.geometry.camera import Camera
-
-SMALL = Camera(2.0, 0.01, 0.01, (8.0, 6.0), 16, 12, 0.0)
-GREY = np.random.default_rng(0).integers(0, 256, (12, 16), dtype=np.uint8)
-
-
-def bag_of(path, values, kind=IMAGE, count=1, topic="/image"):
-    """A bag with the same message each tenth of a second."""
-    return bf.write(path, [(topic, kind, k * 10**8, values) for k in range(count)])
-
-
-def images(path, **more):
-    return images_in(path, **{"topic": None, "rate": 5.0, "argument": "photographs", "count": 1, **more})
-
-
-def only(path, **more):
-    (found,) = images(path, **more).values()
-    return found
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)

@@ -17,7 +17,7 @@ from lmd.detection.detectors import AprilTagDetector, ArucoDetector
 from lmd.detection.mosaic import Mosaics
 from lmd.detection.tag_views import BoardImages
 from lmd.geometry.camera import Camera
-from lmd.geometry.se3 import camera_pose, poses_from_rows
+from lmd.geometry.se3 import camera_pose
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
@@ -115,12 +115,3 @@ def test_images_that_are_traps_are_not_opened(board, tmp_path):
     os.mkfifo(tmp_path / "a.png")
     with pytest.raises(InputError, match=r"^folder: .*a\.png' cannot be read: it is a pipe"):
         views_of(of(board, folder=str(tmp_path)))
-
-
-def test_rows_of_poses_have_unit_quaternions():
-    turn = Rotation.from_rotvec([0.1, 0.2, 0.3])
-    pose = poses_from_rows(np.array([[1.0, 2.0, 3.0, *turn.as_quat()]]))
-    np.testing.assert_allclose(pose[0, :3, :3], turn.as_matrix())
-    assert pose[0, :3, 3].tolist() == [1.0, 2.0, 3.0]
-    with pytest.raises(InputError, match="frame 0: the quaternion must have length 1, it has 2"):
-        poses_from_rows(np.array([[1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 2.0]]))

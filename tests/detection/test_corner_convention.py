@@ -30,23 +30,6 @@ def test_pixels_are_counted_from_the_border(found, name):
     assert_allclose(offsets.mean(axis=0), 0.0, atol=0.04)
 
 
-@pytest.mark.parametrize(("method", "middle"), [("SUBPIX", 0.5), ("CONTOUR", 0.5), ("APRILTAG", 0.06)])
-def test_opencv_counts_from_the_middle_but_for_one_method(method, middle):
-    aruco = cv2.aruco
-    settings = aruco.DetectorParameters()
-    settings.cornerRefinementMethod = getattr(aruco, f"CORNER_REFINE_{method}")
-    detector = aruco.ArucoDetector(aruco.getPredefinedDictionary(aruco.DICT_APRILTAG_36h11), settings)
-    offsets = []
-    for number in range(TAGS):
-        rng = np.random.default_rng([3, number])
-        into, size = measured.homography(PITCH, rng)
-        image = measured.render(measured.tag_picture(number), into, size, 0.5, measured.ORDINARY, rng)
-        offsets.append(
-            detector.detectMarkers(image)[0][0][0].mean(axis=0) - measured.project(into, SQUARE).mean(axis=0)
-        )
-    assert_allclose(np.mean(offsets, axis=0), -middle, atol=0.06)
-
-
 @pytest.mark.parametrize("name", CORNER_ERRORS)
 def test_edges_lie_as_far_inward_as_the_preset_says(found, name):
     assert_allclose(found[name][2].mean(), CORNER_ERRORS[name].inward_at(np.array(PITCH)), atol=0.06)

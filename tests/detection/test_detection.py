@@ -3,6 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.tables import rows
 
 from lmd.core.checks import InputError
 from lmd.detection.calibration import fit
@@ -35,21 +36,7 @@ CAMERA = Camera(5.0, 0.0116, 0.0116, (400.0, 300.0), 800.0, 600.0, 5.0, 1778.0)
 WALLS = Cuboid((4.0, 3.0, 3.0), (2.0, 1.0, 1.0), 0.5).surfaces()
 TURNS = np.radians([0.0, 90.0, 180.0, 270.0, 37.0, 201.0, 333.0, 119.0])
 POSE = camera_pose([1.9, 1.0, 1.45], 0.1, 0.05, 0.1)
-DETECTORS = {
-    "aruco 36h11": (ArucoDetector("36h11"), "36h11", 0.6),
-    "aruco fine 36h11": (ArucoDetector("36h11", "fine"), "36h11", 0.6),
-    "aruco 25h9": (ArucoDetector("25h9"), "25h9", 0.6),
-    "aruco 4x4": (ArucoDetector("4x4_50"), "4x4_50", 0.6),
-    "aruco 6x6": (ArucoDetector("6x6_250"), "6x6_250", 0.6),
-    "aruco original": (ArucoDetector("aruco_original"), "aruco_original", 0.6),
-    "aruco mip 36h12": (ArucoDetector("aruco_mip_36h12"), "aruco_mip_36h12", 0.6),
-    "apriltag 36h11": (AprilTagDetector("36h11"), "36h11", 0.3),
-    "apriltag 36h11, half size": (AprilTagDetector("36h11", quad_decimate=2.0), "36h11", 0.3),
-    "apriltag 25h9": (AprilTagDetector("25h9"), "25h9", 0.3),
-    "apriltag 16h5": (AprilTagDetector("16h5", most_errors=0), "16h5", 0.3),
-    "apriltag 41h12": (AprilTagDetector("41h12"), "41h12", 0.3),
-    "apriltag circle21h7": (AprilTagDetector("circle21h7", most_errors=0), "circle21h7", 0.3),
-}
+KINDS = {"aruco": (ArucoDetector, 0.6), "apriltag": (AprilTagDetector, 0.3)}  # and how far corners may be off, pixels
 
 
 def room(family):
@@ -65,9 +52,10 @@ def test_the_largest_family_is_found_too():
     check_known_answers(AprilTagDetector("52h13"), "52h13", 0.3)  # its table takes 3.2 GB
 
 
-@pytest.mark.parametrize("name", DETECTORS)
-def test_known_answers(name):
-    check_known_answers(*DETECTORS[name])
+@pytest.mark.parametrize(("kind", "settings"), rows(__file__, "detectors"))
+def test_known_answers(kind, settings):
+    make, tolerance = KINDS[kind]
+    check_known_answers(make(**settings), settings["family"], tolerance)
 
 
 def check_known_answers(detector, family, tolerance):
@@ -95,13 +83,7 @@ def test_an_image_without_tags():
             detector.detect(blank.astype(float))
 
 
-@pytest.mark.parametrize(
-    "lens",
-    [
-        {"distortion": (-0.2, 0.05, 0.001, 0.002)},
-        {"distortion": (0.01, -0.02, 0.005, 0.0), "distortion_model": "equidistant"},
-    ],
-)
+@pytest.mark.parametrize("lens", rows(__file__, "lenses"))
 def test_pose_by_exact_corners(lens):
     renderer = Renderer(replace(CAMERA, **lens), room("36h11"))
     image = renderer.corners(POSE)
@@ -177,9 +159,8 @@ def test_neither_kind_of_error_outweighs_the_other():
     rng = np.random.default_rng(0)
     pitch, incidence, sigma = rng.uniform([0.5, 0.0, 0.5], [6.0, 1.4, 0.5], (20000, 3)).T
     seen = rng.random(len(pitch)) < np.clip((pitch - 1.0) / 4.0, 0.0, 0.7)  # the most accurate limit sees too few
-    result = fit(
-        TagViews(pitch, incidence, np.full(len(pitch), 50.0), sigma, seen, np.zeros(len(pitch))), rng, margin=0.0
-    )
+    views = TagViews(pitch, incidence, np.full(len(pitch), 50.0), sigma, seen, np.zeros(len(pitch)))
+    result = fit(views, rng, margin=0.0)
     assert result.precision == pytest.approx(result.recall, abs=0.05)
 
 

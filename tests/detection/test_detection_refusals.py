@@ -1,6 +1,6 @@
 """Bad settings of detectors, views and images get one sentence."""
 
-from support.refusals import refusals
+from support.tables import refusals
 
 from lmd.detection.video import Video
 

@@ -5,6 +5,7 @@ import cv2
 import numpy as np
 import pytest
 from PIL import Image
+from support.tables import rows
 
 from lmd.core.checks import InputError
 from lmd.detection.images import Photographs
@@ -13,17 +14,14 @@ from lmd.geometry.camera import Camera
 CAMERA = Camera(4.0, 0.02, 0.02, (160.0, 120.0), 320, 240, 0.0)
 
 
-@pytest.mark.parametrize(
-    ("height", "width", "held", "brightest"),
-    [(240, 320, 3, (0, 0)), (240, 320, 6, (0, 0)), (320, 240, 6, (0, -1))],  # 6: to be turned clockwise
-)
+@pytest.mark.parametrize(("height", "width", "held", "brightest"), rows(__file__, "how a camera is held"))
 def test_pixels_are_those_of_the_sensor_unless_only_turned_ones_fit(tmp_path, height, width, held, brightest):
     pixels, exif = np.zeros((height, width), dtype=np.uint8), Image.Exif()
     pixels[:8, :8], exif[0x0112] = 255, held
     Image.fromarray(pixels).save(tmp_path / "1.jpg", exif=exif)
     (image,) = Photographs(tmp_path).read(0, 1, CAMERA)
     assert image.shape == (240, 320)
-    assert image[brightest] > 200
+    assert image[tuple(brightest)] > 200
     assert image.mean() < 2.0
 
 

@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.tables import rows
 
 from lmd.detection.corner_errors import apparent_edge, incidence, pitch
 from lmd.geometry.camera import Camera
@@ -29,15 +30,7 @@ def derivative(camera, pose, centre, normal, step=1e-5):
     return (ends[:2] - ends[2:]).T / (2.0 * step)
 
 
-@pytest.mark.parametrize(
-    ("model", "distortion"),
-    [
-        ("plumb_bob", ()),
-        ("plumb_bob", (-0.15, 0.03, 0.002, -0.003, 0.005)),
-        ("rational_polynomial", (0.15, -0.04, 0.001, 0.0, 0.004, 0.5, -0.07, 0.006, 0.001, 0.0, -0.002, 0.001)),
-        ("equidistant", (0.01, -0.005, 0.002, -0.0005)),
-    ],
-)
+@pytest.mark.parametrize(("model", "distortion"), rows(__file__, "lenses of tags"))
 def test_pitch_and_edge_are_those_of_the_projector(model, distortion):
     camera = replace(CAMERA, distortion=distortion, distortion_model=model)
     for pose, centre, normal in zip(*views(200, np.random.default_rng(0)), strict=True):

@@ -116,13 +116,6 @@ def test_a_detector_is_compared_with_itself():
     assert looks == {"repeated_1": 1.0, "repeated_2": 0.5, "repeated_3": 1.0, "repeated_4": 1.0, "repeated_tags": 5 / 7}
 
 
-def test_a_pdf_known_only_at_its_orientations_is_drawn_from_these():
-    two = pdf.OrientationPdf([0.0, 1.0], [0.1, -0.2], [0.25, 0.75])
-    yaw, pitch, _ = two.draw(4000, np.random.default_rng(0))
-    assert set(zip(yaw.tolist(), pitch.tolist(), strict=True)) == {(0.0, 0.1), (1.0, -0.2)}
-    assert yaw.mean() == pytest.approx(0.75, abs=0.03)
-
-
 @pytest.fixture(scope="module")
 def seen():
     deployment, poses = uniform(), draw_poses(SCENE, 12, 0)
@@ -148,19 +141,6 @@ def test_frames_are_the_same_in_parts_and_after_a_journey(seen):
     assert (
         rendered_frame(renderer, prediction.poses[0], 0, 7) != rendered_frame(renderer, prediction.poses[0], 1, 7)
     ).any()
-
-
-def test_verdicts_of_the_paper_are_its_criteria(seen):
-    prediction, _ = seen
-    assert set(prediction.met) == {"resolution", "field_of_view", "focus", "facing", "hiding"}
-    deployment = uniform()
-    for i, pose in enumerate(prediction.poses):
-        covered = SCENE.visibility.covered(
-            CAMERA, pose[:3, 3], pose[None, :3, 2], deployment.positions, deployment.normals
-        )
-        np.testing.assert_array_equal(covered[0], prediction.visible[i])
-    silent = replace(SCENE, visibility=object())
-    assert verdicts(silent, deployment, prediction.poses) == {}
 
 
 def test_figures_count_what_happened(seen):

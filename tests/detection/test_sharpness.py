@@ -36,11 +36,8 @@ def test_the_smear_of_a_camera_that_moves_is_found():
 
 
 def test_small_tags_say_nothing():
-    assert np.isnan(
-        blur_of(
-            np.zeros((9, 9), dtype=np.uint8), Detections(np.array([1]), np.array([[[1, 1], [5, 1], [5, 5], [1, 5]]])), 8
-        )
-    )
+    small = Detections(np.array([1]), np.array([[[1, 1], [5, 1], [5, 5], [1, 5]]]))
+    assert np.isnan(blur_of(np.zeros((9, 9), dtype=np.uint8), small, 8))
 
 
 def test_frames_are_blurred_beside_the_others():

@@ -6,55 +6,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from support.tables import rows
 
 from lmd.core.checks import InputError
 from lmd.detection.video import Video, container_of
 from lmd.geometry.camera import Camera
 
-
-def h264(frames):
-    """The bytes of a stream without times of grey frames `(F, h, w)`, whose sides are multiples of 16."""
-    height, width = frames[0].shape
-    sides = _ue(width // 16 - 1) + _ue(height // 16 - 1)
-    sequence = bytes([66, 0, 40]) + _packed(_ue(0) + _ue(0) + _ue(2) + _ue(1) + "0" + sides + "1100" + "1")
-    picture = _packed(
-        _ue(0) + _ue(0) + "00" + _ue(0) + _ue(0) + _ue(0) + "000" + _ue(0) + _ue(0) + _ue(0) + "100" + "1"
-    )
-    stream = _unit(0x67, sequence) + _unit(0x68, picture)
-    for number, frame in enumerate(frames):
-        head = _ue(0) + _ue(7) + _ue(0) + "0000" + _ue(number % 2) + "00" + _ue(0) + _ue(1)
-        blocks = frame.reshape(height // 16, 16, width // 16, 16).swapaxes(1, 2).reshape(-1, 256)
-        pixels = [bytes(block) + b"\x80" * 128 for block in blocks]
-        stream += _unit(0x65, _packed(head + _ue(25)) + _packed(_ue(25)).join(pixels) + b"\x80")
-    return stream
-
-
-def _ue(number):
-    """Exp-Golomb code."""
-    bits = f"{number + 1:b}"
-    return "0" * (len(bits) - 1) + bits
-
-
-def _packed(bits):
-    bits += "0" * (-len(bits) % 8)
-    return np.packbits(np.array(list(bits), dtype=np.uint8)).tobytes()
-
-
-def _unit(kind, payload):
-    """A unit with its start code; three bytes that look like one get a byte between them."""
-    out, zeros = bytearray(), 0
-    for byte in payload:
-        if zeros >= 2 and byte <= 3:
-            out.append(3)
-            zeros = 0
-        out.append(byte)
-        zeros = zeros + 1 if byte == 0 else 0
-    return b"\0\0\0\1" + bytes([kind]) + bytes(out)
-
-
 CAMERA = Camera(4.0, 0.02, 0.02, (160.0, 120.0), 320, 240, 0.0)
 UPRIGHT = Camera(4.0, 0.02, 0.02, (120.0, 160.0), 240, 320, 0.0)
 RATE, FRAMES = 10, 20
+RAW = Path(__file__).with_name("files") / "raw.h264"
 STREAM = Path(__file__).parents[2] / "../shared/cases/video/live.webm"  # written without a length
 
 
@@ -87,11 +48,7 @@ def test_so_many_frames_a_second_are_taken_of_a_video(video, rate, step):
     assert images.remarks == []
 
 
-@pytest.mark.parametrize(
-    ("name", "code"),
-    [("a.mp4", "mp4v"), ("a.mov", "mp4v"), ("a.mkv", "MJPG"), ("a.webm", "VP80"),
-     ("a.ts", "mp2v"), ("a.mpg", "mp2v")],
-)  # fmt: skip
+@pytest.mark.parametrize(("name", "code"), rows(__file__, "kinds of videos"))
 def test_videos_of_many_kinds_are_read_from_any_frame_on(tmp_path, name, code):
     images = Video(film(tmp_path / name, code), 100)
     assert [float(name) for name in images.names] == pytest.approx([k / RATE for k in range(FRAMES)], abs=2e-3)
@@ -130,18 +87,16 @@ def test_frames_are_those_of_the_sensor_unless_only_turned_ones_fit(tmp_path, de
         np.testing.assert_array_equal(image, np.rot90(as_stored, -degrees // 90))
 
 
-def test_a_raw_stream_is_read_to_its_end(tmp_path):
-    """It has neither a number of frames nor times."""
-    frames = np.array([np.full((240, 320), 20 + 10 * k, dtype=np.uint8) for k in range(FRAMES)])
-    (tmp_path / "raw.h264").write_bytes(h264(frames))
-    images = Video(tmp_path / "raw.h264", 100)
+def test_a_raw_stream_is_read_to_its_end():
+    """It has neither a number of frames nor times; its macroblocks hold 20, 30, ... as they are, of 32 x 32 pixels."""
+    images, camera = Video(RAW, 100), Camera(4.0, 0.02, 0.02, (16.0, 16.0), 32, 32, 0.0)
     assert images.names == [f"{k / 25:.6f}" for k in range(FRAMES)]
     (remark,) = images.remarks
     assert remark.endswith("raw.h264' has no times: 25 frames a second are taken, as OpenCV says")
     assert not images.is_random_access
-    whole = means(images, 0, FRAMES)
+    whole = means(images, 0, FRAMES, camera)
     np.testing.assert_allclose(np.diff(whole), 10.0 * 255 / 219, atol=1.0)  # 16 to 235 are black and white
-    assert means(images, 9, 12) == whole[9:12]
+    assert means(images, 9, 12, camera) == whole[9:12]
 
 
 @pytest.mark.skipif(not STREAM.exists(), reason="a file that is not part of the project")
@@ -181,23 +136,7 @@ def test_a_video_that_was_cut_says_so(tmp_path):
     np.testing.assert_allclose(means(images, 0, count), np.arange(count) * 10.0, atol=3.0)
 
 
-def test_a_video_of_another_size_is_refused(video):
-    other = Camera(4.0, 0.02, 0.02, (160.0, 120.0), 322, 240, 0.0)
-    with pytest.raises(InputError, match=r"has 320 x 240 pixels, the camera 322 x 240\.$"):
-        list(Video(video, 5).read(0, 1, other))
-
-
-@pytest.mark.parametrize(
-    ("name", "text"),
-    [
-        ("walk.m3u8", "#EXTM3U\n#EXTINF:2.0,\n{}\n#EXT-X-ENDLIST\n"),
-        ("walk.mp4", "ffconcat version 1.0\nfile {}\n"),
-        ("walk.avi", "#EXTM3U\n#EXTINF:2.0,\n{}\n#EXT-X-ENDLIST\n"),
-        ("walk.sdp", "v=0\no=- 0 0 IN IP4 127.0.0.1\nc=IN IP4 127.0.0.1\nm=video 5004 RTP/AVP 96\n# {}"),
-        ("walk%02d.png", "{}"),
-        ("walk.mpd", "<MPD><Period><AdaptationSet><BaseURL>{}</BaseURL></AdaptationSet></Period></MPD>"),
-    ],
-)
+@pytest.mark.parametrize(("name", "text"), rows(__file__, "files that name another one"))
 def test_a_file_that_names_another_one_is_refused_before_it_is_opened(tmp_path, monkeypatch, name, text):
     other = film(tmp_path / "walk01.mp4", "mp4v")
     monkeypatch.setattr(cv2, "VideoCapture", None)

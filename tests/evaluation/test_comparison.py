@@ -1,18 +1,16 @@
-import json
 import signal
 import subprocess
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from mlflow import MlflowClient
 from support.processes import call, command, start
+from support.tables import rows
 
 from lmd.evaluation.comparison import OptimiserRun, attained, best_at, compared, comparison_markdown, curve_targets
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.ledger import Record
-from lmd.plot.charts import save_comparison_figure
 from lmd.scene.deployment import Deployment
 
 
@@ -23,12 +21,8 @@ def run_of(name, seed, *fitness):
 
 
 KEY = "qualified_ratio"
-RUNS = [
-    run_of("slow", 0, 0.2, 0.4),
-    run_of("slow", 1, 0.1, 0.5),
-    run_of("fast", 0, 0.5, 0.9),
-    run_of("fast", 1, 0.7, 0.8),
-]
+FITNESS = {"slow": ((0.2, 0.4), (0.1, 0.5)), "fast": ((0.5, 0.9), (0.7, 0.8))}
+RUNS = [run_of(name, seed, *fitness) for name, both in FITNESS.items() for seed, fitness in enumerate(both)]
 
 
 def test_the_best_median_comes_first():
@@ -82,15 +76,7 @@ def test_of_seeds_that_not_all_have_run_those_of_both_are_pairs():
     assert compared(GOOD[:1], KEY).test == ""
 
 
-@pytest.mark.parametrize(
-    ("seeds", "others", "limit"),
-    [
-        (3, 1, "With 3 seeds p is at least 0.25, so no difference can reach p < 0.05; 6 seeds can."),
-        (6, 2, "With 6 seeds p is at least 0.062, so no difference can reach p < 0.05; 7 seeds can."),
-        (7, 2, "With 7 seeds p can fall to 0.031."),
-        (1, 2, "With 1 seed there is no test, so no difference can reach p < 0.05; 7 seeds can."),
-    ],
-)
+@pytest.mark.parametrize(("seeds", "others", "limit"), rows(__file__, "what seeds can show"))
 def test_it_says_what_its_seeds_can_show(seeds, others, limit):
     """The least p of the signed-rank test is 2 / 2^seeds, times the comparisons for Holm."""
     runs = [run for i in range(others + 1) for run in runs_of(f"r{i}", *(0.01 * np.arange(1, seeds + 1) + 0.2 * i))]
@@ -98,21 +84,6 @@ def test_it_says_what_its_seeds_can_show(seeds, others, limit):
     assert found.test.splitlines()[1:] == ["", limit]
     if seeds > 1:
         assert found.table.p_value.min() == pytest.approx(others * 2.0 ** (1 - seeds))
-
-
-def test_the_picture_says_what_its_axes_are_and_has_a_style_for_each(tmp_path, monkeypatch):
-    saved = []
-    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda figure, *_: saved.append(figure))
-    runs = [run_of(f"r{i}", seed, 0.1, 0.2 + 0.02 * i + 0.1 * seed) for i in range(12) for seed in (0, 1)]
-    save_comparison_figure(tmp_path / "c.png", runs, "evaluations", Coverage.headline, "title")
-    convergence, distribution = saved[0].axes
-    assert distribution.get_ylabel() == "share of (run, target) pairs reached [%]"
-    assert distribution.get_title() == "50 targets: best fitness of 10.8 to 52.0%"
-    best = max(line.get_ydata()[-1] for line in distribution.lines)
-    assert best == pytest.approx(50.0 * (1.0 + np.mean(curve_targets(runs) <= 0.42)))
-    for axes in (convergence, distribution):
-        assert len({(line.get_color(), line.get_linestyle()) for line in axes.lines}) == 12
-        assert len({line.get_color() for line in axes.lines}) == 10
 
 
 def test_the_markdown_table_has_a_row_for_each_and_says_what_was_tested():
@@ -136,43 +107,6 @@ def test_the_share_of_targets_grows_to_what_was_reached():
 def test_curves_are_steps():
     curve = best_at(RUNS[:1], "evaluations", np.array([5, 10, 15, 20, 99]))
     np.testing.assert_array_equal(curve, [[np.nan, 0.2, 0.2, 0.4, 0.4]])
-
-
-@pytest.mark.slow
-def test_a_comparison_leaves_a_table_a_plot_and_nested_runs(tmp_path):
-    done = call(
-        "compare", "optimisers=[ega,'ega optimiser.population=12']", "seeds=2", "budget.evaluations=40",
-        "deployment.count=20", "hydra.run.dir=run", "validate=true", "tracking.uri=sqlite:///store.db",
-        cwd=tmp_path,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    table = pd.read_csv(tmp_path / "run" / "comparison.csv")
-    assert set(table.optimiser) == {"ega", "ega optimiser.population=12"}
-    assert (table.runs == 2).all()
-    for kind in ("md", "png"):
-        saved = (tmp_path / "docs" / f"table.{kind}").read_bytes()
-        assert saved == (tmp_path / "run" / f"comparison.{kind}").read_bytes()
-    runs = recorded(tmp_path)
-    parents = [r.data.tags.get(PARENT) for r in runs]
-    (parent,) = [r.info.run_id for r in runs if PARENT not in r.data.tags]
-    found = [r.data.metrics["off_grid"] for r in runs if PARENT in r.data.tags and r.data.params["optimiser"] == "ega"]
-    assert table.set_index("optimiser").off_grid["ega"] == np.median(found)
-    assert sorted(map(str, parents)) == sorted(["None"] + 4 * [parent])
-    assert all(r.info.status == "FINISHED" for r in runs)
-
-
-@pytest.mark.slow
-def test_a_comparison_gives_what_single_runs_give(tmp_path):
-    shared = ("deployment.count=20", "tag.edge=0.05", "tracking=none", "budget.evaluations=40")
-    call("compare", *shared, "optimisers=[ega]", "seeds=1", "seed=3", "workers=1", "hydra.run.dir=many", cwd=tmp_path)
-    call("optimise", *shared, "optimiser=ega", "seed=3", "hydra.run.dir=one", cwd=tmp_path)
-    one = json.loads((tmp_path / "one" / "metrics.json").read_text())
-    landmarks = Path("landmarks.csv")
-    kept = tmp_path / "many" / "runs" / "ega seed=3" / landmarks
-    assert kept.read_text().startswith("id,x,y,z,nx,ny,nz,ux,uy,uz\n")
-    assert kept.read_text() == (tmp_path / "one" / landmarks).read_text()
-    table = pd.read_csv(tmp_path / "many" / "comparison.csv")
-    assert (table.qualified_ratio[0], table.fitness_max[0]) == (one["qualified_ratio"], one["fitness"])
 
 
 @pytest.mark.slow
@@ -209,47 +143,3 @@ PARENT = "mlflow.parentRunId"
 
 def recorded(cwd):
     return MlflowClient(tracking_uri=f"sqlite:///{cwd}/store.db").search_runs(["1"])
-
-
-@pytest.mark.slow
-def test_a_misspelt_optimiser_fails_before_anything_runs(tmp_path):
-    done = call("compare", "optimisers=[ega,egg]", "tracking=none", "hydra.run.dir=run", cwd=tmp_path)
-    assert done.returncode == 1
-    assert done.stderr.startswith("error: optimisers: 'egg' is refused")
-    assert not (tmp_path / "run").exists()
-
-
-PLUGIN = """
-from lmd.optimisers.base import AskTell
-
-
-class HillClimber(AskTell):
-    def __init__(self, step=0.1, seed=0):
-        super().__init__(seed)
-        self.step = step
-
-    def _ask(self):
-        if self.best_genes is None:
-            return self.start
-        return self.best_genes + self.rng.normal(0.0, self.step, (4, self.dim))
-
-    def _tell(self, genes, fitness):
-        pass
-"""
-
-
-@pytest.mark.slow
-def test_an_optimiser_is_added_from_a_folder_outside_the_repository(tmp_path):
-    group = tmp_path / "mine" / "optimiser"
-    group.mkdir(parents=True)
-    (group / "hill.yaml").write_text("_target_: climbing.HillClimber\nstep: 0.05\n")
-    (tmp_path / "climbing.py").write_text(PLUGIN)
-    overrides = [f"hydra.searchpath=[file://{tmp_path}/mine]", "optimiser=hill", "budget.evaluations=33",
-                 "deployment.count=20", "hydra.run.dir=run",
-                 "tracking.uri=sqlite:///store.db"]  # fmt: skip
-    done = call("optimise", *overrides, cwd=tmp_path, folders=[tmp_path])
-    assert done.returncode == 0, done.stderr
-    assert json.loads((tmp_path / "run" / "metrics.json").read_text())["evaluations"] == 33
-    (run,) = MlflowClient(tracking_uri=f"sqlite:///{tmp_path}/store.db").search_runs(["1"])
-    assert run.data.tags["choice.optimiser"] == "hill"
-    assert run.data.params["optimiser.step"] == "0.05"

@@ -80,14 +80,11 @@ def test_two_tags_are_in_view_as_often_as_counted_by_hand():
 REEF = [[5.321, 4.5061], [4.4893, 4.9863], [3.6576, 4.5061], [3.6576, 3.5457], [4.4893, 3.0655], [5.321, 3.5457]]
 
 
-def test_tags_that_rounding_puts_into_a_reef_touch_it(capsys):
+def test_tags_that_rounding_puts_into_a_reef_touch_it_and_deeper_ones_are_named(capsys):
     problem = build_problem(composed(f"room.holes=[{REEF}]"))
     hung = problem.draw(np.random.default_rng(0))
     assert problem.scene.room.contains(corners(hung.positions, hung.normals, hung.ups, problem.scene.tag.size)).all()
     assert "no camera sees" not in capsys.readouterr().err
-
-
-def test_tags_that_are_deep_in_a_reef_are_named(capsys):
     centre = np.mean(REEF, axis=0)
     build_problem(composed(f"room.holes=[{(centre + 1.2 * (np.array(REEF) - centre)).round(3).tolist()}]"))
     assert "where no camera sees them: 17, 18, 19, 20" in capsys.readouterr().err

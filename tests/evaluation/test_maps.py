@@ -46,29 +46,20 @@ def moved(hung, turn=(0.0, 0.0, 0.0), about=(0.0, 0.0, 0.0), shift=(0.0, 0.0, 0.
     )
 
 
-def test_a_single_tag_that_is_shifted_shifts_the_camera_as_far():
+@pytest.mark.parametrize(
+    ("turn", "shift", "position", "attitude"),
+    [
+        ((0.0, 0.0, 0.0), (0.0, 0.003, 0.004), 0.005, 0.0),  # shifts the camera as far
+        ((0.0, 0.02, 0.0), (0.0, 0.0, 0.0), 2.0 * AWAY * np.sin(0.01), 0.02),  # a tilt swings it about the tag
+        ((0.0, 0.0, 0.02), (0.0, 0.0, 0.0), 2.0 * AWAY * np.sin(0.01), 0.02),
+        ((0.03, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.03),  # rolls it in place
+    ],
+)
+def test_a_single_tag_that_is_moved_moves_the_camera(turn, shift, position, attitude):
     truth, poses = before_a_tag()
-    position, attitude = errors_of(problem_of(), truth, moved(truth, shift=(0.0, 0.003, 0.004)), poses)
-    assert position == pytest.approx(0.005, rel=1e-4)
-    assert attitude == pytest.approx(0.0, abs=1e-6)
-
-
-@pytest.mark.parametrize("axis", [(0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
-def test_a_single_tag_that_is_tilted_swings_the_camera_about_it(axis):
-    truth, poses = before_a_tag()
-    angle, centre = 0.02, truth.deployment.positions[0]
-    known = moved(truth, angle * np.array(axis), about=centre)
-    position, attitude = errors_of(problem_of(), truth, known, poses)
-    assert position == pytest.approx(2.0 * AWAY * np.sin(angle / 2.0), rel=1e-3)
-    assert attitude == pytest.approx(angle, rel=1e-3)
-
-
-def test_a_single_tag_that_is_turned_rolls_the_camera_in_place():
-    truth, poses = before_a_tag()
-    known = moved(truth, (0.03, 0.0, 0.0), about=truth.deployment.positions[0])
-    position, attitude = errors_of(problem_of(), truth, known, poses)
-    assert position == pytest.approx(0.0, abs=1e-4)
-    assert attitude == pytest.approx(0.03, rel=1e-3)
+    known = moved(truth, turn, truth.deployment.positions[0], shift)
+    found = errors_of(problem_of(), truth, known, poses)
+    np.testing.assert_allclose(np.ravel(found), [position, attitude], rtol=1e-3, atol=1e-4)
 
 
 def test_a_map_that_is_off_as_a_whole_moves_every_pose_with_it():

@@ -40,9 +40,8 @@ TAG = Tag(0.1)
 
 
 def problem_of(deployment=None, objective=None, tag=TAG, threads=1, **visibility):
-    scene = replace(
-        paper_scene(room=paper_room(spacing=1.5), orientations=pdf.grid_with_ends(6), **visibility), tag=tag
-    )
+    scene = paper_scene(room=paper_room(spacing=1.5), orientations=pdf.grid_with_ends(6), **visibility)
+    scene = replace(scene, tag=tag)
     start = UniformDeployment(30) if deployment is None else GivenDeployment(deployment.with_surfaces(scene.room))
     return Problem(scene, objective or Localisation(), start, threads)
 
@@ -63,10 +62,8 @@ def tagged(scene, edge):
     tolerance=st.sampled_from([0.02, 0.2, np.inf]),
 )
 def test_what_is_left_without_landmarks_is_what_the_others_are_worth(data, scene, n, tolerance):
-    deployment, objective = (
-        data.draw(deployments(scene.room, 6)),
-        Localisation(n, tolerance=tolerance, ambiguity="ignored"),
-    )
+    deployment = data.draw(deployments(scene.room, 6))
+    objective = Localisation(n, tolerance=tolerance, ambiguity="ignored")
     assume(len(deployment) >= 3)
     evaluator = Evaluator(scene, threads=1)
     found = lost_shares(objective.field(evaluator), deployment)
@@ -143,17 +140,6 @@ def test_half_the_noise_is_twice_the_tolerance():
     assert (np.diff(shares.edge) > 0.0).all()  # larger tags tell more, and these criteria see them as before
 
 
-def test_an_objective_of_coverage_is_judged_with_the_default_assumptions():
-    problem = problem_of(objective=Coverage(3, 0.65))
-    pd.testing.assert_frame_equal(
-        measured(problem).assumptions, measured(problem_of(objective=Localisation(3))).assumptions
-    )
-
-
-def test_points_have_no_edge_to_vary():
-    assert set(measured(problem_of(tag=Tag())).assumptions.assumption) == {"pixel_noise", "tolerance"}
-
-
 def test_papers_that_would_overlap_have_a_sentence_instead_of_a_figure():
     positions = np.array([[0.0, 2.0, 3.0], [0.0, 2.15, 3.0], [1.0, 0.0, 3.0]])
     found = measured(problem_of(Deployment(positions, np.array([X, X, Y]))))
@@ -164,6 +150,21 @@ def test_papers_that_would_overlap_have_a_sentence_instead_of_a_figure():
     assert edge.loc[:1.0, SHARE_COLUMNS].notna().all(axis=None)
     assert "edge_2/localised_share" not in found.metrics()
     assert "edge x 2: landmarks 0 and 1" in found.to_text()
+
+
+def test_points_have_no_edge_and_an_objective_of_coverage_has_the_default_assumptions():
+    points = measured(problem_of(tag=Tag(), objective=Coverage(3, 0.65))).assumptions
+    assert set(points.assumption) == {"pixel_noise", "tolerance"}
+    expected = measured(problem_of(tag=Tag(), objective=Localisation(3))).assumptions
+    pd.testing.assert_frame_equal(points, expected)
+
+
+def test_a_single_landmark_has_no_pair_to_lose_and_is_named_by_its_id():
+    one = Deployment(np.array([[0.0, 2.0, 3.0]]), np.array([X]), labels=Labels(np.array([57])))
+    found = measured(problem_of(one, Coverage(1, 0.5), Tag()))
+    assert found.lost.lost.tolist() == [1, 1]
+    assert found.lost.worst_ids.tolist() == ["57", "57"]
+    assert found.tags.covered_loss[0] == pytest.approx(found.misses.covered_share[0])
 
 
 def test_the_number_of_threads_does_not_matter():
@@ -184,18 +185,3 @@ def test_all_figures_have_a_name_and_are_shown(tmp_path):
     path = tmp_path / "sensitivity.png"
     save_sensitivity_figure(path, found, "T")
     assert imread(path).shape[:2] == (500, 1500)
-
-
-def test_the_worst_to_lose_are_named_by_their_ids():
-    ids = np.arange(50, 80)
-    deployment = replace(UniformDeployment(30).draw(paper_room(), np.random.default_rng()), labels=Labels(ids))
-    found = measured(problem_of(deployment))
-    dearest = found.tags.id[found.tags.covered_loss.argmax()]
-    assert found.lost.set_index(["lost", "share"]).worst_ids[(1, "covered_share")] == str(dearest)
-
-
-def test_a_single_landmark_has_no_pair_to_lose():
-    problem = problem_of(Deployment(np.array([[0.0, 2.0, 3.0]]), np.array([X])), Coverage(1, 0.5), Tag())
-    found = measured(problem)
-    assert found.lost.lost.tolist() == [1, 1]
-    assert found.tags.covered_loss[0] == pytest.approx(found.misses.covered_share[0])

@@ -78,14 +78,8 @@ def test_the_critical_difference_is_that_of_demsar():
 
 def test_profiles_count_the_problems_that_are_solved_within_a_ratio():
     fast, slow = [0.0, 1.0], [0.0, 0.0, 0.0, 1.0]
-    runs = [
-        run_of("p", "a", 0, fast),
-        run_of("p", "b", 0, slow),
-        run_of("q", "a", 0, [0.0, 0.0]),
-        run_of("q", "b", 0, fast),
-        run_of("r", "a", 0, [0.0]),
-        run_of("r", "b", 0, [0.0]),
-    ]
+    values = {"pa": fast, "pb": slow, "qa": [0.0, 0.0], "qb": fast, "ra": [0.0], "rb": [0.0]}
+    runs = [run_of(*both, 0, each) for both, each in values.items()]
     ratios = running_time_ratios(runs, {"p": 1.0, "q": 1.0, "r": 1.0})
     assert ratios.loc["p"].to_dict() == {"a": 1.0, "b": 2.0}
     assert ratios.loc["q"].to_dict() == {"a": math.inf, "b": 1.0}
@@ -123,15 +117,8 @@ def test_iohinspector_draws_the_ecdf_that_we_draw(read, runs):
     from iohinspector.metrics import get_data_ecdf
 
     at = np.arange(1, 21)
-    theirs = get_data_ecdf(
-        read.select(COLUMNS),
-        f_min=0.0,
-        f_max=0.6,
-        scale_f_log=False,
-        eval_values=at,
-        scale_eval_log=False,
-        maximization=True,
-    )
+    how = {"f_min": 0.0, "f_max": 0.6, "scale_f_log": False, "scale_eval_log": False, "maximization": True}
+    theirs = get_data_ecdf(read.select(COLUMNS), eval_values=at, **how)
     for name in "abc":
         own = [run for run in runs if run.optimiser == name]
         column = theirs[theirs.algorithm_name == name].set_index("evaluations")["eaf"]

@@ -71,14 +71,6 @@ def test_what_hangs_already_stays():
         np.testing.assert_array_equal(deployment.positions[:2], fixed.positions)
 
 
-def test_a_problem_can_be_started_from_any_deployment():
-    problem = problem_of(12)
-    deployment = drawn(problem, seed=3)
-    again = started(problem, deployment)
-    np.testing.assert_array_equal(drawn(again).positions, deployment.positions)
-    assert again.fitness_of(deployment) == problem.fitness_of(deployment)
-
-
 def test_neighbours_lend_what_they_have_found():
     """Searches that do nothing: all that is found is what neighbours give."""
     known = {count: Found(drawn(problem_of(count)), 0.0, ANEW) for count in (8, 10, 12)}
@@ -91,17 +83,12 @@ def test_neighbours_lend_what_they_have_found():
         ways.append((count, way))
         return Found(drawn(problem), 0.5, way)
 
+    assert list(improved(known, [10], problem_of, lambda _, problem, way: Found(drawn(problem), 1.0, way))) == [10]
     found = improved(known, [8, 10, 12], problem_of, search)
     assert ways == [(10, FEWER), (12, FEWER), (10, MORE), (8, MORE)]
     assert {count: each.way for count, each in found.items()} == {8: MORE, 10: ANEW, 12: FEWER}
     np.testing.assert_array_equal(found[12].deployment.positions[:10], good.positions)
     assert {tuple(p) for p in found[8].deployment.positions} < {tuple(p) for p in good.positions}
-
-
-def test_only_what_is_chosen_is_searched():
-    known = {count: Found(drawn(problem_of(count)), 0.0, ANEW) for count in (8, 10, 12)}
-    found = improved(known, [10], problem_of, lambda _, problem, way: Found(drawn(problem), 1.0, way))
-    assert list(found) == [10]
 
 
 EDGES = (0.1, 0.3)
@@ -195,10 +182,4 @@ def test_along_a_limit_there_are_mixtures_and_the_gap_is_halved_by_whole_tags():
 
 def test_the_picture_shows_a_mixture_and_what_it_is_made_of(tmp_path):
     save_tradeoff_figure(tmp_path / "a.png", ALONG_PAPER, [Panel("a", "share")], "T", PAPER)
-    assert imread(tmp_path / "a.png").shape[:2] == (450, 1100)
-
-
-def test_the_picture_has_a_panel_for_each_figure(tmp_path):
-    panels = [Panel("a", "share", "share", 0.5), Panel("b", "share")]
-    save_tradeoff_figure(tmp_path / "a.png", pd.concat([SMALL, LARGE]), panels, "T")
     assert imread(tmp_path / "a.png").shape[:2] == (450, 1100)

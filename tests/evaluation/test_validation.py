@@ -19,9 +19,8 @@ RATIO, AVERAGE = "grid_free_qualified_ratio", "grid_free_average_coverage_probab
 
 
 def coarse_problem(orientations=None, threads=None, sampling=None, **room):
-    scene = paper_scene(
-        room=paper_room(**({"spacing": 1.5} | room)), orientations=orientations or pdf.grid_with_ends(6)
-    )
+    there = paper_room(**({"spacing": 1.5} | room))
+    scene = paper_scene(there, orientations=orientations or pdf.grid_with_ends(6))
     return Problem(scene, Coverage(2, 0.4, sampling), UniformDeployment(90), threads=threads)
 
 
@@ -36,17 +35,11 @@ def from_samples(count=40):
     )
 
 
-def test_the_finer_grid_is_the_references_at_half_the_spacing_and_half_the_step():
-    p = coarse_problem()
-    finer = replace(p.scene, room=paper_room(spacing=0.75), pdf=pdf.grid_with_ends(12))
-    probability = reference.coverage_probability(reference.counts(finer, deployment_of(p)), finer.pdf, 2)
-    metrics = validation_metrics(p, deployment_of(p), 0, SMALL)
-    assert metrics["finer_grid_qualified_ratio"] == reference.qualified(probability, 0.4).mean()
-
-
-def test_samples_are_not_refined_but_the_positions_are():
-    p = coarse_problem(from_samples())
-    finer = replace(p.scene, room=paper_room(spacing=0.75))
+@pytest.mark.parametrize("samples", [False, True])
+def test_the_finer_grid_is_the_references_at_half_the_spacing_and_half_the_step(samples):
+    """Samples are not refined, but the positions are."""
+    p = coarse_problem(from_samples() if samples else None)
+    finer = replace(p.scene, room=paper_room(spacing=0.75), pdf=p.scene.pdf if samples else pdf.grid_with_ends(12))
     probability = reference.coverage_probability(reference.counts(finer, deployment_of(p)), finer.pdf, 2)
     metrics = validation_metrics(p, deployment_of(p), 0, SMALL)
     assert metrics["finer_grid_qualified_ratio"] == reference.qualified(probability, 0.4).mean()
@@ -92,10 +85,8 @@ def test_the_average_agrees_with_independent_poses():
     positions = rng.uniform(p.scene.room.reachable_low, p.scene.room.reachable_high, (poses, 3))
     axes = rng.normal(size=(poses, 1, 3))
     axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
-    covered = [
-        reference.coverage_caps(p.scene, deployment, at, axis).sum() >= 2
-        for at, axis in zip(positions, axes, strict=True)
-    ]
+    views = zip(positions, axes, strict=True)
+    covered = [reference.coverage_caps(p.scene, deployment, at, axis).sum() >= 2 for at, axis in views]
     metrics = validation_metrics(p, deployment, 0, SMALL)
     error = np.hypot(metrics[f"{AVERAGE}_standard_error"], np.std(covered) / np.sqrt(poses))
     assert metrics[AVERAGE] == pytest.approx(np.mean(covered), abs=4.0 * error)
@@ -126,34 +117,7 @@ def test_a_sampling_measures_the_fitness_elsewhere_and_nothing_else():
     assert robust.fitness_of(deployment_of(plain)) == pytest.approx((qualified * weight).sum() / weight.sum())
 
 
-def test_every_way_to_the_fitness_of_a_sampling_agrees():
-    p = coarse_problem(sampling=Sampling(2, 5))
-    rng = np.random.default_rng(0)
-    drawn = [RandomDeployment(90).draw(p.scene.room, rng) for _ in range(3)]
-    fitness = p.fitness(np.stack([d.positions for d in drawn]), np.stack([d.normals for d in drawn])).tolist()
-    assert fitness == [p.fitness_of(d) for d in drawn] == [p.metrics(d)["fitness"] for d in drawn]
-
-
 def test_a_sampling_is_the_same_for_every_problem_and_leaves_samples_as_they_are():
     one, two = (coarse_problem(from_samples(), threads=t, sampling=Sampling(2, 5)).fitness_evaluator for t in (1, 2))
     np.testing.assert_array_equal(one.positions, two.positions)
     assert len(one.axis_of) == 40
-
-
-def test_a_sampling_generalises_better_than_the_grid():
-    """On a coarse grid and few evaluations already."""
-    from support.small import make
-
-    from lmd.optimisers.ledger import Budget
-
-    def validated(sampling):
-        scene = paper_scene(room=paper_room(spacing=1.5), orientations=pdf.grid_with_ends(6))
-        p = Problem(scene, Coverage(2, 0.6, sampling), RandomDeployment(70), threads=1)
-        result = make("annealing").run(p, Budget(400))
-        return p.metrics(result.deployment)["qualified_ratio"], validation_metrics(p, result.deployment, 0, SMALL)[
-            RATIO
-        ]
-
-    plain, robust = validated(None), validated(Sampling(4, 6))
-    assert plain[0] > robust[0]
-    assert plain[1] < robust[1]

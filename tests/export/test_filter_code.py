@@ -4,6 +4,7 @@ import math
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -15,15 +16,6 @@ BOTH = {name: Law(PowerLaw(1e-5 + 0.01 * i, 2.0 + i), PowerLaw(0.02, 1.5, 0.75))
 RULES = {shape: {name: Rule(shape, 0.4, 0.05) for name in QUANTITIES} for shape in ("squared", "photonvision")}
 LAWS = FilterLaws(BOTH, RULES, 2.5, 0.5, 6.0, "24 tags of 0.15 m.")
 CASES = [(1.0, 1), (2.5, 1), (2.6, 1), (0.1, 1), (3.0, 2), (9.0, 5)]
-STUBS = {
-    "edu/wpi/first/math/Matrix.java": "package edu.wpi.first.math; public class Matrix<R, C> { public double[] v; "
-    "public Matrix(double[] v) { this.v = v; } }",
-    "edu/wpi/first/math/VecBuilder.java": "package edu.wpi.first.math; import edu.wpi.first.math.numbers.*; "
-    "public class VecBuilder { public static Matrix<N3, N1> fill(double a, double b, double c) "
-    "{ return new Matrix<>(new double[] {a, b, c}); } }",
-    "edu/wpi/first/math/numbers/N1.java": "package edu.wpi.first.math.numbers; public class N1 {}",
-    "edu/wpi/first/math/numbers/N3.java": "package edu.wpi.first.math.numbers; public class N3 {}",
-}
 
 
 def expected(distance, tags):
@@ -71,11 +63,11 @@ def test_java_code_computes_the_laws(tmp_path):
         '{ System.out.println(m.v[0] + " " + m.v[1] + " " + m.v[2]); } '
         f"public static void main(String[] a) {{ {calls} print({CLASS}.kMultiTagStdDevs); }} }}"
     )
-    files = STUBS | {f"frc/robot/{CLASS}.java": java(LAWS), "frc/robot/Main.java": main}
-    for name, text in files.items():
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+    stubs = Path(__file__).with_name("stubs")
+    for name, text in ((f"{CLASS}.java", java(LAWS)), ("Main.java", main)):
         (tmp_path / name).write_text(text)
-    subprocess.run(["javac", "-Xlint:all", "-Werror", *files], cwd=tmp_path, check=True, timeout=120)
+    files = [*(tmp_path.glob("*.java")), *stubs.rglob("*.java")]
+    subprocess.run(["javac", "-d", ".", "-Xlint:all", "-Werror", *files], cwd=tmp_path, check=True, timeout=120)
     done = subprocess.run(["java", "frc.robot.Main"], cwd=tmp_path, check=True, capture_output=True, timeout=120)
     rows = [[float(value) for value in line.split()] for line in done.stdout.decode().splitlines()]
     for row, case in zip(rows, CASES, strict=False):

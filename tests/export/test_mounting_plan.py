@@ -8,10 +8,9 @@ import pypdfium2
 import pytest
 import trimesh
 from support import rooms
+from support.tables import rows
 
-from lmd.export import overview
-from lmd.export.overview import draw_fixture, draw_opening
-from lmd.export.paper import PAPERS, begin_page, document
+from lmd.export.paper import PAPERS
 from lmd.export.plan import View, write_plan
 from lmd.formats.meshes import read_mesh_room
 from lmd.formats.tag_map import TagMap
@@ -22,22 +21,13 @@ from lmd.scene.footprints import Footprints
 from lmd.scene.labels import Labels
 from lmd.scene.tag import Tag
 from lmd.space.cuboid import Cuboid
-from lmd.space.fixture import KINDS
 from lmd.space.floor_plan import FloorPlan
 
 ROOM = Cuboid((6.0, 4.0, 2.8), (5.0, 3.0, 1.2), 0.5)
 TAG = Tag(0.2)
 PIXELS = 20  # a mm
 LIGHT = 217  # of the black squares on the plan
-# By hand, for whoever stands before the surface: where the tag is, and where it is from the left and from below, mm.
-SEEN = {
-    "x_min": ((0.0, 1.0, 1.2), (1000, 1200)),
-    "x_max": ((6.0, 1.0, 1.2), (3000, 1200)),
-    "y_min": ((2.0, 0.0, 0.7), (4000, 700)),
-    "y_max": ((2.0, 4.0, 0.7), (2000, 700)),
-    "floor": ((2.0, 1.0, 0.0), (2000, 1000)),
-    "ceiling": ((2.0, 1.0, 2.8), (4000, 1000)),
-}
+SEEN = rows(__file__, "tags by hand")  # place in the room, and from the left and from below, mm
 # An obstacle that hangs in the room, so that all of its faces are seen.
 FACES = {"low": [4, 0.5, 0.5], "high": [5, 1.5, 1.5], "faces": ["x_min", "x_max", "y_min", "y_max", "bottom", "top"]}
 
@@ -135,25 +125,6 @@ def test_where_nothing_may_hang_is_grey(tmp_path):
     assert not any(grey(*at) for at in ((4.4, 0.3), (5.6, 1.9), (5.4, 2.1), (1.0, 0.3)))
 
 
-def test_no_tag_hides_the_number_of_its_neighbour(tmp_path):
-    (wall,) = [surface for surface in ROOM.surfaces() if surface.name == "x_min"]
-    at, ids = wall.point(np.array([1.0, 1.13]), np.array([1.0, 1.0])), np.array([77, 88])
-    tags = Deployment(at, np.repeat(wall.normal[None], 2, axis=0), labels=Labels(ids)).with_surfaces(ROOM)
-    (page,) = written(tmp_path / "plan.pdf", tags, tag=Tag(0.1))
-    text = page.get_textpage()
-
-    def left_of(number):
-        """Of the number in the drawing: in the table it is further to the right."""
-        found, lefts = text.search(number), []
-        while (match := found.get_next()) is not None:
-            lefts.append(text.get_charbox(match[0])[0])
-        assert len(lefts) == 2
-        return min(lefts) / 72 * 25.4
-
-    # At a scale of 1 : 25 the tags are 125 mm / 25 wide and 130 mm / 25 apart; the numbers are on either side of both.
-    assert left_of("88") - left_of("77") > 130 / 25 + 125 / 25
-
-
 def test_every_tag_is_in_one_table_even_where_they_go_on_another_page(tmp_path):
     deployment = UniformDeployment(300).draw(ROOM, np.random.default_rng(0))
     pages = written(tmp_path / "plan.pdf", deployment, tag=Tag(0.05))
@@ -227,39 +198,6 @@ def test_the_first_page_names_walls_and_fixtures_and_says_where_each_is_hung(tmp
         assert fixture in text
 
 
-def test_each_id_stands_beside_its_triangle(tmp_path, monkeypatch):
-    tags, drawn, triangles = lab(), {}, []
-    write, draw = overview.write_text, overview._draw_tag
-
-    def note(canvas, x, y, text, **style):
-        drawn.update({int(number): (x, y) for number in text.split(", ") if style["size"] == overview.ID})
-        write(canvas, x, y, text, **style)
-
-    monkeypatch.setattr(overview, "write_text", note)
-    monkeypatch.setattr(overview, "_draw_tag", lambda *given: (triangles.append(given[1]), draw(*given)))
-    write_plan(tmp_path / "plan.pdf", tags, "a4")
-    assert sorted(drawn) == sorted(tags.ids)
-    away = np.linalg.norm(np.array([drawn[number] for number in tags.ids]) - triangles, axis=1)
-    assert away.max() < overview.TAG + 3.0 * overview.ID
-
-
-def test_names_around_pillars_do_not_overlap(tmp_path):
-    holes = [[[x, 1.0], [x + 0.35, 1.0], [x + 0.35, 1.35], [x, 1.35]] for x in (1.0, 1.6)]
-    room = rooms.lab(holes=holes)
-    drawn = Footprints(room, TAG).draw(UniformDeployment(24), np.random.default_rng(0))
-    write_plan(tmp_path / "plan.pdf", TagMap(room, TAG, drawn), "a4")
-    text, boxes = next(iter(pypdfium2.PdfDocument(tmp_path / "plan.pdf"))).get_textpage(), []
-    for pillar, side in itertools.product(range(2), range(4)):
-        found = text.search(f"hole_{pillar}_wall_{side}")
-        while at := found.get_next():
-            corners = np.array([text.get_charbox(i) for i in range(at[0], sum(at))])
-            if corners[:, 2].max() < 500.0:  # on the left of the table
-                boxes.append((corners[:, :2].min(axis=0), corners[:, 2:].max(axis=0)))
-    assert len(boxes) == 8
-    for (low, high), (others_low, others_high) in itertools.combinations(boxes, 2):
-        assert (low >= others_high).any() or (others_low >= high).any()
-
-
 def test_heights_are_from_the_floor_even_where_it_is_not_the_lowest_point(tmp_path):
     plan = FloorPlan(rooms.L_SHAPE, 2.5, obstacles=[{"low": [1, 1, 1], "high": [2, 2, 1.5]}])
     scene = trimesh.load_scene(rooms.written(tmp_path / "lab.glb", plan))
@@ -273,22 +211,6 @@ def test_heights_are_from_the_floor_even_where_it_is_not_the_lowest_point(tmp_pa
     write_plan(tmp_path / "plan.pdf", TagMap(room, TAG, tag), "a4")
     _, page = pypdfium2.PdfDocument(tmp_path / "plan.pdf")
     assert "1 0 500 1250 375 1125" in words(page)  # 250 mm above the lower edge of the box, which hangs at 1 m
-
-
-def test_doors_windows_and_furniture_are_told_apart_without_their_names(tmp_path):
-    ring, drawn = np.array([(10.0, 10.0), (30.0, 10.0), (30.0, 50.0), (10.0, 50.0)]), {}
-    for kind in KINDS:
-        with document(tmp_path / "symbols.pdf", "symbols") as canvas:
-            begin_page(canvas, 60.0, 60.0)
-            draw_fixture(canvas, kind, ring)
-            draw_opening(canvas, kind, np.array([(40.0, 10.0), (40.0, 50.0)]))
-            canvas.showPage()
-        (page,) = pypdfium2.PdfDocument(tmp_path / "symbols.pdf")
-        drawn[kind] = np.array(page.render(scale=100 / 25.4, grayscale=True).to_pil())
-    for one, other in itertools.combinations(KINDS, 2):
-        different = drawn[one] != drawn[other]
-        assert different[:, :140].any()  # on its wall
-        assert "furniture" in (one, other) or different[:, 140:].any()  # and from above
 
 
 def test_names_in_other_letters_are_written_and_long_ones_shortened(tmp_path):
@@ -316,20 +238,6 @@ def test_north_is_where_it_is_said_to_be(tmp_path):
     assert east[0] - west[0] == pytest.approx(2 * (up[1] - east[1]), abs=1.0)
     assert up[0] == pytest.approx((east[0] + west[0]) / 2, abs=1.0)
     assert up[1] > east[1] == pytest.approx(west[1])
-
-
-def test_each_tag_has_a_box_to_tick_and_two_to_write_in(tmp_path):
-    tags = lab()
-    write_plan(tmp_path / "plan.pdf", tags, "a4")
-    _, page, *_ = pypdfium2.PdfDocument(tmp_path / "plan.pdf")
-    assert "measured, mm" in words(page)
-    table = np.array(page.render(scale=PIXELS / 72 * 25.4, grayscale=True).to_pil())[:, PIXELS * 170 :]
-    contours, hierarchy = cv2.findContours((table < 128).astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
-    inner = [shape for shape, (*_, outer) in zip(contours, hierarchy[0], strict=True) if outer >= 0]
-    sizes = [np.divide(cv2.boundingRect(shape)[2:], PIXELS) for shape in inner]
-    boxes = [tuple(size.round().astype(int).tolist()) for size in sizes if size[1] > 2.5]
-    count = len(next(iter(tags.tags_by_surface.values())))
-    assert sorted(boxes) == count * [(3, 3)] + 2 * count * [(14, 3)]
 
 
 def test_the_plan_says_how_large_each_tag_is_where_they_differ(tmp_path):

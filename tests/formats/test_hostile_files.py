@@ -90,18 +90,17 @@ def nested(drawing, times):
             block.add_blockref(f"b{i + 1}", (0, 0))
 
 
+def itself(drawing):
+    for into in (drawing.blocks.new("s"), drawing.modelspace()):
+        into.add_blockref("s", (0, 0))
+
+
 DRAWINGS = {
     "circle": (lambda d: d.modelspace().add_circle((0, 0), 1e14), "1e+14 units from the origin"),
     "large circle": (lambda d: d.modelspace().add_circle((0, 0), 1e10), "tolerances along a shape, and at most"),
-    "circles": (
-        lambda d: [d.modelspace().add_circle((0, 0), 1e6 + i) for i in range(50)],
-        "5001 vertices of shapes",
-    ),
+    "circles": (lambda d: [d.modelspace().add_circle((0, 0), 1e6 + i) for i in range(50)], "5001 vertices of shapes"),
     "blocks": (lambda d: (nested(d, 10), d.modelspace().add_blockref("b0", (0, 0))), "5001 entities"),
-    "itself": (
-        lambda d: (d.blocks.new("s").add_blockref("s", (0, 0)), d.modelspace().add_blockref("s", (0, 0))),
-        "33 blocks in each other, and at most 32",
-    ),
+    "itself": (itself, "33 blocks in each other, and at most 32"),
     "far": (lambda d: d.modelspace().add_line((-1e308, 0), (1e308, 1e308)), "1e+308 units from the origin"),
 }
 

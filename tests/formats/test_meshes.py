@@ -129,14 +129,6 @@ def test_names_in_a_file_do_not_reach_the_terminal_as_they_are(tmp_path):
     assert read_mesh(tmp_path / "room.obj").names == (r"a\x1b[2J", "b")
 
 
-def test_nothing_is_said_of_each_object(tmp_path, caplog):
-    caplog.set_level("INFO")
-    corners = "".join(f"v {x} {y} {z}\n" for z in (0, 2) for x, y in ((0, 0), (3, 0), (3, 3), (0, 3)))
-    (tmp_path / "room.obj").write_text(f"{corners}o floor\nf 1 2 3 4\no ceiling\nf 5 6 7 8\n")
-    assert len(read_mesh(tmp_path / "room.obj").faces) == 4
-    assert not caplog.records
-
-
 def area(mesh):
     corners = mesh.vertices[mesh.faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -151,15 +143,6 @@ def test_a_concave_face_of_an_obj_has_its_own_area(tmp_path, first):
     lines += ["f " + " ".join(map(str, order)), "f " + " ".join(f"{i - 7}//1" for i in order)]  # and a ceiling
     (tmp_path / "room.obj").write_text("vn 0 0 1\n" + "\n".join(lines) + "\n")
     assert area(read_mesh(str(tmp_path / "room.obj"), up="z")) == pytest.approx(36.0)
-
-
-def test_a_concave_face_of_a_ply_is_refused(tmp_path):
-    head = "ply\nformat ascii 1.0\nelement vertex 6\nproperty float x\nproperty float y\nproperty float z\n"
-    head += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
-    body = "".join(f"{x} {y} 0\n" for x, y in OUTLINE) + "6 0 1 2 3 4 5\n"
-    (tmp_path / "room.ply").write_text(head + body)
-    with pytest.raises(InputError, match="has faces of more than three corners"):
-        read_mesh(str(tmp_path / "room.ply"))
 
 
 @pytest.mark.parametrize("ending", [*ENDINGS, ".rmf", ""])
@@ -181,10 +164,3 @@ def test_the_unit_of_a_file_is_asked_for(tmp_path):
         assert (read_mesh(path, per).vertices.max(axis=0) - (6, 4, 2.5)).max() < 1e-9
     path.write_text("".join(f"v {x * 1e-9:g} {y * 1e-9:g} {z * 1e-9:g}\n" for x, y, z in corners) + faces)
     assert refused(path).endswith("; no usual unit makes a room of it.")
-
-
-def test_a_cloud_of_points_is_no_mesh(tmp_path):
-    path = tmp_path / "cloud.ply"
-    head = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
-    path.write_text(f"{head}0 0 0\n1 1 1\n")
-    assert "make a mesh of a cloud of points in MeshLab or CloudCompare" in refused(path)

@@ -9,6 +9,7 @@ import yaml
 from numpy.testing import assert_array_equal
 from PIL import Image
 from support.rooms import FREE, KEYS, hall, write_map
+from support.tables import rows
 
 from lmd.core.checks import InputError
 from lmd.formats.plans import occupancy, read_occupancy_grid, read_plan_room
@@ -26,20 +27,12 @@ def room_of(path, height=2.5, reachable=None, spacing=0.5, **more):
 # 1 - g / 255 <= 0.25 for g >= 191.25; with negate g / 255 >= 0.65 for g >= 165.75 and g / 255 <= 0.25 for g <= 63.75.
 # Between them, `scale` has (1 - g / 255 - 0.25) / 0.4 in per cent: 62.01 of 128.
 GREY = [0, 89, 90, 128, 191, 192, 255]
-EXPECTED = {
-    ("trinary", False): [100, 100, -1, -1, -1, 0, 0],
-    ("trinary", True): [0, -1, -1, -1, 100, 100, 100],
-    ("scale", False): [100, 100, 99, 62, 0, 0, 0],
-    ("scale", True): [0, 25, 26, 63, 100, 100, 100],
-    ("raw", False): [0, 89, 90, -1, -1, -1, -1],
-    ("raw", True): [0, 89, 90, -1, -1, -1, -1],
-}
 
 
-@pytest.mark.parametrize(("mode", "negate"), EXPECTED)
-def test_cells_are_those_of_a_calculation_by_hand(mode, negate):
+@pytest.mark.parametrize(("mode", "negate", "expected"), rows(__file__, "occupancy by hand"))
+def test_cells_are_those_of_a_calculation_by_hand(mode, negate, expected):
     grey, opaque = np.array([GREY], dtype=np.uint8), np.ones((1, 7), dtype=bool)
-    assert_array_equal(occupancy(grey, opaque, mode, negate, 0.65, 0.25), [EXPECTED[mode, negate]])
+    assert_array_equal(occupancy(grey, opaque, mode, negate, 0.65, 0.25), [expected])
     if mode != "raw":
         assert (occupancy(grey, ~opaque, mode, negate, 0.65, 0.25) == -1).all()
 

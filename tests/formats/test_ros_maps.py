@@ -2,14 +2,14 @@
 
 import re
 import sys
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from lmd.core.checks import InputError
 from lmd.export.exports import all_formats
 from lmd.formats.tag_map import TagMap
 from lmd.formats.tag_maps import read_deployment
@@ -19,32 +19,21 @@ from lmd.scene.tag import Tag
 from lmd.space.cuboid import Cuboid
 
 
-class Described:
-    """A stub of an action or a description of ROS 2's launch: its positional and named arguments."""
-
-    def __init__(self, *args, **options):
-        self.args, self.__dict__ = args, {"args": args, **options}
-
-
 def launched(path, monkeypatch):
-    """What a launch file describes, run against stubs of `launch` and `launch_ros`."""
-    names = {
-        "launch": ["LaunchDescription"],
-        "launch.actions": ["DeclareLaunchArgument"],
-        "launch.substitutions": ["LaunchConfiguration"],
-        "launch_ros": [],
-        "launch_ros.actions": ["ComposableNodeContainer"],
-        "launch_ros.descriptions": ["ComposableNode"],
-    }
-    for name, classes in names.items():
-        module = ModuleType(name)
-        for one in classes:
-            setattr(module, one, type(one, (Described,), {}))
-        monkeypatch.setitem(sys.modules, name, module)
+    """Run a launch file against a stub of `launch` and `launch_ros`, which notes all calls."""
+    stub = MagicMock()
+    for name in ("", ".actions", ".substitutions", ".descriptions"):
+        monkeypatch.setitem(sys.modules, f"launch{name}", stub)
+        monkeypatch.setitem(sys.modules, f"launch_ros{name}", stub)
     scope = {"__name__": "tags"}
     exec(compile(path.read_text(), str(path), "exec"), scope)
-    argument, container = scope["generate_launch_description"]().args[0]
-    return SimpleNamespace(argument=argument, container=container)
+    scope["generate_launch_description"]()
+    return stub
+
+
+def crossing(x, y, z):
+    """Matrix of a cross product."""
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 @pytest.mark.parametrize("family", ["36h11", "41h12"])
@@ -56,10 +45,13 @@ def test_the_launch_file_places_tags_where_they_are(family, tmp_path, monkeypatc
     form = all_formats()["ros2_tf"]
     form.write(tmp_path / form.file, tags=tags)
     found = launched(tmp_path / form.file, monkeypatch)
-    assert (found.argument.args, found.argument.default_value) == (("frame",), "map")
-    assert (found.container.package, found.container.executable) == ("rclcpp_components", "component_container")
-    nodes = found.container.composable_node_descriptions
+    (argument,), options = found.DeclareLaunchArgument.call_args
+    container = SimpleNamespace(**found.ComposableNodeContainer.call_args.kwargs)
+    assert (argument, options["default_value"]) == ("frame", "map")
+    assert (container.package, container.executable) == ("rclcpp_components", "component_container")
+    nodes = [SimpleNamespace(**call.kwargs) for call in found.ComposableNode.call_args_list]
     assert {(node.package, node.plugin) for node in nodes} == {("tf2_ros", "tf2_ros::StaticTransformBroadcasterNode")}
+    found.LaunchConfiguration.assert_called_with("frame")
     # A node has a name of letters, digits and underscores, and no two have the same name.
     assert all(re.fullmatch(r"[A-Za-z]\w*", node.name) for node in nodes)
     assert len({node.name for node in nodes}) == 5
@@ -67,18 +59,11 @@ def test_the_launch_file_places_tags_where_they_are(family, tmp_path, monkeypatc
     corner = np.array([-0.08, 0.08, 0.0])  # the top left one in the frame of a tag
     for k, node in enumerate(nodes):
         (values,) = node.parameters
-        assert values["frame_id"].args == ("frame",)
+        assert values["frame_id"] is found.LaunchConfiguration.return_value
         assert values["child_frame_id"] == f"{library}:{3 * k}"
         assert all(isinstance(values[name], float) for name in values if "_id" not in name)
         w, x, y, z = (values[f"rotation.{axis}"] for axis in "wxyz")
-        # The matrix of a quaternion, written out.
-        turn = np.array(
-            [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-            ]
-        )
+        turn = np.eye(3) + 2.0 * w * crossing(x, y, z) + 2.0 * crossing(x, y, z) @ crossing(x, y, z)
         place = [values[f"translation.{axis}"] for axis in "xyz"]
         assert_allclose(turn @ corner + place, tags.corners[k, 0], atol=1e-9)
 
@@ -86,12 +71,3 @@ def test_the_launch_file_places_tags_where_they_are(family, tmp_path, monkeypatc
 def test_a_launch_file_is_read_and_not_run(write):
     text = 'TAGS = [\n    ("tag16h5:7", 2.0, 0.0, 1.2, 0.0, 0.0, 0.0, 1.0),\n]\n'
     assert read_deployment(write(text), family="16h5").positions.tolist() == [[2, 0, 1.2]]
-    with pytest.raises(InputError, match=r"^family=16h5 is needed"):
-        read_deployment(write(text), family="36h11")
-    for old, new, message in (
-        ("tag16h5:7", "tag16h5", "the name 'tag16h5' has no number of a tag, as 7, tag_7 or tag36h11:7 have"),
-        ("2.0, ", "", "pose must be a list of 7 numbers"),
-        ("2.0", "os.nothing", "pose must be a list of 7 numbers"),
-    ):
-        with pytest.raises(InputError, match=message):
-            read_deployment(write(text.replace(old, new)))

@@ -12,40 +12,25 @@ from lmd.formats.tag_maps import FileDeployment, read_deployment
 from lmd.space.cuboid import Cuboid
 from pipelines.app import CONF
 
-UP = [0.0, 0.0, 1.0]
-
-
-def reader(folder):
-    """A function that writes a text, or an object as JSON, to a file in `folder`, and reads it as a deployment."""
-
-    def read(text, name="map", **options):
-        (folder / name).write_text(text if isinstance(text, str) else json.dumps(text))
-        return read_deployment(folder / name, **options)
-
-    return read
-
-
-def assert_is(deployment, number, position, normal, up=UP, atol=1e-9):
-    """Assert that a deployment has this tag alone."""
-    assert deployment.ids.tolist() == [number]
-    found = deployment.positions[0], deployment.normals[0], deployment.ups[0]
-    for value, expected in zip(found, (position, normal, up), strict=True):
-        assert_allclose(value, expected, atol=atol)
-
-
 WPILIB = Path(__file__).with_name("files").joinpath("tag_map", "wpilib.json").read_text(encoding="utf-8")
 REAL = Path(__file__).parents[2] / "../shared/real/layouts"
 
 
 @pytest.fixture
 def read(tmp_path):
-    return reader(tmp_path)
+    def read_text(text):
+        (tmp_path / "map").write_text(text if isinstance(text, str) else json.dumps(text))
+        return read_deployment(tmp_path / "map")
+
+    return read_text
 
 
 def test_comments_in_a_file_of_wpilib_are_left_out(read):
     commented = WPILIB.replace('"tags"', '/* all of them */ "tags"').replace("}}}]", "}}},]")
     assert commented.count("*/") == commented.count(",]") == 1
-    assert_is(read(f"// mine: http://here\n{commented}"), 4, [1.0, 1.0, 0.5], [1, 0, 0])
+    found = read(f"// mine: http://here\n{commented}")
+    assert found.ids.tolist() == [4]
+    assert_allclose([*found.positions, *found.normals, *found.ups], [[1, 1, 0.5], [1, 0, 0], [0, 0, 1]], atol=1e-9)
 
 
 def test_a_field_of_limelight_says_from_where_its_places_are_counted(read):

@@ -96,13 +96,6 @@ def test_a_mount_turns_angles_as_it_turns_quaternions(write):
     assert_allclose(poses_of(write(angles), mount=[0, 0, 0, 0, 0, 0]), own, atol=1e-12)
 
 
-@pytest.mark.parametrize("row", REFUSED["trajectory"], ids=lambda row: row["words"])
-def test_a_setting_is_refused_in_one_sentence(write, row):
-    with pytest.raises(InputError, match=row["words"]) as refused:
-        poses_of(write(TUM), **row["more"])
-    assert "\n" not in str(refused.value)
-
-
 def test_a_body_that_is_taken_for_a_camera_raises_a_question(write):
     body = TrajectoryFile(write(text(TIME, *AT.T, *np.tile([[0.0], [0.0], [0.0], [1.0]], 3))))
     assert "100% of the views" in body.note

@@ -1,8 +1,8 @@
 """Smoothed poses beside the truth where map, mounts, prints, sizes or ids are not as stated."""
 
 import numpy as np
+import opencv_rooms as rooms
 import pytest
-from support import localisations as rooms
 from support import walks
 
 from lmd.localise.results import to_text

@@ -52,17 +52,6 @@ def test_only_the_latest_question_counts_and_an_abandoned_one_can_be_asked_again
     assert not begun.acquire(blocking=False)
 
 
-def test_an_answered_question_is_answered_again_after_none():
-    done = threading.Semaphore(0)
-    worker, one = Worker(lambda *_: done.release(), fail), tags()
-    for _ in range(3):
-        worker.ask(one)
-        assert done.acquire(timeout=LIMIT)
-        worker.ask(None)
-    worker.close()
-    assert not done.acquire(blocking=False)
-
-
 @pytest.mark.parametrize(
     ("error", "text"),
     [(InputError("it is too big."), "it is too big."), (MemoryError(), "there is too little memory.")],

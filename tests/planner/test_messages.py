@@ -1,10 +1,12 @@
 """Invalid messages: the planner refuses them and still serves the next browser."""
 
+from functools import partial
 from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
 from support.small import problem
+from support.tables import rows
 
 from lmd.optimisers.genetic import RandomSearch
 from lmd.optimisers.ledger import Budget
@@ -18,20 +20,9 @@ import zstandard  # noqa: E402
 from websockets.sync.client import connect  # noqa: E402
 
 LIMIT = 60.0
-CAMERA = {
-    "type": "ViewerCameraMessage", "wxyz": (1, 0, 0, 0), "position": (3, -6, 3), "fov": 1.3, "near": 0.01, "far": 100,
-    "image_height": 800, "image_width": 1200, "look_at": (3, 2, 3), "up_direction": (0, 0, 1),
-}  # fmt: skip
-POINTED = {
-    "type": "SceneNodeClickMessage", "instance_index": 0, "ray_origin": (3, -6, 3), "ray_direction": (0, 1, 0),
-    "screen_pos": (0, 0), "modifier": None,
-}  # fmt: skip
+# A drag is to a place that is not finite, so that it changes nothing, whichever of its events are applied.
+CAMERA, POINTED, DRAGGED = rows(__file__, "messages of a browser").values()
 NAN, HUGE = float("nan"), 1e308
-DRAGGED = {  # to a place that is not finite, so that it changes nothing, whichever of its events are applied
-    "type": "SceneNodeDragMessage", "name": "/tags", "instance_index": 0, "start_position": (2, 5, 1),
-    "start_screen_pos": (0, 0), "end_position": (NAN, 5, 1), "end_screen_pos": (0, 0), "button": "left",
-    "modifier": None,
-}  # fmt: skip
 
 
 class Ended(KeyboardInterrupt):
@@ -47,6 +38,10 @@ def shown_to(connection):
         text = zstandard.ZstdDecompressor().decompress(window[16 : 16 + size])
         found += msgspec.msgpack.decode(text)["messages"]
     return found
+
+
+def send(socket, message):
+    socket.send(msgspec.msgpack.encode(message))
 
 
 def widget(messages, label):
@@ -88,28 +83,20 @@ def test_invalid_messages_do_no_harm(monkeypatch):
     session = PlanningSession(planned, planned.draw(np.random.default_rng(0)))
     planner = Planner(session, 0, save, RandomSearch, Budget(1), seed=None)
     before, mine = session.plan, urlsplit(planner.address)
-    open_socket = lambda: connect(  # noqa: E731
-        f"ws://{mine.netloc}{mine.path}",
-        origin=f"http://{mine.netloc}",
-        subprotocols=[f"viser-v{viser.__version__}"],
-        max_size=None,
-    )
+    how = {"origin": f"http://{mine.netloc}", "subprotocols": [f"viser-v{viser.__version__}"], "max_size": None}
+    open_socket = partial(connect, f"ws://{mine.netloc}{mine.path}", **how)
     try:
         with open_socket() as socket:
             messages = shown_to(socket)
-            socket.send(msgspec.msgpack.encode(CAMERA))
-            socket.send(msgspec.msgpack.encode({**POINTED, "name": "/positions"}))  # places the camera
+            send(socket, CAMERA)
+            send(socket, {**POINTED, "name": "/positions"})  # places the camera
             said.clear()
             refused = 0
             for is_refused, odd in odd_messages(lambda label: widget(messages, label)):
                 refused += is_refused
                 for message in odd:
-                    socket.send(msgspec.msgpack.encode(message))
-            socket.send(
-                msgspec.msgpack.encode(
-                    {"type": "GuiUpdateMessage", "uuid": widget(messages, "Save"), "updates": {"value": True}}
-                )
-            )
+                    send(socket, message)
+            send(socket, {"type": "GuiUpdateMessage", "uuid": widget(messages, "Save"), "updates": {"value": True}})
             with pytest.raises(Ended):
                 planner.run()
         assert saved[0] is before.deployment

@@ -8,7 +8,6 @@ import pytest
 from lmd.core.checks import InputError
 from lmd.optimisers.ledger import Budget
 from lmd.planner.panel import TAGS, PlannerPanel
-from lmd.planner.plan import SearchProgress
 from lmd.planner.viewing import span_of
 
 viser = pytest.importorskip("viser")
@@ -36,45 +35,13 @@ def test_the_budget_of_a_search_is_shown_and_can_be_typed(gui, budget):
         field.value = before
 
 
-def test_a_search_shows_its_share_of_the_budget_and_what_it_waits_for(gui, monkeypatch):
-    panel = PlannerPanel(gui, "P", Budget(2000, 60.0), ids=True)
-    for compiling, text in ((True, "compiling what this needs, once"), (False, "begins")):
-        monkeypatch.setattr("lmd.planner.panel.is_compiling", lambda compiling=compiling: compiling)
-        panel.show_progress(None, running=True)
-        assert f">{text}<" in panel._progress.content
-    panel.show_progress(SearchProgress(0.25, 0.4321, None), running=True)
-    assert ">25% of 2000 evaluations or 60 seconds; best fitness 43.21%<" in panel._progress.content
-    assert panel._bar.visible
-    assert panel._bar.value == 25.0
-    panel.show_progress(None, running=False)
-    assert not panel._bar.visible
-
-
-def test_a_size_is_chosen_where_there_are_several(gui):
-    assert PlannerPanel(gui, "P", Budget(1), ids=True, edges=(0.1,)).edge is None
-    panel = PlannerPanel(gui, "P", Budget(1), ids=True, edges=(0.1, 0.25))
-    assert panel.edge == 0.1
-    panel._size.value = "0.25 m"
-    assert panel.edge == 0.25
-    panel._size.value = "7 m"  # from an odd browser
-    assert panel.edge is None
-
-
-def test_the_legend_has_colours_with_numbers(gui):
-    panel = PlannerPanel(gui, "P(see <2>)", Budget(1), ids=True)
+def test_the_legend_has_colours_with_numbers_that_span_the_values_that_are_there(gui):
+    panel, values = PlannerPanel(gui, "P(see <2>)", Budget(1), ids=True), np.array([0.02, 0.071, 0.05])
     assert panel._legend.content.count("linear-gradient") == 1  # of positions
-    panel.show_legend(0.01422)
-    for part in ("linear-gradient(to right, rgb(68, 1, 84)", "+1.422%", "P(see &lt;2&gt;)", *TAGS):
-        assert part in panel._legend.content
-
-
-def test_colours_of_positions_span_the_values_that_are_there(gui):
-    panel, values = PlannerPanel(gui, "P", Budget(1), ids=True), np.array([0.02, 0.071, 0.05])
     assert "0.0% <span" in panel._legend.content
     panel.show_span(span_of(values))
-    assert "2.0% <span" in panel._legend.content
-    assert "</span> 7.1%" in panel._legend.content
-    panel.show_legend(0.5)
-    assert "</span> 7.1%" in panel._legend.content  # a legend of surfaces leaves it
+    panel.show_legend(0.01422)
+    told = ("2.0% <span", "</span> 7.1%", "linear-gradient(to right, rgb(68, 1, 84)", "+1.422%", "P(see &lt;2&gt;)")
+    assert all(part in panel._legend.content for part in (*told, *TAGS))
     panel.show_span(span_of(np.zeros(3)))
     assert "</span> 100.0%" in panel._legend.content

@@ -1,32 +1,23 @@
 """The planner and its picture without a browser."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from support.paper import paper_scene
-from support.rooms import L_SHAPE, lab, mesh_room
 from support.small import problem
 
 from lmd.core.checks import InputError
-from lmd.formats.trajectories import read_recorded_poses
 from lmd.geometry.projection import project
 from lmd.geometry.se3 import pose_of
-from lmd.objectives.coverage import Coverage
 from lmd.optimisers.genetic import RandomSearch
 from lmd.optimisers.ledger import Budget
-from lmd.planner.background import TO_COME
 from lmd.planner.panel import PlannerPanel
-from lmd.planner.picture import BALL_RADIUS, Captions, RoomPicture, offsets
+from lmd.planner.picture import offsets
 from lmd.planner.server import Planner
 from lmd.planner.session import PlanningSession
 from lmd.planner.viewing import seen_by
-from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
-from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.tag import Tag
-from lmd.space.floor_plan import FloorPlan
 
 viser = pytest.importorskip("viser")
 
@@ -49,29 +40,6 @@ def planner():
     made[0].close()
 
 
-def recorded(write):
-    """A camera that looks ahead at one place for 20 s, of which every third second is held out."""
-    path = write("time,x,y,z,yaw,pitch\n" + "".join(f"{t},2,2.5,3,1.5,0\n" for t in range(21)))
-    poses = read_recorded_poses(
-        path, spacing=0.5, bandwidth=0.2, direction_bandwidth=5.0, divisions=12, held_out=3, block=1.0
-    )
-    scene = paper_scene()
-    scene = replace(scene, room=poses.visited(scene.room), pdf=poses.pdf, recorded=poses)
-    return Problem(scene, Coverage(1, 0.3), RandomDeployment(6), threads=1)
-
-
-def test_with_recorded_poses_it_shows_held_out_figures(planner, monkeypatch, write):
-    def show(_, rows):
-        if rows != TO_COME:
-            raise Shown(rows)
-
-    monkeypatch.setattr("lmd.planner.background.additions", lambda *_: None)
-    monkeypatch.setattr(PlannerPanel, "show_off_grid", show)
-    with pytest.raises(Shown) as shown:
-        planner(recorded(write)).run()
-    assert set(shown.value.args[0]) == {"held out", "optimised on"}
-
-
 def test_a_failure_of_background_work_is_shown(planner, monkeypatch):
     def fail(*_):
         raise InputError("that is too big.")
@@ -86,21 +54,6 @@ def test_a_failure_of_background_work_is_shown(planner, monkeypatch):
         planner(problem()).run()
 
 
-def test_balls_of_positions_are_a_share_of_their_spacing(tmp_path):
-    room = mesh_room(tmp_path / "room.glb", FloorPlan(L_SHAPE, 2.5), height=(0.9, 1.1), spacing=0.5)
-    scene = replace(paper_scene(), room=room)
-    layer = Problem(scene, Coverage(1, 0.3), RandomDeployment(6), threads=1)
-    positions = room.grid()
-    assert np.ptp(positions[:, 2]) == 0.0
-    away = np.linalg.norm(positions[1:] - positions[0], axis=1).min()
-    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-    try:
-        ball = RoomPicture(server, layer).balls.vertices
-    finally:
-        server.stop()
-    assert np.linalg.norm(ball, axis=1) == pytest.approx(BALL_RADIUS * away)
-
-
 def test_a_survey_is_drawn_beside_the_plan():
     planned = problem()
     session = PlanningSession(planned, planned.draw(np.random.default_rng(0)))
@@ -109,75 +62,6 @@ def test_a_survey_is_drawn_beside_the_plan():
     np.testing.assert_allclose(np.diff(offsets(found, plan), axis=1)[:, 0], [[0.0, 0.0, 0.1]] * len(plan), atol=1e-6)
     planner = Planner(session, 0, lambda _: "", RandomSearch, Budget(1), None, found)
     planner.close()
-
-
-class Label(SimpleNamespace):
-    """A label of viser, with the number of changes."""
-
-    changes = 0
-
-    def __setattr__(self, name, value):
-        type(self).changes += 1
-        super().__setattr__(name, value)
-
-
-def captions(surfaces=()):
-    """Make captions, and their labels by path."""
-    labels = {}
-
-    def add_label(path, text, **settings):
-        labels[path] = Label(text=text, **settings)
-        return labels[path]
-
-    return Captions(SimpleNamespace(add_label=add_label), surfaces), labels
-
-
-def test_each_surface_is_named_at_its_lower_edge_or_in_its_middle():
-    surfaces = lab().surfaces()
-    named, labels = captions(surfaces)
-    assert [label.text for label in labels.values()] == [surface.name for surface in surfaces]
-    for label, surface in zip(labels.values(), surfaces, strict=True):
-        a, b = surface.coordinates(label.position)
-        assert a == surface.extent[0] / 2.0
-        assert b == (surface.extent[1] / 2.0 if surface.name in ("floor", "ceiling") or surface.normal[2] else 0.0)
-    named.show_names(False)
-    assert not any(label.visible for label in labels.values())
-
-
-def test_ids_follow_the_tags_and_only_changes_are_sent():
-    named, labels = captions()
-    ids, places = np.array([7, 3, 9]), np.arange(9.0).reshape(3, 3)
-    named.show_ids(ids, places, 3, True)
-    assert [(label.text, label.position, label.visible) for label in labels.values()] == [
-        (str(number), tuple(place), True) for number, place in zip(ids, places.tolist(), strict=True)
-    ]
-    Label.changes = 0
-    named.show_ids(ids, places, 3, True)
-    assert Label.changes == 0
-    named.show_ids(ids, places, 3, False)
-    assert [label.visible for label in labels.values()] == [False, True, False]
-    named.show_ids(ids[:1], places[:1], None, True)
-    assert [label.visible for label in labels.values()] == [True, False, False]
-    named.show_ids(ids, places, None, True)
-    assert [label.visible for label in labels.values()] == [True, True, True]
-
-
-def test_colours_stay_while_a_tag_is_dragged_and_figures_say_what_changed(planner, monkeypatch):
-    shown = planner(problem())
-    session, spans, rows = shown._session, [], []
-    monkeypatch.setattr(shown._panel, "show_span", spans.append)
-    monkeypatch.setattr(shown._panel, "show_figures", rows.append)
-    before, number = session.metrics()["fitness"], int(session.deployment.ids[0])
-    for values in (np.array([0.2, 0.6]), np.array([0.0, 0.9])):
-        monkeypatch.setattr(session, "values", lambda values=values: values)
-        monkeypatch.setattr(shown._picture, "show_values", lambda *_: None)
-        session.drag(number, 1, np.array([0.3, 0.4]))
-        shown._show()
-        shown._dragged = number
-    shown._drop()
-    assert spans == [(0.2, 0.6), (0.2, 0.6), (0.0, 0.9)]
-    gained = 100.0 * (session.metrics()["fitness"] - before)
-    assert rows[-1]["since opened"] == f"{gained:+.2f} points of fitness"
 
 
 def test_the_image_of_a_camera_shows_its_tags_where_they_are_projected():

@@ -1,7 +1,6 @@
 """A planning session without a browser: after any changes, its figures are those of `Problem`."""
 
 import threading
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -45,9 +44,8 @@ def sampled():
 
 
 def localising():
-    return Problem(
-        small_scene(paper_room(spacing=2.0), TAG), Localisation(sampling=None), RandomDeployment(9), threads=1
-    )
+    scene = small_scene(paper_room(spacing=2.0), TAG)
+    return Problem(scene, Localisation(sampling=None), RandomDeployment(9), threads=1)
 
 
 def on_a_floor_plan():
@@ -64,22 +62,15 @@ def act(planned, rng):
     """Do one random action; a refused one must change nothing."""
     number, place = int(rng.choice(planned.deployment.ids)), somewhere(planned.problem, rng)
     before = planned.plan
+
+    def drag():
+        for _ in range(3):
+            planned.drag(number, *somewhere(planned.problem, rng))
+        planned.drop()
+
+    changes = lambda: planned.add(*place), lambda: planned.delete(number), lambda: planned.pin(number)
     try:
-        match int(rng.integers(8)):
-            case 0:
-                planned.add(*place)
-            case 1:
-                planned.delete(number)
-            case 2:
-                planned.pin(number)
-            case 3:
-                planned.undo()
-            case 4:
-                planned.redo()
-            case _:
-                for _ in range(3):
-                    planned.drag(number, *somewhere(planned.problem, rng))
-                planned.drop()
+        (*changes, planned.undo, planned.redo, drag, drag, drag)[int(rng.integers(8))]()
     except InputError:
         assert planned.plan is before
 
@@ -176,15 +167,31 @@ def test_pinned_tags_do_not_move_and_fixed_ones_stay_pinned():
         planned.pin(1)
 
 
-def test_impossible_changes_are_refused():
-    planned = session(problem(RandomDeployment(2)))
-    with pytest.raises(InputError, match="n = 2 exceeds the number of landmarks, 1"):
-        planned.delete(0)
-    with pytest.raises(InputError, match=r"^there is no tag 9\.$"):
-        planned.drag(9, 0, np.ones(2))
-    full = session(problem(RandomDeployment(30), tag=Tag(0.2, "16h5")))
-    with pytest.raises(InputError, match="16h5 has 30 different tags, too few for 31"):
-        full.add(0, np.ones(2))
+@pytest.mark.parametrize(
+    ("of", "change", "message"),
+    [
+        ({"start": RandomDeployment(2)}, lambda s: s.delete(0), "n = 2 exceeds the number of landmarks, 1"),
+        ({"start": RandomDeployment(2)}, lambda s: s.drag(9, 0, np.ones(2)), r"^there is no tag 9\.$"),
+        ({"tag": Tag(0.2, "16h5")}, lambda s: s.add(0, np.ones(2)), "16h5 has 30 different tags, too few for 31"),
+        ({"tag": TAG}, lambda s: s.place(0, 1e160, 1.0), "there is no place at"),
+        ({"tag": TAG}, lambda s: s.place(0, -1e308, 1.0), "there is no place at"),
+        ({"tag": TAG}, lambda s: s.place(0, np.nan, 1.0), "there is no place at"),
+    ],
+)
+def test_impossible_changes_are_refused(of, change, message):
+    planned = session(problem(**of))
+    before = planned.plan
+    with pytest.raises(InputError, match=message):
+        change(planned)
+    assert planned.plan is before
+
+
+def test_a_tag_on_no_surface_has_no_measured_place():
+    planned = session()
+    planned.plan = Plan(replace(planned.deployment, surfaces=np.full(len(planned.deployment), -1)))
+    assert planned.plan.measured(0, planned.problem.scene.room) is None
+    with pytest.raises(InputError, match=r"^tag 0 hangs on no surface\.$"):
+        planned.place(0, 1.0, 1.0)
 
 
 def test_changes_since_the_last_save_are_unsaved():
@@ -236,19 +243,6 @@ def test_a_search_can_be_stopped_and_worse_deployments_are_not_applied():
     assert planned.plan is before
 
 
-def test_the_end_applies_the_best_deployment_of_a_search():
-    planned = session()
-    planned.end_search()  # there is none
-    search, start = planned.optimise(Annealing(), Budget(10**9)), planned.metrics()["fitness"]
-    while search.progress is None or search.progress.fitness <= start:
-        assert search.running
-        time.sleep(0.01)
-    planned.end_search()
-    assert planned.search is None
-    assert planned.metrics()["fitness"] == search.progress.fitness > start
-    assert not planned.is_saved
-
-
 def test_a_search_that_cannot_begin_or_fails_says_why():
     planned = session()
     for number in planned.deployment.ids:
@@ -291,15 +285,6 @@ def test_a_tag_hangs_where_its_place_was_typed(of):
     assert planned.deployment.positions != pytest.approx(before.positions)
 
 
-@pytest.mark.parametrize("far", [1e160, -1e308, np.nan])
-def test_a_place_that_is_not_finite_or_far_away_is_refused(far):
-    planned = session(problem(tag=TAG))
-    before = planned.deployment
-    with pytest.raises(InputError, match="there is no place at"):
-        planned.place(before.ids[0], far, 1.0)
-    assert planned.deployment is before
-
-
 def test_left_is_as_seen_before_the_wall():
     planned = session()  # 7.5 x 5 x 6 m
     for wall, corner in (("x_min", (0, 0, 0)), ("y_max", (0, 5, 0)), ("x_max", (7.5, 5, 0)), ("y_min", (7.5, 0, 0))):
@@ -310,14 +295,6 @@ def test_left_is_as_seen_before_the_wall():
         position = planned.deployment.positions[planned.plan.index_of(3)]
         assert np.linalg.norm(position[:2] - corner[:2]) == pytest.approx(1.0)
         assert position[2] == pytest.approx(1.5)
-
-
-def test_a_tag_on_no_surface_has_no_measured_place():
-    planned = session()
-    planned.plan = Plan(replace(planned.deployment, surfaces=np.full(len(planned.deployment), -1)))
-    assert planned.plan.measured(0, planned.problem.scene.room) is None
-    with pytest.raises(InputError, match=r"^tag 0 hangs on no surface\.$"):
-        planned.place(0, 1.0, 1.0)
 
 
 def test_the_end_does_not_wait_for_a_search_that_compiles(monkeypatch):

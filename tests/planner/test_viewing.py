@@ -1,15 +1,14 @@
 """Views of browsers that show the whole room, and rays of browsers that meet surfaces."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support.paper import paper_room
 from support.rooms import lab
+from support.tables import rows
 
-from lmd.planner.viewing import FIELD_OF_VIEW, FILLED_SHARE, Framing, framed, pointed_at
+from lmd.planner.viewing import FIELD_OF_VIEW, FILLED_SHARE, framed, pointed_at
 from lmd.space.surface import SurfaceArrays
 
 LENGTH = st.floats(0.5, 100.0)
@@ -34,49 +33,6 @@ def test_a_room_of_any_shape_fills_a_window_of_any_shape(low, size, aspect):
     assert (np.ptp(corners, axis=0).max()) == pytest.approx(2.0 * FILLED_SHARE)
 
 
-class Camera(SimpleNamespace):
-    """The view of a browser."""
-
-    def on_update(self, follow):
-        self.follow = follow
-
-    def change(self, **changes):
-        """Change it as the browser does."""
-        vars(self).update(changes)
-        run(self.follow(self))
-
-
-def run(awaitable):
-    """Run a coroutine that awaits nothing."""
-    with pytest.raises(StopIteration):
-        awaitable.send(None)
-
-
-def test_a_view_follows_the_window_until_the_user_turns_it():
-    low, high, called = np.zeros(3), np.array([6.0, 4.0, 2.8]), {}
-    server = SimpleNamespace(
-        initial_camera=SimpleNamespace(),
-        on_client_connect=lambda greet: called.update(greet=greet),
-        on_client_disconnect=lambda forget: called.update(forget=forget),
-    )
-    Framing(server, low, high)
-    camera = Camera(position=server.initial_camera.position, look_at=server.initial_camera.look_at, aspect=1.2)
-    browser = SimpleNamespace(client_id=3, camera=camera)
-    run(called["greet"](browser))
-    for aspect in (1.2, 2.0, 0.5):
-        camera.change(aspect=aspect)
-        assert (camera.position == framed(low, high, aspect).position).all()
-        assert (camera.look_at == framed(low, high, aspect).look_at).all()
-    turned = camera.position + 1.0
-    camera.change(position=turned)
-    camera.change(aspect=1.6)
-    assert (camera.position == turned).all()
-    run(called["forget"](browser))
-    again = Camera(position=turned, look_at=low, aspect=1.6)  # the page connects again
-    run(called["greet"](SimpleNamespace(client_id=4, camera=again)))
-    assert (again.position == turned).all()
-
-
 def at(eye, target, room=None, own="none"):
     """Name of the surface that a ray from `eye` to `target` points at, and the point."""
     room = room or paper_room()
@@ -89,17 +45,7 @@ def at(eye, target, room=None, own="none"):
     return names[s], pytest.approx(surfaces.origin[s] + a * surfaces.u[s] + b * surfaces.v[s])
 
 
-@pytest.mark.parametrize(
-    ("eye", "target", "own", "found", "point"),
-    [
-        ((3, 2, 3), (4, 5, 2), "none", "y_max", (4, 5, 2)),
-        ((3, -20, 3), (4, 5, 2), "none", "y_max", (4, 5, 2)),  # through the back of a wall
-        ((-5, 2.5, 3), (-6, 2.5, 3.5), "none", None, None),
-        ((3, -5, 3), (3, 0, 9), "none", None, None),
-        ((3, -5, 3), (3, 0, 9), "y_min", "y_min", (3, 0, 9)),  # beyond its own wall and from behind
-        ((3, -5, 3), (4, -5, 3), "y_min", None, None),  # along the plane
-    ],
-)
+@pytest.mark.parametrize(("eye", "target", "own", "found", "point"), rows(__file__, "rays"))
 def test_a_ray_meets_the_front_of_a_surface_or_the_plane_of_its_own(eye, target, own, found, point):
     assert at(eye, target, own=own) == (found, point)
 

@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import chisquare, kstest
 from support.paper import X, Y, Z, experiment_room, paper_room
 from support.strategies import deployments, rooms, seeds
+from support.tables import rows
 
 from lmd.core.checks import InputError
 from lmd.formats.tag_maps import FileDeployment
@@ -52,9 +53,9 @@ def test_ninety_uniform_landmarks_make_a_3_by_5_grid_of_cell_centres_on_each_wal
     assert len(np.unique(on_wall, axis=0)) == 15
 
 
-@given(rooms(), st.integers(1, 100), st.sampled_from(["per_wall", "by_area"]))
-def test_uniform_landmarks_are_as_many_as_asked_flush_inside_and_apart(room, count, layout):
-    deployment = uniform(count, room, layout=layout)
+@given(rooms(), st.integers(1, 100), st.sampled_from(["per_wall", "by_area", "random"]), seeds)
+def test_landmarks_are_as_many_as_asked_flush_inside_and_apart(room, count, layout, seed):
+    deployment = random(count, room, seed) if layout == "random" else uniform(count, room, layout=layout)
     assert len(deployment) == count
     assert is_flush(deployment, room)
     assert (deployment.with_surfaces(room).surfaces >= 0).all()
@@ -62,39 +63,16 @@ def test_uniform_landmarks_are_as_many_as_asked_flush_inside_and_apart(room, cou
 
 
 @given(rooms(), st.integers(1, 100))
-def test_per_wall_counts_differ_by_at_most_one(room, count):
-    counts = per_wall(uniform(count, room), room)
+def test_counts_by_wall_differ_by_at_most_one_and_by_area_are_the_shares_rounded(room, count):
+    counts, area = per_wall(uniform(count, room), room), np.array([wall.area for wall in room.surfaces()])
     assert max(counts) - min(counts) <= 1
-
-
-@given(rooms(), st.integers(1, 100))
-def test_by_area_counts_are_the_shares_rounded(room, count):
-    area = np.array([wall.area for wall in room.surfaces()])
     counts = per_wall(uniform(count, room, layout="by_area"), room)
     assert (np.abs(counts - count * area / area.sum()) < 1.0).all()
 
 
-def test_by_area_shares_ninety_as_the_walls_of_the_paper_do():
-    # 30, 45 and 37.5 m2 twice: 12, 18 and 15.
-    assert per_wall(uniform(90, layout="by_area"), paper_room()) == [12, 12, 18, 18, 15, 15]
-
-
-@pytest.mark.parametrize(
-    ("count", "expected"),
-    [
-        (1, [0, 0, 1, 0, 0, 0]),
-        (2, [0, 0, 1, 1, 0, 0]),
-        (4, [0, 0, 1, 1, 1, 1]),
-        (7, [1, 1, 2, 1, 1, 1]),
-        (94, [15, 15, 16, 16, 16, 16]),
-    ],
-)
+@pytest.mark.parametrize(("count", "expected"), rows(__file__, "tags by wall"))
 def test_what_is_left_over_goes_to_the_largest_walls(count, expected):
     assert per_wall(uniform(count), paper_room()) == expected
-
-
-def test_a_single_landmark_sits_in_the_middle_of_its_wall():
-    assert uniform(1).positions.tolist() == [[3.75, 0.0, 3.0]]
 
 
 def test_only_the_walls_of_the_room_carry_landmarks():
@@ -125,18 +103,8 @@ def test_random_landmarks_are_uniform_along_a_wall():
 
 
 @given(rooms(), st.integers(1, 50), seeds)
-def test_random_landmarks_are_flush_inside_and_set_by_the_seed(room, count, seed):
-    deployment = random(count, room, seed)
-    assert len(deployment) == count
-    assert is_flush(deployment, room)
-    assert (deployment.with_surfaces(room).surfaces >= 0).all()
-    assert_array_equal(deployment.positions, random(count, room, seed).positions)
-
-
-def test_only_random_deployments_vary():
-    assert RandomDeployment(3).varies
-    assert not UniformDeployment(3).varies
-    assert not FileDeployment("a.csv").varies
+def test_random_landmarks_are_set_by_the_seed(room, count, seed):
+    assert_array_equal(random(count, room, seed).positions, random(count, room, seed).positions)
 
 
 @given(st.data())
@@ -166,23 +134,9 @@ def test_a_normal_printed_with_few_decimals_is_made_unit(write):
     assert_allclose(deployment.normals, math.sqrt(1 / 3), rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("row", "fault"),
-    [
-        ("7,4,1,-1,0,0", r"1 at \(7, 4, 1\) hangs in mid-air, 0\.5 m from the nearest surface .*, x_max \(2 of 3 land"),
-        ("4,4,5,0,0,-1", r"1 at \(4, 4, 5\) hangs in mid-air, 1 m from the nearest surface .*, y_max \(2 of 3 land"),
-        ("7.49,4,1,1,0,0", r"1 at \(7\.49, 4, 1\) faces into x_max, the surface it hangs on \(2 of 3 landmarks do\)"),
-        ("7.5,4,1,1,0,0", r"1 at \(7\.5, 4, 1\) faces into x_max, the surface it hangs on \(2 of 3 landmarks do\)"),
-    ],
-)
-def test_landmarks_that_do_not_hang_are_refused_unless_they_may_be_free(write, row, fault):
-    path = write(f"{HEADER}0,1,1,0,0,0,1\n1,{row}\n2,{row}\n", "landmarks.csv")
-    rng = np.random.default_rng(0)
-    with pytest.raises(InputError, match=rf"^free = false, but in .*landmarks\.csv landmark {fault}"):
-        FileDeployment(path).draw(paper_room(), rng)
-    assert len(FileDeployment(path, free=True).draw(paper_room(), rng)) == 3
-    with pytest.raises(InputError, match=r"free must be true or false, got 1"):
-        FileDeployment(path, free=1)
+def test_landmarks_that_do_not_hang_may_be_free(write):
+    path = write(f"{HEADER}0,1,1,0,0,0,1\n1,7,4,1,-1,0,0\n2,7.5,4,1,1,0,0\n")
+    assert len(FileDeployment(path, free=True).draw(paper_room(), np.random.default_rng(0))) == 3
 
 
 def test_landmarks_may_be_measured_by_hand(write):
@@ -208,7 +162,8 @@ def test_ups_are_written_for_tags_and_are_upright_where_nothing_else_was_read(tm
     assert Deployment.from_csv(tmp_path / "tags.csv").surveyed is None
 
 
-def test_a_given_deployment_is_drawn_as_it_is():
+def test_a_given_deployment_is_drawn_as_it_is_and_only_random_ones_vary():
     given_one = GivenDeployment(uniform(6))
     assert given_one.draw(paper_room(), np.random.default_rng(1)) is given_one.deployment
-    assert not given_one.varies
+    sources = RandomDeployment(3), UniformDeployment(3), FileDeployment("a.csv"), given_one
+    assert [source.varies for source in sources] == [True, False, False, False]

@@ -4,6 +4,7 @@ import importlib
 import numpy as np
 import pytest
 from support.processes import ROOT
+from support.tables import rows
 
 from lmd.scene.families import FAMILIES, dictionary, family_named, picture
 from lmd.scene.tag import Tag
@@ -43,44 +44,12 @@ def test_pictures_and_the_table_are_those_of_the_apriltag_library(name):
         assert (ours == theirs).all()
 
 
-@pytest.mark.parametrize("name", ["36h11", "16h5", "4x4_50", "aruco_original"])
-def test_a_picture_has_a_black_border_and_something_inside(name):
-    shown = picture(name, 3)
-    border = np.ones_like(shown)
-    border[1:-1, 1:-1] = False
-    assert shown.shape == (FAMILIES[name].modules,) * 2
-    assert not shown[border].any()
-    assert shown.any()
-
-
 def test_an_apriltag_hangs_as_in_apriltags_own_picture():
     # The first row inside the border of its tag 0; OpenCV has it, backwards, as the last.
     assert "".join(".#"[not white] for white in picture("36h11", 0)[1]) == "#..#.#.#"
 
 
-@pytest.mark.parametrize(
-    ("name", "family"),
-    [
-        ("tag36h11", "36h11"),
-        ("TAG25h9", "25h9"),
-        ("36h11b1", "36h11"),
-        ("apriltag3_16h5_classic", "16h5"),
-        ("kTag16h5", "16h5"),
-        ("tagStandard41h12", "41h12"),
-        ("Standard52h13", "52h13"),
-        ("tagCircle21h7", "circle21h7"),
-        ("DICT_APRILTAG_36H11", "36h11"),
-        ("AprilTag 36h11", "36h11"),
-        ("apriltag16h5", "16h5"),
-        ("DICT_4X4_50", "4x4_50"),
-        ("aruco_5x5_1000", "5x5_1000"),
-        ("cv2.aruco.DICT_ARUCO_ORIGINAL", "aruco_original"),
-        ("ARUCO", "aruco_original"),
-        ("ARUCO_MIP_36h12", "aruco_mip_36h12"),
-        ("4x4_17", "4x4_17"),
-        ("tagCustom48h12", "tagCustom48h12"),
-    ],
-)
+@pytest.mark.parametrize(("name", "family"), rows(__file__, "names of families"))
 def test_a_family_has_names_in_many_libraries(name, family):
     assert family_named(name) == family
     if family in FAMILIES:

@@ -9,14 +9,13 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 from support.paper import paper_camera, paper_scene
-from support.rooms import lab
+from support.rooms import lab, recorded
 
 from lmd.core.checks import InputError
 from lmd.estimation.flights import Pace, RandomMotion
 from lmd.evaluation.validation import describe_validation, exact_values, held_out_metrics, validation_metrics
-from lmd.formats.trajectories import TrajectoryFile, read_recorded_poses
 from lmd.geometry import se3
-from lmd.geometry.frames import angles_of, rotation
+from lmd.geometry.frames import rotation
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.optimisers.annealing import Annealing
@@ -31,19 +30,7 @@ from lmd.sight.models.fiducial import Fiducial
 from lmd.sight.views import visible
 
 HEADER = "time,x,y,z,yaw,pitch\n"
-DEFAULTS = {
-    "spacing": 0.5,
-    "bandwidth": 0.2,
-    "direction_bandwidth": 5.0,
-    "divisions": 12,
-    "held_out": None,
-    "block": 1.0,
-}
 AHEAD, BACK = np.pi / 2, -np.pi / 2  # yaw turns from y towards x
-
-
-def recorded(path, **changes):
-    return read_recorded_poses(path, **(DEFAULTS | changes))
 
 
 def scene_of(poses, room=None):
@@ -200,30 +187,6 @@ def test_annealing_climbs_recorded_poses_and_threads_change_nothing(write, objec
         found.append(result)
     assert_array_equal(found[0].deployment.positions, found[1].deployment.positions)
     json.dumps(problem.settings())
-
-
-def test_a_trajectory_reads_alike_from_angles_quaternions_and_tums_text(write):
-    poses = se3.camera_pose([[1, 2, 3], [1.5, 2, 3]], [0.5, 0.6], [0.2, -0.2], [0.1, 0.3])
-    angles = "time,x,y,z,yaw_from_y,pitch_up,roll_left\n0,1,2,3,0.5,0.2,0.1\n0.5,1.5,2,3,0.6,-0.2,0.3\n"
-    assert_allclose(TrajectoryFile(write(angles)).trajectory.poses, poses)
-    for frame, turn in (("optical", np.eye(3)), ("body", np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0.0]]))):
-        quaternions = Rotation.from_matrix(poses[:, :3, :3] @ turn.T).as_quat()
-        lines = [[t, *pose[:3, 3], *q] for t, pose, q in zip([0.0, 0.5], poses, quaternions, strict=True)]
-        tum = "# time tx ty tz qx qy qz qw\n" + "\n".join(" ".join(f"{v:.15g}" for v in line) for line in lines)
-        read = TrajectoryFile(write(tum, "flight.tum"), frame).trajectory
-        assert_allclose(read.poses, poses, atol=1e-12)
-        assert_array_equal(read.time, [0.0, 0.5])
-
-
-def test_a_body_at_rest_looks_along_its_x_axis(write):
-    poses = TrajectoryFile(write("0 1 1 1 0 0 0 1\n1 1 1 1 0 0 0 1\n"), "body").trajectory.poses
-    assert_allclose(poses[0, :3, :3], np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0.0]]))  # right is -y, down is -z
-
-
-def test_angles_are_those_of_the_rotation():
-    rng = np.random.default_rng(0)
-    angles = rng.uniform(-1, 1, (3, 50)) * np.array([[np.pi], [np.pi / 2], [np.pi]])
-    assert_allclose(angles_of(rotation(*angles)), angles, atol=1e-12)
 
 
 def test_random_flights_go_from_record_to_record_also_where_the_camera_stood_still(write):

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from contracts.criterion import check_gains, check_slack
 from numpy.testing import assert_allclose, assert_array_equal
 from support.paper import facing, one_position_room, paper_camera, paper_scene
 from support.rooms import L_SHAPE
+from support.tables import rows
 
 from lmd.core.checks import InputError
 from lmd.evaluation.bounds import Search, fitness_upper_bound
@@ -32,6 +34,7 @@ from lmd.space.parts import Reachable
 from lmd.space.prism import Prism
 
 CAMERA = paper_camera()  # sees 34.84 degrees around its axis
+FILES = Path(__file__).with_name("files")
 HERE = np.array([2.0, 2.0, 2.0])
 AHEAD = facing(HERE, [3.9, 2.0, 2.0])  # one landmark, 1.9 m away
 YAWS = 72
@@ -68,21 +71,19 @@ def test_where_cameras_are_mounted_agrees_with_what_they_look_at():
     assert_allclose(rig.mounted[1, :3, 3], first.T @ (offsets[1] - offsets[0])[0], atol=1e-9)
 
 
-def test_back_to_back_each_camera_adds_its_share():
-    alone, rig = scene_with(), scene_with(*around(2))
-    assert probability(alone, AHEAD, 1) == pytest.approx(SEEN / YAWS, abs=1e-12)
-    assert probability(rig, AHEAD, 1) == pytest.approx(2 * SEEN / YAWS, abs=1e-12)
-
-
-def test_three_cameras_add_three_shares_and_six_see_all_around():
-    assert probability(scene_with(*around(3)), AHEAD, 1) == pytest.approx(3 * SEEN / YAWS, abs=1e-12)
-    assert probability(scene_with(*around(6)), AHEAD, 1) == 1.0  # 60 degrees apart, each 69.7 wide
-
-
-def test_a_landmark_that_two_cameras_see_counts_once():
-    twice = scene_with(Mount(CAMERA), Mount(CAMERA))
-    assert probability(twice, AHEAD, 1) == pytest.approx(SEEN / YAWS, abs=1e-12)
-    assert probability(twice, AHEAD, 2) == 0.0
+@pytest.mark.parametrize(
+    ("mounts", "n", "share"),
+    [
+        ([], 1, SEEN / YAWS),
+        (around(2), 1, 2 * SEEN / YAWS),
+        (around(3), 1, 3 * SEEN / YAWS),
+        (around(6), 1, 1.0),  # 60 degrees apart, each 69.7 wide
+        ([Mount(CAMERA), Mount(CAMERA)], 1, SEEN / YAWS),
+        ([Mount(CAMERA), Mount(CAMERA)], 2, 0.0),  # what both see counts once
+    ],
+)
+def test_each_camera_adds_its_share_of_one_landmark(mounts, n, share):
+    assert probability(scene_with(*mounts), AHEAD, n) == pytest.approx(share, abs=1e-12)
 
 
 def test_two_landmarks_may_be_seen_by_one_camera_each():
@@ -107,16 +108,7 @@ def test_a_camera_beside_the_body_sees_past_a_pillar():
     assert_array_equal(Evaluator(left, threads=1).counts(mark), counts(left, mark))
 
 
-@pytest.mark.parametrize(
-    ("mount", "axis"),
-    [
-        ({"yaw": math.pi / 2}, [0.0, 1.0, 0.0]),  # the body looks along +x: to its left is +y
-        ({"pitch": math.pi / 2}, [0.0, 0.0, -1.0]),  # as in URDF, down
-        ({"roll": 1.0}, [1.0, 0.0, 0.0]),
-        ({"quaternion": (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))}, [0.0, 1.0, 0.0]),
-        ({"quaternion": (0.0, 0.0, 1.0, 0.0)}, [-1.0, 0.0, 0.0]),
-    ],
-)
+@pytest.mark.parametrize(("mount", "axis"), rows(__file__, "angles of ROS"))
 def test_the_angles_are_those_of_ros(mount, axis):
     offsets, turned = Rig((Mount(CAMERA, (0.1, 0.2, 0.3), **mount),)).views(np.array([[1.0, 0, 0, 0, -1.0, 0]]))
     assert_allclose(turned[0, 0, :3], axis, atol=1e-12)
@@ -168,53 +160,22 @@ def test_what_single_poses_gain_is_what_some_camera_covers():
     check_slack(scene, 0.2, rng)
 
 
-def test_threads_do_not_change_what_a_rig_scores():
-    scene = replace(paper_scene(orientations=pdf.level_flight(6)), camera=Rig(tuple(around(2))))
-    deployment = RandomDeployment(30).draw(scene.room, np.random.default_rng(0))
-    one, four = (Evaluator(scene, threads=threads).probabilities(deployment, 2) for threads in (1, 4))
-    assert_array_equal(one, four)
-
-
-def test_off_the_grid_bounds_and_causes_know_rigs():
+def test_off_the_grid_bounds_and_causes_know_rigs_and_verdicts_refuse_them():
     scene = scene_with(*around(2))
     problem = Problem(scene, Coverage(1, 0.3), RandomDeployment(6), threads=1)
     deployment = problem.draw(np.random.default_rng(0))
-    figures = validation_metrics(problem, deployment, 0, Sample(2, 4, 6))
-    assert 0.0 <= figures["grid_free_qualified_ratio"] <= 1.0
+    assert 0.0 <= validation_metrics(problem, deployment, 0, Sample(2, 4, 6))["grid_free_qualified_ratio"] <= 1.0
     bound = fitness_upper_bound(problem, 6, Search(spacing=1.0, iterations=20)).walls
     assert bound >= problem.fitness_of(deployment)
     found = causes(scene, deployment, 0)
     assert found.sightings == 2 * 256 * 16 * 6
     assert found.limits["field_of_view"] == "within 34.8 degrees of the optical axis"
-
-
-def test_what_knows_no_rig_says_so():
-    scene = scene_with(*around(2))
-    deployment = AHEAD
     with pytest.raises(InputError, match="works with a single camera, not with a rig of 2"):
         verdicts(scene, deployment, np.eye(4)[None])
 
 
-# cam1 is 0.1 m to the right of cam0; cam2 is 0.05 m behind cam1 and looks to the right.
-CHAIN = """
-cam0: {camera_model: pinhole, intrinsics: [400, 400, 320, 240], distortion_model: none, resolution: [640, 480]}
-cam1:
-  {camera_model: pinhole, intrinsics: [500, 500, 320, 240], distortion_model: none, resolution: [640, 480],
-   T_cn_cnm1: [[1, 0, 0, -0.1], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}
-cam2:
-  {camera_model: pinhole, intrinsics: [600, 600, 320, 240], distortion_model: none, resolution: [640, 480],
-   T_cn_cnm1: [[0, 0, -1, -0.05], [0, 1, 0, 0], [1, 0, 0, 0], [0, 0, 0, 1]]}
-"""
-# The same of cam0 and cam1, from an IMU that is turned like a body and has cam0 0.3 m above it.
-BY_IMU = "".join(
-    f"cam{i}: {{camera_model: pinhole, intrinsics: [{f}, {f}, 320, 240], distortion_model: none, resolution: [640, 480]"
-    f", T_cam_imu: [[0, -1, 0, {x}], [0, 0, -1, 0.3], [1, 0, 0, 0], [0, 0, 0, 1]]}}\n"
-    for i, f, x in ((0, 400, 0.0), (1, 500, -0.1))
-)
-
-
-def test_a_chain_of_kalibr_is_a_rig_whose_body_is_its_first_camera(write):
-    rig = rig_of(read_mounts(path := write(CHAIN, "chain.yaml")))
+def test_a_chain_of_kalibr_is_a_rig_whose_body_is_its_first_camera():
+    rig = rig_of(read_mounts(path := FILES / "chain.yaml"))
     assert [camera.focal_pixels[0] for camera in rig.cameras] == pytest.approx([400, 500, 600])
     assert_allclose([mount.translation for mount in rig.mounts], [[0, 0, 0], [0, -0.1, 0], [-0.05, -0.1, 0]])
     right = Mount(CAMERA, yaw=-math.pi / 2.0).rotation
@@ -227,31 +188,22 @@ def test_a_chain_of_kalibr_is_a_rig_whose_body_is_its_first_camera(write):
     assert_allclose([mount.rotation for mount in turned.mounts], [left, left, np.eye(3)], atol=1e-12)
 
 
-# And by OKVIS, from a sensor whose axes are those of cam0.
-BY_SENSOR = "camera_params: {}\ncameras:\n" + "".join(
-    f"  - {{T_SC: [1, 0, 0, {x}, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1], distortion_coefficients: [0, 0, 0, 0],\n"
-    f"     image_dimension: [640, 480], distortion_type: radialtangential, focal_length: [{f}, {f}],\n"
-    "     principal_point: [320, 240]}\n"
-    for f, x in ((400, 0.0), (500, 0.1))
-)
-
-
-@pytest.mark.parametrize("text", [BY_IMU, BY_SENSOR], ids=["Kalibr", "OKVIS"])
-def test_cameras_on_an_imu_are_a_rig_too(text, write):
-    rigs = [rig_of(read_mounts(write(*of))).mounts for of in ((CHAIN, "a"), (text, "b"))]
+@pytest.mark.parametrize("name", ["imu.yaml", "okvis.yaml"])
+def test_cameras_on_an_imu_are_a_rig_too(name):
+    rigs = [rig_of(read_mounts(FILES / of)).mounts for of in ("chain.yaml", name)]
     for chained, by_imu in zip(*rigs, strict=False):
         assert_allclose(by_imu.translation, chained.translation, atol=1e-12)
         assert_allclose(by_imu.rotation, chained.rotation, atol=1e-12)
 
 
-def test_a_camera_that_leaves_the_room_between_the_positions_of_the_grid_is_refused():
-    room = Cuboid((4.0, 4.0, 4.0), (3.6, 3.6, 3.6), 0.9)  # the grid keeps 0.65 m from the walls, the body 0.2 m
-    scene = scene_with(Mount(CAMERA, (0.5, 0.0, 0.0)), room=room)
+@pytest.mark.parametrize(
+    ("ahead", "room"),
+    [
+        (2.5, one_position_room()),
+        (0.5, Cuboid((4.0, 4.0, 4.0), (3.6, 3.6, 3.6), 0.9)),  # the grid keeps 0.65 m from the walls, the body 0.2 m
+    ],
+)
+def test_a_camera_outside_the_room_is_refused(ahead, room):
+    scene = scene_with(Mount(CAMERA, (ahead, 0.0, 0.0)), room=room)
     with pytest.raises(InputError, match=r"rig has a camera at .*, outside the room"):
-        Problem(scene, Coverage(1, 0.3), RandomDeployment(6), threads=1)
-
-
-def test_a_camera_outside_the_room_is_refused():
-    scene = scene_with(Mount(CAMERA, (2.5, 0.0, 0.0)))
-    with pytest.raises(InputError, match=r"rig has a camera at .*, outside the room, when the body is at \[2, 2, 2\]"):
         Problem(scene, Coverage(1, 0.3), RandomDeployment(6), threads=1)

@@ -2,17 +2,14 @@
 
 import numpy as np
 from support.paper import paper_camera, paper_room
-from support.refusals import refusals
-from support.rooms import lab
+from support.rooms import lab, recorded
 from support.small import problem
+from support.tables import refusals
 
 from lmd.formats.rigs import rig_of
 from lmd.formats.tag_maps import FileDeployment
-from lmd.formats.trajectories import read_recorded_poses
 from lmd.scene.deployment import Deployment
 from lmd.scene.tag import Tag
-
-POSES = {"spacing": 0.5, "bandwidth": 0.2, "direction_bandwidth": 5.0, "divisions": 12, "held_out": None, "block": 1.0}
 
 
 def landmarks(path, count=None, **options):
@@ -23,10 +20,6 @@ def hanging(places, normals, edge=None):
     return problem(fixed=Deployment(places, normals), tag=Tag(edge))
 
 
-def recorded(path, room="paper", **settings):
-    return read_recorded_poses(path, **(POSES | settings)).visited(lab() if room == "lab" else paper_room())
-
-
 def rig(path=None, mounts=None, **keys):
     return rig_of({"path": path, **keys}) if mounts is None else rig_of(mounts, paper_camera())
 
@@ -34,7 +27,9 @@ def rig(path=None, mounts=None, **keys):
 CALLS = {
     "a file of landmarks": landmarks,
     "a landmark that hangs already": hanging,
-    "a recording of poses": recorded,
+    "a recording of poses": lambda *path, room="paper", **settings: recorded(*path, **settings).visited(
+        lab() if room == "lab" else paper_room()
+    ),
     "a rig": rig,
 }
 test_what_cannot_be_is_refused_in_one_sentence = refusals(__file__, **CALLS)

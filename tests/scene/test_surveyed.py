@@ -12,8 +12,7 @@ from support.rooms import L_SHAPE, PILLAR, RACK, lab, mesh_room
 from lmd.core.checks import InputError
 from lmd.detection.frames import tagged_room
 from lmd.estimation.sensors import corners_of
-from lmd.evaluation.mounting import as_measured, read_measured
-from lmd.evaluation.validation import Sample
+from lmd.evaluation.mounting import read_measured
 from lmd.formats.tag_map import TagMap
 from lmd.formats.tag_maps import FileDeployment
 from lmd.geometry.squares import corners, upright
@@ -173,15 +172,6 @@ def test_a_checkpoint_may_hold_fixed_tags_outside_the_room(tmp_path):
     assert_array_equal(points("positions", problem.fixed.positions, problem, 1), there.positions)
     with pytest.raises(InputError):
         points("positions", there.positions - 1.0, problem, 1)
-
-
-def test_how_far_a_tag_hangs_from_its_plan_counts_what_is_behind_the_wall(tmp_path):
-    scene = Scene(paper_room(spacing=1.5), paper_camera(), pdf.grid_with_ends(4), SEEN, TAG)
-    problem = Problem(scene, Coverage(1, 0.5), RandomDeployment(12))
-    plan = replace(hanging(scene.room), labels=problem.labels)
-    measured = read_measured(saved(tmp_path / "tags.csv", moved(plan, -0.02)), problem, plan)
-    found = as_measured(problem, plan, measured, 0, Sample(2, 20, 4), views=5)
-    assert_allclose(found.moved.moved, 0.02, atol=1e-12)
 
 
 def test_a_tag_that_leans_into_its_face_touches_it():

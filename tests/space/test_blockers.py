@@ -3,6 +3,7 @@ import pytest
 import shapely
 from numpy.testing import assert_array_equal
 from support.rooms import L_SHAPE, PILLAR, blocks, lab, plan_of, random_boxes, star
+from support.tables import rows
 from support.thorough import SHARE
 
 from lmd.space.blockers import Blockers
@@ -85,23 +86,7 @@ def test_whole_numbers_of_bodies_are_found():
     assert FloorPlan([[0, 0], [3, 0], [3, 2], [0, 2]], 2.5).blockers is None
 
 
-@pytest.mark.parametrize(
-    ("start", "end", "clear"),
-    [
-        ([5, 1, 1], [2, 3.5, 1], False),  # across the corner
-        ([5, 1, 1], [1, 3, 1], True),  # through the corner (3, 2)
-        ([5, 2, 1], [0, 2, 1], True),  # along a wall and on
-        ([5, 1, 1], [3, 2, 1], True),  # to the corner
-        ([5, 1, 1], [3, 2.01, 1], False),  # to the other side of it
-        ([1, 1, 1], [2, 2, 1], False),  # through the pillar, from edge to edge
-        ([1, 1.25, 1], [2, 1.25, 1], True),  # along the pillar
-        ([0.25, 2.9, 1], [0.25, 3, 1], True),  # to the front of the rack
-        ([0.25, 2.9, 1], [0.25, 3.1, 1], False),  # into it
-        ([0.25, 2.9, 1.8], [0.25, 3.9, 1.8], True),  # over it
-        ([0.25, 2.9, 1.75], [0.25, 3.9, 1.75], True),  # along its top
-        ([0.25, 2.9, 1.75 - 1e-3], [0.25, 3.9, 1.75 - 1e-3], False),
-    ],
-)
+@pytest.mark.parametrize(("start", "end", "clear"), rows(__file__, "lines of sight in the lab"))
 def test_what_touches_is_clear_and_what_enters_is_not(start, end, clear):
     start, end = np.array(start, dtype=float), np.array(end, dtype=float)
     for one, two in ((start, end), (end, start)):

@@ -7,33 +7,24 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from support.paper import SIDE_WALLS, experiment_room, paper_room
 from support.strategies import rooms
+from support.tables import rows
 
 from lmd.space.cuboid import WALLS, Cuboid
 from lmd.space.space import Relevance
 
 
-@pytest.mark.parametrize(("positions", "shape", "count"), [("cells", (12, 7, 9), 756), ("vertices", (13, 8, 10), 1040)])
-def test_paper_room_has_756_cells_or_1040_vertices(positions, shape, count):
-    room = paper_room(positions=positions)
+@pytest.mark.parametrize(
+    ("room", "shape", "count"),
+    [
+        (paper_room(), (12, 7, 9), 756),
+        (paper_room(positions="vertices"), (13, 8, 10), 1040),
+        (experiment_room(), (7, 7, 3), 147),
+        (paper_room(spacing=(1.0, 0.5, 4.5)), (6, 7, 1), 42),
+    ],
+)
+def test_rooms_have_as_many_positions_as_printed(room, shape, count):
     assert room.grid_shape() == shape
     assert room.grid().shape == (count, 3)
-
-
-def test_experiment_room_has_147_cells():
-    assert experiment_room().grid_shape() == (7, 7, 3)
-    assert len(experiment_room().grid()) == 147
-
-
-def test_paper_cells_are_centred_on_half_metres():
-    grid = paper_room().grid()
-    assert_allclose(grid[0], [1.0, 1.0, 1.0])
-    assert_allclose(grid[1], [1.0, 1.0, 1.5])
-    assert_allclose(grid[-1], [6.5, 4.0, 5.0])
-
-
-def test_vertices_reach_the_corners_of_the_reachable_box():
-    grid = paper_room(positions="vertices").grid()
-    assert_allclose([grid[0], grid[-1]], [[0.75, 0.75, 0.75], [6.75, 4.25, 5.25]])
 
 
 @given(rooms())
@@ -54,10 +45,6 @@ def test_the_grid_is_centred_and_no_coarser_than_the_spacing(room):
         assert (gaps <= room.spacing[axis] + 1e-8).all()
 
 
-def test_spacing_may_differ_per_axis():
-    assert paper_room(spacing=(1.0, 0.5, 4.5)).grid_shape() == (6, 7, 1)
-
-
 @given(rooms(), st.sampled_from(WALLS))
 def test_wall_normals_point_inwards(room, name):
     wall = next(w for w in room.surfaces() if w.name == name)
@@ -75,17 +62,7 @@ def test_the_six_walls_have_the_corners_and_the_area_of_the_room(room):
     assert sum(wall.area for wall in walls) == pytest.approx(2 * (x * y + y * z + z * x))
 
 
-@pytest.mark.parametrize(
-    ("name", "corner", "far_corner", "normal"),
-    [
-        ("x_min", [0, 0, 0], [0, 5, 6], [1, 0, 0]),
-        ("x_max", [7.5, 0, 0], [7.5, 5, 6], [-1, 0, 0]),
-        ("y_min", [0, 0, 0], [7.5, 0, 6], [0, 1, 0]),
-        ("y_max", [0, 5, 0], [7.5, 5, 6], [0, -1, 0]),
-        ("floor", [0, 0, 0], [7.5, 5, 0], [0, 0, 1]),
-        ("ceiling", [0, 0, 6], [7.5, 5, 6], [0, 0, -1]),
-    ],
-)
+@pytest.mark.parametrize(("name", "corner", "far_corner", "normal"), rows(__file__, "walls of the paper's room"))
 def test_each_wall_is_where_its_name_says(name, corner, far_corner, normal):
     (wall,) = paper_room(walls=(name,)).surfaces()
     assert_array_equal(wall.point(0.0, 0.0), corner)
@@ -112,10 +89,6 @@ def test_a_micrometre_outside_is_still_inside():
 
 
 UPPER_HALF = {"low": [0, 0, 3.0], "high": [7.5, 5, 6], "weight": 3}
-
-
-def test_every_position_matters_alike_by_default():
-    assert_array_equal(paper_room().relevance.weights(paper_room().grid()), np.ones(756))
 
 
 def test_a_region_weighs_what_lies_in_it_and_the_background_the_rest():

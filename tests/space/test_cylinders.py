@@ -2,7 +2,6 @@
 
 import numpy as np
 import shapely
-import trimesh
 from numpy.testing import assert_array_equal
 from support.rooms import lab
 
@@ -74,23 +73,6 @@ def test_a_cylinder_blocks_as_plane_geometry_says():
         assert clear(camera, target, person) == (not expected)
         blocked += expected
     assert blocked > 300
-
-
-def test_a_cylinder_blocks_as_a_ray_caster_says():
-    # Meshes of 256 sides; about 1 s.
-    rng, blocked = np.random.default_rng(1), 0
-    for camera, target, person in zip(*lines(rng, 150), strict=True):
-        mesh = trimesh.creation.cylinder(person[RADIUS], person[TOP], sections=256)
-        mesh.apply_translation([*person[:2], person[TOP] / 2.0])
-        if mesh.contains(camera[None])[0]:
-            continue
-        way = target - camera
-        hits, *_ = mesh.ray.intersects_location(camera[None], way[None])
-        share = (hits.reshape(-1, 3) - camera) @ way / (way @ way)
-        expected = bool((share <= 1.0).any())
-        assert clear(camera, target, person) == (not expected)
-        blocked += expected
-    assert blocked > 30
 
 
 def test_a_cylinder_around_the_camera_is_left_out():

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from support.rooms import DOOR, L_SHAPE, PILLAR, RACK, lab, mesh_room
+from support.tables import rows
 
 from lmd.space.fixture import Fixture
 from lmd.space.floor_plan import FloorPlan
@@ -17,19 +18,7 @@ def surfaces(room):
     return {surface.name: surface for surface in room.surfaces()}
 
 
-@pytest.mark.parametrize(
-    ("name", "low", "high", "kind"),
-    [
-        ("door", (1, 0, 0), (2, 0, 2), "door"),
-        ("Garage Door", (1, 0, 0), (2, 0.1, 2), "door"),
-        ("sliding_door_2", (1, 0, 0), (2, 0, 2), "door"),
-        ("outdoor bench", (1, 1, 0), (2, 2, 0.5), "furniture"),
-        ("window_frame_0", (1, 0, 1), (2, 0, 2), "window"),
-        ("poster", (1, 0, 1), (2, 0, 2), "other"),
-        ("table", (1, 1, 0), (2, 2, 0.7), "furniture"),
-        ("table top", (1, 1, 0.7), (2, 2, 0.7), "furniture"),
-    ],
-)
+@pytest.mark.parametrize(("name", "low", "high", "kind"), rows(__file__, "kinds of fixtures"))
 def test_the_kind_is_that_of_the_name_or_of_the_shape(name, low, high, kind):
     assert Fixture(name, box_of(low, high)).kind == kind
 

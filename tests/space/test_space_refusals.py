@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from support.paper import paper_room
-from support.refusals import refusals
 from support.rooms import L_SHAPE, lab, walls_of
+from support.tables import refusals
 
 from lmd.formats.meshes import read_mesh_room
 from lmd.scene.deployment import Deployment

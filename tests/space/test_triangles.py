@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 import trimesh
 from numpy.testing import assert_allclose, assert_array_equal
+from support.tables import rows
 from support.thorough import SHARE
 
 from lmd.space.triangles import Triangles
@@ -48,39 +49,6 @@ def test_lines_of_sight_are_those_of_trimesh():
         asked += len(starts)
 
 
-def every_triangle(triangles, starts, ends):
-    """Whether lines cross a triangle, from the definition, one after the other without the tree."""
-    crossed = np.zeros(len(starts), dtype=bool)
-    for i in range(len(triangles.normals)):
-        one, two = (points @ triangles.normals[i] - triangles.offsets[i] for points in (starts, ends))
-        through = (np.minimum(one, two) < -TOLERANCE) & (np.maximum(one, two) > TOLERANCE)
-        with np.errstate(all="ignore"):
-            at = starts + np.where(through, one / (one - two), 0.0)[:, None] * (ends - starts)
-        for border, beyond in zip(triangles.borders[i], triangles.beyond[i], strict=True):
-            same = np.sign(two - one) * ((ends - starts) @ beyond) > TOLERANCE
-            through &= at @ border[:3] - border[3] > np.where(same, -TOLERANCE, TOLERANCE)
-        for v in np.unique(triangles.apex[i]):
-            first, last = triangles.ending[v : v + 2]
-            one, other = np.moveaxis(triangles.spokes[first:last] @ (ends - starts).T, 1, 0)
-            touched = ((np.minimum(abs(one), abs(other)) <= TOLERANCE) | (one * other < 0)).any(axis=0)
-            near = [at @ b[:3] - b[3] <= TOLERANCE for b in triangles.borders[i]]
-            k = list(triangles.apex[i]).index(v)
-            through &= ~(near[k - 1] & near[k] & touched)
-        crossed |= through
-    return crossed
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_the_tree_leaves_nothing_out(seed):
-    rng = np.random.default_rng(seed)
-    mesh = furnished(rng)
-    triangles, (starts, ends) = of(mesh), lines(rng, 3000)
-    # Many in the planes and through the corners of triangles.
-    starts[::3] = mesh.vertices[rng.integers(len(mesh.vertices), size=1000)]
-    ends[::2] = mesh.vertices[rng.integers(len(mesh.vertices), size=1500)]
-    assert_array_equal(triangles.clear(starts, ends), ~every_triangle(triangles, starts, ends))
-
-
 @pytest.mark.parametrize("divided", [0, 3])
 def test_nothing_slips_through_edges_and_corners(divided):
     # From the middle of a ball through every corner, and through points on every edge.
@@ -93,26 +61,7 @@ def test_nothing_slips_through_edges_and_corners(divided):
     assert of(ball).clear(np.zeros(3), 0.9 * targets).all()
 
 
-@pytest.mark.parametrize(
-    ("start", "end", "clear"),
-    [
-        ([-1, 0.5, 0.5], [2, 0.5, 0.5], False),  # through
-        ([-1, 1, 0.5], [2, 1, 0.5], True),  # along a face
-        ([-1, 1, 1], [2, 1, 1], True),  # along an edge
-        ([-1, 0, 0.5], [1, 2, 0.5], True),  # touches an edge
-        ([0, 2, 0], [2, 0, 2], True),  # touches the corner (1, 1, 1)
-        ([2, 2, 0], [0, 0, 2], True),
-        ([2, 2, 2], [0.5, 0.5, 0.5], False),  # into it
-        ([-1, 0.01, 0.5], [1.01, 2, 0.5], True),
-        ([-1, -0.01, 0.5], [1.01, 2, 0.5], False),
-        ([-1, -1, 0.5], [2, 2, 0.5], False),  # in and out through edges
-        ([-1, -1, -1], [2, 2, 2], False),  # through two corners
-        ([-1, 0.5, 0.5], [0, 0.5, 0.5], True),  # to a face
-        ([-1, 0.5, 0.5], [0.01, 0.5, 0.5], False),  # into it
-        ([0, 0.5, 0.5], [1, 0.5, 0.5], True),  # from face to face inside
-        ([-1, -1, 0.5], [0, 0, 0.5], True),  # to an edge
-    ],
-)
+@pytest.mark.parametrize(("start", "end", "clear"), rows(__file__, "lines of sight beside a box"))
 def test_what_touches_a_box_is_clear_and_what_enters_is_not(start, end, clear):
     box = of(trimesh.creation.box(bounds=[[0, 0, 0], [1, 1, 1]]))
     for one, two in ((start, end), (end, start)):

@@ -1,6 +1,11 @@
 """Bags of ROS 2 for tests, written by `mcap-ros2-support`, which shares no code with the library that reads them."""
 
+import numpy as np
 from mcap_ros2.writer import Writer
+
+from lmd.detection.photographed import images_in
+from lmd.formats import bags
+from lmd.geometry.camera import Camera
 
 HEADER = """std_msgs/Header header
 {body}
@@ -36,6 +41,8 @@ KINDS = {
     "sensor_msgs/msg/CameraInfo": CAMERA_INFO,
     "apriltag_msgs/msg/AprilTagDetectionArray": DETECTIONS,
 }
+SMALL = Camera(2.0, 0.01, 0.01, (8.0, 6.0), 16, 12, 0.0)
+GREY = np.random.default_rng(0).integers(0, 256, (12, 16), dtype=np.uint8)
 FIRST = 1_700_000_000  # seconds at which bags begin
 
 
@@ -54,6 +61,22 @@ def write(path, messages):
             writer.write_message(topic, schemas[kind], {"header": header(nanoseconds), **values}, at, at)
         writer.finish()
     return path
+
+
+def bag_of(path, values, kind=bags.IMAGE, count=1, topic="/image"):
+    """Write a bag with the same message each tenth of a second."""
+    return write(path, [(topic, kind, k * 10**8, values) for k in range(count)])
+
+
+def images(path, **more):
+    """Images of a bag by topic."""
+    return images_in(path, **{"topic": None, "rate": 5.0, "argument": "photographs", "count": 1, **more})
+
+
+def only(path, **more):
+    """Images of a bag with one topic."""
+    (found,) = images(path, **more).values()
+    return found
 
 
 def image(grey, encoding="mono8", padding=0):

@@ -11,26 +11,11 @@ from lmd.scene.scene import Scene
 from lmd.sight.models.paper import Visibility
 from lmd.space.cuboid import Cuboid
 
-PAPER_CAMERA = {
-    "focal_length": 5.0,
-    "pixel_width": 0.0058,
-    "pixel_height": 0.0058,
-    "principal_point": (800.0, 600.0),
-    "image_width": 1600.0,
-    "image_height": 1200.0,
-    "aperture": 10.0,
-    "focus_distance": 1778.0,
-}
-PRINTED_EXPERIMENT_CAMERA = {
-    "focal_length": 24.0,
-    "pixel_width": 0.0033,
-    "pixel_height": 0.0033,
-    "principal_point": (960.0, 540.0),
-    "image_width": 1920.0,
-    "image_height": 1080.0,
-    "aperture": 8.57,
-    "focus_distance": math.inf,
-}
+FIELDS = ("focal_length", "pixel_width", "pixel_height", "principal_point")
+FIELDS += ("image_width", "image_height", "aperture", "focus_distance")
+PAPER_CAMERA = dict(zip(FIELDS, (5.0, 0.0058, 0.0058, (800.0, 600.0), 1600.0, 1200.0, 10.0, 1778.0), strict=True))
+PRINTED = (24.0, 0.0033, 0.0033, (960.0, 540.0), 1920.0, 1080.0, 8.57, math.inf)
+PRINTED_EXPERIMENT_CAMERA = dict(zip(FIELDS, PRINTED, strict=True))
 SIDE_WALLS = ("x_min", "x_max", "y_min", "y_max")
 X, Y, Z = np.eye(3)
 

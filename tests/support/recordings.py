@@ -5,16 +5,8 @@ import numpy as np
 from lmd.orientation.procedure import estimate_pdf
 from lmd.orientation.recording import OrientationRecording, SimulatedRecording
 
-LEVEL = {
-    "duration": 1200.0,
-    "rate": 10.0,
-    "correlation_time": 1.0,
-    "yaw_mean": 0.0,
-    "yaw_concentration": 0.0,
-    "pitch_mean": -0.1,
-    "pitch_std": 0.0,
-    "coupling": 0.0,
-}
+LEVEL = {"duration": 1200.0, "rate": 10.0, "correlation_time": 1.0, "coupling": 0.0}
+LEVEL |= {"yaw_mean": 0.0, "yaw_concentration": 0.0, "pitch_mean": -0.1, "pitch_std": 0.0}
 MOVING = {"yaw_mean": 3.0, "yaw_concentration": 2.0, "pitch_std": 0.2}
 
 

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from lmd.formats.meshes import read_mesh_room
+from lmd.formats.trajectories import read_recorded_poses
 from lmd.space.floor_plan import FloorPlan
 from lmd.space.parts import Reachable
 from lmd.space.prism import Prism
@@ -72,6 +73,12 @@ def hangs_properly(room, points, surfaces, edge=0.0):
         free = shapely.box(0, 0, *on.extent) if on.allowed is None else on.allowed
         good.append(free.buffer(1e-6).covers(square))
     return np.array(good)
+
+
+def recorded(path, **changes):
+    """Recorded poses of a file."""
+    settings = {"spacing": 0.5, "bandwidth": 0.2, "direction_bandwidth": 5.0, "divisions": 12, "held_out": None}
+    return read_recorded_poses(path, **(settings | {"block": 1.0} | changes))
 
 
 @st.composite

@@ -46,7 +46,7 @@ class Job:
     reason: str = ""
     """Reason for which the job did not finish."""
     seconds: float = 0.0
-    """Wall time over all sittings that the job goes on from, seconds."""
+    """Wall time of all attempts of the job that it continues, seconds."""
     round: int = 0
     """`Sweep.round` of the last command with this job."""
 

@@ -13,7 +13,7 @@ from .folder import SweepFolder
 
 SLUG_LENGTH = 100  # greatest number of characters of a slug
 NAME_LENGTH = 80  # greatest number of characters of a run's name; what varies is cut at its end
-SEED = "seed"  # jobs that differ in this key alone are one group
+SEED = "seed"  # jobs that differ only in this key are one group
 SHORT = {"thold_p": "p"}  # keys that are shorter in names
 DIGEST_LENGTH = 8  # characters of a digest in the name of a folder
 NOT_IN_NAME = ("hydra", "validate")  # keys that change neither the problem nor the search of a run

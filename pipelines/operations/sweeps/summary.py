@@ -23,7 +23,7 @@ FIGURES = (
 DESCRIBED = {"fitness": "fitness", "off_grid": "off the grid"}  # figures of groups, with their labels
 # Keys of the problem: jobs that differ in one of them have different problems.
 PROBLEM = (*GROUPS, "experiment", "run", *(f"deployment.{key}" for key in ("count", "fixed", "free", "measured")))
-MOST_COLUMNS = 12  # values of a key beyond which it is no head of a table of groups
+MOST_COLUMNS = 12  # values of a key beyond which it cannot head a table of groups
 Group = tuple[str, ...]  # values of the grouping keys
 
 

@@ -37,7 +37,7 @@ class Journal:
 
     @classmethod
     def of(cls, folder: Path) -> "Journal":
-        """Read the journal in the folder of a run; empty if there is none. An incomplete last line is left out.
+        """Read the journal in the folder of a run; empty without one. An incomplete last line is left out.
 
         Args:
             folder: folder of the run.

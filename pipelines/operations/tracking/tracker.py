@@ -19,7 +19,7 @@ class Dataset:
     digest: str
     """Digest of everything that decides the fitness."""
     settings: Mapping[str, str]
-    """Its parts, in words."""
+    """Parts, in words."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class RunStart:
     ago: float = 0.0
     """Time since the run began, seconds."""
     dataset: Dataset | None = None
-    """Its problem, if it has one."""
+    """Problem, or None."""
 
 
 class NoTracker:
@@ -68,8 +68,8 @@ class NoTracker:
         """Delete the started run."""
 
     def settle(self, run: RunStart, status: str, reason: str = "", files: Sequence[Path] = ()) -> None:
-        """Settle the runs with the tags of `run`, whose processes have ended: end those that are RUNNING or ended for
-        lack of a process, keep the newest alone, and add files to it. If there is none, one is recorded unless it is
+        """Settle the runs with the tags of `run`, whose processes have ended. End those that are RUNNING or ended for
+        lack of a process, keep the newest alone, and add files to it. Without one, one is recorded unless it is
         FINISHED.
 
         Raises:

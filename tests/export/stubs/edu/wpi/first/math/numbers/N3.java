@@ -1,0 +1,3 @@
+package edu.wpi.first.math.numbers;
+
+public class N3 {}
