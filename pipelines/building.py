@@ -3,7 +3,7 @@
 import sys
 from collections import Counter
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from omegaconf import DictConfig, OmegaConf
 
@@ -181,31 +181,17 @@ def camera_of(node: DictConfig) -> "Camera | Rig":
         InputError: a camera or the rig is refused.
     """
     alone = editable(node)
-    alone.pop("rig", None)
-    mounts = mounts_of(node)
-    if mounts is None:
+    if (mounts := plain(alone.pop("rig", None))) is None:
         made = instantiate(alone)
     else:
-        from lmd.formats.rigs import brings_cameras, rig_of
+        from lmd.formats.rigs import brings_cameras, read_mounts, rig_of
 
         with keyed("camera"):
+            mounts = read_mounts(mounts) if isinstance(mounts, str) else mounts
             made = rig_of(mounts, None if brings_cameras(mounts) else instantiate(alone))
     for camera in made.cameras:
         note(camera.note)
     return made  # type: ignore[no-any-return]
-
-
-def mounts_of(node: DictConfig) -> Any:
-    """Mounts of the group `camera` as arguments of `lmd.formats.rigs.rig_of`; None for a single camera.
-
-    Raises:
-        InputError: the file of the rig cannot be read.
-    """
-    from lmd.formats.rigs import read_mounts
-
-    mounts = plain(node.get("rig"))
-    with keyed("camera"):
-        return read_mounts(mounts) if isinstance(mounts, str) else mounts
 
 
 def visibility_of(node: DictConfig) -> "tuple[Criteria, Crowd | None]":

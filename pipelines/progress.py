@@ -119,6 +119,8 @@ class Stages:
 
     def __call__(self, stage: "SurveyStage", done: int = 0, most: int = 0) -> bool:
         """Show the stage, and return whether the survey is to stop; see `lmd.survey.survey.Observer`."""
+        if stop.requested and self.interrupted is None:
+            self.interrupted = self._stage
         if self._bar is None or stage != self._stage:
             self.close()
             self._bar, self._stage = tqdm(desc=stage.value, unit=" steps", delay=SHOWN_AFTER, leave=False), stage
@@ -128,9 +130,7 @@ class Stages:
         return stop.requested
 
     def close(self) -> None:
-        """Note the stage in which a signal came, and remove the bar."""
-        if stop.requested and self.interrupted is None:
-            self.interrupted = self._stage
+        """Remove the bar."""
         if self._bar is not None:
             with suppress(OSError):
                 self._bar.close()
