@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 from support.paper import paper_camera, paper_room, paper_scene
-from support.processes import ROOT, call, environment
+from support.processes import ROOT, environment
 from support.rooms import lab
 
 import lmd
@@ -30,7 +30,9 @@ CASES = {
     "localisation of a rig": (ROOM, RIG, LOCALISATION),
     "among obstacles": (lab(spacing=2.0), paper_camera(), COVERAGE),
 }
-WHOLE = ("budget.evaluations=3", "room.spacing=2", "validate=false", "picture=false", "tracking=none")
+
+
+OTHERS = pytest.mark.thorough("lmd/core", "lmd/incremental", "lmd/objectives", "lmd/sight")
 
 
 def found_by_walking(name):
@@ -42,15 +44,7 @@ def found_by_walking(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=pytest.mark.thorough("lmd/core", "lmd/incremental", "lmd/objectives", "lmd/sight"))
-        if name != "localisation"
-        else name
-        for name in CASES
-    ],
-)
+@pytest.mark.parametrize("name", ["camera", *(pytest.param(name, marks=OTHERS) for name in CASES if name != "camera")])
 def test_walks_in_plain_python_end_at_the_same_bits(name, tmp_path):
     """30 s of processor time together, once their kernels are compiled."""
     code = f"import json, test_disabled_compiler as t; print(json.dumps(t.found_by_walking({name!r})))"
@@ -60,25 +54,3 @@ def test_walks_in_plain_python_end_at_the_same_bits(name, tmp_path):
     assert done.returncode == 0, done.stderr
     assert "Warning" not in done.stderr
     assert json.loads(done.stdout) == found_by_walking(name)
-
-
-def found_by_a_run(folder):
-    """All that a run says of what it found; without the time that it took."""
-    folder.mkdir()
-    done = call("optimise", "hydra.run.dir=run", cwd=folder, settings=WHOLE, fresh=True)
-    assert done.returncode == 0, done.stderr
-    assert "Warning" not in done.stderr
-    run = folder / "run"
-    metrics = json.loads((run / "metrics.json").read_text())
-    del metrics["wall_time"]
-    history = [line.rpartition(",")[0] for line in (run / "history.csv").read_text().splitlines()]
-    return (run / "landmarks.csv").read_bytes(), metrics, history
-
-
-@pytest.mark.slow
-@pytest.mark.thorough("lmd/core/compiled.py", "lmd/optimisers/annealing", "pipelines/optimise.py")
-def test_a_run_in_plain_python_has_the_same_figures(tmp_path, monkeypatch):
-    """10 s of processor time: the walk of 90 landmarks in the paper's room, not compiled."""
-    compiled = found_by_a_run(tmp_path / "compiled")
-    monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
-    assert found_by_a_run(tmp_path / "python") == compiled

@@ -19,45 +19,9 @@ from lmd.survey.knowledge import Boards, MeasuredPoints
 
 BROKEN = round(100 * SHARE)  # files of each kind of change
 VALUES = [
-    None,
-    True,
-    "",
-    "x",
-    "nan",
-    -1,
-    0,
-    1.5,
-    1e308,
-    -(10**400),
-    10**19,
-    [],
-    {},
-    [[]],
-    [1, 2],
-    {"x": {}},
-    "\u2028\x00",
+    *(None, True, "", "x", "nan", -1, 0, 1.5, 1e308, -(10**400), 10**19, [], {}, [[]], [1, 2], {"x": {}}, "\u2028\x00")
 ]
-TOKENS = [
-    "",
-    "x",
-    "nan",
-    "inf",
-    "-1",
-    "1e400",
-    "9" * 400,
-    "0.5.5",
-    ",",
-    ";",
-    "|",
-    "#",
-    "\n",
-    "\x00",
-    "é",
-    '"',
-    "[",
-    "{",
-    ":",
-]
+TOKENS = [*',;|#\n\x00é"[{:', "", "x", "nan", "inf", "-1", "1e400", "9" * 400, "0.5.5"]
 CHAIN = {"cam0": {"T_cam_imu": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}}
 CASES = {
     **{f"{family} {name}": (READERS[family], name, t) for family, own in SAMPLES.items() for name, t in own.items()},

@@ -57,39 +57,9 @@ def test_relevance_weighs_the_fitness_but_not_the_qualified_ratio():
     assert p.fitness_of(deployment) == metrics["fitness"]
 
 
-def drawn(p, size, seed):
-    rng = np.random.default_rng(seed)
-    deployments = [p.start.draw(p.scene.room, rng) for _ in range(size)]
-    return deployments, (np.stack([d.positions for d in deployments]), np.stack([d.normals for d in deployments]))
-
-
-def test_fitness_does_not_depend_on_threads_or_batch():
-    one, three = problem(threads=1), problem(threads=3)
-    deployments, landmarks = drawn(one, 4, 2)
-    together = one.fitness(*landmarks)
-    np.testing.assert_array_equal(together, three.fitness(*landmarks))
-    np.testing.assert_array_equal(together, [one.fitness_of(deployment) for deployment in deployments])
-
-
 def test_more_landmarks_than_exist_cannot_be_required():
     with pytest.raises(InputError, match=r"^n = 4 exceeds the number of landmarks, 3"):
         problem(n=4, start=RandomDeployment(3))
-
-
-@pytest.mark.parametrize(
-    ("values", "message"),
-    [
-        ((0, 0.5), r"^n must be at least 1, got 0"),
-        ((1.5, 0.5), r"^n must be a whole number, got 1\.5"),
-        (("two", 0.5), r"^n must be a whole number, got 'two'"),
-        ((2, 1.01), r"^thold_p must be in \[0, 1\], got 1\.01"),
-        ((2, -0.1), r"^thold_p must be in \[0, 1\], got -0\.1"),
-        ((2, float("nan")), r"^thold_p must be finite, got nan"),
-    ],
-)
-def test_an_impossible_objective_is_refused(values, message):
-    with pytest.raises(InputError, match=message):
-        Coverage(*values)
 
 
 def test_one_position_is_a_problem_too():

@@ -12,34 +12,9 @@ import lmd
 ROOT = Path(lmd.__file__).parent
 # From the ground up: a package imports from those before it, and from itself.
 FLOORS = (
-    *(
-        "core",
-        "geometry",
-        "space",
-        "scene",
-        "formats",
-        "render",
-        "orientation",
-        "sight",
-        "incremental",
-        "objectives",
-        "problem",
-        "cameras",
-    ),
-    *(
-        "optimisers",
-        "detection",
-        "adjust",
-        "estimation",
-        "export",
-        "survey",
-        "localise",
-        "evaluation",
-        "run",
-        "suite",
-        "plot",
-        "planner",
-    ),
+    *("core", "geometry", "space", "scene", "formats", "render", "orientation", "sight", "incremental", "objectives"),
+    *("problem", "cameras", "optimisers", "detection", "adjust", "estimation", "export", "survey", "localise"),
+    *("evaluation", "run", "suite", "plot", "planner"),
 )
 MODULES = {
     ".".join(("lmd", *path.relative_to(ROOT).with_suffix("").parts)).removesuffix(".__init__"): path

@@ -15,10 +15,10 @@ BUDGET = {
     "code lines of lmd": 29759,
     "files of pipelines": 48,
     "code lines of pipelines": 3704,
-    "code lines of tests": 22489,
+    "code lines of tests": 21370,
     "files of conf": 100,
     "keys of conf": 382,
-    "words of docs": 40141,
+    "words of docs": 40140,
     "commands": 12,
 }
 # Docstrings and comments with each phrase, at most. Lower a number when you have lowered the count.

@@ -98,11 +98,16 @@ def check_sight(criteria, camera, views, covered, rng):
 
 def check_every_path(scene, deployment, targets, n, rng):
     """Check single views, moves to `targets`, and all counts after them, against the reference."""
-    axes, evaluator = scene.orientations.axes, Evaluator(scene, threads=1)
+    check_views(scene, deployment)
+    check_counts(scene, check_field(Coverage(n, 0.5), scene, deployment, targets, rng), n)
+
+
+def check_views(scene, deployment, by_reference=False):
+    """Check single views against the reference."""
+    axes, evaluator = scene.orientations.axes, Evaluator(scene, threads=1, by_reference=by_reference)
     for position in scene.room.grid()[:2]:
         seen = visible(evaluator, deployment, np.tile(position, (len(axes), 1)), axes)
         np.testing.assert_array_equal(seen, reference.coverage_caps(scene, deployment, position, axes))
-    check_counts(scene, check_field(Coverage(n, 0.5), scene, deployment, targets, rng), n)
 
 
 def check_counts(scene, deployment, n, threads=1):
@@ -117,9 +122,9 @@ def check_counts(scene, deployment, n, threads=1):
     np.testing.assert_allclose(evaluator.probabilities(deployment, n), formula, rtol=0.0, atol=1e-12)
 
 
-def check_gains(scene, poses, rng):
+def check_gains(scene, poses, rng, by_reference=False):
     """Check what poses gain, and cover, each on its own, against the reference; returns whether any covers anything."""
-    evaluator = Evaluator(scene, threads=2)
+    evaluator = Evaluator(scene, threads=2, by_reference=by_reference)
     cover = cover_matrix(scene, poses)
     prices, amounts = np.zeros((len(evaluator.positions), evaluator.axes.shape[1])), rng.random(len(poses))
     size = len(scene.orientations.axes)

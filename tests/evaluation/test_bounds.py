@@ -212,7 +212,7 @@ def test_the_result_does_not_depend_on_threads():
 def ticking(monkeypatch):
     """A clock that goes on by a second whenever it is asked."""
     seconds = itertools.count()
-    for module in ("time_limit", "bounds", "selection_bound"):
+    for module in ("relaxation", "bounds"):
         monkeypatch.setattr(f"lmd.evaluation.{module}.clock", seconds.__next__)
 
 

@@ -5,24 +5,26 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.paper import PAPER_CAMERA, paper_camera, printed_experiment_camera
+from support.paper import paper_camera, printed_experiment_camera
+from support.refusals import refusals
 from support.strategies import cameras, visibilities
 
-from lmd.core.checks import InputError
 from lmd.geometry.projection import blur_disc
 from lmd.scene.criteria import TOLERANCE
 from lmd.sight.models.paper import Visibility
 
 
-def test_simulation_camera_is_sharp_from_0_9755_to_10_03_metres():
-    near, far = paper_camera().depth_of_field(4.0)
-    assert near == pytest.approx(0.9755, abs=5e-5)
-    assert far == pytest.approx(10.03, abs=5e-3)
-
-
-def test_simulation_camera_has_a_half_angle_of_34_84_degrees():
-    assert math.degrees(paper_camera().cone_half_angle) == pytest.approx(34.84, abs=5e-3)
-    assert math.tan(paper_camera().cone_half_angle) == pytest.approx(0.696)
+@pytest.mark.parametrize(
+    ("camera", "degrees", "near", "far"),
+    [
+        (paper_camera(), 34.84, 0.9755, 10.03),
+        (printed_experiment_camera(), 4.25, 15.6, math.inf),
+        (printed_experiment_camera(focal_length=4.03, aperture=1.44), 23.9, 0.44, math.inf),
+    ],
+)
+def test_view_and_depth_of_field_are_those_of_the_papers_cameras(camera, degrees, near, far):
+    assert math.degrees(camera.cone_half_angle) == pytest.approx(degrees, abs=0.06)
+    assert camera.depth_of_field(4.0) == pytest.approx((near, far), rel=4e-3)
 
 
 def test_simulation_camera_resolves_0_28_pixel_per_mm_to_3_09_metres():
@@ -56,17 +58,12 @@ def test_square_pixels_are_not_assumed():
     assert near == pytest.approx(10 * 1.778 * 5 / (50 + 0.016 * 1773))
 
 
-@pytest.mark.parametrize("beyond", [0.0, 1e-6, 1000.0])
+@pytest.mark.parametrize("beyond", [-1e-3, 0.0, 1e-6, 1000.0])
 def test_far_limit_is_infinite_from_the_hyperfocal_distance_on(beyond):
     camera = paper_camera(pixel_width=0.0625, pixel_height=0.0625, focus_distance=205.0 + beyond)
     near, far = camera.depth_of_field(4.0)
-    assert far == math.inf
-    assert near > 0.0
-
-
-def test_far_limit_is_finite_just_before_the_hyperfocal_distance():
-    camera = paper_camera(pixel_width=0.0625, pixel_height=0.0625, focus_distance=204.999)
-    assert 0.0 < camera.depth_of_field(4.0)[1] < math.inf
+    assert 0.0 < near < far
+    assert (far == math.inf) == (beyond >= 0.0)
 
 
 def test_focus_at_infinity_is_the_limit_of_far_focus():
@@ -75,18 +72,6 @@ def test_focus_at_infinity_is_the_limit_of_far_focus():
     assert at_infinity.depth_of_field(4.0)[0] == pytest.approx(far_away.depth_of_field(4.0)[0])
     assert at_infinity.resolution_at_one_metre == pytest.approx(5 / 5.8)
     assert at_infinity.resolution_at_one_metre == pytest.approx(far_away.resolution_at_one_metre)
-
-
-def test_printed_experiment_camera_has_4_25_degrees_and_a_near_limit_of_15_6_metres():
-    camera = printed_experiment_camera()
-    assert math.degrees(camera.cone_half_angle) == pytest.approx(4.25, abs=5e-3)
-    assert camera.depth_of_field(4.0) == (pytest.approx(15.6, abs=0.05), math.inf)
-
-
-def test_true_experiment_camera_has_23_9_degrees_and_a_near_limit_of_0_44_metres():
-    camera = printed_experiment_camera(focal_length=4.03, aperture=1.44)
-    assert math.degrees(camera.cone_half_angle) == pytest.approx(23.9, abs=0.06)
-    assert camera.depth_of_field(4.0)[0] == pytest.approx(0.44, abs=5e-3)
 
 
 @given(cameras(), visibilities())
@@ -117,16 +102,6 @@ def test_near_limit_lies_before_the_focus_and_far_limit_behind_it(camera, confus
     assert far * 1000.0 >= camera.focus_distance * (1 - 1e-12)
 
 
-POSITIVE = [name for name in PAPER_CAMERA if name not in ("principal_point", "focus_distance", "aperture")]
-
-
-@pytest.mark.parametrize("name", POSITIVE)
-@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf, "5", None, True])
-def test_a_camera_length_must_be_a_positive_number(name, value):
-    with pytest.raises(InputError, match=rf"^{name} .*{value!r}\.$"):
-        paper_camera(**{name: value})
-
-
 @pytest.mark.parametrize("focus", [1778.0, math.inf])
 def test_a_pinhole_is_sharp_at_any_depth(focus):
     camera = paper_camera(aperture=0, focus_distance=focus)
@@ -134,40 +109,6 @@ def test_a_pinhole_is_sharp_at_any_depth(focus):
     assert camera.depth_of_field(4.0) == (0.0, math.inf)
     assert blur_disc(camera, [0.01, 1.0, 100.0]).tolist() == [0.0, 0.0, 0.0]
     assert Visibility(thold=0.28).limits_for(camera)["focus"] == "any depth ahead: no aperture"
-    with pytest.raises(InputError, match=r"^aperture must be at least 0, got -1.0\.$"):
-        paper_camera(aperture=-1.0)
-
-
-@pytest.mark.parametrize("value", [5.0, 4.0, 0.0, -1.0, math.nan, -math.inf, "far"])
-def test_focus_must_lie_beyond_the_focal_length(value):
-    with pytest.raises(InputError, match=r"^focus_distance .*got"):
-        paper_camera(focus_distance=value)
-
-
-@pytest.mark.parametrize(
-    "value", [(0, 600), (1600, 600), (800, 0), (800, 1200), (-1, 600), (math.nan, 600), (800,), (1, 2, 3), "ab", 800]
-)
-def test_principal_point_must_lie_inside_the_image(value):
-    with pytest.raises(InputError, match=r"^principal_point.*got"):
-        paper_camera(principal_point=value)
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("thold", 0.0),
-        ("thold", math.nan),
-        ("nu", -0.01),
-        ("nu", math.inf),
-        ("occlusion", "full"),
-        ("occlusion", None),
-        ("circle_of_confusion", 0.0),
-        ("circle_of_confusion", "4"),
-    ],
-)
-def test_a_visibility_value_out_of_range_is_named(name, value):
-    with pytest.raises(InputError, match=rf"^{name} .*{value!r}\.$"):
-        Visibility(**({"thold": 0.28} | {name: value}))
 
 
 def test_numbers_may_be_integers():
@@ -177,26 +118,12 @@ def test_numbers_may_be_integers():
     )
 
 
-@pytest.mark.parametrize("name", ["image_width", "image_height"])
-@pytest.mark.parametrize("value", [1640.5, 0, "1600", None])
-def test_an_image_has_whole_pixels(name, value):
-    with pytest.raises(InputError, match=rf"^{name} must be .*{value!r}\.$"):
-        paper_camera(**{name: value})
-
-
 def test_a_lens_that_distorts_shows_more_or_less():
     plain = paper_camera()
     assert plain.widest_angle == pytest.approx(math.atan(1.16))  # 1000 pixels at 862.07 a unit
     assert plain == paper_camera(distortion=[0.0] * 5)
     assert paper_camera(distortion=(-0.1, 0.01, 0.0, 0.0)).widest_angle > plain.widest_angle
     assert paper_camera(distortion=(0.1, 0.01, 0.0, 0.0)).widest_angle < plain.widest_angle
-
-
-@pytest.mark.parametrize("distortion", [(-0.5, 0.0, 0.0, 0.0), (0.0, 0.0, 0.2, 0.0), (0.4, -1.0, 0.0, 0.0, 0.0)])
-def test_a_distortion_that_folds_before_the_nearest_border_is_refused(distortion):
-    message = r"^distortion must show what is farther .* turns back [\d.]+ degrees off the axis, before it\.$"
-    with pytest.raises(InputError, match=message):
-        paper_camera(distortion=distortion)
 
 
 def test_a_lens_that_folds_before_the_corners_shows_what_is_within():
@@ -218,13 +145,6 @@ def test_a_fisheye_sees_no_farther_than_its_round_image():
     assert paper_camera(**lens, image_circle=5000.0).widest_angle == paper_camera(**lens).widest_angle
 
 
-def test_a_round_image_needs_a_lens():
-    with pytest.raises(InputError, match=r"^image_circle needs the distortion of a lens"):
-        paper_camera(image_circle=1000.0)
-    with pytest.raises(InputError, match=r"^image_circle must be"):
-        paper_camera(distortion=[0.0] * 4, distortion_model="equidistant", image_circle=0.0)
-
-
 def test_a_fisheye_sees_what_is_behind_it():
     # 5 mm / 0.0058 mm make 862 pixels a radian; 0.0145 mm make 344.8, and 1000 pixels to the corner 166 degrees.
     camera = paper_camera(pixel_width=0.0145, pixel_height=0.0145, distortion=[0.0] * 4, distortion_model="equidistant")
@@ -232,3 +152,7 @@ def test_a_fisheye_sees_what_is_behind_it():
     assert camera.widest_angle == pytest.approx(2.9)
     np.testing.assert_allclose(camera.field_of_view, [2.32, 2.32, 1.74, 1.74])
     assert camera.cone_half_angle == pytest.approx(math.radians(89.0))
+
+
+CALLS = {"a camera": paper_camera, "the paper's visibility": lambda thold=0.28, **more: Visibility(thold, **more)}
+test_what_cannot_be_is_refused_in_one_sentence = refusals(__file__, **CALLS)

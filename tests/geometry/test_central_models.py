@@ -11,7 +11,6 @@ import yaml
 from numpy.testing import assert_allclose
 from support.composing import composed
 
-from lmd.core.checks import InputError
 from lmd.formats.calibrations import calibrated_camera, read_calibration
 from lmd.geometry.central_models import restated
 from lmd.geometry.lens import Lens
@@ -81,14 +80,6 @@ def test_a_pixel_looks_where_the_inverse_of_the_model_says(name, ray, pinhole, o
     off = np.hypot(*(there - pixels[seen]).T)
     assert off.max() <= 1.5 * lens.worst + 1e-3  # corners may lie between the directions that were looked at
     assert lens.worst < (0.3 if "k1" in own else 0.03)
-
-
-def test_a_lens_that_none_comes_near_to_is_refused():
-    own = {"xi": 0.9, "k1": -0.2, "k2": 0.05, "p1": 0.01, "p2": -0.01}
-    with pytest.raises(InputError, match=r"^no lens that is known here comes nearer than [\d.]+ pixels to that of"):
-        restated("omni", {"fx": 350.0, "fy": 350.0, "cx": 320.0, "cy": 240.0} | own, SIZE)
-    with pytest.raises(InputError, match=r"^the model images nothing around its axis"):
-        restated("ds", NARROW | {"cx": -900.0, "xi": 0.1, "alpha": 0.5}, SIZE)
 
 
 @pytest.mark.usefixtures("coarse")

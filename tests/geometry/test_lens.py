@@ -9,14 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.strategies import lenses
 
-from lmd.core.checks import InputError
 from lmd.geometry.lens import Lens, lens_of
 
 FOCAL, FAR = 600.0, 3.0  # pixels, and focal lengths from the centre: farther out is no image
 NOTHING = np.zeros(3)
 
 
-def directions(widest, size=64):
+def directions(widest, size=40):
     """Unit vectors up to an angle from the axis, on its edge too, `(size^2, 3)`."""
     theta, phi = (
         part.ravel() for part in np.meshgrid(np.linspace(0.0, widest, size), np.linspace(-np.pi, np.pi, size))
@@ -135,18 +134,3 @@ def test_coefficients():
     prism = lens_of("rational_polynomial", [0.0] * 8 + [0.1, 0.0, 0.0, 0.0])
     assert lens_of(prism.model, prism.coefficients) == prism
     assert lens_of("equidistant", [0, 0, 0, 0]).coefficients == (0.0, 0.0, 0.0, 0.0)
-    for wrong in ([0.1, 0.2], 0.1, "abcd", None):
-        with pytest.raises(InputError, match=r"^distortion must be \[\] or \[k1, k2, p1, p2\], with k3, .*, got"):
-            lens_of("plumb_bob", wrong)
-    for model, numbers, message in (
-        ("plumb_bob", [0.1, math.nan, 0.0, 0.0], r"^distortion\[1\] must be finite"),
-        ("equidistant", [], r"^distortion of an equidistant lens must be \[k1, k2, k3, k4\], got \[\]\.$"),
-        (
-            "rational_polynomial",
-            [0.1] * 14,
-            r"^distortion \[0\.1, .*\] is that of a tilted sensor, which is not known here",
-        ),
-        ("omni", [], r"^distortion_model must be one of plumb_bob, rational_polynomial, equidistant, got 'omni'"),
-    ):
-        with pytest.raises(InputError, match=message):
-            lens_of(model, numbers)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from support.paper import paper_camera, paper_room, paper_scene
 
-from lmd.detection.detectors import ArucoDetector
 from lmd.geometry.projection import intrinsics, project
 from lmd.geometry.se3 import camera_pose
 from lmd.geometry.squares import corners
@@ -16,9 +15,6 @@ from lmd.objectives.localisation import Localisation
 from lmd.objectives.localisation.ambiguity import CONFIDENCE, mirrored_square, resolved
 from lmd.objectives.localisation.information import deviation_per_variance, precision
 from lmd.objectives.localisation.reference import mirrored_probabilities
-from lmd.render.imaging import Imaging
-from lmd.render.renderer import Renderer
-from lmd.render.room import TaggedRoom
 from lmd.scene.deployment_sources import UniformDeployment
 from lmd.scene.rig import Mount, Rig
 from lmd.scene.tag import Tag
@@ -66,11 +62,6 @@ def share_wrong(pose, edge, images):
     return np.mean([each @ mirrored > each @ normal for each in turned])
 
 
-def test_cameras_look_at_the_tag():
-    pose = looking(2.0, 30.0, 40.0)
-    np.testing.assert_allclose(pose[:3, 2], -pose[:3, 3] / 2.0, atol=1e-12)
-
-
 @pytest.mark.parametrize(("off", "within"), [(0.0, 0.04), (15.0, 0.06), (25.0, 0.09)])
 def test_the_closed_form_is_the_residual_of_the_other_pose(off, within):
     for edge, distance in ((0.05, 1.0), (0.1, 4.0), (0.2, 4.0)):
@@ -91,23 +82,6 @@ def test_noise_makes_the_wrong_pose_the_better_one_as_often_as_predicted(distanc
     assert 0.03 < expected < 0.4
     error = np.sqrt(expected * (1.0 - expected) / count)
     assert share_wrong(pose, edge, images) == pytest.approx(expected, abs=4.0 * error + 0.1 * expected)
-
-
-def test_so_it_is_on_rendered_frames_with_the_noise_of_a_detector():
-    edge, pose, rng = 0.15, looking(3.5, 20.0, 30.0), np.random.default_rng(0)
-    renderer = Renderer(CAMERA, TaggedRoom(Tag(edge), np.array([0]), np.zeros((1, 3)), NORMAL, UP), Imaging(noise=6.0))
-    frames, reader, wrong, noise = 40, ArucoDetector(preset="fine"), [], []
-    for _ in range(frames):
-        near = pose.copy()
-        near[:3, 3] += rng.uniform(-0.02, 0.02, 3)
-        found = reader.detect(renderer.frame(near, rng))
-        if len(found) == 1:
-            wrong.append(share_wrong(near, edge, found.corners))
-            off = found.corners[0] - project(CAMERA, near, square(edge))
-            noise.append(off[::2].sum(axis=0) - off[1::2].sum(axis=0))  # what alone looks like the other pose
-    assert len(wrong) > frames / 2
-    sigma = np.sqrt(np.mean(np.square(noise))) / 2.0
-    assert np.mean(wrong) == pytest.approx(NormalDist().cdf(-residual(pose, edge) / (2.0 * sigma)), abs=0.15)
 
 
 def test_a_precision_asks_for_the_confidence():

@@ -8,6 +8,7 @@ import pytest
 from contracts.objective import check_selection
 from support.composing import composed
 from support.drives import DEPLOYMENT, MOTION, PACE, SCENE, SLOW, along
+from support.refusals import refusals
 
 from lmd.core.checks import InputError
 from lmd.estimation.drives import cut, filtered
@@ -135,22 +136,6 @@ def test_positions_off_the_drives_have_no_value():
         objective.values(Evaluator(SCENE, threads=1), DEPLOYMENT.positions[None], DEPLOYMENT.normals[None])
 
 
-@pytest.mark.parametrize(
-    ("overrides", "message"),
-    [
-        (["visibility.crowd={number: 2}"], "an objective along drives has no crowd in the way"),
-        (["trajectory@objective.trajectory=file"], "path"),
-        (["objective.drives=0"], "objective.drives must be at least 1"),
-        (["objective.worst=5"], "objective.worst must be at most 1, got 5"),
-        (["objective.n=40", "deployment.count=20"], "n = 40 exceeds the number of landmarks, 20"),
-    ],
-)
-def test_what_makes_no_sense_is_refused_in_a_sentence(overrides, message):
-    settings = composed("optimise", "objective=filtered", "objective.fresh=1", "objective.drives=1", *overrides)
-    with pytest.raises(InputError, match=message):
-        build_problem(settings)
-
-
 def test_drives_of_a_recording_are_pieces_of_it(tmp_path):
     rows = [f"{0.1 * t},{2.0 + 0.003 * t},2,3.2,{0.01 * t},0" for t in range(600)]
     (tmp_path / "drive.csv").write_text("\n".join(["time,x,y,z,yaw,pitch", *rows]))
@@ -164,3 +149,12 @@ def test_drives_of_a_recording_are_pieces_of_it(tmp_path):
     np.testing.assert_array_equal(one.objective.drives.poses, other.objective.drives.poses)
     np.testing.assert_allclose(one.relevance, 0.1)
     np.testing.assert_array_equal(one.relevance, other.relevance)
+
+
+def along_drives(*overrides):
+    return build_problem(
+        composed("optimise", "objective=filtered", "objective.fresh=1", "objective.drives=1", *overrides)
+    )
+
+
+test_what_cannot_be_is_refused_in_one_sentence = refusals(__file__, **{"a problem along drives": along_drives})

@@ -6,9 +6,7 @@ from contracts.field import copied
 from support.paper import paper_room, paper_scene
 from support.small import make, problem
 
-from lmd.core.checks import InputError
 from lmd.formats.tag_maps import FileDeployment
-from lmd.incremental.state import HIDDEN
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.sampling import Sampling
 from lmd.optimisers.annealing import Annealing, Stage
@@ -94,21 +92,6 @@ def test_samples_are_climbed_under_conditions_of_their_own(monkeypatch, sampling
     assert (last < optimiser.sampled.width[1]) == (sampling is None)
 
 
-def test_smaller_footprints_hide_less():
-    p = problem()
-    drawn = p.start.draw(p.scene.room, np.random.default_rng(0))
-    pairs = np.repeat(drawn.positions[:15], 2, axis=0)
-    pairs[::2, 2] = np.clip(pairs[::2, 2] + 0.03, 0.0, p.scene.room.size[2])
-    deployment = Deployment(pairs, np.repeat(drawn.normals[:15], 2, axis=0))
-    surrogate, rng, _ = surrogate_of(p)
-    hidden = []
-    for size in (0.2, 0.5, 1.0):
-        surrogate.walk(deployment, deployment, replace(TRUE, size=size), 0, rng)
-        hidden.append(int((surrogate._walkers[0].state.hides[HIDDEN] > 0).sum()))
-    assert hidden[0] < hidden[1] < hidden[2]
-    assert surrogate._walkers[0].best.fitness[0] == pytest.approx(p.fitness_of(deployment))
-
-
 def test_an_objective_with_a_sampling_is_climbed_on_fresh_draws():
     p = covered(sampling=Sampling(positions=12, divisions=6))
     surrogate, rng, deployment = surrogate_of(p)
@@ -191,19 +174,6 @@ def test_conditions_run_geometrically_from_first_to_last():
     assert stage.settings(0.5, 0.1).temperature == pytest.approx(np.sqrt(1e-7))
     assert stage.settings(1.0, 0.1).step == pytest.approx(0.1)
     assert stage.settings(2.0, 0.1).width == pytest.approx(0.01)
-
-
-@pytest.mark.parametrize(
-    ("values", "message"),
-    [
-        ({"temperature": [1.0]}, r"^temperature must be a list of 2 numbers"),
-        ({"width": [0.1, 0.0]}, r"^width\[1\] must be greater than 0"),
-        ({"jump": 0.7, "join": 0.5}, r"^join must be in \[0, 0\.3\], got 0\.5"),
-    ],
-)
-def test_impossible_conditions_are_refused(values, message):
-    with pytest.raises(InputError, match=message):
-        Stage(**(PAIRS | values))
 
 
 def at(positions, surfaces=(0, 1)):

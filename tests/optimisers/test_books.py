@@ -50,16 +50,6 @@ def test_the_history_has_each_improvement_and_the_end_of_each_batch():
     assert (ledger.evaluations, ledger.best_fitness) == (10, 0.4)
 
 
-@pytest.mark.parametrize("batch", [1, 100])
-def test_a_checkpoint_restores_the_history(batch, tmp_path):
-    optimiser = RandomSearch(batch)
-    optimiser.run(problem(), Budget(EVALUATIONS))
-    Checkpoint(optimiser, {}).save(tmp_path)
-    again = Checkpoint(RandomSearch(batch), {})
-    again.resume(tmp_path, problem())
-    assert again.optimiser.ledger.history == optimiser.ledger.history
-
-
 @pytest.mark.parametrize("budget", [Budget(60), Budget(seconds=0.2)])
 def test_no_more_candidates_are_drawn_to_start_from_than_the_budget_can_evaluate(budget, capsys, tmp_path):
     optimiser = EGA(population=100_000)

@@ -5,7 +5,6 @@ from hypothesis import strategies as st
 from support.paper import experiment_room, paper_room
 from support.strategies import flush_deployments, seeds
 
-from lmd.core.checks import InputError
 from lmd.optimisers.encoding import make_encoding
 from lmd.scene.deployment import Deployment
 
@@ -73,31 +72,3 @@ def test_uniform_wall_genes_are_uniform_over_the_area():
     area = np.array([wall.area for wall in room.surfaces()])
     share = [(normals[0] == wall.normal).all(axis=1).mean() for wall in room.surfaces()]
     np.testing.assert_allclose(share, area / area.sum(), atol=0.01)
-
-
-def test_a_landmark_off_the_walls_cannot_be_encoded():
-    pole = Deployment(np.array([[1.0, 1.0, 1.0]]), np.array([[1.0, 0.0, 0.0]]))
-    with pytest.raises(
-        InputError, match=r"landmark 0 at \(1, 1, 1\) hangs in mid-air, 1 m from .*, so it cannot be a start"
-    ):
-        make_encoding("wall", paper_room(), flush=True).encode(pole)
-
-
-def test_a_tilted_landmark_cannot_be_encoded_flush():
-    tilted = Deployment(np.array([[0.0, 1.0, 1.0]]), np.array([[0.8, 0.6, 0.0]]))
-    with pytest.raises(InputError, match=r"landmark 0 is not flush with its wall; only an encoding that is not flush"):
-        make_encoding("paper", paper_room(), flush=True).encode(tilted)
-
-
-def test_a_landmark_that_faces_its_wall_cannot_be_encoded():
-    turned = Deployment(np.array([[0.0, 1.0, 1.0]]), np.array([[-1.0, 0.0, 0.0]]))
-    with pytest.raises(
-        InputError,
-        match=r"landmark 0 at .* faces into \w+, the surface it hangs on \(1 of \d+ landmarks do\), so it cannot",
-    ):
-        make_encoding("wall", paper_room(), flush=False).encode(turned)
-
-
-def test_an_unknown_encoding_is_named():
-    with pytest.raises(InputError, match=r"^encoding must be one of wall, paper, got 'spherical'"):
-        make_encoding("spherical", paper_room(), flush=True)

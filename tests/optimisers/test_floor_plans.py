@@ -2,13 +2,11 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from support.paper import paper_scene
 from support.rooms import hangs_properly, lab
 
 from lmd.evaluation.bounds import Search, average_upper_bound
-from lmd.evaluation.validation import Sample, validation_metrics
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.sampling import Sampling
 from lmd.optimisers.annealing import Annealing
@@ -19,7 +17,6 @@ from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.tag import Tag
-from lmd.sight import reference
 
 SCENE = paper_scene(lab(), orientations=pdf.grid_with_ends(6), thold=0.3, occlusion="line_of_sight")
 WITH_TAGS = replace(SCENE, tag=Tag(0.15))
@@ -51,14 +48,3 @@ def test_no_deployment_exceeds_the_bound(monkeypatch):
     bound = average_upper_bound(problem, 16, Search(0.5, 20, 0.01))
     assert average <= bound.walls
     assert bound.grid < 1.0
-
-
-def test_off_the_grid_is_near_the_grid():
-    problem = Problem(SCENE, Coverage(2, 0.5), RandomDeployment(30), threads=1)
-    deployment = problem.draw(np.random.default_rng(0))
-    figures = validation_metrics(problem, deployment, 0, Sample(8, 100, 12))
-    expected = problem.metrics(deployment)["average_coverage_probability"]
-    assert figures["grid_free_average_coverage_probability"] == pytest.approx(expected, abs=0.05)
-    counts = reference.counts(SCENE, deployment)
-    by_reference = reference.coverage_probability(counts, SCENE.pdf, 2).mean()
-    assert expected == pytest.approx(by_reference, abs=1e-9)

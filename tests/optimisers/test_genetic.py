@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from lmd.core.checks import InputError
 from lmd.optimisers.genetic import EGA, SGA
 
 COPIES = {"mutation_probability": 0.0, "recombination_min": 0.0, "recombination_max": 0.0}
@@ -138,24 +137,3 @@ def test_the_defaults_are_the_printed_parameters():
     optimiser = EGA()
     assert (optimiser.population_size, optimiser.eliminated, optimiser.mutation_probability) == (30, 7, 0.1)
     assert [round(f * 450) for f in (optimiser.recombination_min, optimiser.recombination_max)] == [100, 300]
-
-
-BOTH = [
-    ({"population": 1}, r"^population must be at least 2, got 1"),
-    ({"recombination_max": 1.5}, r"^recombination_max must be in \[0, 1\], got 1\.5"),
-    ({"recombination_min": 0.9}, r"^recombination_min must be in \[0, 0\.666667\], got 0\.9"),
-    ({"mutation_probability": 2}, r"^mutation_probability must be in \[0, 1\], got 2"),
-    ({"seed": -1}, r"seed must be in \[0, 3\.40282e\+38\], got -1"),
-]
-OF_EGA = [
-    ({"population": 7, "eliminated": 7}, r"^eliminated = 7 leaves no survivor among 7"),
-    ({"partner": "best"}, r"^partner must be one of pool, survivor, got 'best'"),
-]
-
-
-@pytest.mark.parametrize(
-    ("make", "parameters", "message"), [*((m, *c) for m in (EGA, SGA) for c in BOTH), *((EGA, *c) for c in OF_EGA)]
-)
-def test_impossible_parameters_are_refused(make, parameters, message):
-    with pytest.raises(InputError, match=message):
-        make(**parameters)

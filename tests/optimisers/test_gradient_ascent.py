@@ -80,21 +80,6 @@ def test_an_objective_with_a_sampling_is_climbed_on_it():
     assert result.fitness == robust.fitness_of(result.deployment) > result.history[0].best_fitness
 
 
-@pytest.mark.parametrize(
-    ("parameters", "message"),
-    [
-        ({"step": 0.5}, r"^step must"),
-        ({"step": (0.1, 0.5)}, r"^step must not grow from 0\.1 to 0\.5\."),
-        ({"step": (0.5, 0.0)}, r"^step\[1\] must be greater than 0|^step must"),
-        ({"widths": ()}, r"^widths must be a list of numbers, got"),
-        ({"widths": (0.1, -0.1)}, r"^widths"),
-    ],
-)
-def test_impossible_parameters_are_refused(parameters, message):
-    with pytest.raises(InputError, match=message):
-        GradientAscent(**parameters)
-
-
 def test_a_state_that_is_none_is_refused():
     optimiser = GradientAscent()
     optimiser.run(problem(), Budget(10))

@@ -1,18 +1,14 @@
 """Behaviour of the wrapped libraries beyond the contract in test_optimisers."""
 
 import random
-import subprocess
-import sys
 import threading
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
 from contracts.optimiser import check_going_on
 from scipy.optimize import differential_evolution, direct, dual_annealing, minimize, shgo
 from support.composing import composed
-from support.processes import environment
 from support.small import OneByOne, problem, pymoo, run
 
 from lmd.core.checks import InputError
@@ -153,10 +149,6 @@ def test_what_plans_with_the_evaluations_runs_without_their_number(name):
     assert build_optimiser(cfg, 0).run(problem(), budget_of(cfg)).evaluations > 0
 
 
-def test_a_nevergrad_family_takes_options():
-    run(Nevergrad("DifferentialEvolution", options={"crossover": "twopoints", "popsize": 10}), 3)
-
-
 def test_nevergrad_is_told_the_budget_of_the_run():
     node = composed("optimise", "optimiser=nevergrad", "budget.evaluations=77").optimiser
     assert instantiate(node, seed=0).budget == 77
@@ -206,20 +198,6 @@ def test_pycma_goes_on_after_it_has_converged():
 )
 def test_what_was_told_again_goes_on_as_if_nothing_had_happened(make, tmp_path):
     check_going_on(make, problem, make().run(problem(), Budget(60)), tmp_path)
-
-
-@pytest.mark.slow
-def test_the_first_run_of_a_process_is_like_any_other():
-    """Importing a library may draw random numbers."""
-    code = """
-from small import make, problem
-from lmd.optimisers.ledger import Budget
-first, second = (make("cma_es").run(problem(), Budget(60)).deployment.positions for _ in range(2))
-assert (first == second).all()
-"""
-    folders = environment(Path(__file__).parents[1])
-    done = subprocess.run([sys.executable, "-c", code], env=folders, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
 
 
 def test_failed_evaluations_cost_a_finite_loss():

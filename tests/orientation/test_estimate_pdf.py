@@ -138,17 +138,3 @@ def test_a_pitch_that_hardly_moves_keeps_its_mean_and_spread_on_a_coarse_grid():
 def test_the_step_of_the_grid_is_a_choice():
     result = estimated(simulated(), divisions=36)
     assert_allclose(result.pdf.yaw, pdf.level_flight(36).yaw, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("settings", "named"),
-    [
-        ({"divisions": 0}, "divisions must be at least 1, got 0"),
-        ({"significance": 2.0}, r"significance must be in \[0, 1\], got 2.0"),
-        ({"mean_interval": -1.0}, "mean_interval must be greater than 0, got -1.0"),
-        ({"mean_interval": "often"}, "mean_interval must be a number, got 'often'"),
-    ],
-)
-def test_bad_settings_are_refused_by_name(settings, named):
-    with pytest.raises(InputError, match=named):
-        estimated(simulated(), **settings)

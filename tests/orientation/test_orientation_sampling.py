@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from support.recordings import MOVING, estimated, independent_draws, simulated
 
-from lmd.core.checks import InputError
 from lmd.orientation.density import circular_difference, independence_test
 from lmd.orientation.recording import (
     OrientationRecording,
@@ -60,13 +59,6 @@ def test_records_count_for_as_long_as_they_hold():
     yaw = np.where(time < 250.0, 1.0, -1.0)
     samples = sample_at_random_intervals(OrientationRecording(time, yaw, 0.0 * time), 1.0, np.random.default_rng(0))
     assert np.mean(samples.yaw == 1.0) == pytest.approx(0.25, abs=0.02)
-
-
-def test_an_interval_below_the_records_own_is_refused():
-    with pytest.raises(
-        InputError, match=r"mean_interval = 0\.01 s is shorter than the step of the simulated .* 0\.1 s"
-    ):
-        estimated(simulated(), mean_interval=0.01)
 
 
 def test_independent_angles_are_rejected_as_often_as_the_level_says():

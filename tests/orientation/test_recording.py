@@ -1,12 +1,11 @@
 """Recordings of orientations: their files, their refusals, and the simulated one."""
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
-from support.recordings import MOVING, simulated
+from support.recordings import MOVING, estimated, simulated
+from support.refusals import refusals
 
-from lmd.core.checks import InputError
 from lmd.geometry.frames import rotation
 from lmd.orientation.density import circular_difference
 from lmd.orientation.recording import OrientationRecording
@@ -51,40 +50,5 @@ def test_angles_may_have_names_that_say_what_they_are_and_a_body_raises_a_questi
     assert "look straight up" in body.note
 
 
-BAD_RECORDINGS = [
-    ("time,yaw,pitch\n0,0,0\n", "has 1 records; a recording needs at least 2"),
-    ("time,yaw,pitch\n0,0,0\n2,0,0\n1,0,0\n", "time must increase, but 2 s is followed by 1 s"),
-    ("time,yaw,pitch\n0,0,0\n1,0,45\n", "pitch = 45 looks like degrees"),
-    ("time,yaw,pitch\n0,0,0\n1,-350,0\n", "yaw = -350 looks like degrees; angles are in radians, at most one turn"),
-    ("time,yaw,pitch\n0,0,0\n1,0,2\n", "pitch must be in .* radians, got 2"),
-    ("# a flight\n\ntime,yaw,pitch\n0,0,0\n# turned here\n1,x,0\n", "line 6: yaw is 'x'"),
-    ("time,yaw\n0,0\n", "lacks the column 'pitch'"),
-    ("time,yaw,pitch,speed\n0,0,0,1\n", "unknown column 'speed'"),
-    ("time,yaw,pitch\n0,nan,0\n", "line 2: yaw is 'nan', not a finite number"),
-    (
-        "time,x,y,z,roll,pitch,yaw\n0,0,0,0,0,0,0\n",
-        "may be ROS's, of a body: call them yaw_from_y, pitch_up, roll_left",
-    ),
-    ("", "is empty"),
-    ("time,qw,qx,qy,qz\n0,1,0,0,0\n1,1,1,0,0\n", "line 3: the quaternion must have length 1, it has 1.41421"),
-]
-
-
-@pytest.mark.parametrize(("text", "named"), BAD_RECORDINGS)
-def test_a_bad_recording_is_refused_with_its_name_and_the_value(write, text, named):
-    with pytest.raises(InputError, match=rf"flight\.csv.*{named}"):
-        OrientationRecording.from_csv(write(text, "flight.csv"))
-
-
-@pytest.mark.parametrize(
-    ("changes", "named"),
-    [
-        ({"rate": 0.0}, "^rate must be greater than 0"),
-        ({"duration": 0.1}, "^duration must be at least 0.2, got 0.1"),
-        ({"pitch_std": -1.0}, "^pitch_std must be at least 0, got -1.0"),
-        ({"coupling": 1.5}, r"^coupling must be in \[-1, 1\], got 1.5"),
-    ],
-)
-def test_a_motion_that_cannot_be_is_refused(changes, named):
-    with pytest.raises(InputError, match=named):
-        simulated(**changes)
+CALLS = {"a simulated recording": simulated, "an estimate": lambda **settings: estimated(simulated(), **settings)}
+test_what_cannot_be_is_refused_in_one_sentence = refusals(__file__, **CALLS)

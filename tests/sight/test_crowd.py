@@ -4,14 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from contracts.field import check_field
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 from support.paper import paper_scene
-from support.rooms import lab
-from support.strategies import seeds
-from support.thorough import examples
 
 from lmd.core.checks import InputError
 from lmd.evaluation.validation import Sample, validation_metrics
@@ -51,47 +45,6 @@ def crowded(crowd, fiducial=False, room=ROOM):
 
 def tags(scene, count, seed):
     return scene.footprints.draw(RandomDeployment(count), np.random.default_rng(seed))
-
-
-@pytest.mark.parametrize("fiducial", [False, pytest.param(True, marks=pytest.mark.thorough(*PATHS))])
-@examples(10)
-@given(
-    number=st.integers(1, 8), radius=st.floats(0.1, 0.45), height=st.floats(0.3, 2.4), n=st.integers(1, 3), seed=seeds
-)
-def test_counts_and_moves_are_those_of_the_reference(fiducial, number, radius, height, n, seed):
-    # Some 20 s of processor time, mostly compiling, as every test of this file needs these kernels.
-    crowd = Crowd(number, (radius / 2, radius), (height / 2, height), states=3, clearance=0.1, seed=seed)
-    try:
-        scene = crowded(crowd, fiducial)
-    except InputError:  # too many for the room
-        return
-    deployment = tags(scene, 12, seed)
-    for where in (
-        deployment,
-        check_field(Coverage(n, 0.5), scene, deployment, tags(scene, 5, seed + 1), np.random.default_rng(seed)),
-    ):
-        counts = Evaluator(scene, threads=2).counts(where)
-        assert_array_equal(counts, reference.counts(scene, where))
-        assert_array_equal(counts, Evaluator(scene, threads=1, by_reference=True).counts(where))
-
-
-@pytest.mark.thorough(*PATHS)
-@pytest.mark.parametrize("fiducial", [False, True])
-def test_furniture_and_people_hide_together(fiducial):
-    scene = crowded(Crowd(3, states=4), fiducial, lab())
-    deployment, targets = tags(scene, 15, 0), tags(scene, 8, 1)
-    moved = check_field(Coverage(2, 0.5), scene, deployment, targets, np.random.default_rng(2))
-    assert_array_equal(Evaluator(scene, threads=1).counts(moved), reference.counts(scene, moved))
-
-
-@pytest.mark.thorough(*PATHS)
-def test_localisation_and_its_moves_are_those_of_the_reference():
-    scene, objective = crowded(Crowd(5, states=3), True), Localisation(tolerance=0.05, sampling=None)
-    moved = check_field(objective, scene, tags(scene, 15, 0), tags(scene, 8, 1), np.random.default_rng(2))
-    landmarks = moved.positions[None], moved.normals[None]
-    fast, slow = (objective.values(Evaluator(scene, None, 1, by), *landmarks) for by in (False, True))
-    assert fast.max() > 0.0
-    assert_array_equal(fast, slow)
 
 
 def test_one_person_hides_all_tags_behind_it():
@@ -190,8 +143,3 @@ def test_a_rig_sees_no_crowd():
     scene = crowded(Crowd(2, states=2))
     with pytest.raises(InputError, match="crowd: a rig of 2 cameras works only without"):
         replace(scene, camera=Rig((Mount(scene.camera), Mount(scene.camera, yaw=2.0))))
-
-
-def test_a_crowd_of_too_many_states_is_refused():
-    with pytest.raises(InputError, match=r"^crowd has 3000000 states, which take 5 kB each, and at most 200000 are"):
-        Crowd(3, states=3_000_000)

@@ -2,9 +2,11 @@ import math
 
 import numpy as np
 import pytest
+from support.refusals import refusals
 
-from lmd.core.checks import InputError
 from lmd.scene.families import FAMILIES
+from lmd.scene.tag import Tag
+from lmd.sight.models.fiducial import Fiducial
 from lmd.sight.models.limits import Limits, Preset, limits_of, measured
 
 MINE = Limits(1.1, 1.9, 12.0, 82.0, 2.0)
@@ -39,26 +41,9 @@ def test_a_file_is_a_detector(preset):
     assert limits_of(str(preset), "7x7_50", {"margin": 9}).margin == 9.0
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (None, r"^detector: there is no file '.*mine\.yaml'\.$"),
-        ("a: [", r"^detector: '.*mine\.yaml' cannot be read as YAML or JSON \(.*\)\.$"),
-        ("pitch: 2", r"^detector: '.*mine\.yaml' must have the keys detector, family, pitch, .* and no others\.$"),
-        ("text", r"^detector: '.*mine\.yaml' has no keys"),
-        ("edge: much", r"^detector: '.*mine\.yaml': edge must be a number, got 'much'\.$"),
-        ("incidence: 95", r"^detector: '.*mine\.yaml': incidence must be at most 89, got 95\.$"),
-        ("family: 36h11", r"^detector: '.*mine\.yaml' is about tags of the family 36h11, not 7x7_50\.$"),
-    ],
-)
-def test_a_file_that_is_no_preset_is_refused_in_one_sentence(preset, text, message):
-    lines = preset.read_text().splitlines()
-    key = str(text).partition(":")[0]
-    if text is None:
-        preset.unlink()
-    elif key in ("edge", "incidence", "family"):
-        preset.write_text("\n".join(text if line.startswith(f"{key}:") else line for line in lines))
-    else:
-        preset.write_text(text)
-    with pytest.raises(InputError, match=message):
-        limits_of(str(preset), "7x7_50", {})
+def detector(edge=0.1, family="36h11", **fiducial):
+    return Fiducial(Tag(edge, family), **fiducial)
+
+
+CALLS = {"a detector": detector, "a file of limits": lambda path: limits_of(path, "7x7_50", {})}
+test_what_cannot_be_is_refused_in_one_sentence = refusals(__file__, **CALLS)

@@ -2,16 +2,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from contracts.criterion import check_counts, check_every_path, check_gains
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 from support.paper import paper_scene
-from support.rooms import L_SHAPE, lab, prisms
-from support.strategies import cameras, fiducials, pdfs, rolled_pdfs, seeds, visibilities
-from support.thorough import examples
+from support.rooms import L_SHAPE, lab
 
-from lmd.geometry.se3 import axis_and_right, camera_pose
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.optimisers.annealing import Annealing
@@ -20,78 +14,19 @@ from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment
-from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
-from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.models.fiducial import Fiducial
-from lmd.sight.obstacles import obstacles_at
 from lmd.sight.views import visible
 from lmd.space.cuboid import Cuboid
 from lmd.space.floor_plan import FloorPlan
 from lmd.space.parts import Reachable
 from lmd.space.prism import Prism
 
-scenes = st.one_of(
-    st.builds(Scene, prisms(), cameras(), pdfs, visibilities()),
-    st.builds(Scene, prisms(), cameras(), rolled_pdfs(), fiducials()),
-)
-
-
-def landmarks(room, count, seed):
-    """Flush, and anywhere else in the room."""
-    rng = np.random.default_rng(seed)
-    flush, low, high = RandomDeployment(count).draw(room, rng), *room.bounds()
-    points, normals = rng.uniform(low, high, (4 * count, 3)), rng.normal(size=(count, 3))
-    free = points[room.contains(points)][:count]
-    normals = normals[: len(free)] / np.linalg.norm(normals[: len(free)], axis=1, keepdims=True)
-    return flush + Deployment(free, normals) if len(free) else flush
-
 
 def lab_scene(fiducial, room=None):
     scene = paper_scene(room or lab(), orientations=pdf.grid_with_ends(6), thold=0.3, occlusion="line_of_sight")
     return replace(scene, visibility=Fiducial(Tag(0.15)), tag=None) if fiducial else scene
-
-
-@examples(60)
-@given(scenes, seeds)
-def test_counts_are_those_of_the_reference(scene, seed):
-    check_counts(scene, landmarks(scene.room, 8, seed), 2)
-
-
-@pytest.mark.parametrize("fiducial", [False, True])
-def test_obstacles_take_some_landmarks_away(fiducial):
-    scene = lab_scene(fiducial)
-    deployment = scene.footprints.draw(RandomDeployment(30), np.random.default_rng(0))
-    evaluator = Evaluator(scene, threads=2)
-    with_obstacles = evaluator.counts(deployment)
-    evaluator.obstacles = obstacles_at(None, evaluator.positions)
-    without = evaluator.counts(deployment)
-    assert (with_obstacles <= without).all()
-    assert 0 < with_obstacles.sum() < 0.97 * without.sum()
-
-
-@pytest.mark.parametrize("fiducial", [False, True])
-def test_moves_end_where_a_full_evaluation_does(fiducial):
-    scene, rng = lab_scene(fiducial), np.random.default_rng(1)
-    start, targets = (scene.footprints.draw(RandomDeployment(count), rng) for count in (12, 8))
-    check_every_path(scene, start, targets, 2, rng)
-
-
-@pytest.mark.parametrize("fiducial", [False, True])
-def test_what_a_flight_sees_and_what_poses_gain_is_what_is_counted(fiducial):
-    scene = lab_scene(fiducial)
-    deployment = scene.footprints.draw(RandomDeployment(20), np.random.default_rng(2))
-    evaluator = Evaluator(scene, threads=1)
-    rng = np.random.default_rng(3)
-    positions = scene.room.sample(200, rng)
-    axes = axis_and_right(camera_pose(positions, *scene.pdf.draw(200, rng)))
-    caps = [
-        reference.coverage_caps(scene, deployment, position, axis[None])[0]
-        for position, axis in zip(positions, axes, strict=True)
-    ]
-    assert_array_equal(visible(evaluator, deployment, positions, axes), caps)
-    assert check_gains(scene, deployment[:4], rng)
 
 
 @pytest.mark.parametrize("fiducial", [False, True])

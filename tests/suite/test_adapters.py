@@ -24,19 +24,14 @@ def two():
     return lmd.suite.problem("localised_against_tags")
 
 
-def test_pymoo_minimises_the_negative_values(box):
+def test_pymoo_minimises_the_negative_values_of_one_objective_or_two(box, two):
+    from pymoo.algorithms.moo.nsga2 import NSGA2
     from pymoo.algorithms.soo.nonconvex.ga import GA
     from pymoo.optimize import minimize
 
     found = minimize(lmd.suite.pymoo_problem(box), GA(pop_size=8), ("n_eval", 24), seed=0)
     assert found.F[0] == -box(found.X)
     assert -found.F[0] >= max(box(genes) for genes in found.pop.get("X"))
-
-
-def test_pymoo_takes_two_objectives(two):
-    from pymoo.algorithms.moo.nsga2 import NSGA2
-    from pymoo.optimize import minimize
-
     found = minimize(lmd.suite.pymoo_problem(two), NSGA2(pop_size=8), ("n_eval", 16), seed=0)
     assert (-two(found.X) == found.F).all()
 
@@ -95,6 +90,7 @@ def test_scipy_minimises_the_negative_values(box, vectorized):
     assert found.fun == -box(found.x)
 
 
+@pytest.mark.thorough("lmd/suite/carps", "lmd/suite/adapters.py")
 def test_carps_runs_a_problem_as_its_task(box, tmp_path):
     options = ["hydra.searchpath=[pkg://lmd.suite.carps]", "+task=lmd", "problem=tiny_mean", "trials=5", "loggers=[]"]
     command = [sys.executable, "-m", "carps.run", *options, "+optimizer/randomsearch=config"]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from support.refusals import refusals
 
 import lmd
 import lmd.suite
@@ -32,23 +33,6 @@ def test_a_batch_has_the_values_of_its_candidates(box):
 def test_starts_depend_on_their_seed_alone(box):
     assert (box.start(1) == box.start(1)).all()
     assert (box.start(1) != box.start(2)).any()
-
-
-@pytest.mark.parametrize(
-    ("genes", "message"),
-    [
-        (np.zeros(15), r"genes must have the shape \(16,\), got \(15,\)"),
-        (np.zeros((2, 3, 16)), r"got \(2, 3, 16\)"),
-        (np.full(16, 1.5), r"genes must be in \[0, 1\], got 1.5"),
-        (np.full((2, 16), np.nan), r"genes must be in \[0, 1\], got nan"),
-        (["a"] * 16, "genes must be real numbers"),
-        ([[0.5] * 16, [0.5] * 15], "genes must be real numbers"),
-        (np.full(16, 0.5 + 0.1j), r"genes must be real numbers, got array\("),
-    ],
-)
-def test_genes_that_are_none_are_refused(box, genes, message):
-    with pytest.raises(InputError, match=message):
-        box(genes)
 
 
 @pytest.mark.parametrize("name", ["tiny_mean", "localised_against_tags", "coverage_against_accuracy"])
@@ -98,3 +82,10 @@ def test_tags_that_are_left_over_count_and_hide_nothing():
     moved[tags < HUNG] = 0.5
     assert box(np.concatenate([moved.ravel(), tags])).tolist() == value.tolist()
     assert box(np.concatenate([places, np.zeros_like(tags)])).tolist() == [0.0, 1.0]
+
+
+def valued(value, shape):
+    return lmd.suite.problem("tiny_mean")(np.full(shape, value))
+
+
+test_what_cannot_be_is_refused_in_one_sentence = refusals(__file__, genes=valued)

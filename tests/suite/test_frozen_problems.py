@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 
 import lmd.suite
-from lmd.core.checks import InputError
 from lmd.suite import documents
 from lmd.suite.documents import FOLDER
 from lmd.suite.frozen import best_path, reference_fitness
 
 NAMES = lmd.suite.names()
-SINGLE = [name for name in NAMES if "objective" in lmd.suite.document(name).problem]
 RECORDED = [name for name in NAMES if lmd.suite.document(name).best is not None]
 SLOW = {"hall", "robust_platform", "frc_four_cameras", "robust_lab", "rig"}  # half a minute or more by the reference
 
@@ -76,17 +74,3 @@ def test_the_record_of_a_slow_problem_has_its_value(name):
 @pytest.mark.parametrize("name", ["captured_room", "l_shape", "rig", "frc_cameras", "mixed_sizes"])
 def test_the_settings_of_every_kind_of_room_are_json(name):
     assert json.loads(json.dumps(lmd.suite.problem(name).problem.settings()))["landmarks"] > 0
-
-
-def test_a_problem_that_is_not_there_is_refused():
-    with pytest.raises(InputError, match=r"suite .*'lab_localization'"):
-        lmd.suite.problem("lab_localization")
-    with pytest.raises(InputError, match=r"set must be one of small, full, got 'large'"):
-        lmd.suite.names("large")
-
-
-def test_a_record_of_the_wrong_kind_is_refused():
-    with pytest.raises(InputError, match="frc_cameras places cameras"):
-        lmd.suite.best_deployments("frc_cameras")
-    with pytest.raises(InputError, match="tiny_mean places landmarks"):
-        lmd.suite.best_rig("tiny_mean")

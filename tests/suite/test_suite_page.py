@@ -1,4 +1,4 @@
-"""The programs of docs/suite.md run as they stand; 10 s, most of it imports of the libraries."""
+"""The programs of docs/suite.md run as they stand."""
 
 import re
 from pathlib import Path
@@ -10,6 +10,7 @@ PAGE = (ROOT / "docs" / "suite.md").read_text(encoding="utf-8")
 PROGRAMS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 
 
+@pytest.mark.thorough("docs/suite.md", "lmd/suite")  # 10 s, most of it imports of the libraries
 @pytest.mark.parametrize("program", PROGRAMS, ids=range(len(PROGRAMS)))
 def test_a_program_of_the_page_runs(program, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

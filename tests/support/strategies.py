@@ -161,16 +161,18 @@ def scenes(room=rooms(), visibility=visibilities()):  # noqa: B008
 
 
 @st.composite
-def flush_deployments(draw, room, most=12):
-    return RandomDeployment(draw(st.integers(1, most))).draw(room, np.random.default_rng(draw(seeds)))
+def flush_deployments(draw, room, most=12, least=1):
+    return RandomDeployment(draw(st.integers(least, most))).draw(room, np.random.default_rng(draw(seeds)))
 
 
 @st.composite
-def free_deployments(draw, room, most=12):
+def free_deployments(draw, room, most=12, least=1):
     """Landmarks anywhere in the room with any normal; some coincide, some sit on a camera position."""
-    count = draw(st.integers(1, most))
+    count, (low, high) = draw(st.integers(least, most)), room.bounds()
     rng = np.random.default_rng(draw(seeds))
-    positions = rng.random((count, 3)) * room.size
+    positions = rng.uniform(low, high, (count, 3))
+    outside = ~room.contains(positions)
+    positions[outside] = RandomDeployment(count).draw(room, rng).positions[outside]
     normals = rng.normal(size=(count, 3))
     grid = room.grid()
     for k in range(count):
@@ -178,7 +180,8 @@ def free_deployments(draw, room, most=12):
             case "coincident":
                 positions[k] = positions[rng.integers(count)]
             case "near":
-                positions[k] = np.clip(positions[rng.integers(count)] + rng.normal(scale=0.1, size=3), 0.0, room.size)
+                near = np.clip(positions[rng.integers(count)] + rng.normal(scale=0.1, size=3), low, high)
+                positions[k] = near if room.contains(near) else positions[k]
             case "at a camera":
                 positions[k] = grid[rng.integers(len(grid))]
             case "facing one":
@@ -186,8 +189,8 @@ def free_deployments(draw, room, most=12):
     return Deployment(positions, normals / np.linalg.norm(normals, axis=1, keepdims=True))
 
 
-def deployments(room, most=12):
-    return st.one_of(flush_deployments(room, most), free_deployments(room, most))
+def deployments(room, most=12, least=1):
+    return st.one_of(flush_deployments(room, most, least), free_deployments(room, most, least))
 
 
 @st.composite
@@ -253,18 +256,6 @@ def rigs(draw, any_camera=cameras()):  # noqa: B008
     return Rig(each + tuple(draw(st.lists(mounts(found), max_size=1))))
 
 
-@st.composite
-def rig_scenes_with_deployments(draw, fiducial=False, room=None):
-    # The reference looks from each place of each camera, of which there are as many as orientations.
-    room = draw(rooms(cells=2) if room is None else room)
-    seen = draw(fiducials() if fiducial else visibilities())
-    # Tags are seen through lenses that distort, where the test of the image takes long to compile: once.
-    rig = draw(rigs(distorted_cameras(BENT).filter(is_bent) if fiducial else cameras()))
-    few = pdfs_of(4)  # with rolls they are still more than a word of bits holds
-    scene = Scene(room, rig, draw(rolled_pdfs(few) if fiducial else pdfs), seen)
-    return scene, draw(deployments(room, most=8))
-
-
 def with_probabilities(scene, seed):
     """The scene with probabilities that `seed` and a position decide; some orientations never occur somewhere."""
     size = len(scene.pdf.weight)
@@ -278,8 +269,3 @@ def with_probabilities(scene, seed):
         return np.array(rows)
 
     return replace(scene, pdf=replace(scene.pdf, by_position=at, continuous=None, refine=None))
-
-
-plain_scenes = st.builds(with_probabilities, scenes(), seeds)
-tag_scenes = st.builds(with_probabilities, fiducial_scenes(cameras()), seeds)
-varied_scenes = st.one_of(plain_scenes, tag_scenes)
