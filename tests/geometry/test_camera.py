@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support.paper import paper_camera, printed_experiment_camera
-from support.refusals import refusals
 from support.strategies import cameras, visibilities
+from support.tables import refusals
 
 from lmd.geometry.projection import blur_disc
 from lmd.scene.criteria import TOLERANCE

@@ -8,7 +8,7 @@ import pytest
 from contracts.objective import check_selection
 from support.composing import composed
 from support.drives import DEPLOYMENT, MOTION, PACE, SCENE, SLOW, along
-from support.refusals import refusals
+from support.tables import refusals
 
 from lmd.core.checks import InputError
 from lmd.estimation.drives import cut, filtered

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.optimize import differential_evolution
 from support.paper import paper_room
-from support.refusals import refusals
 from support.small import OneByOne, pymoo, run
+from support.tables import refusals
 
 from lmd.core.checks import InputError
 from lmd.optimisers.annealing import Stage

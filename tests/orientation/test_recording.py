@@ -4,7 +4,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from support.recordings import MOVING, estimated, simulated
-from support.refusals import refusals
+from support.tables import refusals
 
 from lmd.geometry.frames import rotation
 from lmd.orientation.density import circular_difference

@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from support.refusals import refusals
+from support.tables import refusals
 
 from lmd.scene.families import FAMILIES
 from lmd.scene.tag import Tag

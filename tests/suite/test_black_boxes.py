@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from support.refusals import refusals
+from support.tables import refusals
 
 import lmd
 import lmd.suite
