@@ -56,7 +56,7 @@ def main() -> None:
         return
     runs, rng = read(Path(sys.argv[1])), np.random.default_rng(0)
     problems = sorted(runs[BASE])
-    best = {name: lmd.suite.document(name).best.value for name in problems}
+    best = {name: lmd.suite.document(name).best["value"] for name in problems}
 
     def drawn(name: str, problem: str) -> np.ndarray:
         values = np.array(runs[name][problem])

@@ -10,12 +10,16 @@ known. Its value is that of the NumPy reference.
 """
 
 import argparse
+import datetime
 import io
 import json
 import re
+import shutil
 import sys
+import tempfile
+from collections.abc import Callable
 from dataclasses import replace
-from functools import reduce
+from functools import partial, reduce
 from operator import add
 from pathlib import Path
 
@@ -26,17 +30,14 @@ import yaml
 import lmd.suite
 from lmd.evaluation.bounds import Search, affordable, average_upper_bound, fitness_upper_bound
 from lmd.evaluation.relaxation import TimeLimit
-from lmd.evaluation.validation import headline_off_grid, validation_metrics
-from lmd.formats.rigs import read_mounts, rig_of, write_rig
+from lmd.formats.rigs import write_rig
 from lmd.objectives.coverage import MeanCoverage
 from lmd.optimisers.annealing import Annealing
 from lmd.optimisers.camera_annealing import CameraAnnealing
 from lmd.optimisers.greedy import Greedy
 from lmd.optimisers.ledger import Budget
-from lmd.scene.deployment import Deployment
-from lmd.scene.rig import Rig
-from lmd.suite.documents import FOLDER, Document
-from lmd.suite.frozen import POINT, best_path, camera_of, reference_fitness
+from lmd.suite.documents import BEST, FOLDER, Document
+from lmd.suite.records import POINT
 
 OPTIMISERS = {"annealing": Annealing, "camera_annealing": CameraAnnealing, "greedy": Greedy}
 BOUND_SECONDS = 90.0
@@ -77,68 +78,70 @@ def best(name: str, optimiser: str | None, evaluations: int | None, seed: int) -
     frozen, box = lmd.suite.document(name), lmd.suite.problem(name, threads=None)
     budget = evaluations or frozen.budgets[-1]
     if len(box.objectives) > 1:
-        front(frozen, box, budget, seed)
+        table, by = front(box, budget, seed)
+        enter(frozen, by, lambda folder: table.to_csv(folder / f"{name}.csv", index=False))
         return
-    cameras = "cameras" in frozen.problem
-    method = optimiser or ("camera_annealing" if cameras else "annealing")
+    method = optimiser or ("camera_annealing" if "cameras" in frozen.problem else "annealing")
     result = OPTIMISERS[method](seed=seed).run(box.problem, Budget(budget))
-    record(frozen, box, result.deployment, result.rig, f"{method}, {budget} evaluations, seed {seed}")
+
+    def write(folder: Path) -> None:
+        if result.rig is None:
+            result.deployment.to_csv(folder / f"{name}.csv", ups=not box.problem.scene.tag.is_point)
+        else:
+            write_rig(folder / f"{name}.rig.yaml", result.rig, dict.fromkeys(result.rig.cameras))
+
+    enter(frozen, f"{method}, {budget} evaluations, seed {seed}", write)
 
 
-def record(frozen: Document, box: lmd.suite.BlackBox, deployment: Deployment, rig: Rig | None, by: str) -> None:
-    """Record a candidate if it is better than the one known."""
-    problem = box.problem if rig is None else box.problem.with_rig(rig)
-    value = reference_fitness(problem, deployment)
-    known = -1.0 if frozen.best is None else frozen.best.value
-    print(f"{frozen.name} {by}: {value:.6f}, known {known:.6f}", flush=True)
-    if value <= known + LEAST_GAIN:
-        return
-    off_grid = validation_metrics(problem, deployment, 0)[headline_off_grid(problem)]
-    path = best_path(frozen)
-    if rig is None:
-        deployment.to_csv(path, ups=not problem.scene.tag.is_point)
-    else:
-        write_rig(path, rig, dict.fromkeys(rig.cameras))
-    put(frozen, "best", {"value": value, "off_grid": round(float(off_grid), 6), "by": by})
+def enter(frozen: Document, how: str, write: Callable[[Path], object], who: str = "lmd") -> None:
+    """Record a candidate, which `write` writes to a folder, if it is better than the one known."""
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(made)
+        write(folder)
+        (candidate,) = folder.iterdir()
+        entry = {"problem": frozen.name, "who": who, "how": how, "when": f"{datetime.date.today()}"}
+        (folder / "entry.yaml").write_text(yaml.safe_dump(entry | {"candidate": candidate.name}))
+        record = lmd.suite.verify(folder / "entry.yaml")
+        known = -1.0 if frozen.best is None else frozen.best["value"]
+        print(f"{frozen.name} {how}: {record['value']:.6f}, known {known:.6f}", flush=True)
+        if record["value"] > known + LEAST_GAIN:
+            shutil.copy(candidate, BEST)
+            (BEST / f"{frozen.name}.yaml").write_text(yaml.safe_dump(record, sort_keys=False))
+            lmd.suite.document.cache_clear()
 
 
 def collect(folder: Path) -> None:
     """Record the best run of each problem of a tournament."""
     for runs in sorted(path for path in folder.glob("runs/*") if path.is_dir()):
-        frozen, box = lmd.suite.document(runs.name), lmd.suite.problem(runs.name, threads=None)
         records = {path.parent: json.loads(path.read_text()) for path in runs.glob("*/run.json")}
         found = max(records, key=lambda folder: records[folder]["metrics"]["fitness"])
         _, evaluations, *entry, seed = records[found]["name"].split()
-        by = f"{' '.join(entry)}, {evaluations} evaluations, {seed.replace('=', ' ')}"
-        rig = found / "rig.yaml"
-        cameras = rig_of(read_mounts(str(rig)), camera_of(frozen)) if rig.exists() else None
-        record(frozen, box, Deployment.from_csv(found / "landmarks.csv"), cameras, by)
+        how = f"{' '.join(entry)}, {evaluations} evaluations, {seed.replace('=', ' ')}"
+        source, kind = (
+            (found / "rig.yaml", "rig.yaml") if (found / "rig.yaml").exists() else (found / "landmarks.csv", "csv")
+        )
+        enter(lmd.suite.document(runs.name), how, partial(_copy, source, f"{runs.name}.{kind}"))
 
 
-def front(frozen: Document, box: lmd.suite.BlackBox, budget: int, seed: int) -> None:
-    """Search a front by NSGA-II; its value is the hypervolume from the origin."""
+def _copy(source: Path, name: str, folder: Path) -> None:
+    shutil.copy(source, folder / name)
+
+
+def front(box: lmd.suite.BlackBox, budget: int, seed: int) -> tuple[pd.DataFrame, str]:
+    """Search a front by NSGA-II: its landmarks with the number of the point, and how it was found."""
     from pymoo.algorithms.moo.nsga2 import NSGA2
-    from pymoo.indicators.hv import HV
     from pymoo.optimize import minimize
 
     starts = np.stack([box.start(each) for each in range(FRONT_POPULATION)])
     method = NSGA2(pop_size=FRONT_POPULATION, sampling=starts)
     found = minimize(lmd.suite.pymoo_problem(box), method, ("n_eval", budget), seed=seed)
-    order = np.argsort(found.F[:, 0])
-    value = float(HV(ref_point=np.zeros(2))(found.F))
-    known = -1.0 if frozen.best is None else frozen.best.value
-    print(f"{frozen.name} NSGA-II seed {seed}: {value:.6f}, known {known:.6f}", flush=True)
-    if value <= known + LEAST_GAIN:
-        return
-    rows = [(point, box.deployment(found.X[index])) for point, index in enumerate(order)]
+    rows = [(point, box.deployment(found.X[index])) for point, index in enumerate(np.argsort(found.F[:, 0]))]
     table = io.StringIO()
     reduce(add, (replace(each, labels=None) for _, each in rows)).to_csv(table)
     table.seek(0)
     points = np.concatenate([np.full(len(each), point) for point, each in rows])
-    pd.read_csv(table, dtype=str).drop(columns="id").assign(**{POINT: points}).to_csv(best_path(frozen), index=False)
-    put(
-        frozen, "best", {"value": value, "off_grid": None, "by": f"NSGA-II of pymoo, {budget} evaluations, seed {seed}"}
-    )
+    landmarks = pd.read_csv(table, dtype=str).drop(columns="id").assign(**{POINT: points})
+    return landmarks, f"NSGA-II of pymoo, {budget} evaluations, seed {seed}"
 
 
 def put(frozen: Document, key: str, value: object) -> None:

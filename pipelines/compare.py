@@ -118,18 +118,19 @@ def problems_of(cfg: DictConfig) -> "Mapping[str, BlackBox]":
     Raises:
         InputError: there is no such problem, or the configuration chooses parts of a problem besides.
     """
-    from lmd.core.checks import InputError
+    from lmd.core.checks import InputError, integer
     from lmd.suite import names, problem
     from lmd.suite.documents import SETS
+    from lmd.suite.families import instance_name
 
     for key, _ in task_overrides():
         if key.split(".")[0].split("@")[0] in GROUPS:
             raise InputError(f"suite = {cfg.suite} has frozen problems: leave {key} out.", "suite")
     asked = plain(cfg.suite)
-    boxes = {
-        str(name): problem(str(name))
-        for name in (asked if isinstance(asked, list) else names(asked) if asked in SETS else [asked])
-    }
+    families = asked if isinstance(asked, list) else names(asked) if asked in SETS else [asked]
+    instances = [integer("instances", each, low=0) for each in cfg.instances]
+    every = [instance_name(str(name), each) for each in instances for name in families]
+    boxes = {name: problem(name) for name in every}
     several = [name for name, box in boxes.items() if len(box.objectives) > 1]
     if several and asked not in SETS:
         raise InputError(f"suite: {several[0]} has several objectives; a comparison takes one.", "suite")

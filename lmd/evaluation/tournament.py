@@ -172,6 +172,12 @@ def critical_difference(optimisers: int, problems: int) -> float:
     return float(quantile * np.sqrt(optimisers * (optimisers + 1) / (6.0 * problems)))
 
 
+def rank_correlation(one: pd.Series, other: pd.Series) -> float:
+    """Kendall's tau-b between the mean ranks of the optimisers in two tournaments; NaN for fewer than two."""
+    both = one.index.intersection(other.index)
+    return float(stats.kendalltau(one[both], other[both]).statistic) if len(both) > 1 else np.nan
+
+
 def running_time_ratios(runs: Sequence[OptimiserRun], best: Mapping[str, float]) -> pd.DataFrame:
     """Expected running times to `TARGET_SHARE` of the best value known, over the shortest of a problem.
 

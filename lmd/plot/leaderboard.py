@@ -16,11 +16,13 @@ from lmd.evaluation.tournament import (
     Tournament,
     attained_curve,
     profile,
+    rank_correlation,
     running_time_ratios,
     tournament,
     write_iohprofiler,
 )
 from lmd.suite import document, names
+from lmd.suite.families import HELD_OUT, SEPARATOR, instance_of
 
 if TYPE_CHECKING:
     from lmd.suite import BlackBox, Document
@@ -155,15 +157,32 @@ def leaderboard(results: Runs, problems: Iterable[str]) -> Leaderboard:
         for key, label in FIGURES.items():
             if not all(key in run.metrics for run in runs):
                 continue
-            held = tournament(runs, key)
-            blocks += _section(held, label, frozen)
-            figures |= {f"rank_{place + 1}/{key}/{name}": rank for name, rank in held.ranks.items() if rank == rank}
-            every.append(held.values.assign(figure=key, budget=place + 1).reset_index())
-            title = f"mean ranks over {held.complete} problems: {label}, {budget}"
-            draw = partial(save_critical_difference_diagram, ranks=held.ranks, critical=held.critical, title=title)
-            pictures[f"ranks_{place + 1}_{key}.png"] = draw
+            ranks = []
+            for of, some in _held_out_apart(runs).items():
+                held, suffix = tournament(some, key), f"_{of.replace('-', '_')}" if of else ""
+                blocks += [f"### {label.capitalize()}, {of} instances"] * bool(of)
+                blocks += _section(held, label, frozen)
+                ranks.append(held.ranks)
+                named = {name: rank for name, rank in held.ranks.items() if rank == rank}
+                figures |= {f"rank_{place + 1}{suffix}/{key}/{name}": rank for name, rank in named.items()}
+                every.append(held.values.assign(figure=key, budget=place + 1).reset_index())
+                title = f"mean ranks over {held.complete} problems: {label}, {', '.join(filter(None, [of, budget]))}"
+                draw = partial(save_critical_difference_diagram, ranks=held.ranks, critical=held.critical, title=title)
+                pictures[f"ranks_{place + 1}{suffix}_{key}.png"] = draw
+            if len(ranks) == 2:
+                figures[f"tau_{place + 1}/{key}"] = tau = rank_correlation(*ranks)
+                blocks.append(f"Kendall's tau between the two rankings by {label}: {tau:.2f}.")
         pictures[f"profiles_{place + 1}.png"] = partial(_profiles, runs=runs, frozen=frozen, title=budget)
     return Leaderboard("\n\n".join(blocks) + "\n", pd.concat(every), pictures, figures)
+
+
+def _held_out_apart(runs: Sequence[OptimiserRun]) -> Mapping[str, Sequence[OptimiserRun]]:
+    """The runs; where some instances are held out and others not, the runs on each, by the name of the group."""
+    is_held_out = [instance_of(run.problem) >= HELD_OUT for run in runs]
+    if len(set(is_held_out)) == 1:
+        return {"": runs}
+    kept = [run for run, out in zip(runs, is_held_out, strict=True) if not out]
+    return {"development": kept, "held-out": [run for run, out in zip(runs, is_held_out, strict=True) if out]}
 
 
 def _section(held: Tournament, label: str, frozen: "Mapping[str, Document]") -> list[str]:
@@ -175,7 +194,7 @@ def _section(held: Tournament, label: str, frozen: "Mapping[str, Document]") -> 
     for problem, values in zip(held.values.index, held.values.to_numpy(), strict=True):
         known, greatest = frozen[problem], float(np.nanmax(values))
         cells = [_cell(value, greatest) for value in values.tolist()]
-        best = None if known.best is None else known.best.value if is_fitness else known.best.off_grid
+        best = None if known.best is None else known.best["value" if is_fitness else "off_grid"]
         ends = [best, known.bound] if is_fitness else [best]
         rows.append([as_code(problem), *cells, *("" if end is None else f"{end:.2%}" for end in ends)])
     head = [label, *map(as_code, names), *columns]
@@ -220,7 +239,7 @@ def _profiles(path: Path, runs: Sequence[OptimiserRun], frozen: "Mapping[str, Do
 
 def _best_known(name: str, runs: Iterable[OptimiserRun], document: "Document") -> float:
     """Best value of a problem, of its document and of the runs."""
-    recorded = 0.0 if document.best is None else document.best.value
+    recorded = 0.0 if document.best is None else document.best["value"]
     return max([recorded, *(run.metrics["fitness"] for run in runs if run.problem == name)])
 
 
@@ -234,4 +253,4 @@ def write_runs(folder: Path, results: Runs, boxes: "Mapping[str, BlackBox]") -> 
             groups.setdefault((run.optimiser, run.problem), []).append(run)
         for (optimiser, name), runs in groups.items():
             own = folder / f"budget_{place + 1}" / optimiser.replace("/", "_")
-            write_iohprofiler(own, runs, name, numbers[name], boxes[name].dim)
+            write_iohprofiler(own, runs, name, numbers[name.partition(SEPARATOR)[0]], boxes[name].dim)

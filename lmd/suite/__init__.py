@@ -14,7 +14,8 @@
 from lmd.suite.adapters import ioh_problem, nevergrad_function, optuna_objective, pymoo_problem, scipy_function
 from lmd.suite.black_box import BlackBox
 from lmd.suite.documents import Document, document, names
-from lmd.suite.frozen import best_deployments, best_rig, problem
+from lmd.suite.frozen import problem
+from lmd.suite.records import best_deployments, best_rig, verify
 
 __all__ = [
     "BlackBox",
@@ -29,4 +30,5 @@ __all__ = [
     "problem",
     "pymoo_problem",
     "scipy_function",
+    "verify",
 ]

@@ -3,34 +3,25 @@
 import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Annotated, Any
 
 from lmd.core.checks import Checked, Count, InputError, choice, real
 from lmd.core.files import read_bytes, read_keys
+from lmd.suite.families import SEPARATOR, drawn, instance_name, instance_of
 
 SETS = ("small", "full")
 """Names of the sets of problems; the full set contains the small one."""
 FILE = "path"
 """Key of a file within `problem`, relative to the folder of the suite."""
 HASH_DIGITS = 16
-KEYS = ("about", "set", "version", "hash", "budgets", "bound", "best", "problem")
+KEYS = ("about", "set", "version", "hash", "budgets", "bound", "problem")
 FOLDER = Path(__file__).parent / "problems"
 """Folder of the documents and of the files that they name; not in `conf`, where Hydra would take it for a group."""
-
-
-@dataclass(frozen=True)
-class Best:
-    """Best candidate known of a problem."""
-
-    value: float
-    """Fitness; with several objectives the hypervolume of the front, from the origin."""
-    off_grid: float | None
-    """Headline figure of the candidate off the grid; None for a front."""
-    by: str
-    """Optimiser, its budget and its seed."""
+BEST = FOLDER / "best"
+"""Folder of the records of the best candidates known, and of the candidates."""
 
 
 @dataclass(frozen=True)
@@ -55,8 +46,8 @@ class Document(Checked):
     """Evaluations of the three budgets, ascending."""
     bound: Annotated[float, partial(real, above=0.0, high=1.0)] | None
     """Proven upper bound of the fitness of all candidates; None for none below 1."""
-    best: Best | None
-    """Best candidate known; None before one was recorded."""
+    best: Mapping[str, Any] | None
+    """Record of the best candidate known, as `lmd.suite.records.verify` makes it; None before one was recorded."""
     problem: Mapping[str, Any]
     """Nodes of the problem, as in a configuration of `pipelines.optimise`."""
 
@@ -88,18 +79,28 @@ def names(which: str = "full") -> list[str]:
 
 @cache
 def document(name: str) -> Document:
-    """Read the document of a problem.
+    """Document of a problem; that of an instance, such as `tiny_mean-3`, has no bound and no best candidate.
 
     Raises:
         InputError: no problem has that name, or its document is damaged.
     """
+    family, instance = name.partition(SEPARATOR)[0], instance_of(name)
+    frozen = _frozen(family)
+    if instance == 0:
+        return frozen
+    nodes = drawn(frozen.problem, family, instance)
+    made = replace(frozen, name=instance_name(family, instance), bound=None, best=None, problem=nodes)
+    return replace(made, hash=made.digest)
+
+
+def _frozen(name: str) -> Document:
     choice("suite", name, names())
     path = FOLDER / f"{name}.yaml"
     values = read_keys(path, "suite")
     if set(values) != set(KEYS):
         raise InputError(f"suite: {path.name} must have the keys {', '.join(KEYS)}, got {', '.join(values)}.")
-    best = values.pop("best")
-    return Document(name=name, best=None if best is None else Best(**best), **values)
+    record = BEST / path.name
+    return Document(name=name, best=read_keys(record, "suite") if record.exists() else None, **values)
 
 
 def with_paths(node: Any) -> Any:

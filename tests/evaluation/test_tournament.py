@@ -135,3 +135,16 @@ def test_iohinspector_has_our_expected_running_times(read, runs):
             group = [run for run in runs if (run.problem, run.optimiser) == (problem, name)]
             for _, row in theirs[theirs.algorithm_name == name].iterrows():
                 assert expected_running_time(group, row.raw_y) == pytest.approx(row.ERT, abs=1e-12)
+
+
+def test_the_rankings_on_instances_held_out_and_not_are_set_side_by_side():
+    from lmd.plot.leaderboard import leaderboard
+
+    level = {"tiny_mean": {"a": 0.3, "b": 0.2, "c": 0.1}, "tiny_mean-1000": {"a": 0.3, "b": 0.1, "c": 0.2}}
+    runs = [run_of(problem, name, 0, [value]) for problem, own in level.items() for name, value in own.items()]
+    found = leaderboard({0: runs}, level)
+    assert found.figures["rank_1_development/fitness/b"] == found.figures["rank_1_held_out/fitness/c"] == 2.0
+    assert found.figures["tau_1/fitness"] == pytest.approx(1 / 3)  # two pairs of three are in the same order
+    assert "### Fitness, held-out instances" in found.text
+    assert "Kendall's tau between the two rankings by fitness: 0.33." in found.text
+    assert set(found.pictures) == {"ranks_1_development_fitness.png", "ranks_1_held_out_fitness.png", "profiles_1.png"}

@@ -1,0 +1,102 @@
+"""Families of problems: each problem of the suite is drawn anew by a number, its instance.
+
+An instance has another room, camera, number of landmarks, size of tags and numbers of the objective, drawn from the
+distributions of `draws.yaml`. Instance 0 is the frozen problem.
+"""
+
+import copy
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lmd.core.checks import InputError
+from lmd.core.files import read_keys
+
+TARGET = "_target_"
+
+HELD_OUT = 1000
+"""First instance that is held out: no optimiser and no default is tuned on it or on those above."""
+SEPARATOR = "-"
+"""Between the name of a family and the number of an instance in the name of a problem."""
+DIGITS = 4  # significant digits of a drawn number
+
+
+def instance_name(family: str, instance: int) -> str:
+    """Name of an instance of a family, such as `tiny_mean-3`; instance 0 has the name of the family."""
+    return f"{family}{SEPARATOR}{instance}" if instance else family
+
+
+def instance_of(name: str) -> int:
+    """Instance that a name names.
+
+    Raises:
+        InputError: it is not a number.
+    """
+    number = name.partition(SEPARATOR)[2] or "0"
+    if not number.isdecimal():
+        raise InputError(f"suite: an instance is a number, as in tiny_mean{SEPARATOR}3, got {name!r}.", "suite")
+    return int(number)
+
+
+def drawn(nodes: Mapping[str, Any], family: str, instance: int) -> dict[str, Any]:
+    """Nodes of an instance of a family.
+
+    Args:
+        nodes: nodes of the frozen problem.
+        family: name of the frozen problem, which seeds the draws together with the instance.
+        instance: number of the instance, from 1 on.
+    """
+    rng = np.random.default_rng([zlib.crc32(family.encode()), instance])
+    made = copy.deepcopy(dict(nodes))
+    is_counted = "counts" in made["tag"]  # of each size, so that their sum is the number of landmarks
+    done = list[int]()
+    for part in _parts(made):
+        if id(part) in done:  # a tag that the scene and its visibility share
+            continue
+        done.append(id(part))
+        for paths, draw in _draws().get(part[TARGET], {}).items():
+            if not (is_counted and paths == "count"):
+                ((operation, bounds),) = draw.items()
+                by = rng.uniform(*np.array(bounds).T)
+                for path in paths.split():
+                    _change(part, path.split("."), operation, by)
+    return made
+
+
+@cache
+def _draws() -> Mapping[str, Any]:
+    return read_keys(Path(__file__).with_name("draws.yaml"), "suite")
+
+
+def _parts(node: Any) -> Iterator[dict[str, Any]]:
+    """The nodes that name a class, those within others first."""
+    for value in node.values() if isinstance(node, dict) else node if isinstance(node, list) else ():
+        yield from _parts(value)
+    if isinstance(node, dict) and TARGET in node:
+        yield node
+
+
+def _change(node: Any, path: Sequence[str], operation: str, by: Any) -> None:
+    """Change the values at a path below a node; a path that it does not have is left out."""
+    first, *rest = path
+    for key in range(len(node)) if first == "*" else [first] if first in node else []:
+        if rest:
+            _change(node[key], rest, operation, by)
+        else:
+            node[key] = _changed(node[key], operation, by)
+
+
+def _changed(value: Any, operation: str, by: Any) -> Any:
+    """A number, a vector or a list of vectors, changed by a number or by one for each axis; a count stays whole."""
+    numbers = np.array(value)
+    each = by[: numbers.shape[-1]] if np.ndim(by) else by
+    found = numbers * each if operation == "times" else numbers + each
+    return round(float(found)) if isinstance(value, int) else np.vectorize(_short)(found).tolist()
+
+
+def _short(number: float) -> float:
+    return float(f"{number:.{DIGITS}g}")

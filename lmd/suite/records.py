@@ -1,0 +1,167 @@
+"""Entries and records of the suite: a candidate, who found it and how, scored by the NumPy reference.
+
+An entry is a file in YAML with the keys of `ENTRY`; its `candidate` is a list of genes, or a file beside it: a table of
+landmarks, a rig file where cameras are placed, or with two objectives a table of landmarks with the number of the point
+of the front in the column `point`. A record is an entry with its score. `problems/best` has the best candidates known.
+"""
+
+import datetime
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lmd import __version__
+from lmd.cameras.problem import CameraProblem
+from lmd.core.checks import FloatArray, InputError, said_of
+from lmd.core.files import read_keys
+from lmd.core.tables import read_table
+from lmd.evaluation.validation import headline_off_grid, validation_metrics
+from lmd.formats.deployments import FileDeployment
+from lmd.formats.rigs import read_mounts, rig_of
+from lmd.problem import Problem
+from lmd.scene.deployment import Deployment
+from lmd.scene.rig import Rig
+from lmd.sight.evaluator import Evaluator
+from lmd.suite.black_box import BlackBox
+from lmd.suite.documents import BEST, Document, document
+from lmd.suite.frozen import build, camera_of
+from lmd.suite.several import SeveralObjectives, TagChoice
+
+ENTRY = ("problem", "who", "how", "when", "candidate")
+POINT = "point"
+"""Column of the table of a front."""
+
+
+def verify(path: str | Path) -> dict[str, Any]:
+    """Score an entry by the NumPy reference; a score that the file claims is not read.
+
+    Args:
+        path: the entry, or a record, which is scored again.
+
+    Returns:
+        the record: the entry; `value`, the fitness, or with two objectives the hypervolume of the front from the
+        origin; `off_grid`, the headline figure off the grid, None for a front; `version` and `hash` of the problem;
+        `scorer`.
+
+    Raises:
+        InputError: the file cannot be read, a key is missing, there is no such problem, or the candidate is none of the
+            problem.
+    """
+    path = Path(path)
+    keys = read_keys(path, "entry")
+    with said_of(path):
+        if missing := [key for key in ENTRY if not keys.get(key)]:
+            raise InputError(f"an entry has the keys {', '.join(ENTRY)}; {missing[0]} is missing.", "entry")
+        try:
+            when = datetime.date.fromisoformat(str(keys["when"]))
+        except ValueError:
+            raise InputError(f"when must be a date such as 2026-11-29, got {keys['when']!r}.", "entry") from None
+        frozen = document(str(keys["problem"]))
+        score = scored(frozen, keys["candidate"], path.parent)
+    return {
+        **{key: keys[key] for key in ENTRY},
+        "when": when.isoformat(),
+        **score,
+        "version": frozen.version,
+        "hash": frozen.hash,
+        "scorer": f"lmd {__version__}",
+    }
+
+
+def scored(frozen: Document, candidate: Any, folder: Path) -> dict[str, float | None]:
+    """Value and figure off the grid of a candidate, see `verify`.
+
+    Args:
+        frozen: the problem.
+        candidate: genes, or the name of a file in `folder`.
+        folder: folder of the entry.
+
+    Raises:
+        InputError: the candidate is none of the problem.
+    """
+    box = build(frozen, threads=None)
+    if len(box.objectives) > 1:
+        points = np.array([_values(box, each) for each in deployments_of(folder / candidate)])
+        return {"value": hypervolume(points), "off_grid": None}
+    problem, rig = box.problem, None
+    if isinstance(candidate, Sequence) and not isinstance(candidate, str):
+        genes = np.array(candidate, dtype=np.float64)
+        deployment, rig = box.deployment(genes), box.rig(genes)
+    elif isinstance(problem, CameraProblem):
+        deployment, rig = problem.tags, rig_in(frozen, folder / candidate)
+        problem.space.genes(rig)  # refuses cameras that may not be mounted so
+    else:
+        source = FileDeployment(str(folder / candidate), count=problem.count)
+        deployment = problem.labelled(problem.scene.footprints.draw(source, np.random.default_rng(0)))
+    seen = problem if rig is None else problem.with_rig(rig)
+    off_grid = validation_metrics(seen, deployment, 0)[headline_off_grid(seen)]
+    return {"value": reference_fitness(seen, deployment), "off_grid": round(off_grid, 6)}
+
+
+def _values(box: BlackBox, deployment: Deployment) -> FloatArray:
+    box.problem.scene.footprints.check(deployment)
+    assert isinstance(box, SeveralObjectives | TagChoice)
+    return box.values_of(deployment)
+
+
+def hypervolume(points: FloatArray) -> float:
+    """Area between the origin and points `(N, 2)` of a front, whose values are maximised."""
+    first, second = points[np.argsort(-points[:, 0])].T
+    return float(-np.diff(first, append=0.0) @ np.maximum.accumulate(second))
+
+
+def best_deployments(name: str) -> list[Deployment]:
+    """Best deployment known of a problem, or the front of a problem with several objectives.
+
+    Raises:
+        InputError: there is no problem of that name, none is recorded, or the problem places cameras.
+    """
+    path = _best(document(name))
+    if path.suffix != ".csv":
+        raise InputError(f"suite: {name} places cameras, not landmarks.", "suite")
+    return deployments_of(path)
+
+
+def best_rig(name: str) -> Rig:
+    """Best cameras known of a problem that places cameras.
+
+    Raises:
+        InputError: there is no problem of that name, none is recorded, or the problem places landmarks.
+    """
+    frozen = document(name)
+    path = _best(frozen)
+    if path.suffix == ".csv":
+        raise InputError(f"suite: {name} places landmarks, not cameras.", "suite")
+    return rig_in(frozen, path)
+
+
+def deployments_of(path: Path) -> list[Deployment]:
+    """Deployments of a table of landmarks: one, or those of the points of a front."""
+    table = read_table(path, name="candidate")
+    every = Deployment.from_table(table)
+    if POINT not in table:
+        return [every]
+    point = table.numbers([POINT], None)[:, 0]
+    return [replace(every[point == each], labels=None) for each in np.unique(point)]
+
+
+def rig_in(frozen: Document, path: Path) -> Rig:
+    """Cameras of a rig file for a problem that places cameras."""
+    return rig_of(read_mounts(str(path)), camera_of(frozen))
+
+
+def reference_fitness(problem: Problem, deployment: Deployment) -> float:
+    """Fitness of a deployment by the NumPy reference, which shares no kernel with the optimisers."""
+    fast = problem.fitness_evaluator
+    slow = Evaluator(fast.scene, fast.positions, fast.threads, True, fast.states).sized(deployment.edges)
+    values: FloatArray = problem.objective.values(slow, deployment.positions[None], deployment.normals[None])[0]
+    return float(problem.fitness_from(values))
+
+
+def _best(frozen: Document) -> Path:
+    if frozen.best is None:
+        raise InputError(f"suite: no candidate of {frozen.name} is recorded.", "suite")
+    return BEST / str(frozen.best["candidate"])
