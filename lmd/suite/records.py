@@ -8,12 +8,12 @@ of the front in the column `point`. A record is an entry with its score. `proble
 import datetime
 from collections.abc import Sequence
 from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from lmd import __version__
 from lmd.cameras.problem import CameraProblem
 from lmd.core.checks import FloatArray, InputError, said_of
 from lmd.core.files import read_keys
@@ -67,7 +67,7 @@ def verify(path: str | Path) -> dict[str, Any]:
         **score,
         "version": frozen.version,
         "hash": frozen.hash,
-        "scorer": f"lmd {__version__}",
+        "scorer": f"lmd {version('lmd')}",
     }
 
 
