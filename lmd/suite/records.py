@@ -19,8 +19,8 @@ from lmd.core.checks import FloatArray, InputError, said_of
 from lmd.core.files import read_keys
 from lmd.core.tables import read_table
 from lmd.evaluation.validation import headline_off_grid, validation_metrics
-from lmd.formats.deployments import FileDeployment
 from lmd.formats.rigs import read_mounts, rig_of
+from lmd.formats.tag_maps import FileDeployment
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
