@@ -10,12 +10,17 @@ from typing import Annotated, Any
 
 from lmd.core.checks import Checked, Count, InputError, choice, real
 from lmd.core.files import read_bytes, read_keys
-from lmd.suite.families import SEPARATOR, drawn, instance_name, instance_of
+from lmd.suite.families import SEPARATOR, TARGET, drawn, instance_name, instance_of
 
 SETS = ("small", "full")
 """Names of the sets of problems; the full set contains the small one."""
 FILE = "path"
 """Key of a file within `problem`, relative to the folder of the suite."""
+MOVED = {
+    "lmd.formats.deployments.FileDeployment": "lmd.formats.tag_maps.FileDeployment",
+    "lmd.space.relevance.Relevance": "lmd.space.space.Relevance",
+}
+"""Classes that documents name by the modules in which they stood, and where they stand now; digests keep the names."""
 HASH_DIGITS = 16
 KEYS = ("about", "set", "version", "hash", "budgets", "bound", "problem")
 FOLDER = Path(__file__).parent / "problems"
@@ -60,7 +65,7 @@ class Document(Checked):
         """Digest of the problem's nodes, and of the bytes of all named files."""
         text = hashlib.sha256(json.dumps(self.problem, sort_keys=True).encode())
         files = dict[str, str]()
-        _with_files(self.problem, lambda file: files.setdefault(file, file))
+        _changed(self.problem, {FILE: lambda file: files.setdefault(file, file)})
         for file in sorted(files):
             text.update(read_bytes(FOLDER / file, f"{self.name}: {FILE}"))
         return text.hexdigest()[:HASH_DIGITS]
@@ -104,13 +109,15 @@ def _frozen(name: str) -> Document:
 
 
 def with_paths(node: Any) -> Any:
-    """Copy the nodes of a problem with the full paths of all files."""
-    return _with_files(node, lambda file: str(FOLDER / file))
+    """Copy the nodes of a problem with the full paths of all files, and classes where they stand now."""
+    return _changed(node, {FILE: lambda file: str(FOLDER / file), TARGET: lambda target: MOVED.get(target, target)})
 
 
-def _with_files(node: Any, change: Callable[[str], str]) -> Any:
-    """Copy the nodes of a problem with each file changed."""
+def _changed(node: Any, change: Mapping[str, Callable[[str], str]]) -> Any:
+    """Copy the nodes of a problem with the texts of some keys changed."""
     if isinstance(node, Mapping):
-        named = [(key, value, key == FILE and value is not None) for key, value in node.items()]
-        return {key: change(str(value)) if is_file else _with_files(value, change) for key, value, is_file in named}
-    return [_with_files(value, change) for value in node] if isinstance(node, list) else node
+        return {
+            key: change[key](str(value)) if key in change and value is not None else _changed(value, change)
+            for key, value in node.items()
+        }
+    return [_changed(value, change) for value in node] if isinstance(node, list) else node

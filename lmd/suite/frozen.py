@@ -61,7 +61,7 @@ def build(frozen: Document, threads: int | None = 1) -> BlackBox:
 
 def camera_of(frozen: Document) -> Camera:
     """Return the camera of a problem, which all mounts of a rig share."""
-    camera: Camera = _made({key: value for key, value in frozen.problem["camera"].items() if key != "rig"})
+    camera: Camera = _made({key: value for key, value in with_paths(frozen.problem["camera"]).items() if key != "rig"})
     return camera
 
 

@@ -12,6 +12,7 @@ import yaml
 from support.processes import ROOT
 
 import lmd.suite
+from lmd.core.checks import InputError
 from lmd.suite import documents
 from lmd.suite.documents import BEST, FOLDER
 from lmd.suite.families import HELD_OUT
