@@ -37,26 +37,26 @@ from lmd.adjust.sightings import RESIDUALS, Sightings
 from lmd.core.checks import FloatArray, IntArray
 from lmd.geometry.se3 import exp, nearest_rotations, pose_of
 
-FRAME_CHUNK = 128  # frames whose equations are made at once
-LEAST_SHARE = 0.1  # least share of the squared errors that is assumed to remain after a fit
+FRAME_CHUNK = 128  # number of frames whose equations are built together
+LEAST_SHARE = 0.1  # assumed minimum share of the squared errors that remains after a fit
 FIRST_DAMPING, MOST_DAMPING = 1e-4, 1e6
-LEAST_GAIN = 1e-7  # the iteration ends when a step decreases the loss per sighting by less
+LEAST_GAIN = 1e-7  # the iteration ends when a step reduces the loss per sighting by less than this
 CHANGE = 1e-3  # relative change for derivatives of determinants
 
 
 class System(NamedTuple):
-    """Normal equations at one linearisation, from which frames are eliminated."""
+    """Normal equations at one linearisation, after the elimination of the frames."""
 
     matrix: FloatArray
-    """`(6 kept, 6 kept)`."""
+    """Matrix, `(6 kept, 6 kept)`."""
     right: FloatArray
-    """`(kept, 6)` right side."""
+    """Right side, `(kept, 6)`."""
     frames: SeparateFrames | LinkedFrames
     """The eliminated frames."""
 
     @property
     def informed(self) -> tuple[IntArray, FloatArray]:
-        """Rows of the kept unknowns with information, `(n,)`, and their matrix, `(n, n)`."""
+        """Rows of the kept unknowns that have information, `(n,)`, and the matrix of these rows, `(n, n)`."""
         rows = np.flatnonzero(np.diag(self.matrix) > 0.0)
         return rows, self.matrix[np.ix_(rows, rows)]
 
@@ -69,7 +69,7 @@ class System(NamedTuple):
 
     @property
     def log_determinant(self) -> float:
-        """Log-determinant of the matrix of all unknowns with information."""
+        """Log-determinant of the matrix of all unknowns that have information."""
         return float(np.linalg.slogdet(self.informed[1])[1]) + self.frames.log_determinant
 
     def reached(self, kept: FloatArray) -> FloatArray:
@@ -78,7 +78,7 @@ class System(NamedTuple):
 
 
 class Adjustment:
-    """Bundle adjustment of some sightings, all of whose tags and frames have a pose.
+    """Bundle adjustment of sightings whose tags and frames all have a pose.
 
     Kept unknowns are in blocks of six: twists of tags, twists of mounts, the bias of odometry, nuisance parameters of
     each camera, and shapes of tags.
@@ -112,7 +112,9 @@ class Adjustment:
         self.share = max(1.0 - unknowns / (RESIDUALS * len(sightings)), LEAST_SHARE)  # of the squares, after a fit
 
     def _jacobians(self, some: Sightings, at: Reprojection) -> list[tuple[IntArray, FloatArray]]:
-        """Kept block of each sighting, `(n,)`, and Jacobian by this block, `(n, 8, 6)`, for each kind of unknowns."""
+        """Index `(n,)` of the kept block, and Jacobian by this block `(n, 8, 6)`, of each sighting, for each kind of
+        unknown.
+        """
         found = [(some.tag, at.by_tag)]
         if self.mounts.stop > self.mounts.start:
             others = some.camera > 0
@@ -149,7 +151,9 @@ class Adjustment:
     def _part(
         self, some: Sightings, poses: Poses, floor: float, damping: float, weight: float | None, kept: Kept
     ) -> Part:
-        """Add the equations of the kept unknowns of some sightings, and return those of their frames."""
+        """Add the equations of the kept unknowns for some sightings, and return the equations of the frames of these
+        sightings.
+        """
         at, variance = Reprojection(some, *poses.of(some)), some.variance(floor)
         trust = student_weight(at.squared / variance) if weight is None else weight
         product = partial(weighted_product, weight=trust / variance / self.inflation**2)
@@ -208,7 +212,9 @@ class Adjustment:
         return self._moved(poses, step, system), step[self.first_lens :], variance[self.first_lens :]
 
     def loss(self, poses: Poses, floor: float, sightings: Sightings | None = None) -> float:
-        """Total loss of sightings, priors and links, or with equally many `sightings` through other cameras."""
+        """Total loss of sightings, priors and links; `sightings` replaces the sightings by equally many through other
+        cameras.
+        """
         some = self.sightings if sightings is None else sightings
         return self._loss(squared_errors(some, poses), self._prior_loss(poses), floor)
 
@@ -225,7 +231,7 @@ class Adjustment:
             poses: initial poses.
             floor: initial floor, pixels.
             steps: maximum number of steps.
-            most: maximum of the floor; None for its initial value.
+            most: maximum of the floor; None for the initial floor.
 
         Returns:
             poses; floor, pixels: the standard deviation of corners beyond the detector's own.
@@ -250,7 +256,7 @@ class Adjustment:
         return Poses(*map(_orthonormal, (poses.tags, poses.frames, poses.mounts))), floor
 
     def fixed_system(self, poses: Poses, floor: float) -> System:
-        """System with the weight of least squares that has the covariance of the robust fit, see `efficiency`."""
+        """System with the least-squares weight that reproduces the covariance of the robust fit, see `efficiency`."""
         slope, spread = self.efficiency(poses, floor)
         return self.system(poses, floor, 0.0, slope**2 / spread)
 
@@ -271,7 +277,7 @@ class Adjustment:
         return system.frames.covariances(system.reached(root), self.inflation**-2.0 if self.links is None else 1.0)
 
     def _update_share(self, poses: Poses, floor: float) -> None:
-        """Set the share of the squared errors that remains after a fit, if links or a map hold some unknowns."""
+        """Set the share of the squared errors that remains after a fit in which links or a map hold some unknowns."""
         if self.links is not None or self.prior.joint is not None:
             here, there = (self.system(poses, floor, 0.0, weight).log_determinant for weight in (1.0, 1.0 + CHANGE))
             taken = (there - here) / np.log1p(CHANGE)
@@ -279,7 +285,7 @@ class Adjustment:
 
 
 def _orthonormal(poses: FloatArray) -> FloatArray:
-    """Poses with their rotations made orthonormal again, as products accumulate rounding errors; NaN stays NaN."""
+    """Poses with orthonormal rotations, as products accumulate rounding errors; NaN stays NaN."""
     result, known = poses.copy(), np.isfinite(poses).all(axis=(1, 2))
     result[known] = pose_of(nearest_rotations(poses[known, :3, :3]), poses[known, :3, 3])
     return result

@@ -1,4 +1,4 @@
-"""Candidate poses of frames by known tags, or of tags by known frames, from single sightings; and rough mounts.
+"""Candidate poses from single sightings: of frames, given tags, or of tags, given frames; and rough mounts.
 
 Two poses of a tag in front of a camera look alike (IPPE), so each sighting proposes two poses.
 
@@ -17,7 +17,7 @@ from lmd.core.checks import FloatArray, InputError, IntArray
 from lmd.core.optional import optional
 from lmd.geometry.se3 import exp, inverse, log, median_pose, pose_of
 
-ASSUMED_PIXELS = 0.3  # pixels, added in quadrature to the detector's standard deviation for the odds of the two poses
+ASSUMED_PIXELS = 0.3  # pixels, added in quadrature to the detector's standard deviation to weigh the two poses
 # Maximum numbers, for a frame or tag, of sightings that propose poses, of sightings that judge poses (the largest
 # sightings are used), and of poses that are refined.
 PROPOSING, JUDGING, REFINED = 8, 60, 3
@@ -26,12 +26,12 @@ DAMPING = 1e-6
 # A mount is doubted if at least `FEWEST_FRAMES` frames put the camera farther from it than `OFF_M`, metres, or than
 # `OFF_RAD`, rad, which calibrations explain, and than `OFF_SIGMAS` standard deviations.
 FEWEST_FRAMES, OFF_M, OFF_RAD, OFF_SIGMAS = 5, 0.05, 0.012, 5.0
-OF_MEDIAN = 1.86  # standard deviation of a median of n values, times sqrt(n), over their median absolute deviation
+OF_MEDIAN = 1.86  # for n values: standard deviation of the median, times sqrt(n), over the median absolute deviation
 
 
 @dataclass(frozen=True)
 class SinglePoses:
-    """Two poses of the tag of each sighting, in the frame of the camera."""
+    """For each sighting, two poses of its tag in the frame of the camera."""
 
     poses: FloatArray
     """`(N, 2, 4, 4)` poses, the better pose first."""
@@ -88,8 +88,8 @@ class Candidates:
         self._order, self._begins = np.argsort(self.owner, kind="stable"), np.cumsum(self.counts) - self.counts
 
     def proposed(self, index: IntArray, single: FloatArray) -> FloatArray:
-        """Poses of the owners of the sightings `index`, `(2 n, 4, 4)`, from the two poses of each tag in its camera,
-        `(n, 2, 4, 4)`.
+        """Poses of the owners of the sightings `index`, `(2 n, 4, 4)`, from the two poses of each tag in the camera's
+        frame, `(n, 2, 4, 4)`.
         """
         mounts = self._mounts[index, None]
         if self.by_frame:
@@ -97,8 +97,8 @@ class Candidates:
         return np.asarray(self._frames[index, None] @ mounts @ single).reshape(-1, 4, 4)
 
     def _judges(self, owner: IntArray) -> tuple[Sightings, IntArray, Callable[[FloatArray], Reprojection]]:
-        """Sightings that judge poses of the owners `(P,)`, the index of the pose that each judges, and a function from
-        poses `(P, 4, 4)` to the reprojection of these sightings.
+        """Sightings that judge poses of the owners `(P,)`; for each sighting, the index of the pose that it judges; and
+        a function from poses `(P, 4, 4)` to the reprojection of these sightings.
         """
         pose = np.repeat(np.arange(len(owner)), self.counts[owner])
         pairs = self._order[self._begins[owner[pose]] + rank_within(pose)]
@@ -116,8 +116,8 @@ class Candidates:
         return np.asarray(np.bincount(pose, agreeing(some, at(poses).squared), minlength=len(self.owners)))
 
     def best(self, poses: FloatArray, owner: IntArray, count: int) -> IntArray:
-        """Indices of the `count` poses `(P, 4, 4)` of each owner `(P,)` with the least robust losses, sorted by owner,
-        then by loss.
+        """Indices of the `count` poses with the least robust losses for each owner, sorted by owner, then by loss, from
+        poses `(P, 4, 4)` and their owners `(P,)`.
         """
         _, pose, at = self._judges(owner)
         losses = np.bincount(pose, np.log1p(at(poses).squared / (4.0 * NARROW**2)), minlength=len(poses))
@@ -150,7 +150,7 @@ class Candidates:
 def place(
     some: Sightings, single: FloatArray, poses: Poses, by_frame: bool, fewest: int, share: float
 ) -> tuple[IntArray, FloatArray]:
-    """Place frames by placed tags, or tags by placed frames; a pose that they already have is a candidate as well.
+    """Place frames by placed tags, or tags by placed frames; their present poses are candidates as well.
 
     Args:
         some: sightings.
@@ -188,7 +188,7 @@ def placed_tags(some: Sightings, poses: Poses, fewest: int, share: float) -> Flo
 
 
 def rank(sightings: Sightings, owner: IntArray) -> IntArray:
-    """Rank of sightings by size, from the largest, among the sightings of their owner, `(N,)`."""
+    """Rank of each sighting by size among the sightings of its owner, largest first, `(N,)`."""
     order = np.lexsort((-sightings.sizes, owner))
     result = np.empty(len(sightings), dtype=np.int64)
     result[order] = rank_within(owner[order])
@@ -196,19 +196,19 @@ def rank(sightings: Sightings, owner: IntArray) -> IntArray:
 
 
 def rank_within(owner: IntArray) -> IntArray:
-    """Position of each entry among the entries with an equal owner; `owner` is sorted."""
+    """Rank of each entry among the entries with an equal owner; `owner` is sorted."""
     return np.asarray(np.arange(len(owner)) - np.searchsorted(owner, owner))
 
 
 def measured_mounts(views: FloatArray, mounts: FloatArray) -> tuple[FloatArray, list[str]]:
-    """Mounts by frames in which two cameras show tags, and sentences on cameras that are mounted elsewhere.
+    """Mounts measured in frames in which two cameras show tags, and sentences on cameras that are mounted elsewhere.
 
     Args:
-        views: poses of each camera in each frame by its own images, `(C, F, 4, 4)`; NaN if not known.
+        views: pose of each camera in each frame by the camera's own images, `(C, F, 4, 4)`; NaN if not known.
         mounts: poses of the cameras on the body, which is the first camera, `(C, 4, 4)`.
 
     Returns:
-        the given mounts, `(C, 4, 4)`, but the measured ones of cameras that are mounted elsewhere.
+        mounts `(C, 4, 4)`: measured for cameras that are mounted elsewhere, as given for the others.
     """
     found, doubts = mounts.copy(), []
     for camera in range(1, len(mounts)):
@@ -227,7 +227,7 @@ def measured_mounts(views: FloatArray, mounts: FloatArray) -> tuple[FloatArray, 
 
 
 def mount_doubt(camera: int, off: FloatArray, by: str) -> str:
-    """Sentence on a camera that is a twist `off` `(6,)` from its mount."""
+    """Sentence on a camera whose measured pose is a twist `off` `(6,)` away from its mount."""
     turn, way = np.linalg.norm(off.reshape(2, 3), axis=1)
     where = f"camera {camera + 1} is {1e3 * way:.0f} mm and {np.degrees(turn):.3g} degrees from its mount, {by}"
     return f"{where}: is the rig right in sign, unit and order?"

@@ -32,7 +32,7 @@ FLOOR_BISECTIONS = 40
 # A sighting is an outlier if its chi^2, with eight degrees of freedom, exceeds `OUTLIER_CHI_SQUARE`, and its RMS error
 # exceeds `OUTLIER_PIXELS` and the share `OUTLIER_SHARE` of its shortest side. Blur and lenses cause smaller errors.
 OUTLIER_CHI_SQUARE, OUTLIER_PIXELS, OUTLIER_SHARE = 60.0, 1.0, 0.02
-# A sighting agrees with a rough pose if its RMS error is at most `AGREES` times its size plus `AGREES_PIXELS`, pixels.
+# A sighting agrees with a rough pose if its RMS error, pixels, is at most `AGREES` times its size plus `AGREES_PIXELS`.
 AGREES, AGREES_PIXELS = 0.15, 2.0
 
 
@@ -88,12 +88,12 @@ class Reprojection:
 
     @property
     def directions(self) -> FloatArray:
-        """Directions of the corners by the poses, unit vectors in the camera's frame, `(N, 4, 3)`."""
+        """Unit vectors to the corners as predicted by the poses, in the camera's frame, `(N, 4, 3)`."""
         return np.asarray(self._seen / np.linalg.norm(self._seen, axis=-1, keepdims=True))
 
     @cached_property
     def _by_seen(self) -> FloatArray:
-        """Derivatives of the residuals by the corners in the camera's frame, `(N, 4, 2, 3)`."""
+        """Derivatives of the residuals with respect to the corners in the camera's frame, `(N, 4, 2, 3)`."""
         some, depth = self._sightings, self._depth[..., None]
         error = self.error.reshape(-1, 4, 2, 1)
         slope = (some.tangents - error * some.directions[..., None, :]) / np.maximum(depth, NEAREST)
@@ -101,57 +101,57 @@ class Reprojection:
 
     @cached_property
     def _by_body(self) -> FloatArray:
-        """Derivatives of the residuals by the corners in the body's frame, `(N, 4, 2, 3)`."""
+        """Derivatives of the residuals with respect to the corners in the body's frame, `(N, 4, 2, 3)`."""
         return np.asarray(self._by_seen @ np.swapaxes(self._mounted, 1, 2)[:, None])
 
     @cached_property
     def _by_corner(self) -> FloatArray:
-        """Derivatives of the residuals by the corners in the tag's frame, `(N, 4, 2, 3)`."""
+        """Derivatives of the residuals with respect to the corners in the tag's frame, `(N, 4, 2, 3)`."""
         return np.asarray(self._by_body @ self._turn[:, None])
 
     @cached_property
     def by_tag(self) -> FloatArray:
-        """Jacobian of the residuals by the pose of the tag, `(N, 8, 6)`."""
+        """Jacobian of the residuals with respect to the pose of the tag, `(N, 8, 6)`."""
         return -_by_twist(self._by_corner, self._corners)
 
     @cached_property
     def by_frame(self) -> FloatArray:
-        """Jacobian of the residuals by the pose of the body, `(N, 8, 6)`."""
+        """Jacobian of the residuals with respect to the pose of the body, `(N, 8, 6)`."""
         return _by_twist(self._by_body, self._body)
 
     @cached_property
     def by_mount(self) -> FloatArray:
-        """Jacobian of the residuals by the pose of the camera on the body, `(N, 8, 6)`."""
+        """Jacobian of the residuals with respect to the pose of the camera on the body, `(N, 8, 6)`."""
         return _by_twist(self._by_seen, self._seen)
 
     @cached_property
     def by_shape(self) -> FloatArray:
-        """Jacobian of the residuals by the shape of the tag, see `Sightings.shapes`, `(N, 8, 6)`."""
+        """Jacobian of the residuals with respect to the shape of the tag, see `Sightings.shapes`, `(N, 8, 6)`."""
         return np.asarray(np.einsum("nqij,sqj->nqis", self._by_corner, SHAPES)).reshape(-1, RESIDUALS, 6)
 
     @cached_property
     def by_size(self) -> FloatArray:
-        """Derivative of the residuals by the logarithm of the tag's edge, `(N, 8, 1)`."""
+        """Derivative of the residuals with respect to the logarithm of the tag's edge, `(N, 8, 1)`."""
         return np.asarray(self._by_corner @ self._corners[..., None]).reshape(-1, RESIDUALS, 1)
 
 
 def _by_twist(slope: FloatArray, points: FloatArray) -> FloatArray:
-    """Jacobian `(N, 8, 6)` by a twist of the frame of `points` `(N, 4, 3)`, from that by the points `(N, 4, 2, 3)`."""
+    """Jacobian `(N, 8, 6)` with respect to a twist of the frame of `points` `(N, 4, 3)`, from the Jacobian `slope`."""
     return np.concatenate([cross(slope, points[:, :, None]), -slope], axis=-1).reshape(-1, RESIDUALS, 6)
 
 
 def squared_errors(sightings: Sightings, poses: Poses) -> FloatArray:
-    """Squared error |e|^2 of each sighting, pixels^2, `(N,)`; NaN if its tag or frame has no pose."""
+    """Squared error |e|^2 of each sighting, pixels^2, `(N,)`; NaN if the tag or the frame has no pose."""
     return Reprojection(sightings, *poses.of(sightings)).squared
 
 
 def agreeing(sightings: Sightings, error: FloatArray) -> BoolArray:
-    """True for sightings with squared errors `(N,)` that agree with a rough pose; False for NaN."""
+    """True for sightings whose squared error, `(N,)`, agrees with a rough pose; False for NaN."""
     return np.asarray(np.sqrt(error / 4.0) < AGREES * sightings.sizes + AGREES_PIXELS)
 
 
 def fitting(sightings: Sightings, error: FloatArray, floor: float) -> BoolArray:
-    """Mask of the sightings that are no outliers, from their squared errors `(N,)`; False for NaN."""
+    """Mask of the inliers among sightings with squared errors `(N,)`; False for NaN."""
     near = np.sqrt(error / 4.0) <= np.maximum(OUTLIER_PIXELS, OUTLIER_SHARE * sightings.sizes)
     return np.asarray((error / sightings.variance(floor) <= OUTLIER_CHI_SQUARE) | near)
 
@@ -172,10 +172,10 @@ def student_loss(square: FloatArray, residuals: int = RESIDUALS) -> float:
 
 
 def floor_of(error: FloatArray, noise: FloatArray, most: float) -> float:
-    """Floor, pixels, at most `most`, at which the squared errors have their expected mean, by bisection.
+    """Find the floor, pixels, at most `most`, at which the squared errors have their expected mean, by bisection.
 
     Args:
-        error: squared errors |e|^2 of sightings before a fit takes a part of them, pixels^2, `(N,)`.
+        error: squared errors |e|^2 of sightings, scaled up for the degrees of freedom of the fit, pixels^2, `(N,)`.
         noise: standard deviation of a coordinate of a corner according to the detector, pixels, `(N,)`.
         most: greatest floor, pixels.
     """
@@ -191,7 +191,7 @@ def floor_of(error: FloatArray, noise: FloatArray, most: float) -> float:
 
 
 def efficiency(square: FloatArray) -> tuple[float, float]:
-    """Mean slope of the estimating equations and variance of their right side (sandwich formula), by chi^2 `(N,)`.
+    """Mean slope of the estimating equations and variance of their right side (sandwich formula), from chi^2 `(N,)`.
 
     With weights w(chi^2), the slope is the mean of w + 2 w' chi^2 / 8, and the variance is the mean of w^2 chi^2 / 8.
     Least squares with the weight slope^2 / variance of all sightings has the covariance of the robust fit.
@@ -207,7 +207,7 @@ def weighted_product(one: FloatArray, other: FloatArray, weight: FloatArray) -> 
 
 
 def sums_by(owner: IntArray, count: int) -> Callable[[FloatArray], FloatArray]:
-    """Make a function that sums values `(N, ...)` of sightings over the sightings of each owner, to `(count, ...)`."""
+    """Make a function that sums values `(N, ...)` of N sightings for each owner, to `(count, ...)`."""
     from scipy.sparse import csc_array
 
     matrix = csc_array((np.ones(len(owner)), owner, np.arange(len(owner) + 1)), shape=(count, len(owner)))
@@ -231,10 +231,10 @@ def newton_step(
     summed: Callable[[FloatArray], FloatArray],
     damping: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Gauss-Newton steps `(n, m)` of n owners of sightings, and their normal matrices `(n, m, m)`.
+    """Gauss-Newton steps `(n, m)`, and normal matrices `(n, m, m)`, of n owners of sightings.
 
     Args:
-        jacobian, error, weight: of each sighting, `(N, r, m)`, `(N, r)` and `(N,)`.
+        jacobian, error, weight: values of each sighting, `(N, r, m)`, `(N, r)` and `(N,)`.
         summed: sum over the sightings of each owner, see `sums_by`.
         damping: added to the matrices, `(m, m)`.
     """
@@ -243,7 +243,7 @@ def newton_step(
 
 
 def resected(sightings: Sightings, poses: Poses, floor: float) -> Poses:
-    """Poses with the frames of some sightings refined, while tags and mounts are fixed (resection)."""
+    """Refine the frames of some sightings with tags and mounts fixed (resection); returns all poses."""
     seen, owner = np.unique(sightings.frame, return_inverse=True)
     summed, variance, frames = sums_by(owner, len(seen)), sightings.variance(floor), poses.frames.copy()
     for _ in range(RESECTION_STEPS):

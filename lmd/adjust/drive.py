@@ -1,4 +1,5 @@
-"""Motion of a body as its drive tells it: the spread of the motion, errors across gaps, and the smoothest sequence.
+"""Motion of a body, estimated from its drive: spread of the motion, errors across gaps, and smoothest sequence of
+poses.
 
 The spread s of a motion is estimated by maximum evidence: with theta = log s^2,
 
@@ -8,10 +9,10 @@ where chi^2 and Q are the errors of the links and their covariance, and H is the
 has the weight of `ASSUMED_LINKS` links.
 
 Errors of a constant velocity across gaps are measured in stretches of the drive without gaps. For two frames that are
-the length of a gap apart, the velocities before and after predict the relative pose. The error of the prediction is its
-difference from the pose estimated with the frames between the two.
+as far apart as the gap is long, the velocities before and after predict the relative pose. The error of the prediction
+is the difference from the relative pose that the frames in between give.
 
-Of two poses of a frame that look alike, the smoothest sequence of poses decides (Viterbi).
+The smoothest sequence of poses decides between two poses of a frame that look alike (Viterbi).
 
 Source: MacKay, "Bayesian Interpolation".
 """
@@ -30,18 +31,18 @@ from lmd.core.checks import FloatArray, IntArray
 from lmd.geometry.se3 import angle_between, exp, inverse, log
 
 ASSUMED_LINKS = 3.0  # weight of the prior of a spread, as a number of links
-# Estimate of a spread: maximum number of steps, largest factor on its square in a step, and relative change of the
+# Estimate of a spread: maximum number of steps, largest factor on the variance in a step, and relative change of the
 # square that ends the estimate.
 SPREAD_STEPS, MOST_CHANGE, SETTLED = 3, 10.0, 0.03
-LONGEST_GAP, GAPS = 5.0, 13  # longest length of a gap that is tried, seconds, and number of lengths that are tried
-FEWEST_GAPS = 6  # minimum number of artificial gaps of a length in stretches without gaps
+LONGEST_GAP, GAPS = 5.0, 13  # maximum length of a gap that is tested, seconds, and number of lengths that are tested
+FEWEST_GAPS = 6  # minimum number of artificial gaps of each length
 LEAST_PACE = 0.2  # minimum time over which the velocity on each side of a gap is measured, seconds
 # Errors of rough poses of frames: rotation, rad, and position, metres; and their growth by motion, per second.
 ROUGH_TURN, ROUGH_PLACE, MOVING = 0.1, 0.15, 1.0
 
 
 def with_motion(joint: Adjustment, motion: Motion) -> Adjustment:
-    """Adjustment with another spread of the motion, and equal pairs of linked frames."""
+    """Adjustment with another spread of the motion; the pairs of linked frames do not change."""
     assert joint.links is not None
     other, first = copy(joint), joint.links.first
     information = motion.information(joint.seen[first], joint.seen[first + 1])
@@ -50,7 +51,7 @@ def with_motion(joint: Adjustment, motion: Motion) -> Adjustment:
 
 
 def spread_motion(joint: Adjustment, poses: Poses, floor: float) -> Motion:
-    """Motion of an adjustment with the spread of maximum evidence."""
+    """Motion with the spread of maximum evidence, for the motion of an adjustment."""
     motion, links = joint.prior.motion, joint.links
     assert motion is not None
     assert links is not None
@@ -84,7 +85,7 @@ def spread_motion(joint: Adjustment, poses: Poses, floor: float) -> Motion:
 
 
 def measured_motion(joint: Adjustment, poses: Poses, floor: float) -> Motion:
-    """Motion of an adjustment with the spread of maximum evidence and the measured errors across gaps.
+    """Motion with the spread of maximum evidence and the measured errors across gaps, for the motion of an adjustment.
 
     Raises:
         InputError: odometry contradicts the images.
@@ -99,7 +100,7 @@ def measured_motion(joint: Adjustment, poses: Poses, floor: float) -> Motion:
 
 
 def bridged_gaps(motion: Motion, poses: FloatArray) -> FloatArray:
-    """Spreads of a constant velocity by the length of a gap, see `Motion.gaps`.
+    """Spreads of a constant velocity for each length of a gap, see `Motion.gaps`.
 
     Args:
         motion: motion at a constant velocity, in pieces.
@@ -110,7 +111,7 @@ def bridged_gaps(motion: Motion, poses: FloatArray) -> FloatArray:
     clock = clock + motion.piece * (np.nanmax(clock) + 10.0 * LONGEST_GAP)
 
     def nearest(seconds: FloatArray) -> IntArray:
-        """Index of the frame nearest to each time of `clock`."""
+        """Index of the frame nearest to each time in `clock`."""
         after = np.clip(np.searchsorted(clock, seconds), 1, len(clock) - 1)
         return np.asarray(after - (seconds - clock[after - 1] < clock[after] - seconds))
 
@@ -148,7 +149,7 @@ class Nodes:
 
     @classmethod
     def of(cls, sightings: Sightings, part: IntArray, motion: Motion) -> "Nodes":
-        """Nodes of all sightings of tags in parts `(K,)`."""
+        """Nodes of all sightings; `part` is the part of each tag, `(K,)`."""
         key, node = np.unique(part[sightings.tag] * sightings.frames + sightings.frame, return_inverse=True)
         order = np.argsort(node, kind="stable")
         own, frame = np.divmod(key, sightings.frames)
@@ -156,7 +157,7 @@ class Nodes:
         return cls(some, frame, own, motion.of(frame, own))
 
     def following(self, count: int) -> tuple[IntArray, IntArray]:
-        """Pairs of nodes, the second among the `count` nodes after the first in time."""
+        """Pairs of nodes: each node with each of the next `count` nodes in time."""
         order = np.lexsort((self.part, self.frame))
         ends = [np.stack([order[:-k], order[k:]]) for k in range(1, min(count, len(order) - 1) + 1)]
         first, second = np.hstack([np.empty((2, 0), dtype=np.int64), *ends])
@@ -164,8 +165,8 @@ class Nodes:
 
 
 def smoothest(nodes: Nodes, poses: Poses) -> Poses:
-    """Poses of the nodes in the worlds of their parts: the smoothest sequence of poses from their largest sightings and
-    from the rough poses of frames.
+    """Poses of the nodes in the worlds of their parts: the smoothest sequence among the poses that the largest
+    sightings propose and the rough poses of the frames.
     """
     some, motion, placed = nodes.sightings, nodes.motion, poses.frames[nodes.frame]
     order = np.lexsort((-some.sizes, some.frame))
@@ -177,7 +178,7 @@ def smoothest(nodes: Nodes, poses: Poses) -> Poses:
     several = np.bincount(some.frame[agree], minlength=len(placed)) >= 2
     views[several] = placed[several, None]
     follows = np.flatnonzero(motion.follows(np.arange(len(placed))))
-    between = np.zeros((len(placed), 2, 2))  # cost of each pose, given each pose of the previous node
+    between = np.zeros((len(placed), 2, 2))  # cost of each pose for each pose of the previous node
     seconds = motion.times[follows + 1] - motion.times[follows]
     moving = 0.0 if motion.is_odometry else MOVING * seconds[:, None, None]
     expected = views[follows] @ motion.steps(follows, follows + 1)[:, None]
@@ -190,11 +191,11 @@ def smoothest(nodes: Nodes, poses: Poses) -> Poses:
 
 
 def best_sequence(costs: FloatArray, between: FloatArray) -> IntArray:
-    """Choose one of the two poses of each of n sightings in a sequence, at the least total cost (Viterbi).
+    """Choose one of two poses for each of n sightings in a sequence, at the least total cost (Viterbi).
 
     Args:
         costs: cost of each pose, `(n, 2)`.
-        between: cost of pose a after pose b of the previous sighting, `(n, 2, 2)`.
+        between: cost of pose a that follows pose b of the previous sighting, `(n, 2, 2)`.
 
     Returns:
         index of the chosen pose of each sighting, 0 or 1, `(n,)`.

@@ -1,11 +1,11 @@
-"""Estimate of poses: bundle adjustment from initial poses without outliers, marginal covariances, blocks of time.
+"""Estimate of poses: bundle adjustment without outliers from initial poses, marginal covariances, blocks of time.
 
 *Blocks of time*: the covariance C of an adjustment assumes that errors of sightings are independent. The errors in a
 drive are correlated, as exposure, blur and errors of the lens model change slowly. So frames are cut into blocks of
 time with equally many sightings. Block b adds S_b to the normal equations S = C^-1, and g_b to their right side, which
 sums to 0. Block b contributes x_b = C (1 - S_b C)^-1/2 g_b to the error of the map. The covariance of the map is the
-sum of x_b x_b', which equals C if errors are uncorrelated. The inverse instead of the inverse root would be the
-jackknife, which leaves each block out; it overrates blocks that alone hold a part of the map.
+sum of x_b x_b', which equals C if errors are uncorrelated. The inverse in place of the inverse root would be the
+jackknife, which leaves each block out. The jackknife overrates blocks that alone hold a part of the map.
 
 Source: Bell and McCaffrey, "Bias reduction in standard errors for linear regression with multi-stage samples" (CR2).
 """
@@ -28,13 +28,13 @@ from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 
 FLOOR_PIXELS = 3.0  # maximum of the floor, pixels
 STEPS, FINAL_STEPS = 40, 15  # steps of bundle adjustment with all sightings, and without outliers
-# Threads of linear algebra: with matrices of some hundred rows, more threads wait longer than they work.
+# Threads of linear algebra: for matrices of a few hundred rows, more threads are slower.
 ONE_THREAD = 1
-FEWEST_MISFITS = 3  # least number of outliers of a tag that hangs elsewhere or has another size
+FEWEST_MISFITS = 3  # minimum number of outliers of a tag that was moved or has another size
 FEWEST_FRAMES = 10  # minimum number of frames for blocks of time
 FEWEST_BLOCKS, MOST_BLOCKS = 5, 8
 FEWEST_IN_BLOCK = 3  # minimum number of frames of a block, unless there would be too few blocks
-ALONE = 0.98  # a block with a larger share of the information in a direction holds that direction alone
+ALONE = 0.98  # a block with a larger share of the information in a direction alone determines the direction
 LEAST_RATIO = 1e-2  # minimum ratio of squared errors of a tag to its variance
 LEAST_PART = 1e-9  # minimum eigenvalue of a block's information, relative to the largest
 
@@ -55,7 +55,7 @@ class Lenses:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Estimated poses of the tags of some sightings."""
+    """Estimated poses of the tags, frames and mounts of some sightings."""
 
     sightings: Sightings
     """All sightings, with the shapes of tags."""
@@ -68,13 +68,14 @@ class Estimate:
     that are not placed.
     """
     used: BoolArray
-    """`(N,)` inliers: sightings from which the map is made."""
+    """Mask of the inliers, `(N,)`: the sightings from which the map is made."""
     misfits: BoolArray
-    """`(N,)` outliers: sightings, of tags and in frames of the map, that do not fit the pose of their tag."""
+    """Mask of the outliers, `(N,)`: sightings of tags and in frames of the map that do not fit the pose of their tag.
+    """
     floor: float = FLOOR_PIXELS
     """Standard deviation of corners beyond the detector's own, pixels."""
     inflation: float = 1.0
-    """Factor of the standard deviations of sightings, see `inflation`."""
+    """Factor on the standard deviations of sightings, see `inflation`."""
     lenses: Lenses | None = None
     """Nuisance parameters of the cameras; None if cameras are exact."""
 
@@ -82,12 +83,12 @@ class Estimate:
     def adjusted_from(
         cls, sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, most: float = FLOOR_PIXELS
     ) -> "Estimate":
-        """Estimate that is `adjusted` from rough `poses`; arguments as the fields."""
+        """Estimate that is `adjusted` from rough `poses`; see the fields for the arguments."""
         nothing = np.zeros(len(sightings), dtype=bool)
         return cls(sightings, prior, poses, group, nothing, nothing).adjusted(most)
 
     def adjusted(self, most: float = FLOOR_PIXELS) -> "Estimate":
-        """Estimate in which the poses of the map, which is group 0, are adjusted; `most` is the maximum of the floor.
+        """Estimate with adjusted poses of the map, which is group 0; `most` is the maximum of the floor.
 
         Raises:
             InputError: no sightings agree.
@@ -182,7 +183,7 @@ class Estimate:
 
     @property
     def calibrated(self) -> tuple[Calibrated, ...]:
-        """Cameras beside the given ones, with their covariances; empty if cameras are exact."""
+        """Refined cameras with their covariances; empty if cameras are exact."""
         if self.lenses is None or not self.used.any():
             return ()
         lenses = self.lenses
@@ -224,8 +225,8 @@ class Estimate:
 def constraining(sightings: Sightings, used: BoolArray, prior: Prior) -> BoolArray:
     """True for the `used` sightings that constrain the map, `(N,)`.
 
-    A single sighting in its frame constrains the map only if the frame is linked to another frame; in a map that is
-    known (`Prior.joint`), it tells where the frame is.
+    A sighting that is alone in its frame constrains the map only if the frame is linked to another frame. In a known
+    map (`Prior.joint`) such a sighting determines the pose of the frame.
     """
     if prior.joint is not None:
         return used
@@ -237,7 +238,7 @@ def constraining(sightings: Sightings, used: BoolArray, prior: Prior) -> BoolArr
 
 
 def inflation(found: Estimate, report: Callable[[int, int], object]) -> float:
-    """Factor on the standard deviations of places, from blocks of time: the geometric mean over tags, at least 1.
+    """Factor on the standard deviations of positions, from blocks of time: the geometric mean over tags, at least 1.
 
     The factor is 1 if there are too few frames for blocks. If frames are linked, only frames with two or more tags are
     used, in the largest part of the map that such frames connect.
@@ -265,7 +266,7 @@ def inflation(found: Estimate, report: Callable[[int, int], object]) -> float:
 
 
 def _blocks_of_time(found: Estimate) -> list[IntArray]:
-    """Frames of each block of time, in ascending order."""
+    """Frames of each block of time, ascending."""
     counts = np.bincount(found.sightings.frame[found.used], minlength=found.sightings.frames)[found.frames]
     middle = np.cumsum(counts) - counts / 2.0
     blocks = int(np.clip(len(counts) // FEWEST_IN_BLOCK, FEWEST_BLOCKS, MOST_BLOCKS))
@@ -274,7 +275,7 @@ def _blocks_of_time(found: Estimate) -> list[IntArray]:
 
 
 def _without_links(found: Estimate) -> Estimate:
-    """Largest part of a map that images alone connect, as an estimate without links."""
+    """Estimate without links, of the largest part of the map that images alone connect."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -293,7 +294,7 @@ def _without_links(found: Estimate) -> Estimate:
 
 
 def _off(found: Estimate, frames: IntArray, slope: float, spread: float) -> FloatArray:
-    """Displacement x_b, by a block, of each known tag relative to the others, metres, `(n, 3)`.
+    """Displacement x_b of each known tag relative to the others due to one block, metres, `(n, 3)`.
 
     Args:
         found: estimate.
@@ -309,7 +310,7 @@ def _off(found: Estimate, frames: IntArray, slope: float, spread: float) -> Floa
     own = part.system(found.poses, found.floor, 0.0, slope**2 / spread).matrix
     right = part.system(found.poses, found.floor).right
     first = 6 * part.first_lens
-    own[first:, first:] -= np.eye(len(own) - first)  # the prior of nuisance parameters
+    own[first:, first:] -= np.eye(len(own) - first)  # without the prior of nuisance parameters
     covariance = found.covariance
     rows = np.flatnonzero((np.diag(own) > 0.0) & np.isfinite(np.diag(covariance)))
     values, vectors = np.linalg.eigh(own[np.ix_(rows, rows)])

@@ -1,11 +1,11 @@
-"""Tags of which sightings disagree with the map: second places, and other sizes than stated.
+"""Tags whose sightings disagree with the map: second poses, and wrong sizes.
 
-*Second places* are poses on which several outliers of a tag agree, as the tag was moved or two tags have its id.
+*Second poses* are poses on which several outliers of a tag agree: the tag was moved, or two tags have its id.
 
-*Sizes* are told by tags that images show together, as the distance of two tags is constant. If s is the ratio of the
-edges of tag b and tag a over the stated ratio, and t_a and t_b are their centres in a camera by their stated edges, |s
-t_b - t_a| is constant over images from different places. The ratios of all pairs give the size of each tag relative to
-most others.
+*Sizes* follow from images that show two tags, as the distance between the tags is constant. Let s be the ratio of the
+edges of tag b and tag a over the stated ratio, and let t_a and t_b be the centres in a camera's frame that follow from
+the stated edges. Then |s t_b - t_a| is constant over images from different places. The ratios of all pairs give the
+size of each tag relative to most others.
 """
 
 from dataclasses import dataclass, replace
@@ -23,17 +23,17 @@ from lmd.geometry.se3 import angle_between, exp
 FEWEST_SIGHTINGS, LEAST_SHARE = 3, 0.5
 APART_EDGES, TURNED_RAD = 0.2, 0.3  # least distance, in edges, and least rotation, rad, between two poses that differ
 OUT_OF_ORDER_SHARE = 0.1  # maximum share of frames before and after a move that are out of order
-RATIOS = np.geomspace(0.25, 4.0, 141)  # ratios of edges that are tried
-FEWEST_TOGETHER = 4  # minimum number of images that show two tags
+RATIOS = np.geomspace(0.25, 4.0, 141)  # ratios of edges that are tested
+FEWEST_TOGETHER = 4  # minimum number of images that show both tags of a pair
 LEAST_SPREAD = 0.01  # scale of the robust loss of relative errors of distances
-# A ratio is told if its loss is smaller by `TOLD` than `BESIDE` ratios beside it. It is the stated one unless the loss
-# of another is smaller by `SURELY`.
+# A ratio is determined if its loss is smaller by `TOLD` than the losses `BESIDE` ratios away. The stated ratio is taken
+# unless the loss of another ratio is smaller by `SURELY`.
 BESIDE, TOLD, SURELY = 10, 2.0, 10.0
-ODD = 0.1  # difference of logarithms of edges from most others beyond which a tag is odd
+ODD = 0.1  # a tag is odd if the logarithm of its edge differs from that of most others by more than this
 # A size is wrong if it differs from the estimated size by the share `DIFFERS` and by `SIGMAS` standard deviations, and
 # if the share `FITS` of the sightings fits the estimated size.
 DIFFERS, SIGMAS, FITS = 0.02, 5.0, 0.5
-ROUNDS, STEPS = 3, 15  # estimates of sizes, each with the map of the estimate before, and Gauss-Newton steps in each
+ROUNDS, STEPS = 3, 15  # estimates of sizes, each with the map of the previous estimate, and Gauss-Newton steps in each
 
 
 @dataclass(frozen=True)
@@ -47,15 +47,15 @@ class SecondPlace:
     sightings: int
     """Number of sightings that agree with the second pose."""
     moved: int | None
-    """Index of the frame from which the tag hangs at the later pose; None if frames show the tag at both poses in
-    turns, which means that two tags have its id.
+    """Index of the first frame after the move; None if frames show the tag at both poses in turns, as two tags have its
+    id.
     """
     later: bool
     """True if the second pose is the later pose."""
 
 
 def second_places(found: Estimate, gross: BoolArray) -> list[SecondPlace]:
-    """Second poses of tags: poses on which several of the `gross` outliers, mask `(N,)`, agree."""
+    """Second poses of tags, on which several of the `gross` outliers, mask `(N,)`, agree."""
     every, counts, places = found.sightings, found.sightings.counts(gross), []
     some = every.of(np.flatnonzero(gross & (counts[every.tag] >= FEWEST_SIGHTINGS)))
     tags = placed_tags(some, found.poses, FEWEST_SIGHTINGS, LEAST_SHARE)
@@ -75,8 +75,8 @@ def second_places(found: Estimate, gross: BoolArray) -> list[SecondPlace]:
 
 
 def _change(first: IntArray, second: IntArray) -> int | None:
-    """Frame at which a tag was moved: the `first` frames come before this frame, the `second` frames after; None if
-    first and second frames are mixed.
+    """Frame at which a tag was moved, between the `first` and the `second` frames; None if first and second frames are
+    mixed.
     """
     begins = int(np.quantile(second, OUT_OF_ORDER_SHARE / 2.0))
     mixed = (first >= begins).mean() > OUT_OF_ORDER_SHARE
@@ -85,12 +85,12 @@ def _change(first: IntArray, second: IntArray) -> int | None:
 
 
 def odd_sizes(sightings: Sightings, single: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Factor on the stated edge of each tag, `(K,)`, and mask of the tags whose size must be estimated, `(K,)`: those
-    with a factor other than 1 and, if there are any, those that no image tells.
+    """Factor on the stated edge of each tag, `(K,)`, and mask of the tags whose size must be estimated, `(K,)`: tags
+    with a factor other than 1 and, if there are such tags, also tags without a known ratio.
 
     Args:
         sightings: sightings in which each camera is a body of its own.
-        single: better pose of the tag of each sighting in its camera, `(N, 4, 4)`.
+        single: for each sighting, the better pose of its tag in the camera's frame, `(N, 4, 4)`.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
@@ -132,8 +132,8 @@ def odd_sizes(sightings: Sightings, single: FloatArray) -> tuple[FloatArray, Boo
 
 
 def with_sizes(found: Estimate, odd: BoolArray, others: float, tried: bool) -> tuple[Estimate, BoolArray]:
-    """Estimate with the sizes of some tags, which are unknowns of a refinement from there on, and the mask of the tags
-    with another size, `(K,)`.
+    """Estimate in which the sizes of some tags are unknowns of the refinement, and the mask of the tags with another
+    size than stated, `(K,)`.
 
     Args:
         found: estimate with the stated sizes.
@@ -152,14 +152,14 @@ def with_sizes(found: Estimate, odd: BoolArray, others: float, tried: bool) -> t
 
 
 def other_sizes(found: Estimate, odd: BoolArray) -> dict[int, float]:
-    """Edges of the tags `odd` `(K,)` that differ from those of most others by `DIFFERS`, metres, by id."""
+    """Edges, metres, by id, of the tags `odd` `(K,)` whose edges differ from those of most others by `DIFFERS`."""
     edges, ids = found.sightings.present_edges, found.sightings.ids
     differs = odd & (np.abs(edges / np.median(edges[~odd] if (~odd).any() else edges) - 1.0) > DIFFERS)
     return dict(zip(ids[differs].tolist(), edges[differs].tolist(), strict=True))
 
 
 def resized(found: Estimate, odd: BoolArray, among: BoolArray) -> tuple[Estimate, BoolArray]:
-    """Estimate with the edges of tags with a wrong size, by all frames, and the mask of these tags, `(K,)`.
+    """Estimate with edges from all frames for tags with a wrong size, and the mask of these tags, `(K,)`.
 
     Args:
         found: estimate.

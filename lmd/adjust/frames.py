@@ -1,4 +1,4 @@
-"""Frames of a bundle adjustment, which are eliminated from its normal equations.
+"""Elimination of the frames from the normal equations of a bundle adjustment.
 
 A sighting connects one frame with tags, cameras and other *kept* unknowns. So the block H_ff of the frames is block
 diagonal, or block tridiagonal if motion links each frame with the next one (`lmd.adjust.motion`). With links, its
@@ -16,21 +16,21 @@ from lmd.adjust.motion import Links
 from lmd.adjust.prior import Kept
 from lmd.core.checks import FloatArray, IntArray
 
-COLUMNS = 512  # columns of the kept unknowns that are eliminated at once
-WEAKEST = 1e-9  # information on velocities without links
+COLUMNS = 512  # number of columns of the kept unknowns that are processed together
+WEAKEST = 1e-9  # information on the velocity of a frame without links
 
 
 class Part(NamedTuple):
     """Normal equations of f successive frames."""
 
     block: FloatArray
-    """`(f, 6, 6)` H_ff by the sightings."""
+    """H_ff from the sightings, `(f, 6, 6)`."""
     gradient: FloatArray
-    """`(f, 6)` g_f."""
+    """g_f, `(f, 6)`."""
     panel: FloatArray
-    """`(f, 6, r, 6)` H_fk for the r kept blocks `rows`."""
+    """H_fk for the r kept blocks `rows`, `(f, 6, r, 6)`."""
     rows: IntArray
-    """`(r,)` indices of the kept blocks."""
+    """Indices of the kept blocks, `(r,)`."""
 
     def reached(self, kept: FloatArray) -> FloatArray:
         """H_fk x for values x `(kept, 6, ...)` of all kept unknowns, `(f, 6, ...)`."""
@@ -40,7 +40,7 @@ class Part(NamedTuple):
 
 
 class SeparateFrames:
-    """Frames that are independent of each other, by their equations in `parts`."""
+    """Frames that are independent of each other; `parts` has their equations."""
 
     def __init__(self, parts: list[Part]) -> None:
         self.parts = parts
@@ -65,7 +65,7 @@ class SeparateFrames:
         return solved(self.block, self.gradient - pull)
 
     def covariances(self, reach: FloatArray, share: float) -> FloatArray:
-        """Diagonal blocks of `share` H_ff^-1 + H_ff^-1 R R^T H_ff^-1 for `reach` R `(F, 6, m)`, `(F, 6, 6)`."""
+        """Diagonal blocks, `(F, 6, 6)`, of `share` H_ff^-1 + H_ff^-1 R R^T H_ff^-1, where `reach` is R `(F, 6, m)`."""
         moved = np.linalg.solve(self.block, reach)
         return np.asarray(share * np.linalg.inv(self.block) + moved @ np.swapaxes(moved, 1, 2))
 

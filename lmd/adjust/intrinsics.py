@@ -39,7 +39,7 @@ class Optics:
         return np.append(intrinsics_of(self.camera), self.shifts)
 
     def at(self, values: FloatArray) -> "Optics":
-        """Optics with other values.
+        """Optics with the intrinsics and shifts `values`.
 
         Raises:
             InputError: no camera has these intrinsics.

@@ -44,8 +44,8 @@ LONGEST_STEP = 1.0  # maximum seconds between poses of odometry; longer gaps cut
 UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
 # chi^2 above which a link of odometry has less weight; normal errors exceed this value once in a thousand times.
 MOST_SQUARE = 22.5
-BIAS_ROUNDS = 3  # reweighted least-squares rounds for the bias of odometry
-LEAST_STIFFNESS = 1e-9  # information on a velocity without links
+BIAS_ROUNDS = 3  # number of rounds of reweighted least squares for the bias of odometry
+LEAST_STIFFNESS = 1e-9  # information on the velocity of a frame without links
 # Odometry belongs to another camera or drive if the share of links that do not fit exceeds `MOST_OFF`, or if the bias
 # exceeds `MOST_BIAS`, in units of `BIAS`.
 MOST_OFF, MOST_BIAS = 0.5, 8.0
@@ -68,7 +68,7 @@ class LinkErrors(NamedTuple):
 
 @dataclass(frozen=True)
 class Links:
-    """M links between F frames; a link connects a frame with the next frame."""
+    """M links between F frames; each link connects a frame with the next frame."""
 
     size: int
     """Number b of unknowns of a frame: 6, or 12 with its turn rate and velocity."""
@@ -111,12 +111,12 @@ class Links:
         return LinkErrors(np.concatenate([off, change], axis=1), by_first, by_second, nothing, np.zeros(0))
 
     def _ways(self, poses: FloatArray) -> FloatArray:
-        """Rotation vector, and shift in the world, between the frames of each link, `(M, 6)`."""
+        """Rotation vector of each link, and shift in the world, from its first to its second frame, `(M, 6)`."""
         before, after = poses[self.first], poses[self.first + 1]
         return np.hstack([log(inverse(before) @ after)[:, :3], after[:, :3, 3] - before[:, :3, 3]])
 
     def _rates(self, poses: FloatArray) -> FloatArray:
-        """Turn rates and velocities that fit poses best, `(F, 6)`: derivatives of natural cubic splines."""
+        """Turn rates and velocities that fit the poses best, `(F, 6)`: derivatives of natural cubic splines."""
         from scipy.linalg import solveh_banded
 
         h, pull = self.seconds, 6.0 * self._ways(poses) / self.seconds[:, None] ** 2
@@ -136,7 +136,7 @@ class Links:
         return result
 
     def squares(self, error: FloatArray) -> FloatArray:
-        """chi^2 of each link, `(M,)`, by its error `(M, r)`."""
+        """chi^2 of each link, `(M,)`, from its error `(M, r)`."""
         return np.asarray(np.einsum("mi,mij,mj->m", error, self.information, error))
 
     def loss(self, poses: FloatArray) -> float:
@@ -152,7 +152,7 @@ class Links:
         return 0.5 * float((least + slipped).sum()) + 0.5 * bias
 
     def weights(self, squares: FloatArray) -> FloatArray:
-        """Robust weights of the links, `(M,)`, by chi^2."""
+        """Robust weights of the links, `(M,)`, from chi^2."""
         return np.ones(len(squares)) if self.steps is None else MOST_SQUARE / np.maximum(squares, MOST_SQUARE)
 
     def check(self, poses: FloatArray) -> None:
@@ -180,11 +180,11 @@ class Motion:
     path: FloatArray | None = None
     """`(F, 4, 4)` poses of the body by odometry, NaN for frames without odometry; None for a constant velocity."""
     drift: FloatArray | None = None
-    """`(F, 2, 6, 6)` sums C: covariances due to errors of rotation and of translation, for a spread of 1."""
+    """Sums C, `(F, 2, 6, 6)`: covariances due to errors of rotation and of translation, for a spread of 1."""
     bias_sums: FloatArray | None = None
-    """`(F, 6, 6)` sums B, derivatives by the bias."""
+    """Sums B, `(F, 6, 6)`: derivatives with respect to the bias."""
     piece: IntArray | None = None
-    """`(F,)` piece of each frame; frames of different pieces are not linked. None for one piece."""
+    """Piece of each frame, `(F,)`; frames of different pieces are not linked. None for a single piece."""
     gaps: FloatArray | None = None
     """`(n, 3)` lengths of gaps, seconds, ascending, for which a constant velocity was tested in pieces without gaps,
     and the spreads that explain the errors across them; longer gaps are not bridged. None without tests.
@@ -231,7 +231,7 @@ class Motion:
         return cls(times, DRIFT, path, np.stack(drift, axis=1), bias, np.concatenate([[0], np.cumsum(gaps)])[place])
 
     def of(self, frames: IntArray, part: IntArray) -> "Motion":
-        """Motion between some of the frames, `(n,)`, without links between frames of different parts, `(n,)`."""
+        """Motion between `frames` `(n,)`, with links only between frames of equal `part` `(n,)`."""
         piece = part if self.piece is None else part * (self.piece.max() + 1) + self.piece[frames]
         path, drift, bias = (None if own is None else own[frames] for own in (self.path, self.drift, self.bias_sums))
         return replace(self, times=self.times[frames], piece=piece, path=path, drift=drift, bias_sums=bias)
@@ -259,7 +259,7 @@ class Motion:
         return np.where((seconds > SHORTEST_GAP)[:, None], np.maximum(spreads, measured), spreads)
 
     def relates(self, i: IntArray, j: IntArray) -> BoolArray:
-        """True where the motion constrains frames j relative to frames i, `(M,)`."""
+        """True where the motion constrains the pose of frame j relative to frame i, `(M,)`."""
         between = np.abs(self.times[j] - self.times[i])
         if self.path is None:
             there = between <= self.longest
@@ -268,17 +268,17 @@ class Motion:
         return np.asarray(there if self.piece is None else there & (self.piece[i] == self.piece[j]))
 
     def follows(self, frames: IntArray) -> BoolArray:
-        """True for frames, ascending, that are linked to the previous frame; `(F - 1,)`."""
+        """True for each of the ascending `frames`, after the first, that is linked to its predecessor, `(F - 1,)`."""
         i, j = frames[:-1], frames[1:]
         return np.asarray(self.relates(i, j) & (self.times[j] > self.times[i]))
 
     def linked(self, frames: IntArray) -> BoolArray:
-        """True for frames, ascending, that are linked to the previous or the next frame, `(F,)`."""
+        """True for each of the ascending `frames` that is linked to its predecessor or successor, `(F,)`."""
         follows = np.concatenate([[False], self.follows(frames), [False]])
         return np.asarray(follows[1:] | follows[:-1])
 
     def links(self, frames: IntArray) -> Links:
-        """Links between consecutive `frames`, ascending indices."""
+        """Links between consecutive frames of the ascending indices `frames`."""
         first = np.flatnonzero(self.follows(frames))
         i, j = frames[first], frames[first + 1]
         seconds, information = self.times[j] - self.times[i], self.information(i, j)
@@ -288,7 +288,7 @@ class Motion:
         return Links(6, first, seconds, information, inverse(self.path[i]) @ self.path[j], bias)
 
     def information(self, i: IntArray, j: IntArray) -> FloatArray:
-        """Inverse covariance of the error of frames j `(M,)` relative to frames i, see `Links`."""
+        """Inverse covariance of the error in the pose of frames j, `(M,)`, relative to frames i, see `Links`."""
         turn, place = self.spread
         if self.path is None or self.drift is None:
             seconds = self.times[j] - self.times[i]
@@ -321,14 +321,14 @@ class Motion:
 
 
 def turn_twist(turn: FloatArray) -> FloatArray:
-    """Twists of rotations alone, `(..., 3)` -> `(..., 6)`."""
+    """Twists without translation from rotation vectors, `(..., 3)` -> `(..., 6)`."""
     return np.concatenate([turn, 0.0 * turn], axis=-1)
 
 
 def seconds_of(times: Sequence[str]) -> FloatArray:
-    """Times of frames as text, in seconds, `(F,)`; NaN for names of images.
+    """Times of frames, seconds, `(F,)`, from their texts; NaN for names of images.
 
-    Numbers are seconds, or ms, us or ns since 1970. The result resolves a tenth of a microsecond.
+    Numbers are seconds, or ms, us or ns since 1970. The resolution is a tenth of a microsecond.
     """
     result = np.full(len(times), np.nan)
     for index, text in enumerate(times):

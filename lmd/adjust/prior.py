@@ -2,9 +2,9 @@
 
 *Sheets* hold several tags. The poses of the tags on a sheet are known; the pose of the sheet is not. Tag k has the pose
 R_k on its sheet (x to the right, y up, z out of the sheet) and the pose T_k = B R_k exp(d_k) in the world, where B is
-the pose of the sheet and d_k a twist due to printing and bending. Sheets are no unknowns of the bundle adjustment, as B
-is eliminated. With A_k = Ad(R_k^-1) and the information D of d, the tags of a sheet have the joint information D - D A
-(A' D A)^-1 A' D.
+the pose of the sheet and d_k a twist due to printing and bending. B is eliminated, so sheets are not unknowns of the
+bundle adjustment. With A_k = Ad(R_k^-1) and the information D of d, the tags of a sheet have the joint information D -
+D A (A' D A)^-1 A' D.
 """
 
 from dataclasses import dataclass, field
@@ -28,10 +28,12 @@ class Kept:
     def __init__(self, count: int) -> None:
         self.matrix, self.right = np.zeros((6 * count, 6 * count)), np.zeros((count, 6))
         self.cells = self.matrix.reshape(count, 6, count, 6).transpose(0, 2, 1, 3)
-        self.diagonal = np.zeros((count, 6, 6))  # added to the matrix at last, so that it may be damped
+        self.diagonal = np.zeros((count, 6, 6))  # added to the matrix last, so that it can be damped
 
     def add(self, index: IntArray | slice, information: FloatArray, off: FloatArray) -> None:
-        """Add independent priors `(n, 6)` on the unknowns `index`, which are off by `off` `(n, 6)`."""
+        """Add independent priors `(n, 6)` on the unknowns `index`, whose distance from the expected values is `off`
+        `(n, 6)`.
+        """
         self.diagonal[index] += information[..., None] * np.eye(6)
         self.right[index] -= information * off
 
@@ -50,7 +52,7 @@ class Sheets:
     """`(6,)` inverse variances of the components of d_k."""
 
     def of(self, placed: BoolArray) -> "Sheets | None":
-        """Sheets of the tags that are `placed`, `(K,)`, at least two for each sheet; None without any."""
+        """Sheets with at least two tags that are `placed`, mask `(K,)`; None if there is no such sheet."""
         own = placed[self.tag]
         own &= np.bincount(self.board[own], minlength=self.board.max(initial=0) + 1)[self.board] >= FEWEST
         board = np.unique(self.board[own], return_inverse=True)[1]
@@ -68,9 +70,9 @@ class Sheets:
         return one, other
 
     def fitted(self, tags: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Twists d_k `(M, 6)` of tags at `tags` `(K, 4, 4)` with each sheet at its best pose, and their chi^2 `(M,)`.
+        """Twists d_k `(M, 6)`, and their chi^2 `(M,)`, for tags at `tags` `(K, 4, 4)` and each sheet at its best pose.
 
-        The fit of a sheet starts with the pose that follows from the tag with which the other tags agree most.
+        The fit of a sheet starts with the pose that the tag with the best agreement of the other tags gives.
         """
 
         def off(sheets: FloatArray, which: IntArray | slice) -> tuple[FloatArray, FloatArray]:
@@ -111,7 +113,7 @@ class Sheets:
 
 @dataclass(frozen=True)
 class Hanging(Checked):
-    """Standard deviations of the poses of tags from their expected poses, along the axes of each tag.
+    """Standard deviations of tags from their expected poses, along the axes of each tag.
 
     Raises:
         InputError: a standard deviation is not positive.
@@ -124,11 +126,11 @@ class Hanging(Checked):
     depth: Positive = 0.005
     """Shift off the wall, metres."""
     tilt: Positive = 0.02
-    """Tilt out of the wall, rad."""
+    """Rotation out of the plane of the wall, rad."""
 
     @property
     def deviations(self) -> FloatArray:
-        """Standard deviations of rotations about x, y and z of a tag, and of shifts along them, `(6,)`."""
+        """Standard deviations of rotations about, and of shifts along, the x, y and z axes of a tag, `(6,)`."""
         return np.array([self.tilt, self.tilt, self.turn, self.place, self.place, self.depth])
 
 
@@ -143,7 +145,7 @@ class Mounts:
 
     @property
     def information(self) -> FloatArray:
-        """Inverse variances of a twist of each of the C - 1 unknown mounts, `(C - 1, 6)`."""
+        """Inverse variances of the twist of each of the C - 1 unknown mounts, `(C - 1, 6)`."""
         assert self.sigmas is not None
         return np.tile(np.repeat(self.sigmas, 3) ** -2.0, (len(self.poses) - 1, 1))
 
@@ -157,19 +159,18 @@ class Prior:
     """Prior of the unknowns of a bundle adjustment."""
 
     tags: FloatArray
-    """`(K, 4, 4)` expected poses of tags; any pose where `information` is 0."""
+    """Expected poses of tags, `(K, 4, 4)`; arbitrary where `information` is 0."""
     information: FloatArray
-    """`(K, 6)` inverse variances of rotations about the axes of each tag and of shifts along them; 0 if unknown."""
+    """Inverse variances of rotations about the axes of each tag and of shifts along them, `(K, 6)`; 0 if unknown."""
     sheets: Sheets | None = None
-    """Tags that were printed together, all of them placed."""
+    """Tags that were printed on common sheets; all these tags are placed."""
     mounts: Mounts | None = None
     """Mounts of the cameras; None if they are unknown."""
     motion: Motion | None = None
     """Motion between the frames; None if frames are independent of each other."""
     joint: FloatArray | None = field(default=None, repr=False)
-    """`(6 K, 6 K)` information of the twists of all tags from their expected poses, if their errors are correlated. It
-    takes the place of the values of `information`, which then only selects the tags with a prior. None for independent
-    tags.
+    """`(6 K, 6 K)` information on the twists of all tags from their expected poses, if their errors are correlated. It
+    replaces the values of `information`, which then only select the tags with a prior. None for independent tags.
     """
 
     @property
@@ -199,12 +200,12 @@ class Prior:
         return twists
 
     def squares(self, off: FloatArray) -> FloatArray:
-        """chi^2 of each tag, `(K,)`, by its twist `off`."""
+        """chi^2 of each tag, `(K,)`, from its twist `off`."""
         return np.asarray((self.information * off**2).sum(axis=1))
 
     def loss(self, poses: Poses) -> float:
-        """Sum of the losses of tags, sheets and mounts; exact and correlated tags, and mounts, have a quadratic loss,
-        the others a robust one.
+        """Sum of the losses of tags, sheets and mounts. The loss is quadratic for exact tags, correlated tags and
+        mounts, and robust for the others.
         """
         off, exact = self.off(poses.tags), self.exact
         if self.joint is not None:

@@ -1,11 +1,12 @@
-"""Refinement: nuisance parameters are estimated together with all poses.
+"""Refinement: joint estimate of nuisance parameters and all poses.
 
 All nuisance parameters have priors, so that the covariance of the poses accounts for them.
 
-- *Intrinsics* theta: a corner p that is found at x has the residual e = pi(p, theta) - x, where pi is the projection.
+- *Intrinsics* theta: a corner p that is detected at x has the residual e = pi(p, theta) - x, where pi is the
+projection.
   The derivative of e by theta is d pi(p, theta) / d theta. Each step recomputes the directions.
-- *Shifts*: blur and exposure move all edges in the images of a camera inward or outward by s_1 + s_2 (2 /
-  pitch)^2 pixels, in addition to the measured shift of the detector. Tags then look smaller or larger.
+- *Shifts*: blur and exposure move all edges in the images of a camera inward or outward by s_1 + s_2 (2 / pitch)^2
+  pixels, in addition to the measured shift of the detector. Tags then look smaller or larger.
 - *Shapes*: see `lmd.adjust.sightings.SHAPES`. The standard deviation of shapes is estimated by
   expectation-maximisation, as the root of the mean of squares plus variances.
 """
@@ -24,28 +25,28 @@ from lmd.adjust.sightings import MODES, RESIDUALS, Observations, Sightings, shif
 from lmd.core.checks import BoolArray, FloatArray, InputError
 from lmd.detection.corner_errors import inward, shortest_side
 
-SMALL_SHARE = 0.5  # prior standard deviation of the second shift, over the prior standard deviation of the first shift
-SHAPE_SIGMA, LEAST_SHAPE_SIGMA = 3e-4, 1e-5  # first and least standard deviation of shapes, metres
-PASSES = 2  # number of passes; the second pass uses the inflation by blocks of time
-MOST_ROUNDS, ROUND_STEPS = 12, 3  # rounds, and steps of bundle adjustment in each round
-MOST_TRIALS, FIRST_DAMPING = 6, 1e-3  # trials of a step with increasing damping, and the first damping
+SMALL_SHARE = 0.5  # prior standard deviation of the second shift, as a share of that of the first
+SHAPE_SIGMA, LEAST_SHAPE_SIGMA = 3e-4, 1e-5  # initial and minimum standard deviation of shapes, metres
+PASSES = 2  # number of passes; the second pass uses the inflation from blocks of time
+MOST_ROUNDS, ROUND_STEPS = 12, 3  # maximum number of rounds, and steps of bundle adjustment in each round
+MOST_TRIALS, FIRST_DAMPING = 6, 1e-3  # maximum number of trials of a step, with increasing damping, and first damping
 SLACK = 1e-3  # maximum increase of the loss by an accepted step
-SETTLED_SIGMAS = 0.3  # the rounds end when a step is smaller, in standard deviations
-SETTLED_SHAPES = 0.1  # the rounds end when the standard deviation of shapes changes by less, relative
+SETTLED_SIGMAS = 0.3  # the rounds end when a step is smaller than this, in standard deviations
+SETTLED_SHAPES = 0.1  # the rounds end when the standard deviation of shapes changes by less than this, relative
 NEAR_PIXELS = 5.0  # maximum error, pixels, of tags whose edges are taken from their poses
-# The edge is doubted if its relative error is `LEAST_GROWTH` and `SURE_SIGMAS` standard deviations; its prior standard
-# deviation is `GROWTH_SIGMA`. `FEWEST_SCALED` tags tell the scale.
+# The edge is doubted if its relative error exceeds `LEAST_GROWTH` and `SURE_SIGMAS` standard deviations. The prior
+# standard deviation is `GROWTH_SIGMA`. At least `FEWEST_SCALED` tags with known poses are needed.
 LEAST_GROWTH, SURE_SIGMAS, GROWTH_SIGMA, FEWEST_SCALED = 0.004, 4.0, 0.1, 3
-MOST_HALVINGS = 6  # maximum number of halvings of a step that leads to no valid camera
+MOST_HALVINGS = 6  # maximum number of halvings of a step that leads to invalid cameras
 
 
 def _never(_done: int, _most: int) -> bool:
-    """Return False: a refinement is not stopped."""
+    """Return False: the refinement is never stopped."""
     return False
 
 
 def with_lenses(found: Estimate, seen: Observations, is_rough: bool = False) -> Estimate:
-    """Estimate with the given cameras, in which nuisance parameters are unknown; they begin at their prior means.
+    """Estimate with the given cameras and with nuisance parameters as unknowns, which begin at their prior means.
 
     Args:
         found: estimate with the given cameras.
@@ -54,7 +55,7 @@ def with_lenses(found: Estimate, seen: Observations, is_rough: bool = False) -> 
     """
     shift = [seen.errors.inward_spread, SMALL_SHARE * seen.errors.inward_spread]
     sigmas = tuple(np.append(prior_sigmas(one.camera, is_rough), shift) for one in seen.optics)
-    width = 6 * -(-max(map(len, sigmas)) // 6)  # filled up to a multiple of 6
+    width = 6 * -(-max(map(len, sigmas)) // 6)  # rounded up to a multiple of 6
     lenses = Lenses(seen, seen.optics, sigmas, np.zeros((len(sigmas), width)))
     flat = replace(found.sightings, shape_sigma=SHAPE_SIGMA)
     return _through(replace(found, sightings=flat), lenses)
@@ -66,7 +67,7 @@ def _lenses_of(found: Estimate) -> Lenses:
 
 
 def _through(found: Estimate, lenses: Lenses) -> Estimate:
-    """Estimate whose sightings are seen through `lenses`, with their shapes of tags."""
+    """Estimate with other `lenses`: sightings through these lenses, with the present shapes of tags."""
     names = ("edges", "shapes", "shape_sigma", "size_sigmas", "taken")
     some = replace(lenses.seen.through(lenses.optics), **{name: getattr(found.sightings, name) for name in names})
     some = with_nuisances(some, lenses.optics, lenses.sigmas, found.poses)
@@ -82,7 +83,7 @@ def nuisances_off(found: Estimate) -> FloatArray:
 
 
 def minimised(found: Estimate, is_stopped: Callable[[int, int], bool] = _never) -> Estimate:
-    """Take joint steps of all unknowns until the steps are small."""
+    """Take joint steps of all unknowns until a step is small."""
     now, damping, cameras = found, 0.0, _lenses_of(found).off.size // 6
     with threadpool_limits(limits=ONE_THREAD):
         for done in range(MOST_ROUNDS):
@@ -113,11 +114,11 @@ def minimised(found: Estimate, is_stopped: Callable[[int, int], bool] = _never) 
 def _stepped(
     found: Estimate, joint: Adjustment, used: BoolArray, damping: float
 ) -> tuple[Estimate, FloatArray, FloatArray, float] | None:
-    """Take one joint step, by the sightings `used`, `(N,)`, with more damping until the loss does not increase.
+    """Take one joint step with the sightings `used`, `(N,)`; damping grows until the loss does not increase.
 
     Returns:
-        state after the step; step of the nuisance parameters and their variances, `(n, 6)` each; next damping. None if
-        no damping is enough.
+        state after the step; step and variances of the nuisance parameters, `(n, 6)` each; next damping. None if no
+        damping is large enough.
     """
 
     def loss(one: Estimate, some: Sightings | None = None) -> float:
@@ -130,7 +131,7 @@ def _stepped(
         there, step, variance = joint.joint_step(found.poses, found.floor, damping, nuisances_off(found))
         tried = _after(found, step, there)
         some = tried.sightings
-        # A new lens may image other corners; losses can then not be compared.
+        # Another lens may exclude other corners from its image; losses can then not be compared.
         if len(some) != len(used) or loss(tried, some.of(used)) <= most:
             return tried, step, variance, damping / 10.0
         damping = max(10.0 * damping, FIRST_DAMPING)
@@ -138,7 +139,7 @@ def _stepped(
 
 
 def _after(found: Estimate, step: FloatArray, poses: Poses) -> Estimate:
-    """Estimate after a step `(n, 6)`; the step of the optics is halved until it leads to valid cameras."""
+    """Estimate after a step `(n, 6)`; the step of the optics is halved until the cameras are valid."""
     lenses, some = _lenses_of(found), found.sightings
     cameras = lenses.off.size // 6
     shaped = replace(some, shapes=some.shapes + some.shape_sigmas * step[cameras:])
@@ -157,14 +158,14 @@ def _after(found: Estimate, step: FloatArray, poses: Poses) -> Estimate:
 def with_nuisances(
     sightings: Sightings, optics: Sequence[Optics], sigmas: Sequence[FloatArray], poses: Poses
 ) -> Sightings:
-    """Sightings with the derivatives by their cameras' nuisance parameters.
+    """Sightings with derivatives with respect to the nuisance parameters of their cameras.
 
     Args:
         sightings: sightings through `optics`.
         optics: optics of each camera.
         sigmas: prior standard deviations of the values of each camera, `(P + 2,)`.
-        poses: all poses. Derivatives are those at the corners of the posed tags: detected corners share the noise of
-            the residuals, which would bias the parameters.
+        poses: all poses. Derivatives are taken at the projected corners of tags with a pose: detected corners share the
+            noise of the residuals, which would bias the parameters.
     """
     at = Reprojection(sightings, *poses.of(sightings))
     error = at.error.reshape(-1, 4, 2)
@@ -192,7 +193,8 @@ def refine(
     Args:
         found: see `with_lenses`.
         keep: True to keep cameras and shapes; their uncertainty still counts.
-        is_stopped: called before each round with its number and the most rounds; True to stop with the present state.
+        is_stopped: called before each round with its number and the maximum number of rounds; returns True to stop with
+            the present state.
         on_block: called with the number of finished blocks of time, and the number of all blocks.
     """
     for _ in range(PASSES):
@@ -205,10 +207,10 @@ def refine(
 
 
 def edge_doubts(found: Estimate) -> list[str]:
-    """Sentence on the edge of all tags, if another one explains the images and the known places better.
+    """Sentence on the edge of all tags, if another edge explains the images and the known poses better.
 
     The growth of all tags is one more unknown. Larger edges move corners outward in proportion to the size of a tag in
-    the image; a shift is alike near and far.
+    the image; a shift does not depend on the size.
 
     Args:
         found: result of `refine`.
@@ -216,14 +218,14 @@ def edge_doubts(found: Estimate) -> list[str]:
     lenses, used = _lenses_of(found), found.sightings.of(found.used)
     known = found.prior.information[:, 3:].all(axis=1) & (found.group == 0)
     if known.sum() < FEWEST_SCALED or not len(used):
-        return []  # nothing but the tags has a scale
+        return []  # only the tags have a scale
     by_growth = GROWTH_SIGMA * Reprojection(used, *found.poses.of(used)).by_size
     wider = np.concatenate([used.lens, np.pad(by_growth, ((0, 0), (0, 0), (0, 5)))], axis=2)
     joint = Adjustment(replace(used, lens=wider), found.prior, True, found.inflation)
     cameras = np.pad(lenses.off, ((0, 0), (0, 6))).reshape(-1, 6)
     off = np.concatenate([cameras, nuisances_off(found)[lenses.off.size // 6 :]])
     _, step, variance = joint.joint_step(found.poses, found.floor, 0.0, off)
-    each = slice(joint.lens_blocks - 1, len(cameras), joint.lens_blocks)  # growth as the images of each camera tell it
+    each = slice(joint.lens_blocks - 1, len(cameras), joint.lens_blocks)  # growth by each camera's images
     weights = 1.0 / (GROWTH_SIGMA**2 * variance[each, 0])
     growth = float(GROWTH_SIGMA * (weights * step[each, 0]).sum() / weights.sum())
     if abs(growth) < max(LEAST_GROWTH, SURE_SIGMAS * float(weights.sum()) ** -0.5):

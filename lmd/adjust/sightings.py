@@ -1,12 +1,12 @@
 """Sightings: detections of tags as measurements of bundle adjustment.
 
 Let b be the direction of a detected corner, a unit vector in the camera's frame. J `(2, 3)` is the Jacobian of the
-image, pixels, by a displacement in the plane that touches the unit sphere at b. A corner at p in the camera's frame has
-the residual e = J p / (b . p), pixels. The residual equals the reprojection error up to terms of second order in e, and
-needs the inverse of the lens model only once.
+image, pixels, with respect to a displacement in the tangent plane of the unit sphere at b. A corner at p in the
+camera's frame has the residual e = J p / (b . p), pixels. The residual equals the reprojection error up to terms of
+second order in e, and needs the inverse of the lens model only once.
 
 Paper bends and printers stretch, so the corners of a printed tag do not lie on an exact flat square. In addition to
-rigid motions, a tag has five modes of deformation and its size, `SHAPES`.
+rigid motions, a tag has five modes of deformation, and a growth of its size, `SHAPES`.
 """
 
 from collections.abc import Sequence
@@ -33,7 +33,7 @@ QUARTERS = pose_of(
 )
 SQUARE = np.hstack([CORNERS, np.zeros((4, 1))])  # corners of a tag with an edge of 2, in the tag's frame, `(4, 3)`
 MODES = 5  # modes of deformation
-MOST_OUTSIDE = 0.05  # greatest share of a camera's detections that are not within its image, without a doubt
+MOST_OUTSIDE = 0.05  # A camera is doubted if more than this share of its detections is outside its image
 SMALL_PITCH = 2.0  # pixels per module at which the shift of small tags counts in full
 
 
@@ -44,7 +44,7 @@ def _shapes() -> FloatArray:
     return np.asarray(np.vstack([basis[:, 7:].T, SQUARE.ravel() / np.linalg.norm(SQUARE)]).reshape(6, 4, 3))
 
 
-# Orthonormal displacements of the corners: `MODES` modes of deformation, and growth, `(6, 4, 3)`.
+# Orthonormal displacements of the corners, `(6, 4, 3)`: `MODES` modes of deformation, and growth.
 SHAPES = _shapes()
 
 
@@ -57,7 +57,7 @@ class Sightings:
     edges: FloatArray
     """`(K,)` edges of the tags' black squares, metres."""
     frames: int
-    """Number F of frames. All images of one moment are one frame."""
+    """Number F of frames. Simultaneous images of all cameras are one frame."""
     cameras: int
     """Number C of cameras."""
     frame: IntArray
@@ -67,11 +67,11 @@ class Sightings:
     tag: IntArray
     """`(N,)` index of the tag."""
     image: FloatArray
-    """`(N, 4, 2)` corners as they were found, pixels from the image's border."""
+    """Corners as detected, `(N, 4, 2)`, pixels from the image's border."""
     directions: FloatArray
     """`(N, 4, 3)` directions b of the corners."""
     tangents: FloatArray
-    """`(N, 4, 2, 3)` J, pixels."""
+    """J of the corners, `(N, 4, 2, 3)`, pixels."""
     sizes: FloatArray
     """`(N,)` length of the shortest side in the image, pixels."""
     pitch: FloatArray
@@ -86,16 +86,16 @@ class Sightings:
     shape_sigma: float
     """Prior standard deviation of the modes of deformation, metres; 0 if tags are known to be flat squares."""
     size_sigmas: FloatArray
-    """`(K,)` prior standard deviation of the growth of each tag along its mode, metres; NaN for that of the other
+    """`(K,)` prior standard deviation of the growth of each tag, metres; NaN for the standard deviation of the other
     modes."""
     taken: float
-    """Degrees of freedom that nuisance parameters have taken from the residuals."""
+    """Degrees of freedom that the nuisance parameters take from the residuals."""
 
     def __len__(self) -> int:
         return len(self.frame)
 
     def of(self, chosen: IntArray | BoolArray | slice) -> "Sightings":
-        """Sightings that `chosen` selects; tags and frames keep their indices."""
+        """Sightings selected by `chosen`; tags and frames keep their indices."""
         names = ("frame", "camera", "tag", "image", "directions", "tangents", "sizes", "pitch", "noise", "lens")
         return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 
@@ -125,7 +125,9 @@ class Sightings:
         return np.asarray(self.edges + 2.0 * self.shapes[:, MODES] / np.linalg.norm(SQUARE))
 
     def variance(self, floor: float) -> FloatArray:
-        """Variance of a coordinate of a corner, pixels^2, `(N,)`; `floor`, pixels, is added in quadrature."""
+        """Variance of a coordinate of a corner, pixels^2, `(N,)`: the detector's variance plus the square of `floor`,
+        pixels.
+        """
         return np.asarray(self.noise**2 + floor**2)
 
     def counts(self, chosen: BoolArray | None = None) -> IntArray:
@@ -134,18 +136,18 @@ class Sightings:
 
 
 def shift_basis(pitch: FloatArray) -> FloatArray:
-    """Factors of the two shift parameters, of all tags and of small tags, at each pitch `(N,)`, `(N, 2)`."""
+    """Factors of the two shift parameters (all tags, small tags) at each pitch `(N,)`, `(N, 2)`."""
     return np.stack([np.ones_like(pitch), (SMALL_PITCH / pitch) ** 2], axis=1)
 
 
 def within_images(detected: DetectedTags, cameras: Sequence[Camera]) -> BoolArray:
-    """Mask of the detections that lie wholly within the image of their camera, `(N,)`."""
+    """Mask of the detections that are entirely within the image of their camera, `(N,)`."""
     sizes = np.array([[camera.image_width, camera.image_height] for camera in cameras])[detected.camera, None]
     return np.asarray(((detected.corners >= 0.0) & (detected.corners <= sizes)).all(axis=(1, 2)))
 
 
 def outside_doubts(seen: "Observations") -> list[str]:
-    """Sentences on cameras in whose images many detections do not lie."""
+    """Sentences on cameras with many detections outside their image."""
     detected, cameras = seen.detected, [one.camera for one in seen.optics]
     whole = within_images(detected, cameras)
     doubts = []
@@ -171,13 +173,13 @@ class Observations:
     detected: DetectedTags
     """The detections."""
     optics: tuple[Optics, ...]
-    """Optics of the cameras, in the order of `detected.cameras`, before they are refined."""
+    """Optics of the cameras before refinement, in the order of `detected.cameras`."""
     ids: IntArray
-    """`(K,)` ids of the tags, ascending; detections of other tags are left out."""
+    """Ids of the tags, ascending, `(K,)`; detections of other tags are ignored."""
     edges: FloatArray
     """`(K,)` edges of the tags' black squares, metres."""
     modules: int
-    """N of the tags' family."""
+    """Number N of modules along an edge in the tags' family."""
     errors: CornerErrors
     """Errors of the detector's corners."""
 
@@ -187,7 +189,9 @@ class Observations:
             raise InputError(f"cameras must be one for each of {named}, got {len(self.optics)}.", "cameras")
 
     def renumbered(self, quarters: IntArray | int) -> "Observations":
-        """Detections in which the first corner of each tag moves back by `quarters` corners, `(K,)` or for all."""
+        """Detections whose first corner moves back by `quarters` corners: one number for each tag, `(K,)`, or for all
+        tags.
+        """
         every = np.broadcast_to(quarters, len(self.ids))
         return replace(self, detected=self.detected.renumbered(self.ids, every))
 

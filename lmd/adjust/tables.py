@@ -1,4 +1,4 @@
-"""Rows, figures and lines of text about an estimate, which a survey and a localisation share."""
+"""Results that a survey and a localisation share: rows, figures and lines of text about an estimate."""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -15,11 +15,11 @@ from lmd.core.words import few
 from lmd.formats.detections import DetectedTags
 from lmd.geometry.se3 import ROW
 
-AXES = ("x", "y", "z", "rx", "ry", "rz")  # of positions and rotations in the world
+AXES = ("x", "y", "z", "rx", "ry", "rz")  # axes of positions and rotations in the world
 TWISTS = ("tilt_x", "tilt_y", "turn", "right", "up", "out")  # components of a twist in the frame of a tag
-# Columns of the standard deviations of a tag beside the other tags, along its own axes, rad and metres.
+# Columns of the standard deviations of a tag relative to the other tags, along its own axes, rad and metres.
 SIGMA_COLUMNS = tuple(f"sigma_{name}" for name in TWISTS)
-NOTICED = 0.01  # minimum floor of the corners' standard deviation that is printed, pixels
+NOTICED = 0.01  # a floor of the corners' standard deviation is printed if it exceeds this, pixels
 a_few = partial(few, most=12)
 
 
@@ -35,24 +35,26 @@ def pose_rows(poses: FloatArray) -> FloatArray:
 
 
 def pose_columns(poses: FloatArray) -> dict[str, ArrayLike]:
-    """Columns `ROW` of poses `(n, 4, 4)`; empty without a pose."""
+    """Columns `ROW` for poses `(n, 4, 4)`; empty cells for tags or frames without a pose."""
     return dict(zip(ROW, pose_rows(poses).T, strict=True))
 
 
 def covariance_columns(poses: FloatArray, covariances: FloatArray) -> dict[str, ArrayLike]:
-    """Columns of the upper triangles, row by row, of covariances in the world, from those of twists `(n, 6, 6)`."""
+    """Columns of the upper triangles, row by row, of covariances in the world frame, from covariances of twists `(n, 6,
+    6)`.
+    """
     world = in_world(poses, covariances)
     return {f"cov_{AXES[i]}_{AXES[j]}": world[:, i, j] for i in range(6) for j in range(i, 6)}
 
 
 def quantiles(name: str, values: FloatArray) -> dict[str, float]:
-    """Median and 90 % quantile of the values that are known; empty without any."""
+    """Median and 90 % quantile of the values that are known; empty if none is known."""
     known = values[np.isfinite(values)]
     return {f"{name}/{share}": float(np.quantile(known, share / 100.0)) for share in (50, 90)} if known.size else {}
 
 
 def both(figures: Mapping[str, float], name: str, factor: float = 1e3, digits: str = ".2g") -> str:
-    """Text of the `quantiles` of a name."""
+    """Text with both `quantiles` of a quantity."""
     low, high = (factor * figures[f"{name}/{share}"] for share in (50, 90))
     return f"{low:{digits}} (90 %: {high:{digits}})"
 
@@ -73,7 +75,7 @@ def figures_of(found: Estimate) -> dict[str, float]:
 
 
 def document_of(calibrated: Sequence[Calibrated], detected: DetectedTags, sizes: Mapping[int, float]) -> dict[str, Any]:
-    """Entries of a JSON file on cameras, images, and tags of another size, metres, by id."""
+    """Entries of a JSON file: cameras, images, and the sizes, metres, by id, of tags with another size than stated."""
     return {
         "blurred": dict(detected.blurred),
         "copies": dict(detected.copies),
@@ -89,7 +91,7 @@ def lines_of(
     sizes: Mapping[int, float],
     doubts: Sequence[str],
 ) -> dict[str, str]:
-    """Lines for a terminal by label on an estimate, on what `document_of` tells, and on what contradicts the images."""
+    """Lines for a terminal, by label: an estimate, the entries of `document_of`, and contradictions to the images."""
     lines = {}
     if found.used.any():
         lines["corners"] = f"{both(figures_of(found), 'error', 1.0)} pixels off"

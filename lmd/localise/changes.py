@@ -2,20 +2,21 @@
 
 *Moved tags* are found by a bundle adjustment with the map as the prior. Let u be the twists of the tags from the map,
 with the posterior covariance P. The *trusted* tags r, which were not moved, have the prior N(0, S) with the information
-J = S_rr^-1. Each tag is compared with its pose by the images and by all other trusted tags:
+J = S_rr^-1. The pose of each tag in the map is compared with the pose by the images and all other trusted tags:
 
-- If a trusted tag k was moved by t, its prior holds for u_k - t. The information on t is Q_kk with Q = J - J P J, and
-  t = Q_kk^-1 (J u)_k with the covariance Q_kk^-1.
-- The map expects another of its tags at A u_r beside the trusted tags, with A = S_kr J. So t = u_k - A u_r, with the
+- If a trusted tag k was moved by t, its prior holds for u_k - t. The information on t is Q_kk with Q = J - J P J, and t
+  = Q_kk^-1 (J u)_k with the covariance Q_kk^-1.
+- A tag k of the map that is not trusted is expected at A u_r, given the trusted tags, with A = S_kr J. So t = u_k - A
+u_r, with the
   covariance of u_k - A u_r under P, plus S_kk - A S_rk.
 
-If a tag was not moved, t^T cov(t)^-1 t has the chi^2 distribution with six degrees of freedom. Tags that were moved
-lose their prior, those with the largest chi^2 first, until no other tag exceeds the threshold.
+If a tag was not moved, t^T cov(t)^-1 t has the chi^2 distribution with six degrees of freedom. Moved tags lose their
+prior, in the order of decreasing chi^2, until no other tag exceeds the threshold.
 
 *Vanished tags* were detected in no image, although several images should show them. A tag should be seen in an image if
-it lies wholly within the image, is as large and as little oblique as tags that the drive did detect, and is not hidden
-by a surface of the room. The share of such views in which other tags were detected is the probability of a detection;
-views from nearly one place count once.
+the tag is entirely within the image, is as large and as little oblique as tags that were detected in the drive, and is
+not hidden by a surface of the room. The probability of a detection is the share of such views of other tags in which
+the tag was detected; views from nearly the same pose count once.
 """
 
 from collections.abc import Sequence
@@ -39,22 +40,22 @@ from lmd.geometry.se3 import act, angle_between
 from lmd.localise.fixed_map import FixedMap
 from lmd.space.space import Space
 
-# Least chi^2, with six degrees of freedom, of a tag that was moved: normal errors exceed it once in a thousand times.
+# Minimum chi^2, with six degrees of freedom, of a moved tag; normal errors exceed it with probability 1e-3.
 MOVED_CHI_SQUARE = 22.46
 OFF_M, OFF_RAD = 0.001, 0.02  # least shift, metres, or rotation, rad, of a tag that was moved
 SIZE_ROUNDS = 2  # number of rounds in which sizes are estimated
 MOST_ROUNDS = 12  # maximum number of rounds in which tags are found
-NEXT = 0.5  # tags with at least this share of the largest chi^2 are taken out together
-MOST_MOVED = 0.25  # largest share of the compared tags that may have been moved
-UNKNOWN_M = 0.5  # standard deviation of a place beside the other tags above which a tag is not compared, metres
-MOST_VARIANCE = 1.0  # variance of a displacement, rad^2 or m^2, above which a tag is not compared
+NEXT = 0.5  # tags with at least this share of the largest chi^2 lose their prior together
+MOST_MOVED = 0.25  # maximum share of moved tags among the compared tags
+UNKNOWN_M = 0.5  # a tag is compared only if its position relative to the other tags is known better, metres
+MOST_VARIANCE = 1.0  # a tag is not compared if a variance of its displacement, rad^2 or m^2, exceeds this
 VANISHED = 1e-3  # greatest probability that a tag was missed in all views by chance
-MOST_RATE = 0.9  # greatest probability of a detection that is assumed
-FEWEST_VIEWS = 4  # minimum number of views, not counting views from nearly one place
-LOWEST = 0.1  # quantile of the sizes, and of the obliquities, of detected tags below which a tag need not be detected
-BORDER = 5.0  # least distance of corners from the border of the image, pixels
-OFF_WALL = 0.02  # distance before a tag at which lines of sight end, metres
-APART_M, APART_RAD = 0.2, 0.2  # least distance and rotation of views that count separately
+MOST_RATE = 0.9  # maximum probability of a detection that is assumed
+FEWEST_VIEWS = 4  # minimum number of views, where views from nearly the same pose count once
+LOWEST = 0.1  # quantile of sizes, and of cosines of incidence, below which a tag need not be detected
+BORDER = 5.0  # minimum distance of corners from the border of the image, pixels
+OFF_WALL = 0.02  # distance in front of a tag at which lines of sight end, metres
+APART_M, APART_RAD = 0.2, 0.2  # minimum distance, or rotation, between views that count separately
 
 
 class Change(NamedTuple):
@@ -65,7 +66,7 @@ class Change(NamedTuple):
     kind: str
     """`moved`, `vanished` or `new`."""
     images: int
-    """Number of images that show it; of a tag that vanished, number of views that should."""
+    """Number of images that show the tag; for a vanished tag, number of views that should show it."""
     pose: FloatArray
     """`(4, 4)` present pose, tag to map; NaN if the tag vanished."""
     covariance: FloatArray
@@ -77,7 +78,7 @@ class Change(NamedTuple):
 
     @property
     def shift(self) -> FloatArray:
-        """Shift along the axes that the tag had, metres, `(3,)`."""
+        """Shift along the axes of the tag's pose in the map, metres, `(3,)`."""
         return np.asarray(self.before[:3, :3].T @ (self.pose - self.before)[:3, 3])
 
     @property
@@ -87,19 +88,19 @@ class Change(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """Estimate beside a map of its K tags."""
+    """Estimate compared with a map of K tags."""
 
     found: Estimate
     """Estimate of all poses."""
     moved: BoolArray
     """Mask of the tags that were moved, `(K,)`."""
     squares: FloatArray
-    """chi^2 of the displacement of each tag, `(K,)`; NaN for tags that could not be compared with the others."""
+    """chi^2 of the displacement of each tag, `(K,)`; NaN for tags that cannot be compared with the others."""
     odd: BoolArray
     """Mask of the tags with another size than stated, `(K,)`."""
     contradicted: int = 0
-    """Number of tags that differ from the map, if these are more than the share `MOST_MOVED` of the compared tags. The
-    map and the images then disagree as a whole, and no tag counts as moved.
+    """Number of tags that differ from the map if it exceeds the share `MOST_MOVED` of the compared tags. The map and
+    the images then disagree as a whole, and no tag counts as moved.
     """
 
     def changes(self, here: FixedMap) -> list[Change]:
@@ -114,14 +115,14 @@ class Comparison(NamedTuple):
 
 
 def twists_from(found: Estimate, here: FixedMap) -> FloatArray:
-    """Twists of all tags from the map at the joint optimum of all unknowns, `(K, 6)`; NaN for unknown ones."""
+    """Twists of all tags from the map at the joint optimum of all unknowns, `(K, 6)`; NaN for unknown tags."""
     there, *_ = found.adjustment.joint_step(found.poses, found.floor, 0.0, nuisances_off(found))
     return twists_between(here.poses, there.tags)
 
 
 def displacements(found: Estimate, here: FixedMap) -> tuple[FloatArray, FloatArray]:
-    """Displacement `(6,)` of each tag from the map, and its covariance `(6, 6)`,
-    `(K, 6)` and `(K, 6, 6)`; NaN for tags that nothing else can be compared with.
+    """Displacement of each tag from the map, `(K, 6)`, and covariance of the displacement, `(K, 6, 6)`; NaN for tags
+    that cannot be compared with any others.
     """
     twists, count = twists_from(found, here), len(here.ids)
     values, covariances = np.full((count, 6), np.nan), np.full((count, 6, 6), np.nan)
@@ -150,14 +151,14 @@ def displacements(found: Estimate, here: FixedMap) -> tuple[FloatArray, FloatArr
 
 
 def compare(begun: Estimate, here: FixedMap, mounts: Mounts | None, gross: BoolArray, odd: BoolArray) -> Comparison:
-    """Estimate all poses with the map as the prior, without tags that were moved, and refine the cameras at last.
+    """Estimate all poses with the map as the prior, except the prior of moved tags, and refine the cameras at the end.
 
     Args:
         begun: estimate with rough poses; cameras are refined if it has `lenses`.
         here: map of the tags.
         mounts: prior of the mounts.
         gross: mask of the tags that contradict the others, `(K,)`.
-        odd: mask of the tags that are known to have another size than stated, `(K,)`.
+        odd: mask of the tags known to have another size than stated, `(K,)`.
     """
     now, moved, squares, is_refined = begun, gross, np.full(len(gross), np.nan), begun.lenses is None
     for number in range(MOST_ROUNDS):
@@ -195,7 +196,7 @@ def compare(begun: Estimate, here: FixedMap, mounts: Mounts | None, gross: BoolA
 
 
 def vanished_tags(found: Estimate, known: FixedMap, optics: Sequence[Optics], room: Space) -> list[Change]:
-    """Tags that vanished.
+    """Find the tags of the map that vanished.
 
     Args:
         found: estimate of the frames, with the present poses of the tags that were seen.
@@ -243,7 +244,7 @@ def _cosines(poses: FloatArray, tags: FloatArray) -> FloatArray:
 
 
 def _separate(poses: FloatArray) -> int:
-    """Number of poses that differ from all earlier poses that are counted."""
+    """Number of poses when poses close to an earlier counted pose are not counted."""
     kept = poses[:0]
     for pose in poses:
         near = np.linalg.norm(kept[:, :3, 3] - pose[:3, 3], axis=1) < APART_M

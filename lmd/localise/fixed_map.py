@@ -1,4 +1,4 @@
-"""Fixed map: poses of tags that are known, with standard deviations."""
+"""Fixed map: known poses of tags, with standard deviations."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,8 +19,8 @@ from lmd.scene.deployment import Deployment, poses_of
 from lmd.scene.labels import ID
 from lmd.scene.tag import Tag
 
-SAME_SIGMA = 1e-3  # largest relative difference between standard deviations in two files of one map
-LEAST_SIGMA = 1e-5  # least standard deviation of a tag of the map, metres and rad
+SAME_SIGMA = 1e-3  # maximum relative difference between standard deviations of a tag in two files of one map
+LEAST_SIGMA = 1e-5  # minimum standard deviation of a tag of the map, metres and rad
 
 
 @dataclass(frozen=True)
@@ -40,9 +40,9 @@ class FixedMap:
     sigmas: FloatArray
     """`(K, 6)` standard deviations of rotations about the axes of each tag, rad, and of shifts along them, metres."""
     covariance: FloatArray | None = None
-    """`(6 K, 6 K)` covariance of the twists of all tags, each in its own frame; None if tags are independent."""
+    """Covariance of the twists of all tags, each in its own frame, `(6 K, 6 K)`; None if tags are independent."""
     note: str = ""
-    """Note of the file."""
+    """Note about the file, for the user."""
 
     def __post_init__(self) -> None:
         if (twice := self.ids[1:][np.diff(self.ids) == 0]).size:
@@ -59,16 +59,16 @@ class FixedMap:
         return np.isfinite(self.poses[:, 0, 0])
 
     def among(self, ids: IntArray, edge: float) -> "FixedMap":
-        """Map of the tags `ids` `(n,)`, ascending; those that this map lacks have the edge `edge`, metres."""
+        """Map of the tags `ids` `(n,)`, ascending; tags that this map lacks have the edge `edge`, metres."""
         _, there, own = np.intersect1d(self.ids, ids, return_indices=True)
         poses, edges, sigmas = np.full((len(ids), 4, 4), np.nan), np.full(len(ids), edge), np.zeros((len(ids), 6))
         poses[own], edges[own], sigmas[own] = self.poses[there], self.edges[there], self.sigmas[there]
         return FixedMap(ids, poses, edges, sigmas, spread(self.joint, there, own, len(ids)))
 
     def prior(self, moved: BoolArray, mounts: Mounts | None = None) -> Prior:
-        """Prior of all tags but those that were `moved`, mask `(K,)`, and of the mounts.
+        """Prior of all tags except those that were `moved`, mask `(K,)`, and of the mounts.
 
-        A motion of all tags, that has no variance in a surveyed map, gets the least one.
+        A common motion of all tags has no variance in a surveyed map; it gets the minimum variance.
         """
         trusted, tags = self.has & ~moved, np.where(self.has[:, None, None], self.poses, np.eye(4))
         own, rows = np.flatnonzero(trusted), rows_of(np.flatnonzero(trusted))
@@ -83,7 +83,7 @@ class FixedMap:
         Args:
             path: file of the map.
             tag: family of the tags, and edge of the tags without an edge in the file.
-            errors: standard deviations of tags for which the file has none.
+            errors: standard deviations of tags without standard deviations in the file.
             table: `axes` and `columns` of `lmd.formats.tag_maps.read_deployment`.
 
         Raises:
@@ -105,24 +105,26 @@ class FixedMap:
 
 
 def spread(matrix: FloatArray, chosen: IntArray, places: IntArray, count: int) -> FloatArray:
-    """Matrix of `count` tags, six rows each, that holds the rows of the tags `chosen` at `places`, and else 0."""
+    """Matrix of `count` tags, six rows for each, with the rows and columns of the tags `chosen` at `places` and 0
+    elsewhere.
+    """
     result, rows, own = np.zeros((6 * count, 6 * count)), rows_of(places), rows_of(chosen)
     result[np.ix_(rows, rows)] = matrix[np.ix_(own, own)]
     return result
 
 
 def surveyed_covariance(path: Any, deployment: Deployment) -> FloatArray | None:
-    """Covariance of position and rotation of all tags of a surveyed map in the world frame, beside the other tags.
+    """Joint covariance of position and rotation of all tags of a surveyed map, in the world frame.
 
     Args:
-        path: file of the map, as a survey writes it, with the covariance of all tags together beside it.
+        path: file of the map, as a survey writes it; the file of the joint covariance is beside it.
         deployment: K tags, in any order; tags that the file lacks have no error.
 
     Returns:
         m^2 and rad^2, tag by tag, `(6 K, 6 K)`; None for a file without standard deviations.
 
     Raises:
-        InputError: a file cannot be read, the two are of different maps, or a tag has no standard deviation.
+        InputError: a file cannot be read, the two files are of different maps, or a tag has no standard deviation.
     """
     if (stated := _stated_sigmas(path)) is None:
         return None
@@ -155,12 +157,13 @@ def _stated_sigmas(path: Any) -> tuple[IntArray, FloatArray] | None:
 
 
 def _stated_covariance(path: Any, ids: IntArray, sigmas: FloatArray) -> FloatArray | None:
-    """Covariance `(6 K, 6 K)` of the tags `ids` of a surveyed map, from the file beside it; None without this file.
+    """Joint covariance `(6 K, 6 K)` of the tags `ids` of a surveyed map, from the file beside the map; None without the
+    file.
 
     Args:
         path: file of the map.
         ids: ids, `(K,)`, ascending.
-        sigmas: standard deviations in the map, `(K, 6)`, with which tags that the file lacks are independent.
+        sigmas: standard deviations in the map, `(K, 6)`, for tags that the file lacks, which are independent.
 
     Raises:
         InputError: the file cannot be read, or is of another map.

@@ -1,8 +1,8 @@
-"""Rough poses of single images in a map, and the reasons why images are refused.
+"""Rough poses of single images in a map, and reasons for the refusal of images.
 
 Each sighting of a tag proposes two poses of the body, as two poses of a tag look alike (IPPE). For each image the
-likeliest proposals are refined with all tags in view. If another pose is nearly as likely as the best pose, the image
-is refused.
+likeliest proposals are refined with all tags in view. The image is refused if another pose is nearly as likely as the
+best pose.
 """
 
 from dataclasses import replace
@@ -21,11 +21,14 @@ from lmd.core.checks import BoolArray, FloatArray
 from lmd.geometry.se3 import angle_between
 
 FRAME_CHUNK = 256  # frames whose proposals are refined at once
-ANOTHER_RAD, ANOTHER_SHARE = 0.05, 0.02  # least rotation, rad, or shift, in distances to the tags, of another pose
-TOLD_APART = float(np.log(100.0))  # least log-likelihood ratio of the best pose to another pose
-SIGMAS = 3.0  # standard deviations of the map by which a sighting of a tag that was not moved may be off
-# A tag contradicts the map if the share `CONTRADICTS` of its sightings beside other tags does; tags with the share
-# `SURELY` are taken out together, in at most `MOST_ROUNDS` rounds.
+ANOTHER_RAD, ANOTHER_SHARE = (
+    0.05,
+    0.02,
+)  # minimum rotation, rad, or shift, relative to the distance of the tags, between two poses that differ
+TOLD_APART = float(np.log(100.0))  # minimum log-likelihood ratio of the best pose to another pose
+SIGMAS = 3.0  # standard deviations of the map by which a sighting of an unmoved tag may be off
+# A tag contradicts the map if the share `CONTRADICTS` of its sightings together with other tags does. All tags with at
+# least the share `SURELY` are ignored at once, in at most `MOST_ROUNDS` rounds.
 CONTRADICTS, SURELY, MOST_ROUNDS = 0.5, 0.75, 12
 
 
@@ -43,25 +46,27 @@ class RoughPoses(NamedTuple):
     """Rough poses of F frames."""
 
     poses: Poses
-    """Poses; tags are NaN if they are not in the map or contradict it, frames if they show no other tag."""
+    """Poses. The pose of a tag is NaN if the map lacks or contradicts it; the pose of a frame is NaN without another
+    tag.
+    """
     others: FloatArray
-    """`(F, 4, 4)` the best pose that differs from the pose of the frame; NaN without one."""
+    """Best pose of each frame that differs from the pose in `poses`, `(F, 4, 4)`; NaN if there is none."""
     gross: BoolArray
-    """`(K,)` True for tags that contradict the others."""
+    """Mask of the tags that contradict the other tags, `(K,)`."""
     agreed: int
     """Number of sightings that agree with the poses."""
 
 
 def rough_poses(sightings: Sightings, poses: Poses, sigmas: FloatArray) -> RoughPoses:
-    """Find rough poses of the frames, and tags that contradict the others.
+    """Find rough poses of the frames, and tags that contradict the other tags.
 
-    A sighting that does not fit the pose of its image counts fully, and all sightings of an image without a majority
-    count half. Tags with the largest share of such sightings are taken out, and images are localised again.
+    A sighting that does not fit the pose of its image counts fully against its tag; the sightings of an image without a
+    majority count half. Tags with the largest share are ignored, and images are localised again.
 
     Args:
         sightings: all sightings.
-        poses: poses of tags in the map, NaN if not in the map, and expected mounts; a mount that frames show to be
-            elsewhere begins there.
+        poses: poses of tags in the map, NaN if not in the map, and expected mounts. If frames show another mount, the
+            estimate begins with the measured mount.
         sigmas: standard deviations of the tags in the map, `(K, 6)`.
     """
     gross, single = np.zeros(len(poses.tags), dtype=bool), single_poses(sightings).poses
@@ -82,7 +87,7 @@ def rough_poses(sightings: Sightings, poses: Poses, sigmas: FloatArray) -> Rough
 
 
 def _blame(sightings: Sightings, poses: Poses, sigmas: FloatArray) -> FloatArray:
-    """Share of the sightings of each tag, among those beside other tags, that contradict these tags, `(K,)`."""
+    """For each tag, share of the sightings together with other tags that contradict these tags, `(K,)`."""
     some = sightings.of(poses.known_tags[sightings.tag])
     at = Reprojection(some, *poses.of(some))
     expected = ((at.by_tag * sigmas[some.tag, None]) ** 2).sum(axis=(1, 2))
@@ -96,7 +101,7 @@ def _blame(sightings: Sightings, poses: Poses, sigmas: FloatArray) -> FloatArray
 
 
 def _proposed(sightings: Sightings, poses: Poses, single: FloatArray) -> tuple[Poses, FloatArray]:
-    """Poses with the best pose of each frame, and the best pose that differs from it, `(F, 4, 4)`."""
+    """Poses with the best pose of each frame; and for each frame the best other pose that differs, `(F, 4, 4)`."""
     known = np.flatnonzero(poses.known_tags[sightings.tag])
     best, other = np.full((2, sightings.frames, 4, 4), np.nan)
     poses = replace(poses, frames=best)
@@ -108,23 +113,23 @@ def _proposed(sightings: Sightings, poses: Poses, single: FloatArray) -> tuple[P
         found, owner = trial.proposals(single[own])
         order = trial.best(found, owner, len(found))
         found, owner = found[order], owner[order]
-        at = np.searchsorted(owner, owner)  # index of the best proposal of the frame of each proposal
+        at = np.searchsorted(owner, owner)  # for each proposal, index of the best proposal of its frame
         best[trial.owners[owner[at]]] = found[at]
         away = _mean_distances(sightings.of(own), replace(poses, frames=best))[trial.owners[owner]]
         differ = np.flatnonzero(_are_apart(found[at], found, away))[::-1]
-        other[trial.owners[owner[differ]]] = found[differ]  # the last assignment of each frame is its best one
+        other[trial.owners[owner[differ]]] = found[differ]  # the last assignment to a frame wins, and is the best pose
     return replace(poses, frames=best), other
 
 
 def _are_apart(one: FloatArray, two: FloatArray, away: FloatArray) -> BoolArray:
-    """True where two poses `(n, 4, 4)` differ; `away` is the mean distance of the tags, metres, `(n,)`."""
+    """True where two poses `(n, 4, 4)` differ; `away` is the mean distance from the tags, metres, `(n,)`."""
     shift = np.linalg.norm(one[:, :3, 3] - two[:, :3, 3], axis=1)
     return np.asarray((angle_between(one, two) > ANOTHER_RAD) | (shift > ANOTHER_SHARE * away))
 
 
 def states_of(found: Estimate, others: FloatArray) -> tuple[list[State], FloatArray]:
-    """Outcome of each frame, and the best and the other pose of frames that two poses fit, `(F, 2, 4, 4)`; NaN for the
-    other frames.
+    """Outcome of each frame, and both poses of frames that two poses fit, the better pose first, `(F, 2, 4, 4)`; NaN
+    for the other frames.
 
     Args:
         found: estimate with a pose of each frame that shows a tag of the map.

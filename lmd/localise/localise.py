@@ -1,8 +1,8 @@
 """Localisation: all steps from detections and a map to poses with covariances, in order.
 
 Localisation is the bundle adjustment of a survey in which the map is the prior of the tags (`lmd.adjust`). Mounts,
-cameras, shapes of tags and new tags are unknowns as well. Single frames have the poses of single images; frames that
-motion links have smoothed poses.
+cameras, shapes of tags and new tags are unknowns as well. There are two results: poses from single images, and smoothed
+poses if motion links the frames.
 """
 
 from collections.abc import Sequence
@@ -34,12 +34,12 @@ from lmd.localise.images import RoughPoses, State, rough_poses, states_of
 from lmd.scene.tag import Tag
 from lmd.space.space import Space
 
-# Minimum number, and share, of the sightings of a tag that must agree on its pose if the map lacks it, as ids may be
+# Minimum number, and share, of sightings that must agree on the pose of a tag that the map lacks, as ids may be
 # misread.
 FEWEST_BELIEVED, LEAST_SHARE = 2, 0.3
-TRIED_FRAMES = 40  # frames of several tags by which the first corner of detections is found
+TRIED_FRAMES = 40  # maximum number of frames with several tags by which the first corner of detections is found
 FEWEST_FRAMES = 3  # minimum number of frames of a drive that is smoothed
-SURPRISING = 3.0  # standard deviations of its prior beyond which an estimated mount or camera is named
+SURPRISING = 3.0  # a mount or camera is named if its estimate is farther from its prior, in standard deviations
 # Standard deviations of mounts that were measured with a tape measure: rotation, rad, and position, metres.
 MOUNT_SIGMAS = (0.0175, 0.01)
 
@@ -51,11 +51,11 @@ class Drive:
     mounts: FloatArray | None = None
     """`(C, 4, 4)` poses of the cameras on the body, which is the first camera; None for one camera."""
     is_mounted: bool = False
-    """True if the mounts are exact; else they were measured with a tape measure, and are estimated."""
+    """True if the mounts are exact; otherwise they were measured with a tape measure and are estimated."""
     odometry: Trajectory | None = None
     """Trajectory of the body in any frame; None if unknown."""
     steady: bool | None = None
-    """False if the velocity may change at once, so that poses are not smoothed without odometry."""
+    """False if the velocity may change suddenly, so that poses are not smoothed without odometry."""
 
     @property
     def prior(self) -> Mounts:
@@ -88,9 +88,9 @@ class Localisation:
     smoothed: Estimate | None
     """Estimate of the smoothed poses; None if the motion between frames is unknown."""
     changes: tuple[Change, ...]
-    """Tags that were moved, that vanished, and that are new, by kind, then by id."""
+    """Tags that were moved, have vanished or are new, by kind, then by id."""
     compared: IntArray
-    """Ids of the tags of the map that the images could compare with the others."""
+    """Ids of the tags of the map that images allow to be compared with the others."""
     calibrated: tuple[Calibrated, ...]
     """Cameras as refined by the drive; empty if cameras are exact."""
     contradicted: int
@@ -98,9 +98,9 @@ class Localisation:
     sizes: dict[int, float]
     """Estimated edges of the tags with another edge than stated, metres, by id."""
     in_room: bool
-    """True if the room is known, so that tags that vanished were looked for."""
+    """True if the room is known, so that vanished tags were looked for."""
     doubts: tuple[str, ...]
-    """Sentences on what contradicts the images: calibrations, mounts, tags of one id."""
+    """Sentences on contradictions to the images: calibrations, mounts, tags that share an id."""
 
 
 def localise(
@@ -122,11 +122,12 @@ def localise(
         errors: errors of the detector's corners.
         known: map.
         drive: mounts of the cameras and motion of the body; None for one camera with an unknown motion.
-        room: room of the map, whose surfaces hide tags; None if unknown, so that no tag is said to have vanished.
+        room: room of the map, whose surfaces hide tags; None if unknown: vanished tags are then not looked for.
         calibrate: False if cameras are exact; else they are refined within the uncertainty of a calibration.
 
     Raises:
-        InputError: no detection has a tag of the map, the cameras are others, or odometry contradicts the images.
+        InputError: no tag of the map was detected, the cameras are not those of the detections, or odometry contradicts
+            the images.
     """
     drive = drive or Drive()
     motion, mounts, here = drive.motion(detected), drive.prior, _map_of(detected, tag, known)
@@ -173,10 +174,10 @@ def localise(
 
 
 def _map_of(detected: DetectedTags, tag: Tag, known: FixedMap) -> FixedMap:
-    """Map of the tags of the map that are seen, and of other tags that are seen twice.
+    """Map of the detected tags: those of the given map, and others that were seen at least twice.
 
     Raises:
-        InputError: no detection has a tag of the map.
+        InputError: no tag of the map was detected.
     """
     if not np.isin(detected.ids, known.ids).any():
         shown = ", ".join(map(str, np.unique(detected.ids)[:5].tolist()))
@@ -191,8 +192,8 @@ def _rough(seen: Observations, here: FixedMap, mounts: Mounts) -> RoughPoses:
 
 
 def _in_order(seen: Observations, here: FixedMap, mounts: Mounts) -> tuple[Observations, int]:
-    """Detections whose corners begin at the top left, and the number of corners by which the first one was moved back:
-    the one by which most sightings of frames with several tags of the map fit; 0 in a tie.
+    """Detections whose corners begin at the top left, and the number of corners by which the first corner was moved
+    back. Most sightings fit with this number, in frames with several tags of the map; 0 in a tie.
     """
     detected = seen.detected
     of_map = np.flatnonzero(np.isin(detected.ids, here.ids[here.has]))
@@ -206,8 +207,8 @@ def _in_order(seen: Observations, here: FixedMap, mounts: Mounts) -> tuple[Obser
 
 
 def _begun(seen: Observations, here: FixedMap, mounts: Mounts) -> tuple[Observations, RoughPoses, BoolArray]:
-    """Rough poses, with the detections of tags of another edge than the map states, and the mask of these, `(K,)`:
-    those by which more sightings agree.
+    """Rough poses, detections, and mask of the tags with another edge than the map states, `(K,)`. Of the stated and
+    the estimated edges, those with which more sightings agree are taken.
     """
     rough, sightings = _rough(seen, here, mounts), seen.through()
     factors, odd = odd_sizes(sightings, single_poses(sightings).poses[:, 0])
@@ -220,7 +221,9 @@ def _begun(seen: Observations, here: FixedMap, mounts: Mounts) -> tuple[Observat
 
 
 def _with_all_tags(begun: Estimate, rough: RoughPoses, both: FloatArray) -> Estimate:
-    """Estimate with the tags that have no rough pose, and without the frames of `both` poses, `(F, 2, 4, 4)`."""
+    """Estimate with poses for tags without a rough pose, and without the frames that have two poses in `both` `(F, 2,
+    4, 4)`.
+    """
     some, lost = begun.sightings, ~rough.poses.known_tags
     frames = np.where(np.isfinite(both[:, 0]), np.nan, begun.poses.frames)
     begun = replace(begun, poses=replace(begun.poses, tags=rough.poses.tags, frames=frames))
@@ -229,7 +232,7 @@ def _with_all_tags(begun: Estimate, rough: RoughPoses, both: FloatArray) -> Esti
 
 
 def _refused(found: Estimate, states: Sequence[State]) -> tuple[Estimate, list[State]]:
-    """Estimate without the frames of which most sightings do not fit, and the outcomes of all frames."""
+    """Estimate without the frames in which most sightings do not fit, and the outcomes of all frames."""
     some = found.sightings
     of_map = found.poses.known_tags[some.tag]
     seen, used = (np.bincount(some.frame[which], minlength=some.frames) for which in (of_map, found.used))
@@ -249,7 +252,8 @@ def smoothed(found: Estimate, motion: Motion, both: FloatArray) -> Estimate | No
     Args:
         found: estimate of single images.
         motion: motion between the frames.
-        both: `(F, 2, 4, 4)` poses of frames that two poses fit, NaN for others; the smoothest sequence decides.
+        both: the two poses of frames that two poses fit, `(F, 2, 4, 4)`, NaN for others; the smoothest sequence
+            decides.
 
     Returns:
         None if motion links no two frames with poses.
@@ -273,7 +277,7 @@ def smoothed(found: Estimate, motion: Motion, both: FloatArray) -> Estimate | No
 
 
 def _decided(found: Estimate, motion: Motion, both: FloatArray) -> Poses:
-    """Poses of the frames; of two poses of an open frame, the one nearer to the smoothest sequence."""
+    """Poses of the frames; where two poses fit, the pose nearer to the smoothest sequence."""
     frames, opened = found.poses.frames.copy(), np.flatnonzero(np.isfinite(both[:, 0, 0, 0]))
     if opened.size:
         some = found.sightings.of(found.poses.known_tags[found.sightings.tag])
@@ -289,8 +293,8 @@ def _decided(found: Estimate, motion: Motion, both: FloatArray) -> Poses:
 
 
 def _surprises(found: Estimate, mounts: Mounts) -> list[str]:
-    """Sentences on mounts, focal lengths and centres that are estimated beyond `SURPRISING` standard deviations of
-    their priors.
+    """Sentences on mounts, focal lengths and principal points whose estimate is more than `SURPRISING` standard
+    deviations from the prior.
     """
     said = []
     if mounts.sigmas is not None:

@@ -31,12 +31,12 @@ NAMED = 5  # largest number of refused frames that are named
 
 
 def image_columns(result: Localisation) -> dict[str, ArrayLike]:
-    """Columns of `poses.csv`: a row for each image, with its state, its pose from this image alone, and covariances."""
+    """Columns of `poses.csv`: for each image, its state, the pose from this image alone, and the covariance."""
     return _columns(result, [state.value for state in result.states], result.found)
 
 
 def smoothed_columns(result: Localisation) -> dict[str, ArrayLike]:
-    """Columns of `smoothed.csv`, as `image_columns`."""
+    """Columns of `smoothed.csv`, like `image_columns`."""
     nothing = np.zeros(len(result.found.used), dtype=bool)
     if (found := result.smoothed) is None:
         poses = replace(result.found.poses, frames=np.full_like(result.found.poses.frames, np.nan))
@@ -60,7 +60,7 @@ def _columns(result: Localisation, states: list[str], found: Estimate) -> dict[s
 
 
 def tum_text(result: Localisation, found: Estimate | None) -> str:
-    """Poses in TUM's format, seconds; a comment alone for frames without times, or without poses."""
+    """Poses in TUM's format, seconds; only a comment for frames without times, or without poses."""
     seconds = seconds_of(result.detected.times)
     if found is None or not np.isfinite(seconds).all():
         return f"{TUM}\n# {'the motion between images is unknown' if found is None else 'the images have no times'}\n"
@@ -70,10 +70,11 @@ def tum_text(result: Localisation, found: Estimate | None) -> str:
 
 
 def change_columns(result: Localisation) -> dict[str, ArrayLike]:
-    """Columns of `changes.csv`: tags that were moved, that vanished, and that are new, with their present poses.
+    """Columns of `changes.csv`: tags that were moved, have vanished or are new, with their present poses.
 
     Positions are metres, quaternions rotate the frame of the tag (x right, y up, z out) to the map, and covariances are
-    those of `poses.csv`. `moved_right`, `moved_up` and `moved_out` are metres along the axes that the tag had.
+    those of `poses.csv`. `moved_right`, `moved_up` and `moved_out` are metres along the axes of the tag's pose in the
+    map.
     """
     every = result.changes
     poses = np.array([one.pose for one in every]).reshape(-1, 4, 4)

@@ -1,12 +1,12 @@
 """Groups of tags that no image connects, joined by the motion of the body between the frames of the groups.
 
-1. Tags that several images show together form a part. Each other tag is a part by itself, as an id that was misread in
-   one image would connect distant tags.
-2. A frame that shows one tag of a part has two possible poses relative to the part, which look alike (IPPE). The
-   smoothest sequence of such poses is found for each part (Viterbi).
+1. Tags that several images show together form a part. Each other tag is a part by itself, as an id misread in one image
+   would connect distant tags.
+2. A frame that shows a single tag of a part has two similar possible poses relative to the part (IPPE). For each part
+   the smoothest sequence of these poses is found (Viterbi).
 3. Each part is adjusted by itself, with links between its own frames, which also estimates the spread of the motion.
-4. Two frames of different parts that are near in time give a relation, the relative pose of the parts. Relations on
-   which most frames agree join parts first (maximum spanning tree).
+4. Two frames of different parts that are near in time give a relation, the relative pose of the parts. Parts are joined
+   by the relations on which most frames agree first (maximum spanning tree).
 """
 
 from collections.abc import Sequence
@@ -25,10 +25,10 @@ from lmd.adjust.sightings import Sightings
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.geometry.se3 import inverse, log, median_pose
 
-TOGETHER = 3  # minimum number of agreeing images that put two tags into one part
-# Maximum number of following frames with which a frame gives relations, and of pairs of frames for each relation.
+TOGETHER = 3  # minimum number of images that agree on two tags for these to form a part
+# Maximum number of later frames with which a frame gives relations, and of pairs of frames for each relation.
 FOLLOWING, PAIRS = 12, 40
-AGREE_TURN, AGREE_PLACE = 0.2, 0.3  # maximum deviation of a pair of frames from a relation, rad and metres
+AGREE_TURN, AGREE_PLACE = 0.2, 0.3  # maximum difference of a pair of frames from a relation, rad and metres
 # A body leaps if, from a frame to one of the next `LEAP_FOLLOWING` frames, it moves farther than `LEAP`, metres, plus
 # `LEAP_SPEEDS` times the distance at its highest speed. `FASTEST`, m/s, replaces an unknown highest speed.
 LEAP, LEAP_SPEEDS, FASTEST, LEAP_FOLLOWING = 0.5, 2.0, 2.0, 3
@@ -39,11 +39,11 @@ class Relation(NamedTuple):
     """Relative pose of two parts."""
 
     one: int
-    """Index of a part."""
+    """Index of the one part."""
     other: int
-    """Index of another part."""
+    """Index of the other part."""
     way: FloatArray
-    """`(4, 4)` motion from the world of `other` to the world of `one`."""
+    """Motion from the world of the part `other` to the world of the part `one`, `(4, 4)`."""
     agreed: int
     """Number of frames of each part that agree on `way`."""
     seconds: float
@@ -51,7 +51,7 @@ class Relation(NamedTuple):
 
 
 def join_groups(sightings: Sightings, poses: Poses, group: IntArray, prior: Prior) -> tuple[Poses, IntArray, Prior]:
-    """Join groups by motion.
+    """Join groups of tags by the motion of the body.
 
     Args:
         sightings: sightings of the tags.
@@ -107,7 +107,7 @@ def _parts(sightings: Sightings, poses: Poses, group: IntArray, known: BoolArray
 
 
 def _adjusted(nodes: Nodes, poses: Poses) -> tuple[Poses, Motion]:
-    """Poses of the parts, each adjusted by itself, and the motion as the drive tells it."""
+    """Poses of the parts, each adjusted by itself, and the motion with its spread estimated from the parts."""
     some, motion = nodes.sightings, nodes.motion
     of_tag = np.full(len(poses.tags), -1)
     of_tag[some.tag] = nodes.part[some.frame]
@@ -122,13 +122,14 @@ def _adjusted(nodes: Nodes, poses: Poses) -> tuple[Poses, Motion]:
 
 
 def _worlds(nodes: Nodes, poses: FloatArray, motion: Motion) -> tuple[FloatArray, IntArray]:
-    """Join parts by relations with which the body does not leap.
+    """Join parts by relations that imply no leap of the body.
 
-    A leap between two joined parts has one of two causes. If fewer frames of a part leap than support the weakest
-    relation between the parts, those frames were misread; otherwise the relation is wrong.
+    A leap between two joined parts has one of two causes. If the leaping frames of a part are fewer than the frames
+    that support the weakest relation between the parts, the leaping frames were misread; otherwise the relation is
+    wrong.
 
     Args:
-        nodes: nodes, with the motion between them.
+        nodes: nodes, with the motion between the frames of the nodes.
         poses: poses of the nodes in the worlds of their parts, `(n, 4, 4)`.
         motion: motion between the frames.
 
@@ -163,7 +164,7 @@ def _worlds(nodes: Nodes, poses: FloatArray, motion: Motion) -> tuple[FloatArray
 
 
 def _spanned(count: int, relations: Sequence[Relation]) -> tuple[FloatArray, IntArray, IntArray]:
-    """Worlds of parts, see `_worlds`, by the spanning tree that takes relations in their order.
+    """Worlds of the parts, see `_worlds`, by a spanning tree of the `relations`, which are taken in their order.
 
     Returns:
         motions and worlds as in `_worlds`; index of the relation that first joined each pair of parts, which is the

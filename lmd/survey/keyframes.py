@@ -1,13 +1,13 @@
 """Keyframes: the frames of a video from which a map is made.
 
 Corner errors are correlated in consecutive images. On recordings, a map from five frames a second is as good as a map
-from all frames. Keyframes are evenly spaced in time. The selection must not depend on the motion or the number of tags
-in view. Blurred and oblique images would then have more weight than others, and maps would differ by more than their
+from all frames. Keyframes are evenly spaced in time. The selection must not depend on the motion or on the number of
+tags in view: blurred or oblique images would have more weight than others, and maps would differ by more than their
 stated errors.
 
 Two further kinds of frames are kept:
 
-- frames that alone show a tag, or two tags together, as these connect the map.
+- frames that are the only one to show a tag, or to show two tags together, as these frames connect the map.
 - frames close to a moment at which all tags in view change, as only motion connects the tags before and after.
 
 Frames without times are all kept.
@@ -26,7 +26,7 @@ LONGEST = 0.21  # maximum seconds between keyframes that have frames between the
 
 
 def select_keyframes(detected: DetectedTags, every: int | None = None) -> DetectedTags:
-    """Detections in the keyframes; the other frames are listed in `left_out`.
+    """Select the detections in the keyframes; `left_out` lists the other frames.
 
     Args:
         detected: detections in all frames.
@@ -46,7 +46,7 @@ def select_keyframes(detected: DetectedTags, every: int | None = None) -> Detect
 
 
 def _informative(seconds: FloatArray, shown: list[IntArray]) -> BoolArray:
-    """Mask of the keyframes, `(n,)`, from the times of frames and the tags that each frame shows."""
+    """Mask of the keyframes, `(n,)`, given the times of the frames and the tags that each frame shows."""
     kept = _evenly(seconds, _at_changes(seconds, shown))
     together = [set(combinations_with_replacement(tags.tolist(), 2)) for tags in shown]
     connected = set().union(*(together[k] for k in np.flatnonzero(kept)))

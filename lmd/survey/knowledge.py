@@ -24,7 +24,7 @@ BENT, TILTED, TURNED = 0.001, 0.005, 0.001
 
 
 def are_in_line(places: FloatArray) -> bool:
-    """Return True if points `(n, 3)` lie in a line."""
+    """Return True if points `(n, 3)` are collinear."""
     return bool(np.linalg.svd(places - places.mean(axis=0), compute_uv=False)[1] < NO_LINE)
 
 
@@ -63,7 +63,7 @@ class MeasuredPoints:
 
 @dataclass(frozen=True)
 class Boards(Checked):
-    """Flat sheets of several tags each, all tags with the same side up.
+    """Flat sheets, each with several tags that all have the same side up.
 
     Raises:
         InputError: a tag occurs twice, a sheet has only one tag, or `printed` is not positive.
@@ -110,10 +110,10 @@ class Boards(Checked):
 
 @dataclass(frozen=True)
 class PriorKnowledge:
-    """User's knowledge before the survey; None for unknown entries.
+    """Knowledge of the user before the survey; None for unknown entries.
 
     Raises:
-        InputError: the floor is named although a plan, fixed tags or points define the world.
+        InputError: tags on the floor are named although a plan, fixed tags or points define the world.
     """
 
     plan: Deployment | None = None
@@ -125,7 +125,7 @@ class PriorKnowledge:
     points: MeasuredPoints | None = None
     """Tags with measured centres."""
     boards: Boards | None = None
-    """Tags that were printed on one sheet."""
+    """Sheets on which several tags were printed together."""
     mounts: FloatArray | None = None
     """`(C, 4, 4)` poses of the cameras on the body, which is the first camera; None to estimate them."""
     origin: int | None = None
@@ -135,10 +135,10 @@ class PriorKnowledge:
     odometry: Trajectory | None = None
     """Trajectory of the body in any frame."""
     sizes: Mapping[int, float] = field(default_factory=dict)
-    """Edges of some tags by id, metres, instead of those of the plan."""
+    """Edges of some tags, metres, by id; they take precedence over the edges of the plan."""
     steady: bool | None = None
-    """True if the velocity changes little between frames that are near in time. None to assume this if most frames show
-    a single tag, or if images leave groups unconnected.
+    """True if the velocity changes little between frames that are near in time. None to assume a nearly constant
+    velocity if most frames show a single tag, or if images leave groups unconnected.
     """
 
     def __post_init__(self) -> None:
@@ -157,7 +157,7 @@ class PriorKnowledge:
         return np.unique(np.concatenate([np.empty(0, dtype=np.int64), *named]))
 
     def edges(self, ids: IntArray, tag: Tag) -> FloatArray:
-        """Edges of tags, metres: from `sizes`, or the plan or the fixed tags, else the edge of `tag`."""
+        """Edges of tags, metres: from `sizes`, else from the plan or the fixed tags, else the edge of `tag`."""
         edges = np.full(len(ids), tag.size)
         stated = [(known.ids, known.edges) for known in (self.plan, self.fixed) if known is not None]
         for known, own in (*stated, (np.array(list(self.sizes), dtype=int), np.array(list(self.sizes.values())))):
@@ -190,7 +190,7 @@ class PriorKnowledge:
 
 
 def _among(ids: IntArray, known: IntArray, values: FloatArray) -> FloatArray:
-    """Values `(K, ...)` of the tags `ids`, from values `(n, ...)` of `known` tags; NaN for other tags."""
+    """Values `(K, ...)` for the tags `ids`, from the values `(n, ...)` of the `known` tags; NaN for unknown tags."""
     found = np.full((len(ids), *values.shape[1:]), np.nan)
     _, of, own = np.intersect1d(ids, known, return_indices=True)
     found[of] = values[own]

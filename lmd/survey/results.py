@@ -36,7 +36,7 @@ TURNS = ("a quarter turn clockwise", "half a turn", "a quarter turn counter-cloc
 
 
 def _tags(poses: FloatArray, ids: IntArray, counts: IntArray, edges: FloatArray) -> Deployment:
-    """Tags with their numbers of inliers."""
+    """Deployment of tags at `poses`, with their numbers of inliers."""
     labels = Labels(ids, {SIGHTINGS: [str(count) for count in counts.tolist()]})
     places = poses[:, :3, 3]
     surveyed = Surveyed(places, places, poses[:, :3, 1])
@@ -44,15 +44,15 @@ def _tags(poses: FloatArray, ids: IntArray, counts: IntArray, edges: FloatArray)
 
 
 def map_of(survey: Survey) -> Deployment:
-    """Tags of the map as they hang, with their edges and numbers of inliers."""
+    """Tags of the map at their estimated poses, with their edges and numbers of inliers."""
     found, chosen = survey.found, survey.placed
     edges = np.array([float(f"{edge:.6g}") for edge in found.sightings.present_edges[chosen]])
     return _tags(found.poses.tags[chosen], survey.ids[chosen], survey.used[chosen], edges)
 
 
 def measured_of(survey: Survey) -> Deployment | None:
-    """Tags of the plan, in its order, at their measured poses, or at their planned poses if not placed; None without a
-    plan.
+    """Tags of the plan, in the order of the plan: at the measured poses or, if not placed, at the planned poses. None
+    without a plan.
     """
     if (plan := survey.known.plan) is None:
         return None
@@ -64,8 +64,8 @@ def measured_of(survey: Survey) -> Deployment | None:
 
 
 def map_columns(survey: Survey) -> dict[str, ArrayLike]:
-    """Columns of `map.csv`: tags; standard deviations beside the other tags, rad and metres, in the frames of the tags;
-    covariances of positions, m^2, and rotations, rad^2, in the world frame.
+    """Columns of `map.csv`: tags; standard deviations relative to the other tags, rad and metres, in the frames of the
+    tags; covariances of positions, m^2, and rotations, rad^2, in the world frame.
     """
     tags, found, placed = map_of(survey), survey.found, survey.placed
     vectors = np.hstack([tags.places, tags.normals, tags.ups])
@@ -82,7 +82,9 @@ def map_columns(survey: Survey) -> dict[str, ArrayLike]:
 
 
 def map_covariance(survey: Survey) -> tuple[IntArray, FloatArray]:
-    """Ids `(n,)`, and covariance `(6 n, 6 n)` of their twists beside the other tags, of the tags of `map.csv`."""
+    """Ids of the tags of `map.csv`, `(n,)`, and the covariance of their twists relative to the other tags, `(6 n, 6
+    n)`.
+    """
     found = survey.found
     chosen = survey.placed[found.known]
     rows = np.flatnonzero(np.repeat(chosen, 6))
@@ -90,8 +92,7 @@ def map_covariance(survey: Survey) -> tuple[IntArray, FloatArray]:
 
 
 def frame_columns(survey: Survey) -> dict[str, ArrayLike]:
-    """Columns of `frames.csv`: pose of the body, which is the first camera, in each frame, and number of tags in the
-    frame.
+    """Columns of `frames.csv`: for each frame, the pose of the body, which is the first camera, and the number of tags.
 
     Quaternions rotate the camera's frame (x right, y down, z the optical axis) to the world frame.
     """
@@ -102,7 +103,7 @@ def frame_columns(survey: Survey) -> dict[str, ArrayLike]:
 
 
 def tag_columns(survey: Survey) -> dict[str, ArrayLike]:
-    """State of every tag, its numbers of sightings, errors, and displacement from its plan.
+    """Columns for every tag: state, numbers of sightings, errors, and displacement from the planned pose.
 
     `error` is the median of the tag's reprojection errors, pixels; for `sigma` see `Estimate.sigmas`; `right`, `up` and
     `out` are metres in the tag's frame, `tilt_x`, `tilt_y` and `turn` rad about its axes.
@@ -141,7 +142,7 @@ def far_from_plan(survey: Survey) -> IntArray:
 
 
 def needing_photographs(survey: Survey) -> IntArray:
-    """Indices of the tags that need another photograph: tags not placed, tags with few inliers, and tags with a large
+    """Indices of the tags that need another photograph: tags that are not placed, have few inliers, or have a large
     sigma.
     """
     sigma, placed = survey.found.sigmas, survey.placed
@@ -153,7 +154,7 @@ def needing_photographs(survey: Survey) -> IntArray:
 def metrics(survey: Survey) -> dict[str, float]:
     """Figures by name: metres, pixels, counts.
 
-    `differs` is the expected median distance between the places of a tag in two maps from walks like this walk.
+    `differs` is the expected median distance between the positions of a tag in two maps from repeated, similar walks.
     """
     found, placed = survey.found, survey.placed
     square = 2.0 * np.trace(found.gauge_free_covariances[placed][:, 3:, 3:], axis1=1, axis2=2)
@@ -256,7 +257,7 @@ def to_text(survey: Survey) -> str:
 
 
 def _troubles(survey: Survey) -> dict[str, str]:
-    """Texts on faults and missing photographs by kind; empty for kinds that do not occur."""
+    """Sentences on faults and on missing photographs, by kind of trouble; empty for kinds that do not occur."""
     ids, times, faults, sigma = survey.ids, survey.detected.times, survey.faults, survey.found.sigmas
     unplanned = survey.placed & ~np.isin(ids, survey.known.ids) & (survey.known.plan is not None)
     worst = [f"{ids[k]} ({1e3 * sigma[k]:.2g} mm)" for k in needing_photographs(survey) if survey.placed[k]]
@@ -279,7 +280,7 @@ def _troubles(survey: Survey) -> dict[str, str]:
 
 
 def _turned(survey: Survey) -> str:
-    """Tags that are turned beside their plan, and the treatment of their turns."""
+    """Tags that are turned relative to their plan, with a sentence on the treatment of the turns."""
     turns, shown = survey.turns, survey.found.sightings.counts() > 0
     hung = np.where(turns.beside_plan, turns.beside_plan, turns.beside_sheets)
     return ". ".join(

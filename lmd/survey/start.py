@@ -1,15 +1,15 @@
-"""Initialisation: rough poses of tags and frames, one after the other.
+"""Initialisation: rough poses of tags and frames are found one after the other.
 
 A single tag has two poses in front of a camera that look alike (IPPE). A group of tags begins with the frame that shows
-the most tags whose pose is beyond doubt. Then frames that show two or more placed tags are placed, and tags that placed
-frames show, in turns. For each frame or tag, the poses that its sightings propose are tried, the likeliest pose is
-refined, and the frame or tag is placed there if enough sightings agree. When no frame or tag can be placed this way,
-the likeliest single sighting places a tag or frame. At last all tags and frames with large errors are tried again.
-Placed tags and frames are adjusted as their number grows. Tags that no frame connects with the group begin another
-group, in a world of its own.
+the most tags whose pose is beyond doubt. Then two steps alternate: frames that show two or more placed tags are placed,
+and tags that placed frames show are placed. Of the poses that the sightings of a frame or tag propose, the likeliest is
+refined, and is accepted if enough sightings agree. When no frame or tag can be placed this way, the likeliest single
+sighting places a tag or frame. At the end all tags and frames with large errors are tried again. Placed tags and frames
+are adjusted as their number grows. Tags that no frame connects with the group begin another group, in a world of its
+own.
 
 With a plan, initialisation starts with the tags at their planned poses, and is accepted if nearly all sightings agree.
-As detectors may number corners from another corner, all planned tags are tried at each of the four quarter turns.
+As detectors may begin to number at another corner, all planned tags are tried at each of the four quarter turns.
 """
 
 from dataclasses import dataclass, replace
@@ -28,14 +28,14 @@ from lmd.geometry.se3 import inverse, median_pose
 from lmd.survey.groups import join_groups
 from lmd.survey.world import into_world
 
-# Least log-likelihood ratios of the two poses of a sighting at which the better pose is beyond doubt, and is likely.
+# Minimum log-likelihood ratio of the two poses of a sighting for the better pose to be beyond doubt, and to be likely.
 BEYOND_DOUBT, LIKELY = 6.0, 1.5
 FEWEST, LEAST_SHARE = 2, 0.3  # minimum number, and share, of sightings that must agree
 # A tag or frame is tried again if the share `DISPUTED` of its sightings has squared errors above `MUCH_WORSE` medians.
 DISPUTED, MUCH_WORSE = 0.2, 25.0
 STEPS, FINAL_STEPS = 3, 8  # steps of bundle adjustment between placements, and after the last placement
 GROWN = 1.2  # growth factor of the number of placed tags and frames after which all are adjusted again
-AS_PLANNED = 0.97  # least share of sightings that must agree with an initialisation by the plan
+AS_PLANNED = 0.97  # minimum share of sightings that must agree with an initialisation from the plan
 ANCHOR_SIGMA = 1e-4  # prior standard deviation of the first tag of a group, metres and rad
 
 
@@ -46,7 +46,7 @@ class Start:
     poses: Poses
     """Rough poses, with each camera as a body of its own, see `Sightings.with_separate_cameras`."""
     group: IntArray
-    """`(K,)` group of each tag, -1 for tags that are not placed. Each group has a world of its own."""
+    """Group of each tag, `(K,)`; -1 for tags that are not placed. Each group has its own world."""
 
     def agreed(self, sightings: Sightings) -> int:
         """Number of sightings that agree with the poses."""
@@ -54,8 +54,8 @@ class Start:
         return int(agreeing(apart, squared_errors(apart, self.poses)).sum())
 
     def views(self, sightings: Sightings) -> FloatArray:
-        """Poses of each camera in each frame, `(C, F, 4, 4)`; NaN where its tags are in another group than those of the
-        first camera.
+        """Poses of each camera in each frame, `(C, F, 4, 4)`; NaN where the camera and the first camera show tags of
+        different groups.
         """
         apart, views = sightings.with_separate_cameras(), self.poses.frames.copy()
         group = np.full(len(views), -1)
@@ -72,7 +72,7 @@ def initialise(sightings: Sightings, prior: Prior) -> Start:
     """
     with threadpool_limits(limits=ONE_THREAD):
         apart = sightings.with_separate_cameras()
-        # To find unknown mounts, frames of two cameras must be placed, even by single sightings.
+        # Unknown mounts are found from frames that two cameras have, so frames must be placed even by single sightings.
         is_linked = prior.motion is not None and (sightings.cameras == 1 or prior.mounts is not None)
         placed = place_all(apart, np.where(prior.is_posed[:, None, None], prior.tags, np.nan), is_linked)
         if prior.motion is None:
@@ -84,8 +84,8 @@ def initialise(sightings: Sightings, prior: Prior) -> Start:
 
 
 def in_one_world(sightings: Sightings, start: Start, prior: Prior, origin: int | None) -> tuple[Poses, IntArray, Prior]:
-    """Initial poses of the body in the world of the prior, groups joined by motion, and the prior with the estimated
-    spread of the motion; arguments as in `into_world`.
+    """Initial poses of the body in the world of the prior, with groups joined by motion, and the prior with the
+    estimated spread of the motion; arguments as in `into_world`.
 
     Raises:
         InputError: a camera was never placed together with the first camera, or there is no world.
@@ -104,7 +104,7 @@ def _check_groups(group: IntArray) -> None:
 
 
 def _mounted(sightings: Sightings, apart: Poses, mounts: FloatArray | None) -> Poses:
-    """Poses of the body from the poses of its cameras.
+    """Poses of the body from the poses of the cameras.
 
     Args:
         sightings: sightings of the body.
@@ -134,7 +134,7 @@ class Placing:
     Args:
         sightings: sightings of one camera, see `Sightings.with_separate_cameras`.
         single: poses of the tags by single sightings.
-        is_linked: True if frames are linked by motion, so that no single sighting is trusted.
+        is_linked: True if frames are linked by motion; single sightings are then not trusted.
     """
 
     def __init__(self, sightings: Sightings, single: SinglePoses, is_linked: bool = False) -> None:
@@ -167,7 +167,9 @@ class Placing:
         while begun or self._seed():
             begun, adjusted = False, 0
             while self._grow() or (not self.is_linked and self._risk()):
-                if self._count() > GROWN * adjusted:  # adjusting each time would be quadratic in the number of frames
+                if (
+                    self._count() > GROWN * adjusted
+                ):  # an adjustment after each placement would take time quadratic in the number of frames
                     self._adjust(STEPS)
                     adjusted = self._count()
             for _ in range(2):
@@ -175,7 +177,7 @@ class Placing:
                 self._adjust(FINAL_STEPS)
 
     def _seed(self) -> bool:
-        """Begin a group with the frame that shows the most new tags with poses beyond doubt; False if there is no such
+        """Begin a group with the frame that shows the most new tags whose pose is beyond doubt; False without such a
         frame.
         """
         sightings, (tag, frame) = self.sightings, self._placed
@@ -192,12 +194,12 @@ class Placing:
         return True
 
     def _grow(self) -> bool:
-        """Place frames, then tags, on whose pose several sightings agree; False if none is placed."""
+        """Place frames, then tags, if several sightings agree on the pose; False if none is placed."""
         placed = [self.place(self.waiting(by_frame), by_frame) for by_frame in (True, False)]
         return any(placed)
 
     def _risk(self) -> bool:
-        """Place one tag, or else one frame, by the likeliest single sighting; False if no sighting is likely enough."""
+        """Place one tag, or else one frame, from the likeliest single sighting; False if none is likely enough."""
         for by_frame in (False, True):
             waiting = self.waiting(by_frame)
             best = waiting[np.argsort(-self.single.odds[waiting], kind="stable")][:1]
@@ -206,19 +208,19 @@ class Placing:
         return False
 
     def waiting(self, by_frame: bool) -> IntArray:
-        """Sightings of placed tags in frames that are not placed; if not `by_frame`, sightings of other tags in placed
-        frames.
+        """Sightings of placed tags in frames that are not placed if `by_frame`; otherwise sightings in placed frames of
+        tags that are not placed.
         """
         tag, frame = self._placed
         return np.flatnonzero(tag & ~frame if by_frame else frame & ~tag)
 
     def _retry(self) -> None:
-        """Give tags, then frames, with many large errors a better pose."""
+        """Find better poses for tags, then frames, with many large errors."""
         for by_frame in (False, True):
             owner = self.sightings.frame if by_frame else self.sightings.tag
             error = squared_errors(self.sightings, self.poses)
             known = np.isfinite(error)
-            if not known.any():  # no frame shows the tags that were placed by their plan
+            if not known.any():  # no frame shows the tags that were placed from their plan
                 return
             disagree = known & (error > MUCH_WORSE * np.median(error[known]))
             share = np.bincount(owner, disagree) / np.maximum(np.bincount(owner, known), 1)

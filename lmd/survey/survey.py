@@ -1,10 +1,10 @@
 """Survey: all steps from detections to a map of tags, in order.
 
-*Faults*: if the outliers of a tag (`Estimate.misfits`) agree on a second pose, the tag was moved or two tags have its
-id. If they do not agree, the id was misread. A tag has a wrong size if its sightings agree on another size, with all
-frames fixed.
+*Faults*: if the outliers of a tag (`Estimate.misfits`) agree on a second pose, the tag was moved, or two tags share the
+id. If the outliers do not agree, the id was misread. A tag has a wrong size if its sightings agree on another size,
+with all frames fixed.
 
-*Held-out frames* are localised by a map from the other frames, and by the plan.
+*Held-out frames* are localised in a map from the other frames, and in the plan.
 """
 
 from collections.abc import Callable, Sequence
@@ -35,11 +35,11 @@ from lmd.survey.start import Start, in_one_world, initialise
 from lmd.survey.world import Turns, errors_of_fixed, motion_to_floor, turns_of
 
 FEWEST_BELIEVED = 2  # minimum number of agreeing sightings to accept a tag without prior, as ids may be misread
-TURNING_STEPS = 3  # maximum number of initialisations; further turns may be found once other turns are known
+TURNING_STEPS = 3  # maximum number of initialisations; known turns may reveal further turns
 # With linked frames, a tag is not placed if its standard deviation relative to the others exceeds `LOOSE_M`, metres,
 # and the share `LOOSE_SHARE` of the map's extent.
 LOOSE_M, LOOSE_SHARE = 0.25, 0.01
-LOOSE_SIGMA = 1.0  # prior standard deviation, metres and rad, of fixed tags in the map used for comparison
+LOOSE_SIGMA = 1.0  # prior standard deviation, metres and rad, of fixed tags in the map with which they are compared
 HELD_OUT_STEP = 5  # every fifth frame is held out
 
 
@@ -61,11 +61,11 @@ class SurveyStage(Enum):
 
     @property
     def has_final_map(self) -> bool:
-        """True if this stage and later stages do not change the map."""
+        """True if neither this stage nor a later stage changes the map."""
         return self.has_map and self not in (SurveyStage.REFINING, SurveyStage.COMPARING)
 
 
-# Called with the stage, the number of its finished steps, and its maximum number of steps, 0 if unknown. The observer
+# Called with the stage, the number of finished steps, and the maximum number of steps, 0 if unknown. The observer
 # returns True to stop with the present map, and may raise an error if there is no map yet.
 Observer = Callable[[SurveyStage, int, int], bool]
 
@@ -74,7 +74,7 @@ class Faults(NamedTuple):
     """Faults of a survey."""
 
     second_places: list[SecondPlace]
-    """Second poses of tags that were moved or hang twice."""
+    """Second poses of tags that were moved or whose id two tags share."""
     sizes: dict[int, float]
     """Estimated edges of tags with a wrong size, metres, by id."""
     misread: IntArray
@@ -82,12 +82,12 @@ class Faults(NamedTuple):
 
 
 class HeldOut(NamedTuple):
-    """Held-out frames, localised by a map."""
+    """Held-out frames, localised in a map."""
 
     errors: FloatArray
     """`(n,)` RMS reprojection errors of the sightings in held-out frames, pixels."""
     shifts: FloatArray
-    """`(M,)` distance of each frame from its place in the whole survey, metres."""
+    """Distance of each frame from its position in the whole survey, metres, `(M,)`."""
 
 
 @dataclass(frozen=True)
@@ -101,23 +101,24 @@ class Survey:
     found: Estimate
     """Poses and covariances."""
     faults: Faults
-    """Tags that were moved, hang twice, or have a wrong size or id."""
+    """Tags that were moved, share their id, or have a wrong size or id."""
     placed: BoolArray
     """`(K,)` True for tags in the map."""
     loose: BoolArray
     """`(K,)` True for tags that are not placed because their covariance is too large."""
     localised: dict[str, HeldOut]
-    """Held-out frames by `measured` and `planned` map; empty if there are too few frames."""
+    """Held-out frames localised in the map, `measured`, and in the plan, `planned`; empty if there are too few frames.
+    """
     turns: Turns
-    """Quarter turns of tags beside their plan."""
+    """Quarter turns of tags relative to the plan."""
     off_fixed: FloatArray
     """`(K, 2)` errors of fixed tags, see `lmd.survey.world.errors_of_fixed`."""
     joined: IntArray
-    """`(K,)` group of each tag of the map as images alone connect them, if frames are linked; else -1."""
+    """Group of each tag of the map by images alone, `(K,)`, if motion links the frames; else -1."""
     doubts: tuple[str, ...] = ()
-    """Sentences on what contradicts the photographs: calibrations, mounts, the tags' edge."""
+    """Sentences on contradictions to the photographs: calibrations, mounts, the tags' edge."""
     interrupted: SurveyStage | None = None
-    """Stage at which the survey was stopped; results of later stages are missing."""
+    """Stage at which the survey was stopped early; results of later stages are missing."""
 
     @property
     def ids(self) -> IntArray:
@@ -162,8 +163,8 @@ def survey(
         observer: called at each stage, see `Observer`.
 
     Raises:
-        InputError: the detections do not connect two tags, place no tag, or belong to other tags or cameras; or fixed
-            tags contradict each other.
+        InputError: the detections connect no two tags, place no tag, or are of other tags or cameras; or fixed tags
+            contradict each other.
     """
     ids = _believed(detected, tag, known)
     seen = Observations(detected, tuple(map(Optics, cameras)), ids, known.edges(ids, tag), tag.modules, errors)
@@ -188,17 +189,17 @@ def survey(
     placed, loose = _placed(found, known)
     localised = {} if observer(SurveyStage.HOLDING_OUT, 0, 0) else _held_out(found, known.planned(ids))
     joined = np.full(len(ids), -1)
-    if found.prior.motion is not None:  # tags that no image connects with others are groups of their own
+    if found.prior.motion is not None:  # tags that images connect with no other tag form groups of their own
         own = np.where(start.group < 0, len(ids) + np.arange(len(ids)), start.group)
         joined[found.known] = np.unique(own[found.known], return_inverse=True)[1]
     return Survey(detected, known, found, faults, placed, loose, localised, turns, off_fixed, joined, tuple(doubts))
 
 
 def _believed(detected: DetectedTags, tag: Tag, known: PriorKnowledge) -> IntArray:
-    """Ids of the tags of the prior knowledge and of those that were seen twice, ascending.
+    """Ids of the tags in the prior knowledge and of the tags that were seen at least twice, ascending.
 
     Raises:
-        InputError: there is none, or an edge is given of a tag that is neither known nor seen.
+        InputError: there is no such tag, or an edge is given for a tag that is neither known nor seen.
     """
     often, counts = np.unique(detected.ids[detected.ids < tag.ids], return_counts=True)
     ids = np.union1d(known.ids, often[counts >= FEWEST_BELIEVED])
@@ -210,8 +211,9 @@ def _believed(detected: DetectedTags, tag: Tag, known: PriorKnowledge) -> IntArr
 
 
 def _started(seen: Observations, known: PriorKnowledge) -> tuple[Observations, Prior, Turns, Start, BoolArray]:
-    """Initial poses, with detections and prior after quarter turns of tags, these turns, and the mask of the tags with
-    another edge than stated, `(K,)`: those by which more sightings agree.
+    """Initial poses, detections and prior after quarter turns of tags, these turns, and the mask of the tags with
+    another edge than stated, `(K,)`. Of the stated and the estimated edges, those with which more sightings agree are
+    taken.
     """
     best = *_turned(seen, known), np.zeros(len(seen.ids), dtype=bool)
     apart = best[0].through().with_separate_cameras()
@@ -224,7 +226,7 @@ def _started(seen: Observations, known: PriorKnowledge) -> tuple[Observations, P
 
 
 def _turned(seen: Observations, known: PriorKnowledge) -> tuple[Observations, Prior, Turns, Start]:
-    """Initial poses, with detections and prior after quarter turns of tags, and these turns."""
+    """Initial poses, detections and prior after quarter turns of tags, and these turns."""
     given = replace(known.prior(seen.ids), motion=_motion(seen, known))
     turned, prior, turns = seen, given, Turns(*np.zeros((3, len(seen.ids)), dtype=np.int64))
     for _ in range(TURNING_STEPS):
@@ -256,9 +258,7 @@ def estimate_map(sightings: Sightings, prior: Prior, origin: int | None = None, 
 
 
 def _estimate(seen: Observations, prior: Prior, known: PriorKnowledge, start: Start) -> Estimate:
-    """Estimate the map; groups that images leave unconnected are joined by a nearly constant velocity where
-    possible.
-    """
+    """Estimate the map; where possible, a nearly constant velocity joins groups that images leave unconnected."""
     sightings = seen.through()
     found = estimate_map(sightings, prior, known.origin, start)
     motion = _steady(seen, known) if prior.motion is None and (found.group > 0).any() else None
@@ -278,14 +278,14 @@ def _motion(seen: Observations, known: PriorKnowledge) -> Motion | None:
 
 
 def _steady(seen: Observations, known: PriorKnowledge) -> Motion | None:
-    """Nearly constant velocity; None if the user rules it out, or if no frames are near in time."""
+    """Motion at a nearly constant velocity; None if the user rules it out, or if no frames are near in time."""
     motion = Motion(seconds_of(seen.detected.times))
     near = np.isfinite(motion.times).all() and motion.follows(np.unique(seen.through().frame)).any()
     return motion if near and known.steady is not False else None
 
 
 def without_faults(found: Estimate, odd: BoolArray) -> tuple[Estimate, Faults]:
-    """Estimate with corrected sizes and the later pose of each tag that was moved, and all faults.
+    """Estimate with corrected sizes and the later poses of moved tags, and all faults.
 
     Args:
         found: estimate.
@@ -306,7 +306,7 @@ def without_faults(found: Estimate, odd: BoolArray) -> tuple[Estimate, Faults]:
 
 
 def _off_fixed(found: Estimate, start: Start) -> FloatArray:
-    """Errors of fixed tags, see `errors_of_fixed`, from a map in which they are hardly known."""
+    """Errors of fixed tags, see `errors_of_fixed`, from a map with a very loose prior of these tags."""
     known = found.prior.exact & (found.group == 0)
     if known.sum() < 2:
         return np.full((len(known), 2), np.nan)
@@ -341,9 +341,7 @@ def _placed(found: Estimate, known: PriorKnowledge) -> tuple[BoolArray, BoolArra
 
 
 def _held_out(found: Estimate, planned: FloatArray) -> dict[str, HeldOut]:
-    """Hold every fifth frame out, and localise it by the map made from the other frames, and by the `planned` poses of
-    tags, `(K, 4, 4)`.
-    """
+    """Localise every fifth frame in a map from the other frames, and by the `planned` poses of tags, `(K, 4, 4)`."""
     if len(found.frames) < FEWEST_FRAMES:
         return {}
     every, result = found.sightings, {}

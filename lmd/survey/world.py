@@ -1,14 +1,14 @@
-"""The world of a map: prior poses or tags on the floor define it; and tags beside their prior poses.
+"""World frame of a map, defined by prior poses or by tags on the floor; and comparison of tags with their prior poses.
 
 Sightings alone do not determine the world frame. Exactly known tags, a plan, measured centres, the floor or one tag
 determine it.
 
-*Turns*: OpenCV numbers the corners of an AprilTag from the bottom right. A tag then seems to hang upside down, and its
-pose is off by half a turn about its normal. Centres and normals do not depend on the order of corners, so they align
-the map with the plan. If a tag still differs from its plan by quarter turns, it hangs turned, or its corners are in
-another order.
+*Turns*: OpenCV numbers the corners of an AprilTag from the bottom right. Such a tag seems to hang upside down: its pose
+is off by half a turn about the normal. Centres and normals do not depend on the order of corners, so they align the map
+with the plan. If a tag still differs from its plan by quarter turns, it hangs turned, or its corners are in another
+order.
 
-*Fixed tags* are compared with a map in which their poses are not fixed.
+*Fixed tags* are compared with a map in which the poses of these tags are not fixed.
 """
 
 from dataclasses import replace
@@ -26,7 +26,7 @@ from lmd.geometry.se3 import angle_between, inverse, pose_of, rigid_alignment
 from lmd.survey.knowledge import FEWEST_POINTS, are_in_line
 
 LEVEL_TOLERANCE = 1e-3  # two directions count as parallel if the sine of their angle is smaller
-# A tag gets a turn if it is nearer to its planned centre than NEAR, metres, and if its angles to the planned normal and
+# A tag gets a turn if it is nearer to the planned centre than NEAR, metres, and if the angles to the planned normal and
 # to a multiple of 90 degrees are below FACING and IN_QUARTERS, rad. LEAST_SHARE is the minimum share of tags of a group
 # that are NEAR; below it no tag of the group gets a turn.
 NEAR, FACING, IN_QUARTERS, LEAST_SHARE = 0.3, 0.5, 0.35, 0.5
@@ -37,7 +37,7 @@ SIGMAS, OFF, MOST = 5.0, (0.001, 0.02), (0.02, 0.15)
 
 def motion_to_prior(tags: FloatArray, prior: Prior) -> FloatArray | None:
     """Motion `(4, 4)` from the world of `tags` `(K, 4, 4)` to the world of the prior; None if the prior does not
-    determine it.
+    determine the motion.
 
     The fit uses centres and normals of the exactly known tags, or else of all tags with known orientation. If these
     tags determine no rotation, each tag proposes the motion to its expected pose, and the motion with the least loss is
@@ -64,8 +64,8 @@ def motion_to_prior(tags: FloatArray, prior: Prior) -> FloatArray | None:
 def into_world(
     sightings: Sightings, poses: Poses, group: IntArray, prior: Prior, origin: int | None
 ) -> tuple[Poses, IntArray, Prior]:
-    """Move all groups that the prior places into the world of the prior, as group 0; other groups keep their worlds, as
-    1, 2, ...
+    """Move all groups that the prior places into the world of the prior, as group 0; other groups keep their worlds,
+    and are numbered 1, 2, ...
 
     Args:
         sightings: sightings of the tags.
@@ -99,7 +99,7 @@ def into_world(
         if (motion := motions[g]) is not None:
             tags[group == g], frames[owner == g] = motion @ tags[group == g], motion @ frames[owner == g]
     frames[(owner < 0) | (number[owner] != 0)] = np.nan
-    # Tags with only a known centre need an orientation, as the derivative of a centre by a twist depends on it.
+    # Tags with only a known centre need an orientation, on which the derivative of the centre by a twist depends.
     only, expected = ~prior.is_posed & prior.known & np.isfinite(tags[:, 0, 0]), prior.tags.copy()
     expected[only, :3, :3] = tags[only, :3, :3]
     return Poses(tags, frames, poses.mounts), number[group], replace(prior, tags=expected)
@@ -116,7 +116,7 @@ def motion_to_floor(tags: FloatArray, floor: IntArray, origin: int) -> FloatArra
         origin: index of a tag.
 
     Raises:
-        InputError: fewer than three tags of the floor have a pose, or they lie in a line.
+        InputError: fewer than three tags of the floor have a pose, or these tags are collinear.
     """
     places = tags[floor, :3, 3]
     if len(floor) < FEWEST_POINTS or not np.isfinite(places).all():
@@ -126,7 +126,7 @@ def motion_to_floor(tags: FloatArray, floor: IntArray, origin: int) -> FloatArra
     axes = np.linalg.svd(places - places.mean(axis=0))[2]
     up = axes[2] * np.sign((tags[floor, :3, 2] @ axes[2]).sum())
     ahead = np.cross(up, tags[origin, :3, 0])
-    if np.linalg.norm(ahead) < LEVEL_TOLERANCE:  # the right of the tag points up
+    if np.linalg.norm(ahead) < LEVEL_TOLERANCE:  # the tag's x axis is vertical
         ahead = np.cross(up, tags[origin, :3, 1])
     ahead /= np.linalg.norm(ahead)
     turn = np.stack([np.cross(ahead, up), ahead, up])
@@ -135,7 +135,7 @@ def motion_to_floor(tags: FloatArray, floor: IntArray, origin: int) -> FloatArra
 
 
 class Turns(NamedTuple):
-    """Turns of K tags, in quarters, clockwise as seen by the viewer, `(K,)` each."""
+    """Turns of K tags, `(K,)` each: numbers of quarter turns, clockwise as seen by the viewer."""
 
     renumbered: IntArray
     """Turns by which the corners of detections are renumbered."""
@@ -145,7 +145,7 @@ class Turns(NamedTuple):
     """Turns of the tags from their poses on sheets; 0 if unknown."""
 
     def applied(self, prior: Prior) -> Prior:
-        """Prior of tags that hang turned."""
+        """Prior after the turns: the prior of tags that hang turned is turned."""
         sheets = prior.sheets
         if sheets is not None:
             sheets = replace(sheets, poses=sheets.poses @ QUARTERS[self.beside_sheets[sheets.tag]])
@@ -153,10 +153,10 @@ class Turns(NamedTuple):
 
 
 def turns_of(tags: FloatArray, group: IntArray, prior: Prior, in_order: bool) -> Turns:
-    """Turns of tags from their prior poses.
+    """Quarter turns of tags from their prior poses.
 
-    A turn that most tags share is attributed to the order of the corners, unless the order is known. Exactly known tags
-    are assumed to hang as in the prior.
+    A turn that most tags share is attributed to the order of the corners, unless the order of the corners is known.
+    Exactly known tags are assumed to hang as in the prior.
 
     Args:
         tags: rough poses, `(K, 4, 4)`.
@@ -200,15 +200,14 @@ def _quarters(tags: FloatArray, planned: FloatArray, group: IntArray) -> IntArra
 
 
 def errors_of_fixed(found: Estimate, free: Estimate) -> FloatArray:
-    """Distance and rotation of each fixed tag from its pose in a map that the photographs and the other fixed tags
-    give.
+    """Errors of fixed tags: distance and rotation from the pose in a map from the photographs and the other fixed tags.
 
     Args:
         found: estimate with fixed tags.
-        free: estimate in which they are not fixed.
+        free: estimate in which these tags are not fixed.
 
     Returns:
-        metres and rad, `(K, 2)`; NaN for tags that are not fixed, or whose error is insignificant.
+        errors, metres and rad, `(K, 2)`; NaN for tags that are not fixed, or whose error is insignificant.
 
     Raises:
         InputError: a fixed tag is farther off than errors of measurement explain.
@@ -221,7 +220,7 @@ def errors_of_fixed(found: Estimate, free: Estimate) -> FloatArray:
     moved = motion @ here
     between = np.stack([np.linalg.norm((moved - there)[:, :3, 3], axis=1), angle_between(moved, there)], axis=1)
     off[own] = np.where(between > np.maximum(SIGMAS * sigma[own], OFF), between, np.nan)
-    # A tag with few sightings may be wrong in the map without fixed tags; then its sightings fit the fixed pose.
+    # In the map without fixed tags, a tag with few sightings may be wrong; then the sightings still fit the fixed pose.
     fits = found.sightings.counts(found.used) > found.sightings.counts() / 2
     off[fits & (off > MOST).any(axis=1)] = np.nan
     ratio = np.nan_to_num(off) / MOST
