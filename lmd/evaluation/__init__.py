@@ -14,10 +14,10 @@ class Study(Protocol):
 
     @property
     def tables(self) -> "Mapping[str, pd.DataFrame | Mapping[str, ArrayLike]]":
-        """Tables by name, each with its columns by name; an index is not a column."""
+        """Tables keyed by name, each with named columns; the index of a DataFrame is not one of its columns."""
 
     def metrics(self) -> dict[str, float]:
-        """Finite figures by name."""
+        """Figures with finite values, keyed by name."""
 
     def to_text(self) -> str:
         """Text for a terminal."""

@@ -28,7 +28,7 @@ K_s max_j g_js; each maximum is sought where a tag of that size may hang.
 
 A localised view covers n landmarks, so the bounds also hold for `Localisation`, although they ignore its tolerance.
 
-Upper bound on a selection of landmarks by submodularity, and the value of the greedy choice.
+A second upper bound, by submodularity, holds for a selection of landmarks, and is compared with the greedy choice.
 
 Greedy selection maximises f, the `selection` of an objective, which is monotone and submodular in the landmarks without
 occlusion. So for *any* set S the best K poses of a grid, each taken once, reach at most
@@ -77,7 +77,7 @@ MULTIPLIERS_SHARE = 0.3  # share of the time for the multipliers
 
 @dataclass(frozen=True)
 class Search(Checked):
-    """Effort to improve a bound.
+    """Limits of the effort to improve a bound.
 
     Raises:
         InputError: a number is out of range.
@@ -244,7 +244,7 @@ GUARANTEE, GUARANTEE_OF_SIZES = 1.0 - np.exp(-1.0), 0.5
 
 @dataclass(frozen=True)
 class SelectionBound:
-    """Bound on the selection of an objective; values are relative to the value with the fixed landmarks alone."""
+    """Bound on the selection of an objective; all values are gains over the fixed landmarks alone."""
 
     label: str
     """Name of the selection."""

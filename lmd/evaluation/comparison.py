@@ -58,13 +58,13 @@ class Comparison:
     targets: tuple[float, ...]
     """Quartiles of the final fitness of all runs; column `evaluations_to_<i>` belongs to quartile i, from 1 on."""
     reference: str
-    """Optimiser with which effect sizes and p-values of the table compare."""
+    """Optimiser with which the effect sizes and P-values of the table compare the others."""
     test: str
     """Name of the test of the p-values, and the least p that the seeds allow, two paragraphs in Markdown; empty without
     a test.
     """
     pairs: pd.DataFrame | None
-    """P-values of every two optimisers; None if each optimiser was tested only against the reference."""
+    """P-values of every pair of optimisers; None if each optimiser was tested only against the reference."""
 
 
 def by_optimiser(runs: Sequence[OptimiserRun], key: str) -> dict[str, list[OptimiserRun]]:
@@ -140,7 +140,7 @@ def _against(figures: pd.DataFrame, reference: str) -> tuple[pd.Series, str]:
 
 
 def _all_against_all(complete: pd.DataFrame, reference: str) -> tuple[pd.DataFrame, str]:
-    """P-values of every two columns, and the sentence that names the test."""
+    """P-values of every pair of columns, and the sentence that names the test."""
     names, values = list(complete), complete.to_numpy()
     test = (
         f"p: Nemenyi's test against {as_code(reference)} on the mean ranks over the {len(values)} seeds that all have "
@@ -153,11 +153,11 @@ def _all_against_all(complete: pd.DataFrame, reference: str) -> tuple[pd.DataFra
 
 
 def attainable(least: Callable[[int], float], seeds: int) -> str:
-    """Sentence on the differences that a number of seeds can show.
+    """Sentence on the least P-value that a number of seeds can reach.
 
     Args:
-        least: least P-value of the test, after its correction, for a number of seeds: that of runs that agree in each
-            seed; NaN for too few seeds.
+        least: function that returns the least corrected P-value of the test for a number of seeds, reached if the runs
+            agree in each seed; NaN for too few seeds.
         seeds: number of seeds.
     """
     lowest, runs = least(seeds), f"With {seeds} seed{'s' * (seeds != 1)}"
@@ -207,7 +207,7 @@ def expected_running_time(runs: Sequence[OptimiserRun], fitness: float) -> float
 
 
 class HasHistory(Protocol):
-    """A search with its records."""
+    """Interface of searches with a history."""
 
     @property
     def history(self) -> Sequence[Record]:
@@ -232,7 +232,7 @@ def curve_targets(runs: Sequence[OptimiserRun]) -> FloatArray:
 
 
 def attained(runs: Sequence[OptimiserRun], axis: str, at: FloatArray, targets: FloatArray) -> FloatArray:
-    """Share of all runs and targets `(T,)` reached at `at` `(N,)`, an empirical distribution function, `(N,)`."""
+    """Share of the pairs of a run and one of the `targets` `(T,)` that are reached at `at` `(N,)`, an ECDF `(N,)`."""
     share: FloatArray = (best_at(runs, axis, at)[:, :, None] >= targets).mean(axis=(0, 2))
     return share
 

@@ -1,4 +1,4 @@
-"""Deployments before real detectors: rendered images from random poses, beside what the visibility model predicts."""
+"""Deployments tested with real detectors in images rendered from random poses, beside the model's predictions."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -35,7 +35,7 @@ Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]
 
 @dataclass(frozen=True)
 class Rendered:
-    """Deployment, its prediction in random poses, and the detectors of its images."""
+    """Deployment, its predicted sightings in random poses, and the detectors that read its images."""
 
     problem: Problem
     """Problem of the deployment."""
@@ -88,7 +88,7 @@ class Rendered:
         return cls(problem, Prediction(tuple(parts), scene.extrinsics, poses), detectors)
 
     def nudged(self, position: float, attitude: float, seed: int) -> "Rendered":
-        """The subject from poses that are moved at random, with standard deviations in metres and rad."""
+        """Copy with randomly displaced poses; `position` and `attitude` are standard deviations, metres and rad."""
         return replace(self, prediction=self.prediction.moved(nudged(self.prediction.poses, position, attitude, seed)))
 
 
@@ -104,17 +104,17 @@ class Frames(NamedTuple):
 
 
 def look(job: Frames) -> dict[str, Matches]:
-    """Render and read frames; returns the detections by the name of the detector."""
+    """Render and read frames; return the detections, keyed by the name of the detector."""
     return detect_in_frames(job.renderer, job.detectors, job.poses, job.first, job.seed, job.people)
 
 
 def sightings(subjects: Mapping[str, Rendered], seed: int, each: Each) -> dict[str, dict[str, Matches]]:
-    """Detections by the names of subject and detector.
+    """Detections, keyed by the name of the subject, then of the detector.
 
     Args:
         subjects: subjects by name.
         seed: seed of the noise.
-        each: function that applies a function to each of some jobs, in their order.
+        each: function such as `map`, which applies a function to each job, in the order of the jobs.
     """
     jobs = {}
     for name, subject in subjects.items():
@@ -142,9 +142,9 @@ class DetectionStudy:
     subjects: Mapping[str, Rendered]
     """Subjects by name."""
     seen: Mapping[str, Mapping[str, Matches]]
-    """Detections by the names of subject and detector."""
+    """Detections, keyed by the name of the subject, then of the detector."""
     again: Mapping[str, Mapping[str, Matches]] | None = None
-    """Detections from poses that were moved a little; None without any."""
+    """Detections from slightly displaced poses; None if there are no such images."""
 
     @cached_property
     def tables(self) -> "dict[str, pd.DataFrame]":

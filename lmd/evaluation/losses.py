@@ -1,4 +1,4 @@
-"""Losses of fitness on removal of each tag, of each pair of tags, and of more and more tags."""
+"""Loss of fitness without each tag, without each pair of tags, and as tags are removed one by one."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -63,7 +63,7 @@ class Losses:
 
     @property
     def harmful(self) -> dict[int, float]:
-        """Gain of fitness without each landmark that lowers it, by id, the largest gain first."""
+        """Gain of fitness by removing each landmark that lowers it, keyed by id, the largest gain first."""
         gained = np.diagonal(self.without) - self.fitness
         worst = np.argsort(-gained, kind="stable")
         return {int(self.ids[i]): float(gained[i]) for i in worst if gained[i] > FITNESS_ROUNDING}
@@ -79,7 +79,7 @@ class Losses:
         }
 
     def to_text(self) -> str:
-        """Text for a terminal: tags with the largest losses, tags that may go, idle tags, and tags that hurt."""
+        """Text for a terminal: tags with the largest losses, tags that can be spared, idle tags, and harmful tags."""
         table = self.table
         dearest = [row for row in zip(table["id"], table["fitness_loss"], strict=True) if row[1] > FITNESS_ROUNDING]
         going = zip(self.ids[self.order], self.left, strict=True)
@@ -98,7 +98,7 @@ def _listed(tags: Iterable[tuple[int, float]]) -> str:
 
 
 def losses(problem: Problem, deployment: Deployment) -> Losses:
-    """Measure the fitness without each landmark, without each pair, and with fewer and fewer landmarks.
+    """Measure the fitness without each landmark, without each pair, and as landmarks are removed one by one.
 
     Args:
         problem: problem whose objective has a field.

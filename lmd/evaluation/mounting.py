@@ -214,7 +214,7 @@ def _figures(problem: Problem, deployments: list[Deployment], seed: int, sample:
 def off_grid_figures(problem: Problem, deployments: list[Deployment], seed: int, sample: Sample) -> "pd.DataFrame":
     """Shares of the objective off the grid, a row for each deployment of K landmarks.
 
-    They are of one sample of random positions, or, of an objective that validates itself, its own.
+    They are means over one sample of random positions; an objective that validates itself computes its own shares.
     """
     import pandas as pd
 
@@ -236,8 +236,8 @@ MEASURED_STREAM = 0x737572766579  # separates the random numbers of the noise fr
 def read_measured(path: str | Path, problem: Problem, plan: Deployment, **table: Any) -> Deployment:
     """Read the measured places of the tags of a plan, in its order and with its labels.
 
-    Measured places are not corrected: tags need not be flush, and papers may seem to overlap. Tags may be anywhere if
-    the plan is free (`FileDeployment.free`).
+    Measured places are not corrected: tags need not be flush, and footprints may seem to overlap. Tags may be anywhere
+    if the plan is free (`FileDeployment.free`).
 
     Args:
         path: CSV with the columns of a plan, or a tag map.

@@ -6,8 +6,8 @@ localising to the tolerance, and the mean of P_n, the probability of covering n 
 
 All figures use the same poses: the landmarks in each image are found once, then some are removed.
 
-For a single camera, `lmd.evaluation.sensitivity` computes these figures with the bit sets of a compiled field, and the
-mean of P_n exactly. For a rig, a random draw decides which landmarks are missed.
+For a single camera, the figures come from the bit sets of a compiled field, and the mean of P_n is exact. For a rig, a
+random draw decides which landmarks are missed.
 """
 
 from collections.abc import Sequence
@@ -45,7 +45,7 @@ from lmd.sight.kernels import PROBABILITY_ONE
 
 @dataclass(frozen=True)
 class RigMoments:
-    """Moments of an evaluator over a deployment, and the conditions under which a moment is localised."""
+    """Moments of an evaluator (position and orientation of a rig), and the conditions under which one is localised."""
 
     evaluator: Evaluator
     """Evaluator of a rig."""

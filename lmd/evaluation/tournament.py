@@ -3,7 +3,7 @@
 Sources: Demsar, "Statistical Comparisons of Classifiers over Multiple Data Sets" (2006): a problem is a row, its value
 the median over seeds; Dolan and More, "Benchmarking Optimization Software with Performance Profiles" (2002).
 
-Runs in the format of IOHprofiler, which IOHanalyzer and iohinspector read.
+Runs are also written in the format of IOHprofiler, which IOHanalyzer and iohinspector read.
 
 A folder for each optimiser holds `IOHprofiler_f<id>_<problem>.json` and the records of all seeds in
 `data_f<id>_<problem>/IOHprofiler_f<id>_DIM<d>.dat`. Evaluations are whole numbers there: a part counts as one.
@@ -116,12 +116,12 @@ class Tournament:
     friedman: float
     """P-value of Friedman's test that all optimisers are alike; NaN for fewer than three optimisers or two problems."""
     nemenyi: pd.DataFrame
-    """P-values of Nemenyi's test of every two optimisers."""
+    """P-values of Nemenyi's test of every pair of optimisers."""
     critical: float
     """Difference of two mean ranks that is significant at `SIGNIFICANCE`; NaN without complete problems."""
     leads: Mapping[str, float]
-    """P-value by problem that the first optimiser and the second are alike over the seeds, by the test of Mann and
-    Whitney; NaN for a single optimiser or seed.
+    """P-value, keyed by problem, that the two best optimisers are alike over the seeds (test of Mann and Whitney); NaN
+    for a single optimiser or seed.
     """
     limit: str
     """Sentence on the differences that the number of seeds can show by that test."""
@@ -158,7 +158,7 @@ def tournament(runs: Sequence[OptimiserRun], key: str) -> Tournament:
 
 
 def _lead(own: pd.DataFrame) -> float:
-    """P-value of the two optimisers of a problem with the greatest medians."""
+    """P-value that the two optimisers with the greatest medians on a problem are alike."""
     medians = own.groupby("name").y.median().sort_values(ascending=False, kind="stable")
     best = [own.y[own.name == name] for name in medians.index[:2]]
     return mann_whitney(*best) if len(best) == 2 else np.nan
@@ -179,7 +179,7 @@ def rank_correlation(one: pd.Series, other: pd.Series) -> float:
 
 
 def running_time_ratios(runs: Sequence[OptimiserRun], best: Mapping[str, float]) -> pd.DataFrame:
-    """Expected running times to `TARGET_SHARE` of the best value known, over the shortest of a problem.
+    """Expected running times to `TARGET_SHARE` of the best known value, divided by the shortest one of the problem.
 
     Args:
         runs: runs of all optimisers.

@@ -38,7 +38,7 @@ VIEW_BYTES = 2000  # memory of a view, bytes
 AUTO, OBJECTIVE, RENDERED = "auto", "objective", "rendered"
 CORNERS = (AUTO, OBJECTIVE, RENDERED, *CORNER_ERRORS)
 ALSO = {"wpilib": "apriltag_decimate2"}  # detectors of the visibility model with the corner errors of another one
-LESS = 1.0 - 1e-3  # greatest ratio of two standard deviations of which the first counts as less
+LESS = 1.0 - 1e-3  # a standard deviation is less than another only if their ratio is below this
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class UncertaintyStudy(Checked):
     corners: Annotated[str, partial(choice, options=CORNERS)] = AUTO
     """Noise of corners: a detector in `CORNER_ERRORS`, by pitch, as measured with another camera; `objective` for its
     constant `pixel_noise`; `rendered` for the errors of the visibility model's detector in rendered images of the
-    deployment; `auto` for `rendered` where it can be had, else for the table of that detector, or `objective` if its
+    deployment; `auto` for `rendered` where that is possible, else for the table of that detector, or `objective` if its
     corner errors are unknown.
     """
     shift: NotNegative | None = None
@@ -78,7 +78,7 @@ class UncertaintyStudy(Checked):
         return name if name in CORNER_ERRORS else OBJECTIVE
 
     def errors(self, problem: Problem, deployment: Deployment, seed: int) -> tuple[TagErrors, str]:
-        """Errors of tags whose places in the map are exact; and their origin.
+        """Errors of the corners of tags with exact places in the map, and the origin of these errors.
 
         Raises:
             InputError: corners must be measured in rendered images, but the detector is unknown or finds too few.

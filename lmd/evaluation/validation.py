@@ -46,7 +46,7 @@ VALIDATION_STREAM = 0x76616C
 FINER = "on a finer grid"  # label of the figure on the finer grid, in objectives that have one
 # Least number of positions in each crowd state of a group.
 POSITIONS_IN_A_STATE = 256
-# Criteria without a compiled half are evaluated at as many positions as take some seconds: the work is counted, as the
+# Criteria without a compiled half are evaluated for a few seconds, at fewer positions: the work is counted, as the
 # time would depend on the machine. A unit is a pair of an orientation and a landmark; a call of `covered` costs more.
 MOST_WORK, CALL_WORK = 10**8, 5000
 FINEST_OF_A_RIG = 8  # largest `divisions` for a rig with such criteria, which take a call for each orientation
@@ -168,7 +168,7 @@ def sampled_values(
 
 
 def affordable_positions(scene: Scene, count: int) -> float:
-    """Number of positions at which `count` landmarks are evaluated in some seconds; infinite with a compiled half.
+    """Number of positions at which `count` landmarks are evaluated in a few seconds; infinite with a compiled half.
 
     Evaluations with a crowd take as much longer as there are states.
     """

@@ -28,7 +28,7 @@ class Explained(Protocol):
     def verdicts(
         self, camera: Any, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
     ) -> Mapping[str, BoolArray]:
-        """Verdicts of each criterion by itself, `(A, K)`, by the name of the criterion; args as in `covered`."""
+        """Verdicts `(A, K)` of each criterion by itself, keyed by the name of the criterion; args as in `covered`."""
 
     def limits_for(self, camera: Camera) -> Mapping[str, str]:
         """Limits of the criteria for a camera, in a few words each, by name."""

@@ -316,7 +316,7 @@ def turns(reachable: Any, was: Any, now: Any) -> Any:
 
 @inner
 def _touch_flips(state: Any, scratch: Any) -> None:
-    """Mark the positions from which another landmark appears or disappears as `TOUCHED`."""
+    """Mark as `TOUCHED` the positions from which another landmark appears or disappears."""
     hidden, reachable, changes = state.hides[HIDDEN], state.reachable, scratch.changes[HIDDEN]
     for e in range(scratch.numbers[PAIR_COUNT]):
         i, p = np.uint64(scratch.pairs[LANDMARK, e]), np.uint64(scratch.pairs[POSITION, e])

@@ -32,11 +32,11 @@ class Field(Protocol):
 
     @property
     def size(self) -> int:
-        """Number Q of positions of the field, at least P: some positions are copies."""
+        """Number Q of positions of the field; Q >= P, as some positions are copies."""
 
     @property
     def index_of(self) -> Any:
-        """`(P,)` index in the field of each position of the evaluator."""
+        """`(P,)`: for each position of the evaluator, its index among the positions of the field."""
 
     def state(self, deployment: Deployment) -> Any:
         """State of a deployment."""

@@ -17,7 +17,8 @@ Only blocks of positions within the horizon of both landmarks are searched, in t
 
 A camera is treated as a mount group with one centre, the position itself, and the radius 0.
 
-Blocks of positions within the horizon of the old place of a landmark or of the place tried.
+A second task is to list the blocks of positions within the horizon of the old place of a landmark or of the place
+tried.
 
 A trial works in these blocks alone: from other positions neither place is visible, and neither affects another
 landmark. Each trial clears the entries that the previous trial wrote, so no loop runs over the whole room.

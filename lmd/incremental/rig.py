@@ -90,7 +90,7 @@ def _clear_views(scratch: Any) -> None:
 
 @allocating
 def _find_covered(k: Integer, group: Any, positions: FloatArray, body: FloatArray, scratch: Any, rig: Any) -> None:
-    """Write the orientations among `ASKED` that cover the place tried into `COVERED`, and add them to `FRESH`.
+    """Write into `COVERED` the orientations among `ASKED` that cover the place tried, and add them to `FRESH`.
 
     `OCCLUDED` is cleared.
 
@@ -187,7 +187,7 @@ def _see(state: Any, k: Integer, positions: np.ndarray, field: Any, scratch: Any
 
 @inner
 def list_near(scratch: Any, all_of_them: bool) -> Any:
-    """List positions near the old place and the place tried in `LISTED`; returns their number.
+    """Write into `LISTED` the positions near the old place and the place tried; return their number.
 
     With `all_of_them` all these positions are listed, else the positions that are touched or have orientations in
     `ASKED`.

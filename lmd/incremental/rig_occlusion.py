@@ -43,7 +43,7 @@ def _hidden_bits(
 def _drop_hidden(
     group: Any, c: Integer, i: Integer, k: Integer, q: Integer, body: Vector, state: Any, flipped: Any
 ) -> None:
-    """Remove the orientations with which a landmark other than k hides landmark i at position q from `flipped`."""
+    """Remove from `flipped` the orientations with which a landmark other than k hides landmark i at position q."""
     other, width = pose_of(i, state), line_radius(group.sight)
     offset = minus3(other[0], plus3(body, row3(group.centres, c)))
     for j in range(np.uint64(len(state.surfaces))):
@@ -60,7 +60,7 @@ def _drop_hidden(
 def _find_pair(
     groups: Any, near: Any, q: Integer, body: Vector, place: Any, role: Any, state: Any, scratch: Any
 ) -> None:
-    """Record the orientations with which landmark k at a `place` hides landmark i at position q in `flipped`."""
+    """Record in `flipped` the orientations with which landmark k at a `place` hides landmark i at position q."""
     (group, mine, other), (c, _, i, k, _) = groups, near
     pose, changed, covered, occluded = pose_of(i, state), False, mine[COVERED], mine[OCCLUDED]
     for m in range(group.mounts[c], group.mounts[c + 1]):
@@ -103,9 +103,7 @@ def _note_neighbour(state: Any, groups: Any, near: Any, role: Any, place: Any, f
 
 @inner
 def find_occluded(k: Integer, group: Any, field: Any, state: Any, scratch: Any) -> None:
-    """Write the orientations of `COVERED` and `ASKED` with which other landmarks hide the place tried into
-    `OCCLUDED`.
-    """
+    """Write into `OCCLUDED` the orientations in `COVERED` and `ASKED` with which others hide the place tried."""
     other, size, body = scratch.groups[group.number], np.uint64(len(scratch.units)), field.positions
     asked, tried_covered, tried_occluded = scratch.sets[ASKED], other.sets[COVERED], other.sets[OCCLUDED]
     place = target_of(scratch)

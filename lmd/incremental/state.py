@@ -102,7 +102,7 @@ TOUCHED_COUNT = 4  # number of positions in `TOUCHED_LIST`
 AIMED = 0  # by block: True within the horizon of the place tried
 WANTED = 1  # by block: True if the block is searched for neighbours of the old place
 TOUCHED = 2  # by position: True if another landmark appears or disappears, or hides the place tried
-REACHED = 3  # by position: True if some orientation covers the place tried, occlusion ignored; camera only
+REACHED = 3  # by position: True if some orientation covers the place tried, occlusion ignored; not for rigs
 
 # Rows of `Scratch.lists`.
 LISTED = 0  # positions to work on
@@ -110,8 +110,8 @@ BLOCKS = 1  # blocks of positions within the horizon of the old place or of the 
 FIRST, LAST = 2, 3  # contiguous spans of positions of these blocks: first position, and one past the last
 OTHERS = 4  # landmarks within the horizon of a place
 TOUCHED_LIST = 5  # positions that are `TOUCHED`
-VISIBLE = 6  # by position: a word of ones if the landmark is seen at its old place, else 0; camera only
-UNSURE, PLACES = 7, 8  # sets of axes to be tested, and position and word of each, p << HALF | w; camera only
+VISIBLE = 6  # by position: a word with all bits set if the landmark is seen at its old place, else 0; not for rigs
+UNSURE, PLACES = 7, 8  # sets of axes to be tested, and position and word of each, p << HALF | w; not for rigs
 
 # Rows of `Scratch.sets`.
 FRESH = 0  # orientations among `ASKED` that cover the place tried; for a camera, occlusion is ignored

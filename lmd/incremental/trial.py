@@ -18,7 +18,7 @@ differ: `lmd.incremental.camera` and `lmd.incremental.rig` register versions for
 depend on the position alone for a camera, and also on the orientation for a rig. Treating a camera as a rig with one
 mount would be slower: 1.3 to 1.8 times for a trial, and 1.9 to 2.7 times for a move that is carried out.
 
-Moves of single landmarks that are carried out: counts and P_n are updated instead of recomputed.
+When a move is carried out, counts and P_n are updated instead of recomputed.
 
 A state has the data of the old place, and a scratch has the data of the place tried. `carry_out` finds all axes that
 cover the place tried, then exchanges the data of state and scratch, P_n included. A second exchange undoes the move.
@@ -69,7 +69,7 @@ def turned(state: Any, i: Integer, p: Integer, w: Integer, scratch: Any) -> Any:
 
 @dispatched_call
 def find_pairs(state: Any, k: Integer, role: Any, field: Any, scratch: Any) -> None:
-    """Find the pairs of another landmark and a position that are affected by landmark k; `role` names the place."""
+    """Find the pairs (another landmark, a position) that landmark k affects at the place with a `role`."""
 
 
 @dispatched_call
@@ -83,7 +83,7 @@ def bound_views(state: Any, k: Integer, field: Any, scratch: Any) -> Any:
 
 @dispatched_call
 def see(state: Any, k: Integer, positions: np.ndarray, field: Any, scratch: Any) -> None:
-    """Write the orientations among `ASKED` that cover landmark k at the place tried into `FRESH`."""
+    """Write into `FRESH` the orientations among `ASKED` that cover landmark k at the place tried."""
 
 
 @dispatched
@@ -93,7 +93,7 @@ def fresh_of(scratch: Any, p: Integer, w: Integer) -> Any:
 
 @dispatched_call
 def list_changing(state: Any, k: Integer, scratch: Any) -> Any:
-    """List the positions that a move of landmark k may affect in `LISTED`.
+    """Write into `LISTED` the positions that a move of landmark k may affect.
 
     Returns:
         number of positions.
@@ -154,7 +154,7 @@ def begin_move(k: Integer, pose: Any, surface: Integer, field: Any, state: Any, 
 
 @inner
 def _count_others(k: Integer, state: Any, scratch: Any) -> None:
-    """Count the landmarks other than k at touched positions in `digits`, with the occlusion of the pairs after the
+    """Count into `digits` the landmarks other than k at touched positions, with the occlusion of the pairs after the
     move.
     """
     landmark, position = scratch.pairs[LANDMARK], scratch.pairs[POSITION]

@@ -52,7 +52,7 @@ LABELS = {
     "held_out_share": "share of the held-out time", "recorded_share": "share of the recorded time",
 }  # fmt: skip
 PREFIXES = {"grid_free_": "off the grid", "finer_grid_": "on a finer grid", "worst_crowd_": "worst crowds"}
-# Scale, unit and format of the figures whose names have a part; others are plain numbers.
+# Scale, unit and format of figures whose names contain one of the keys; other figures are plain numbers.
 UNITS = {
     "evaluations": (1.0, "", ",.0f"), "wall_time": (1.0, " s", ",.1f"), "predicted_error": (1e3, " mm", ".1f"),
     "mm_per_pixel": (1.0, " mm per pixel of noise", ".1f"), "mrad_per_pixel": (1.0, " mrad per pixel of noise", ".1f"),
@@ -61,7 +61,7 @@ UNITS = {
 
 
 def figure_of(key: str) -> Headline:
-    """Label, unit and format of a figure by its name; a name without a label is spelt out."""
+    """Return the label, unit and format of the figure `key`; without a known label, the name is spelt out."""
     prefixes = [prefix for prefix in PREFIXES if prefix in key]
     name = key.removeprefix("".join(prefixes))
     spelt = re.sub(r"localised share (\d+)mm", r"views localised to \1 mm", name.replace("_", " "))
@@ -70,18 +70,18 @@ def figure_of(key: str) -> Headline:
 
 
 def labelled_figures(figures: Mapping[str, float]) -> dict[str, str]:
-    """Texts of figures with their units, by their labels."""
+    """Format figures as texts with units, keyed by label."""
     return {figure.label: figure.text(figures[figure.key]) for figure in map(figure_of, figures)}
 
 
 def with_error(figures: Mapping[str, float], key: str) -> str:
-    """Share with its standard error, if that is known, such as `85.32% +- 0.06%`."""
+    """Format a share with its standard error, if the error is known, such as `85.32% +- 0.06%`."""
     error = figures.get(f"{key}_standard_error")
     return f"{figures[key]:.2%}{'' if error is None else f' +- {error:.2%}'}"
 
 
 class Selection(Protocol):
-    """Monotone submodular surrogate of an objective: gains of further landmarks, given the chosen landmarks."""
+    """Monotone submodular surrogate of an objective: the gain of each further landmark, given the chosen landmarks."""
 
     @property
     def label(self) -> str:
@@ -142,7 +142,7 @@ class Objective(Protocol):
         """Fitness in [0, 1] that optimisers maximise: values `(..., P)`, weights `(P,)` -> `(...)`."""
 
     def shares(self, values: FloatArray) -> Mapping[str, FloatArray | BoolArray]:
-        """Contribution of each position, shape of `values`, to each figure that is a mean over positions, by name."""
+        """Contributions of positions to figures that are means over positions: arrays like `values`, keyed by name."""
 
     def figures(self, values: FloatArray, relevance: FloatArray) -> dict[str, float]:
         """Figures of a deployment from values and relevance of the grid's positions, `(P,)` each."""
@@ -156,20 +156,20 @@ class Objective(Protocol):
 
 @runtime_checkable
 class Incremental(Protocol):
-    """Members of an objective whose values can be updated as single landmarks move."""
+    """Interface of objectives whose values can be updated as single landmarks move."""
 
     def field(self, evaluator: Evaluator) -> "Field":
-        """Incremental field of the values at the positions of `evaluator`."""
+        """Field that updates the values at the positions of `evaluator` when single landmarks move."""
 
     def target(self, relevance: FloatArray) -> "Target":
-        """Function from the values of a field to the fitness, a `Target`; `relevance` `(Q,)` is in the order of the
-        field.
+        """Return the `Target` that maps the values of a field to the fitness; `relevance` `(Q,)` is in the field's
+        order.
         """
 
 
 @runtime_checkable
 class Selectable(Protocol):
-    """Members of an objective with a surrogate for greedy selection."""
+    """Interface of objectives with a surrogate for greedy selection."""
 
     def selection(self, evaluator: Evaluator, relevance: FloatArray) -> Selection:
         """Surrogate for greedy selection, before a landmark is chosen."""
@@ -177,10 +177,10 @@ class Selectable(Protocol):
 
 @runtime_checkable
 class SelfValidating(Protocol):
-    """Members of an objective whose figures off the grid do not come from random poses of the room."""
+    """Interface of objectives that compute figures off the grid themselves, not at random poses in the room."""
 
     def off_grid(self, evaluator: Evaluator, deployment: Deployment) -> dict[str, float]:
-        """Figures of a deployment off the grid, whose names begin with `grid_free_`; empty without any."""
+        """Figures of a deployment off the grid; their names begin with `grid_free_`, and there may be none."""
 
 
 def incremental(objective: Objective) -> Incremental:

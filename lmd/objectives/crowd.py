@@ -32,7 +32,7 @@ class WorstGroups(NamedTuple):
         return self.target.relevance  # type: ignore[no-any-return]
 
     def of_worst(self, units: IntArray) -> Any:
-        """Target of the groups that are the worst with the values `units` `(Q,)`, which has the slope of this one."""
+        """Target of the groups that are worst at the values `units` `(Q,)`; its slope there equals this target's."""
         terms = np.array([contribution(self.target, p, units[p]) for p in range(len(units))])
         sums = np.bincount(self.groups, terms, self.number)
         chosen = np.argsort(sums, kind="stable")[: self.worst]
@@ -70,7 +70,7 @@ def _worst_of_units(target: Any, units: Any) -> Any:
 
 @inner
 def _mean_of_worst(sums: FloatArray, worst: Integer) -> Any:
-    """Mean of the `worst` least of S sums, times S: each is a share of the fitness of all. Overwrites `sums`."""
+    """Mean of the `worst` smallest of S sums, times S, as each sum is a share of the fitness. Overwrites `sums`."""
     total, number = 0.0, len(sums)
     for _ in range(worst):
         least = 0
@@ -102,7 +102,7 @@ def seeks_worst(evaluator: Evaluator) -> bool:
 
 
 def over_states(objective: Objective, values: FloatArray, evaluator: Evaluator, relevance: FloatArray) -> FloatArray:
-    """Fitness from values `(..., P)` at the positions of an evaluator with weights `(P,)`, `(...)`."""
+    """Fitness `(...)` from values `(..., P)` and weights `(P,)` of the positions of an evaluator."""
     if not seeks_worst(evaluator):
         return objective.fitness(values, relevance)
     count = len(_states(evaluator)[0])
@@ -112,7 +112,7 @@ def over_states(objective: Objective, values: FloatArray, evaluator: Evaluator, 
 
 
 def target_of(objective: Objective, field: Field, evaluator: Evaluator, relevance: FloatArray) -> Target:
-    """Function from the values of a field, made for `evaluator`, to the fitness of `over_states`."""
+    """Return the target that maps the values of a field of `evaluator` to the fitness of `over_states`."""
     target = incremental(objective).target(in_order(field, relevance))
     if not seeks_worst(evaluator):
         return target
@@ -123,12 +123,12 @@ def target_of(objective: Objective, field: Field, evaluator: Evaluator, relevanc
 
 
 def slope_target(target: Target, units: IntArray) -> Target:
-    """Target with the slope of `target` at the values `units` `(Q,)`, whose fitness is a sum over positions."""
+    """Target whose fitness is a sum over positions; its slope at the values `units` `(Q,)` is that of `target`."""
     return target.of_worst(units) if isinstance(target, WorstGroups) else target
 
 
 def worst_figures(objective: Objective, values: FloatArray, evaluator: Evaluator) -> dict[str, float]:
-    """Headline figure over the worst states of values `(P,)`, by its name; empty without a crowd."""
+    """Headline figure of values `(P,)` in the worst crowd states, keyed by its name; empty without a crowd."""
     if evaluator.scene.crowd is None:
         return {}
     key = objective.headline.key
@@ -151,7 +151,7 @@ def describe_crowd(objective: Objective, figures: Mapping[str, float], evaluator
 
 
 def worst_share(shares: FloatArray, evaluator: Evaluator) -> FloatArray:
-    """Mean of `shares` `(P,)` over the positions of the worst states, each state by its mean."""
+    """Mean of `shares` `(P,)` over the states with the lowest mean."""
     count = len(_states(evaluator)[0])
     return worst_mean(shares.reshape(count, -1).mean(axis=-1), _worst_count(evaluator, count))
 
@@ -164,6 +164,6 @@ def _states(evaluator: Evaluator) -> tuple[IntArray, IntArray]:
 
 
 def _worst_count(evaluator: Evaluator, count: int) -> int:
-    """Number of the worst states, of `count`."""
+    """Number of states, among `count`, that count as the worst."""
     assert evaluator.scene.crowd is not None, "there is a crowd"
     return worst_of(count, evaluator.scene.crowd.crowd.worst)

@@ -55,7 +55,9 @@ class Sampling(Checked):
         return Evaluator(drawn, positions, threads, states=_states(scene.crowd, repeats, cells, rng))
 
     def repeats(self, scene: Scene, least: int) -> int:
-        """Number of positions in each cell: `least`, or a multiple of the crowd states where the worst ones count."""
+        """Number of positions in each cell: `least`. If the fitness is that of the worst crowd states, a `least` above
+        the number of states is rounded up to a multiple of this number.
+        """
         crowd = scene.crowd
         if crowd is None or crowd.crowd.fitness == "mean" or least < len(crowd):
             return least
@@ -66,7 +68,7 @@ def _states(crowd: CrowdStates, repeats: int, cells: int, rng: np.random.Generat
     """Crowd state at each position of `jittered_grid`, `(repeats cells,)`.
 
     For the mean over states, the states are spread evenly over the positions of each cell, and over cells. For the
-    worst ones each state, of all or of a random choice, has equally many positions in all cells.
+    worst states, each state (of all states, or of a random choice) has equally many positions in all cells.
     """
     count = len(crowd)
     if crowd.crowd.fitness == "mean":

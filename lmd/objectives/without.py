@@ -1,4 +1,4 @@
-"""Exact fitness of a deployment without each landmark, without each pair, and with fewer and fewer of them.
+"""Exact fitness of a deployment without each landmark, without each pair, and as landmarks are removed one by one.
 
 A landmark is removed by a move to a place where no camera sees it and where it hides no other landmark. Only the
 affected views are evaluated again, so all pairs of 90 landmarks cost no more than a hundred evaluations. Moves are not
@@ -37,7 +37,8 @@ def without_landmarks(field: Field, target: Target, deployment: Deployment) -> F
 
 
 def removal_order(field: Field, target: Target, deployment: Deployment) -> tuple[IntArray, FloatArray]:
-    """Order in which landmarks may go: at each step the one without which the fitness is greatest, the first if equal.
+    """Greedy order of removal: each step removes the landmark whose loss leaves the greatest fitness, the first if
+    equal.
 
     Args:
         field: incremental field of the values.

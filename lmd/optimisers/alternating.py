@@ -37,8 +37,8 @@ class _Best:
 class Alternating(Optimiser):
     """Alternating placement of cameras and tags.
 
-    A turn begins with the best result of earlier turns; a result that is not better is discarded. The budget of `run`
-    is the budget of each turn of the cameras.
+    A turn optimises the cameras or the tags, from the best result of earlier turns; a result that is not better is
+    discarded. The budget of `run` is the budget of each turn of the cameras.
 
     Args:
         cameras: makes the optimiser for a turn of the cameras from a seed: `seed`, `seed + 1`, ...
@@ -182,7 +182,7 @@ def _rig_of(state: Any, space: MountSpace) -> Rig:
     """Make a rig from the `_rig_state` of another rig.
 
     Raises:
-        InputError: the rig may not be mounted.
+        InputError: a camera has a pose in which it must not be mounted.
     """
     numbers = array("rig", state, np.float64, space.count, 7)
     lens = array("rig", numbers[:, 0], np.float64, None, low=0, high=len(space.lenses) - 1)

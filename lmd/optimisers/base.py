@@ -22,7 +22,7 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
 
 GENE_BYTES = 8  # memory of a gene
-AT_ONCE = 1000  # largest number of evaluations between two looks at the clock
+AT_ONCE = 1000  # largest number of evaluations between two checks of the time limit
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Result:
     evaluations: float
     """Full evaluations spent."""
     seconds: float
-    """Wall time spent, over all parts of a resumed run, without that of the compiler."""
+    """Wall time spent, summed over all parts of a resumed run, without compilation."""
     history: tuple[Record, ...]
     """Best fitness against evaluations and wall time: each improvement, and the end of each batch."""
     stopped: str
@@ -64,7 +64,7 @@ class Optimiser(ABC):
 
     @property
     def called(self) -> str:
-        """Name of the method in messages."""
+        """Display name of this optimiser, for messages."""
         return type(self).__name__
 
     def state(self) -> dict[str, Any]:
@@ -91,12 +91,12 @@ class Optimiser(ABC):
         raise InputError(f"{type(self).__name__} cannot be checkpointed.")
 
     def check(self, problem: Problem) -> None:
-        """Raise `InputError` if the method cannot take a problem; called before a run writes anything."""
+        """Raise `InputError` if this optimiser cannot handle a problem; called before a run writes anything."""
         if problem.genome is not None and type(self).found_rig is Optimiser.found_rig:
             raise InputError(f"{type(self).__name__} places landmarks, not cameras; use a black box.")
 
     def figures(self) -> Mapping[str, float]:
-        """Figures of the method beside the fitness, for the record; none by default."""
+        """Further figures of this optimiser, recorded beside the fitness; none by default."""
         return {}
 
     @abstractmethod
@@ -117,7 +117,7 @@ class Optimiser(ABC):
     ) -> Result:  # fmt: skip
         """Call `step` with the spent share of the budget until it is used up, or the callback stops the run.
 
-        `spent` returns the evaluations spent, which the ledger may know as a sum of rounded parts.
+        `spent` returns the exact number of evaluations spent; the ledger may have a sum of rounded parts.
         """
         while (used := budget.used(spent(), self.ledger.seconds)) < 1.0:
             step(used)

@@ -23,7 +23,7 @@ from lmd.problem import Problem
 CHECKPOINT_FILE = "checkpoint.npz"
 FORMAT = "lmd checkpoint 5"  # the number changes when the content of the file changes
 DOCUMENT_KEY = "document"  # name of the JSON document, UTF-8, among the arrays
-ARRAY_KEY = "$array"  # key of a mapping in the document that stands for the named array
+ARRAY_KEY = "$array"  # only key of a mapping that stands for an array in the document; its value names the array
 MOST_TEXT = 200  # greatest number of characters shown of an error of another library
 
 

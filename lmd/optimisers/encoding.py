@@ -14,7 +14,7 @@ from lmd.scene.deployment import Deployment
 from lmd.space.space import Space
 from lmd.space.surface import SurfaceArrays
 
-# Greatest difference between the distances to two surfaces that counts as none, metres.
+# Distances to two surfaces count as equal up to this difference, metres.
 ON_SURFACE = 1e-6
 # Least distance of an encoded point from the border between pieces, as a fraction of the piece.
 BORDER_SHARE = 1e-12

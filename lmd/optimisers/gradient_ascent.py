@@ -21,7 +21,7 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment
 from lmd.space.surface import SurfaceArrays
 
-GROWTH, SHRINKAGE = 1.5, 0.5  # factors of the step after a rise, and after a trial that does not rise
+GROWTH, SHRINKAGE = 1.5, 0.5  # factors of the step after a trial that raises the objective, and after any other trial
 
 
 @kernel
@@ -40,7 +40,7 @@ class GradientAscent(DeploymentSearch):
     The slope along the surface of each landmark is a central difference with exact values, occlusion included. A trial
     moves each landmark by one step in the direction of its slope. If the smoothed objective rises, the trial is kept
     and the step grows, otherwise the step shrinks. When the step has vanished, the smooth threshold becomes narrower;
-    after the narrowest one the next ascent begins. The best deployment on the *true* fitness is kept.
+    after the narrowest threshold the next ascent begins. The deployment with the best *true* fitness is kept.
 
     The slopes cost as much as moving each free landmark to four places; a trial costs 1 evaluation.
 
@@ -95,7 +95,7 @@ class GradientAscent(DeploymentSearch):
             cost = count + (slopes_cost if self.direction is None else 0)
             left = budget.limit * count - self.spent
             if left < cost:
-                note(int(left), None)  # too little for a trial
+                note(int(left), None)  # the rest of the budget is too small for a trial
             else:
                 note(cost, self._trial(problem, climb))
 

@@ -25,14 +25,14 @@ REFINING_STAGE = Stage(temperature=(4e-5, 2e-5), width=(0.02, 0.006), step=(0.3,
 
 
 class Greedy(Annealing):
-    """Greedy selection from a grid of wall poses, refined by a cool walk with the rest of the budget.
+    """Greedy selection from a grid of wall poses; the rest of the budget refines it by annealing at a low temperature.
 
     The footprints of chosen poses do not overlap. Evaluating the gain of a pose costs as much of the budget as moving a
     landmark.
 
     Args:
         spacing: spacing of the grid, metres; enlarged if the budget does not suffice.
-        single: conditions of the refinement, or a mapping of the fields that differ from the default.
+        single: conditions of the annealing: a `Stage`, or a mapping of the fields that differ from the default stage.
         seed: see `Optimiser`.
 
     Raises:

@@ -67,7 +67,7 @@ class Ledger:
     """Records in the order of time."""
 
     def note(self, evaluations: float, fitness: float) -> bool:
-        """Record `evaluations` and the `fitness` of the last one; returns True if it is the best."""
+        """Record `evaluations` and the `fitness` of the last one; return True if this fitness is the best."""
         is_best = fitness > self.best_fitness
         self.evaluations, self.best_fitness = evaluations, fitness if is_best else self.best_fitness
         self.history.append(Record(evaluations, self.best_fitness, self.seconds))
@@ -89,7 +89,7 @@ class Ledger:
         return improved[-1] if improved else None
 
     def state(self) -> dict[str, Any]:
-        """Return the history as arrays `(N,)`, for a checkpoint; the rest follows from it."""
+        """Return the history as arrays `(N,)`, for a checkpoint; the other fields follow from the history."""
         return {f.name: np.array([getattr(r, f.name) for r in self.history], dtype=float) for f in fields(Record)}
 
     @classmethod

@@ -55,7 +55,7 @@ def lattice_of(problem: Problem, spacing: float) -> Deployment:
 
 
 def check_lattice(problem: Problem, poses: Deployment, spacing: float) -> None:
-    """Raise `InputError` if a problem and the poses of its lattice make no program, or one that is too large."""
+    """Raise `InputError` if a problem and the poses of its lattice make no program, or a program that is too large."""
     objective = problem.objective
     if not isinstance(objective, Coverage) or objective.sampling is not None:
         raise InputError("the integer program needs the objective of plain coverage at the grid's own positions.")
@@ -88,7 +88,7 @@ def per_pose(problem: Problem) -> int:
 def placed(problem: Problem, poses: Deployment, taken: IntArray) -> Deployment:
     """Make the deployment with `taken` `(J,)` landmarks at each pose, fixed landmarks first.
 
-    Points are separated from others at their pose; tags are in the order of the problem's sizes.
+    Points at one pose are separated; tags are in the order of the problem's sizes.
     """
     if poses.has_own_edges:
         sizes, own = problem.free_sizes, poses.edges_of(problem.scene.tag)
@@ -207,7 +207,7 @@ class Program:
 
 
 PROVEN, INFEASIBLE = 0, 2  # status of scipy.optimize.milp
-POLL_SECONDS = 0.2  # seconds between two questions while the solver runs
+POLL_SECONDS = 0.2  # seconds between two calls of the callback while the solver runs
 
 
 class Milp(DeploymentSearch):

@@ -14,11 +14,11 @@ from lmd.core.checks import FloatArray, InputError, integer, real
 from lmd.core.optional import optional
 from lmd.optimisers.wrapped import LibraryOptimiser, Wrapped
 
-PLANNED = 10_000  # evaluations that a method plans with if their number is unknown; then it restarts
+PLANNED = 10_000  # evaluations that a method plans if their number is unknown; after these it restarts
 
 
 class Nevergrad(Wrapped):
-    """Optimiser of nevergrad on the unit box, which gets the start as a suggestion.
+    """Optimiser of nevergrad on the unit box; the optimiser gets the start as a suggestion.
 
     Args:
         name: a registered optimiser, e.g. `TwoPointsDE`, `NGOpt`, `RLSOnePlusOne`, or a family to be configured by
@@ -106,7 +106,7 @@ class _Running:
 
         if self.optimiser.num_ask >= self.most_asked:
             return None
-        category = FinishedUnderlyingOptimizerWarning  # after which the proposals are random
+        category = FinishedUnderlyingOptimizerWarning  # after this warning the proposals are random
         with warnings.catch_warnings(record=True, action="always", category=category) as ended:
             try:
                 self.asked = [self.optimiser.ask() for _ in range(self.workers)]

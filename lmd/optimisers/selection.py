@@ -28,7 +28,7 @@ from lmd.sight.evaluator import Evaluator
 from lmd.sight.poses import candidate_poses
 
 GAINS_BATCH = 32  # poses whose gains are evaluated together
-AT_ONCE = 4 * GAINS_BATCH  # poses evaluated between two looks at the clock
+AT_ONCE = 4 * GAINS_BATCH  # poses evaluated between two checks of the time limit
 GRID_SPACING = 0.25  # spacing of the grid of poses, metres
 ROUNDING = 1e-9  # relative tolerance of a limit
 
@@ -100,7 +100,7 @@ def select(
         footprints: footprints of the tags; None for landmarks that are points.
         allowance: largest number of gains to evaluate; fewer poses are chosen if the allowance does not suffice.
         fixed: landmarks that are chosen before the first of the poses.
-        stop: asked now and then; returns True to end the choice early.
+        stop: called from time to time; returns True to end the choice early.
 
     Returns:
         indices of the chosen poses in the order of choice, and the number of gains evaluated.
@@ -203,7 +203,7 @@ def _in_place(problem: Problem, start: Deployment, found: Deployment) -> Deploym
 def composition(
     scene: Scene, objective: Objective, threads: int | None = None, fixed: Deployment | None = None
 ) -> tuple[int, ...]:
-    """Number of tags of each edge of a scene's tag, chosen by greedy selection by gain per price.
+    """Choose the number of tags of each edge by greedy selection, by the gain per price.
 
     Args:
         scene: scene whose tag has several edges, and a limit of paper or cost.
@@ -231,7 +231,7 @@ def composition(
 
 
 def stock_of_sizes(tag: Tag, footprints: Footprints, limit: float) -> Stock:
-    """Tags of any edge of `tag`, limited in cost if the tag has a budget, else limited in paper, square metres."""
+    """Stock of tags of any edge of `tag`, limited in cost if the tag has a budget, else in paper, square metres."""
     if tag.budget is None:
         return Limited(limit, lambda poses: footprints.papers(poses) ** 2)
     costs = dict(zip(tag.edges or (), tag.costs or (), strict=True))  # a tag with a budget has edges and costs

@@ -41,7 +41,7 @@ def save_convergence_figure(path: str | Path, history: Mapping[str, ArrayLike], 
     axes.step(evaluations, best, where="post", linewidth=1.8)
     axes.plot(evaluations[-1], best[-1], "o", color="C0", clip_on=False)
     dress(axes, xlabel="evaluations", ylabel="best fitness [%]", xlim=(0.0, None))
-    if best.min() >= 0.0 and best.max() <= 100.0:  # an objective of one's own may be no share
+    if best.min() >= 0.0 and best.max() <= 100.0:  # the fitness of a user's own objective need not be a share
         axes.set_ylim(0.0, 100.0)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.xaxis.set_major_formatter("{x:,.0f}")
@@ -125,12 +125,13 @@ def save_groups_figure(
     """Write a PNG of two panels about the groups of a sweep; a group has jobs that differ in their seed alone.
 
     The left panel has the median best fitness of each group over evaluations, with a band from the worst to the best
-    seed. The right panel has the medians at the end over the values of the last key, a line for the others' values.
+    seed. The right panel has the final medians over the values of the last key, with a line for each choice of the
+    other values.
 
     Args:
         path: path of the PNG.
         groups: the jobs of each group, at least one, by the values of `keys`.
-        keys: names of what varies.
+        keys: names of the settings that vary.
         title: title of the figure.
     """
     from lmd.evaluation.comparison import best_at

@@ -13,7 +13,7 @@ from lmd.space.space import Space
 
 ARROW_LENGTH = 0.35  # length of the arrow along the normal of a landmark, metres
 LANDMARK = "#d62728"
-FIXED = "#1f77b4"  # colour of landmarks that hung already
+FIXED = "#1f77b4"  # colour of landmarks that existed before the optimisation
 ROOM = "#000000"
 REACHABLE = "#8a8a8a"
 OBSTACLE = "#8c564b"
@@ -110,7 +110,7 @@ def draw_band(axes: Any, x: Any, band: Any, label: str | None, mark: str = "", *
 
 
 def draw_arrows(axes: Any, places: FloatArray, ways: FloatArray, **style: Any) -> None:
-    """Draw arrows from places along ways, `(N, 2)` each, in the unit of the axes."""
+    """Draw arrows from `places` to `places + ways`, `(N, 2)` each, in the unit of the axes."""
     lengths: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0}
     axes.quiver(*places.T, *ways.T, **{"width": 0.003, "zorder": 3, **lengths, **style})
 
@@ -132,7 +132,7 @@ class Group(NamedTuple):
 
 
 def landmark_groups(count: int, fixed: int) -> list[Group]:
-    """Nonempty groups of `count` landmarks, of which the first `fixed` hung already."""
+    """Nonempty groups of `count` landmarks; the first `fixed` landmarks existed before the optimisation."""
     hung = np.arange(count) < fixed
     if not fixed:
         return [Group("landmark and its normal", LANDMARK, ~hung)]

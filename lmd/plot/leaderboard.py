@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 ROW, HEAD = 0.28, 1.0  # inches: height of a name, and of axis and bar above the names
 LEFT, RIGHT = 0.30, 0.70  # ends of the axis of ranks, as fractions of the width
-LABEL = 45  # characters of the name of an optimiser
+LABEL = 45  # greatest number of characters of an optimiser's name
 
 
 def save_critical_difference_diagram(path: Path, ranks: "pd.Series", critical: float, title: str) -> None:
@@ -129,7 +129,7 @@ def save_profile_figure(
 
 RATIOS, LEAST_SHARE, POINTS = 1000.0, 1e-3, 400  # ends and points of the logarithmic axes of the profiles
 FIGURES = {"fitness": "fitness", "off_grid": "off the grid"}  # figures of a run that are ranked
-Runs = Mapping[int, Sequence[OptimiserRun]]  # by the place of the budget among the three of a problem, from 0
+Runs = Mapping[int, Sequence[OptimiserRun]]  # keyed by the index, from 0, of one of a problem's three budgets
 
 
 class Leaderboard(NamedTuple):
@@ -140,7 +140,7 @@ class Leaderboard(NamedTuple):
     table: pd.DataFrame
     """Medians of each problem, figure and budget, a column for each optimiser."""
     pictures: Mapping[str, Callable[[Path], None]]
-    """Functions that draw the pictures, by the names of the files."""
+    """Functions that draw the pictures, keyed by file name."""
     figures: Mapping[str, float]
     """Mean ranks, such as `rank_3/fitness/annealing`."""
 
@@ -177,7 +177,7 @@ def leaderboard(results: Runs, problems: Iterable[str]) -> Leaderboard:
 
 
 def _held_out_apart(runs: Sequence[OptimiserRun]) -> Mapping[str, Sequence[OptimiserRun]]:
-    """The runs; where some instances are held out and others not, the runs on each, by the name of the group."""
+    """Runs on the development instances and on the held-out instances, keyed by group; all runs if one is empty."""
     is_held_out = [instance_of(run.problem) >= HELD_OUT for run in runs]
     if len(set(is_held_out)) == 1:
         return {"": runs}
@@ -238,13 +238,13 @@ def _profiles(path: Path, runs: Sequence[OptimiserRun], frozen: "Mapping[str, Do
 
 
 def _best_known(name: str, runs: Iterable[OptimiserRun], document: "Document") -> float:
-    """Best value of a problem, of its document and of the runs."""
+    """Best known value of a problem, from its document and from the runs."""
     recorded = 0.0 if document.best is None else document.best["value"]
     return max([recorded, *(run.metrics["fitness"] for run in runs if run.problem == name)])
 
 
 def write_runs(folder: Path, results: Runs, boxes: "Mapping[str, BlackBox]") -> None:
-    """Write all runs in IOHprofiler's format: a folder for each budget, in it one for each optimiser."""
+    """Write all runs in IOHprofiler's format: a folder for each budget, which has a folder for each optimiser."""
     numbers = {name: number for number, name in enumerate(names(), 1)}
     shutil.rmtree(folder, ignore_errors=True)
     for place, every in results.items():

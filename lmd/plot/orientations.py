@@ -20,7 +20,7 @@ HALF_TITLES = ("the half that faces the viewer of the scene", "the other half, f
 
 
 def screen(viewer: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Unit vectors to the right and up, `(3,)` each, as seen from the direction `viewer` `(3,)`, not vertical."""
+    """Right and up of the image of a viewer in the direction `viewer` `(3,)`, not vertical; unit vectors `(3,)`."""
     right = np.array([-viewer[1], viewer[0], 0.0]) / np.hypot(viewer[0], viewer[1])
     return right, np.cross(viewer, right)
 
@@ -90,7 +90,9 @@ def save_cap_figure(
 
 
 def _counts(scene: Scene, deployment: Deployment, position: FloatArray, axes: FloatArray) -> FloatArray:
-    """Number of landmarks that a level camera covers along each optical axis `(N, N, 3)`, `(N, N)`; NaN for NaN."""
+    """Number of landmarks that a level camera covers along each optical axis `(N, N, 3)`, `(N, N)`; NaN where the axis
+    is NaN.
+    """
     inside = ~np.isnan(axes[..., 0])
     level = np.stack([axes[..., 1], -axes[..., 0], np.zeros(inside.shape)], axis=-1)  # axis x up
     with np.errstate(invalid="ignore"):

@@ -227,13 +227,13 @@ def _draw_sigmas(axes: Any, survey: "Survey") -> None:
 SINGLE, SMOOTHED = "#9e9e9e", "#1f77b4"
 CHANGED = {"moved": "#9467bd", "vanished": "#ff7f0e", "new": "#2ca02c"}
 MARKERS = {"moved": "D", "vanished": "x", "new": "P"}
-MOST_ELLIPSES = 40  # largest number of ellipses along the way
+MOST_ELLIPSES = 40  # largest number of ellipses along the path
 LARGE_SHARE = 0.02  # radius of the median ellipse over the extent of the picture
 MOST_CHANGED = 12  # largest number of changed tags that are named
 
 
 def save_localised_figure(path: str | Path, result: Localisation, room: Space | None, title: str) -> None:
-    """Write a PNG of 1500 x 700 pixels.
+    """Write a PNG of 1500 x 700 pixels: a localisation from above, and the deviation of the position over time.
 
     Args:
         path: path of the PNG.
@@ -255,7 +255,7 @@ def _ways(result: Localisation) -> list[tuple[str, str, FloatArray, FloatArray]]
 
 
 def _draw_way(axes: Any, result: Localisation, room: Space | None) -> None:
-    """Draw the tags, the way with ellipses, and the tags that changed."""
+    """Draw the tags, the path of the camera with ellipses, and the tags that changed."""
     if room is not None:
         draw_plan(axes, room, lw=0.8, zorder=1)
         axes.lines[0].set_label("room")

@@ -55,7 +55,7 @@ def save_scene_figure(path: str | Path, problem: Problem, deployment: Deployment
 def _draw_in_space(
     problem: Problem, values: FloatArray, good: BoolArray, deployment: Deployment, groups: Groups, title: str
 ) -> tuple[Any, Any]:
-    """Figure of two views in perspective, and the bar of its colours."""
+    """Figure of two views in perspective, and its colour bar."""
     from matplotlib.figure import Figure
 
     room, positions = problem.scene.room, problem.places
@@ -74,7 +74,7 @@ def _draw_in_space(
 def _draw_from_above(
     problem: Problem, values: FloatArray, good: BoolArray, deployment: Deployment, groups: Groups, title: str
 ) -> tuple[Any, Any]:
-    """Figure of two plans, and the bar of its colours."""
+    """Figure of two plans, and its colour bar."""
     from matplotlib.collections import PatchCollection
     from matplotlib.patches import Rectangle
 

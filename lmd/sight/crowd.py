@@ -4,8 +4,8 @@ A landmark is blocked if an obstacle of the room or a cylinder intersects the li
 (`lmd.sight.obstacles`). The decisions repeat the operations of `lmd.space.crowd`. A position has a crowd state, so the
 same place occurs once for each state among the positions of an evaluator.
 
-The line to the centre excludes most cylinders: the lines to the other points are nowhere farther from it than half the
-diagonal of the square.
+The line to the centre excludes most cylinders: the lines to the other points stay within half the diagonal of the
+square from the line to the centre.
 """
 
 import math
@@ -48,9 +48,9 @@ class CrowdObstacles(NamedTuple):
     positions: np.ndarray
     """`(P, 3)` positions, metres."""
     people: np.ndarray
-    """`(P, N, 5)` cylinders at each position, those that are left out last; columns as in `lmd.space.crowd`."""
+    """`(P, N, 5)` cylinders at each position; omitted cylinders come last. Columns as in `lmd.space.crowd`."""
     standing: np.ndarray
-    """`(P,)` number of cylinders that are not left out."""
+    """`(P,)` number of cylinders that are not omitted."""
 
 
 class CrowdEnds(NamedTuple):

@@ -146,8 +146,8 @@ class Evaluator:
         check_views(each, len(self.positions), self.axes.shape[1])
 
     def by_place(self, weight: FloatArray, *values: FloatArray) -> tuple[FloatArray, ...]:
-        """Probabilities `(1, D)` or `(P, D)` and values `(P, D)` of S crowd states side by side, a row for each place,
-        `(P / S, S D)`; unchanged without a crowd.
+        """Join probabilities `(1, D)` or `(P, D)` and values `(P, D)` of the S crowd states at each place in one row,
+        `(P / S, S D)`; without a crowd, nothing changes.
         """
         if self.scene.crowd is None:
             return weight, *values

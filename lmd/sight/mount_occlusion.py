@@ -20,7 +20,7 @@ from lmd.sight.mounts import camera_at
 def hidden_bits(
     group: Any, m: Integer, w: Integer, left: Any, i: Integer, k: Integer, body: Vector, one: Any, other: Any
 ) -> Any:
-    """Subset of the orientations `left` of word w that satisfy `hides_from`."""
+    """Orientations that satisfy `hides_from`, among the orientations `left` of word w of a bit set."""
     found = ZERO
     while left:
         bit = lowest(left)

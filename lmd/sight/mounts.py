@@ -233,7 +233,7 @@ def covers_from(group: Any, m: Integer, a: Integer, k: Integer, body: Vector, po
 
 @inlined
 def covered_bits(group: Any, m: Integer, w: Integer, left: Any, k: Integer, body: Vector, pose: Any, frame: Any) -> Any:
-    """Subset of the orientations `left` of word w that satisfy `covers_from`."""
+    """Orientations that satisfy `covers_from`, among the orientations `left` of word w of a bit set."""
     found = ZERO
     while left:
         bit = lowest(left)
@@ -244,7 +244,7 @@ def covered_bits(group: Any, m: Integer, w: Integer, left: Any, k: Integer, body
 
 @inlined
 def blocked_bits(group: Any, m: Integer, w: Integer, left: Any, k: Integer, p: Integer, ends: Any, row: Integer) -> Any:
-    """Subset of the orientations `left` of word w for which the room blocks landmark k from mount m at position p.
+    """Orientations among `left`, in word w, with which the room blocks landmark k from mount m at position p.
 
     `ends` has the points of the landmark in row `row`, see `obstacles.find_ends`.
     """

@@ -1,4 +1,4 @@
-"""Gains and coverage of many candidate poses on the walls, each evaluated without the other landmarks.
+"""Gains and coverage of many candidate poses of landmarks on the walls, each evaluated without other landmarks.
 
 `gains` sums prices over the positions and axes that cover a pose; `covered_amounts` sums amounts of poses over the
 positions and axes.

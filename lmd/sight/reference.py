@@ -43,8 +43,8 @@ def coverage_caps(scene: Scene, deployment: Deployment, position: FloatArray, ax
 
 
 def station_caps(scene: Scene, deployment: Deployment, position: FloatArray, station: Station) -> BoolArray:
-    """Coverage caps for the camera of a station and the a orientations of the body that put the camera there, mask `(a,
-    K)`.
+    """Mask `(a, K)` of the coverage caps for the camera of a station, with the a orientations of the body that put it
+    there.
     """
     landmarks, place = (deployment.positions, deployment.normals), position + station.offset
     seen = scene.visibility.covered(station.camera, place, station.axes, *landmarks)

@@ -31,7 +31,7 @@ REGION = 16 * BLOCK  # positions in a region; landmarks beyond its horizon are n
 
 
 class Viewpoint(NamedTuple):
-    """Working memory: K landmarks as seen from one position, which is overwritten for the next position.
+    """Working memory for K landmarks as seen from one position; the next position overwrites it.
 
     Entry k of the fields after `near_index` belongs to landmark k of `near_poses`.
     """

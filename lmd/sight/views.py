@@ -68,7 +68,7 @@ def visible_to_each(
 ) -> BoolArray:
     """Mask of the landmarks covered from each pose by each camera of the scene, `(C, N, K)`; args as in `visible`.
 
-    With a crowd, `states` `(N,)` has its state in each pose.
+    With a crowd, `states` `(N,)` has the crowd state in each pose.
     """
     evaluator = evaluator.sized(deployment.edges)
     scene, axes = evaluator.scene, np.pad(axes, [(0, 0), (0, 6 - axes.shape[1])])

@@ -16,7 +16,7 @@ LARGEST = 1e6  # greatest standard deviation, in its unit
 Noise = Annotated[float, partial(real, low=0.0, high=LARGEST)]
 Deviation = Annotated[float, partial(real, low=1.0 / LARGEST, high=LARGEST)]
 # Standard deviations of a camera whose pose in a building is unknown: of its position along an axis, metres, and of its
-# rotation about an axis, rad, where half a turn is the greatest error. Greater ones say no more.
+# rotation about an axis, rad: an error of rotation is at most half a turn. Greater deviations are cut to these.
 UNKNOWN_POSITION, UNKNOWN_ATTITUDE = 1e3, np.pi
 
 
@@ -35,9 +35,9 @@ class Drives(Checked):
     motion_noise: Noise
     """Noise of the odometry along each axis, metres per root second."""
     start_position: Deviation = 1.0
-    """Standard deviation of the first estimate along each axis, metres."""
+    """Standard deviation of the initial position along each axis, metres."""
     start_attitude: Deviation = 0.5
-    """Standard deviation of the first estimate about each axis, rad."""
+    """Standard deviation of the initial attitude about each axis, rad."""
 
     def _validate(self) -> None:
         if not self.trajectories:
@@ -87,7 +87,7 @@ class Drives(Checked):
 
     @property
     def start(self) -> FloatArray:
-        """Covariance of the first estimates, 21 numbers as in `covariance`, `(21,)`."""
+        """Covariance of the initial pose, `(21,)`, with the numbers of `lmd.objectives.filtered.lanes`."""
         start = np.zeros(21)
         start[[0, 3, 5]] = min(self.start_position, UNKNOWN_POSITION) ** 2
         start[[15, 18, 20]] = min(self.start_attitude, UNKNOWN_ATTITUDE) ** 2
@@ -95,7 +95,9 @@ class Drives(Checked):
 
     @property
     def vaguest(self) -> float:
-        """Greatest variance of a pose without tags along or about an axis, m^2 or rad^2, without lever arms."""
+        """Greatest variance that a pose reaches without tags, along or about an axis, m^2 or rad^2; lever arms are
+        ignored.
+        """
         drift = np.add.reduceat(self.moves[:, 3:], self.first[:-1]).max(axis=0)
         return float((self.start[[0, 15]] + drift).max())
 
@@ -105,7 +107,7 @@ class Drives(Checked):
         return np.repeat(np.arange(len(self)), np.diff(self.first))
 
     def relative(self, relevance: FloatArray) -> FloatArray:
-        """Relevance of the frames over that of their drives, `(F,)`.
+        """Relevance of each frame divided by the total relevance of its drive, `(F,)`.
 
         Raises:
             InputError: a drive has no relevance.

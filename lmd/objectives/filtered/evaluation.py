@@ -30,7 +30,7 @@ from lmd.sight.views import visible_to_each
 
 
 class FrameInformation(NamedTuple):
-    """Information of the tags in view of each frame."""
+    """Fisher information from the tags in view of each frame."""
 
     sums: FloatArray
     """`(F, 21)` numbers as in `lmd.objectives.localisation.information`."""
@@ -44,7 +44,7 @@ class FilteredPoses(NamedTuple):
     known: BoolArray
     """`(F,)` mask of the poses that are known to the tolerance."""
     covariances: FloatArray
-    """`(F, 21)` covariances as in `covariance`, in the axes of the world."""
+    """`(F, 21)` covariances in the axes of the world, with the numbers of `lanes`."""
 
 
 def frame_information(
@@ -109,7 +109,7 @@ def reference_information(
 
 
 def reference_filter(drives: Drives, information: FrameInformation, tolerance: Tolerance) -> FilteredPoses:
-    """Filter all drives; each step is done for all drives that are still under way."""
+    """Filter all drives; each step advances all drives that have frames left."""
     known, kept = np.zeros(len(information.sums), dtype=np.bool_), np.zeros_like(information.sums)
     p: FloatArray = np.repeat(drives.start[:, None], len(drives), axis=1)
     for step in range(int(np.diff(drives.first).max())):

@@ -1,4 +1,4 @@
-"""Incremental field of filtered poses for a single camera: which frames are known while single landmarks move."""
+"""Field of filtered poses for a single camera: it tracks the frames with a known pose while single landmarks move."""
 
 from typing import Any, NamedTuple
 
@@ -68,7 +68,8 @@ class FilteredScratch(NamedTuple):
     changed: np.ndarray
     """`(F,)` uint8, 1 for frames whose landmarks in view change."""
     starts: np.ndarray
-    """`(D,)` int64: first changed frame of each drive, from which on it is filtered again; its end if none changes."""
+    """`(D,)` int64: first changed frame of each drive, where the filter restarts; end of the drive if no frame changes.
+    """
     pairs: np.ndarray
     """`(3, F K)` int32: frame, another landmark, and change of the number of landmarks that hide it."""
     numbers: np.ndarray
@@ -78,13 +79,13 @@ class FilteredScratch(NamedTuple):
     offsets: np.ndarray
     """`(2, 4, L)` float32, see `lmd.incremental.state.Scratch.offsets`."""
     near: np.ndarray
-    """`(2, W)` uint64 sets of the landmarks that may hide the moving one, or be hidden by it, from a block of frames:
-    at the old place, and at the place tried.
+    """`(2, W)` uint64 sets of landmarks, for the old place and for the place tried: those that may hide the moving
+    landmark, or be hidden by it, from a block of frames.
     """
     ends: Any
     """Working memory of obstacles, see `lmd.sight.obstacles.find_ends`."""
     spots: np.ndarray
-    """`(2, 4 SPOTS)` offsets of the moving landmark, and `pixel_density`, where it was and where it is tried."""
+    """`(2, 4 SPOTS)` offsets and `pixel_density` of the moving landmark, at the old place and at the place tried."""
     spotted: np.ndarray
     """`(2, SPOTS)` int64 frames of the `spots`."""
     shares: np.ndarray
@@ -123,7 +124,7 @@ class FilteredField(NamedTuple):
     moves: np.ndarray
     """`(F, 5)`, see `Drives.moves`."""
     start: np.ndarray
-    """`(21,)` covariance of the first estimates."""
+    """`(21,)` covariance of the initial pose."""
 
     @property
     def size(self) -> int:
@@ -189,7 +190,7 @@ undo.register(FilteredField)(exchange_move)
 def filtered_field(
     evaluator: Evaluator, drives: Drives, precision: Precision, n: int, tolerance: Tolerance
 ) -> FilteredField:
-    """Field along drives, whose frames are the positions of the evaluator.
+    """Make the field along drives; the positions of the evaluator are the frames.
 
     Args:
         evaluator: single camera at the frames.

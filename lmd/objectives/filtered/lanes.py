@@ -1,14 +1,14 @@
-"""Covariance of a Kalman filter on SE(3) along drives; several drives side by side do each operation of a step at once.
+"""Covariance of a Kalman filter on SE(3) along drives; each operation of a step handles several drives at once.
 
 Number j of lane l lies at `array[j * LANES + l]`.
 
 The error of the estimate is X = X^ exp(e) with a body twist e, as in the invariant Kalman filter of
-`lmd.estimation.fusion`. The covariance goes on with the motion T between two frames and with the information I of the
-tags in view,
+`lmd.estimation.fusion`. The motion T between two frames and the information I of the tags in view update the
+covariance:
 
     P <- Ad(T^-1) P Ad(T^-1)^T + Q,        P^-1 <- P^-1 + I.
 
-Here the twist is turned to the axes of the world: v is the error of the camera's position and w the error of its
+Here the twist is expressed in the axes of the world: v is the error of the camera's position and w the error of its
 rotation. In these axes Ad(T^-1) is v <- v + w x d with the displacement d of the camera. Odometry with equal noise
 along all axes has the covariance Q = diag(m^2 h, t^2 h) in any axes, with the densities m and t over the time h. I has
 the numbers of `lmd.objectives.localisation.information`, without rounding the inverse of the squared noise to one.
@@ -121,7 +121,7 @@ def updated(p: Any, i: Any, scale: float) -> tuple[Number, ...]:
 def update_beyond_rounding(
     rows: FloatArray, sums: FloatArray, lane: Integer, step: Integer, scale: float, least: float, work: FloatArray
 ) -> None:
-    """Update a covariance in place by an image, with the information of the directions that exceeds its rounding.
+    """Update a covariance in place by an image, ignoring directions whose information is below the rounding error.
 
     The information is decomposed into directions d h h^T, the largest pivot first, and each updates the covariance as a
     scalar measurement: P <- P - P h h^T P / (h^T P h + 1 / (scale d)).
@@ -188,8 +188,9 @@ class Tolerance(NamedTuple):
     scale: float
     """Information of one unit of the sums: the squared focal length over the squared noise of a corner, pixels."""
     least: float | None
-    """Least information of a direction that is no rounding error, in units of the sums; None where the first estimate
-    is good enough that rounding does not matter."""
+    """Least information of a direction that is no rounding error, in units of the sums; None if the initial estimate is
+    good enough that rounding does not matter.
+    """
 
 
 class Lanes(NamedTuple):

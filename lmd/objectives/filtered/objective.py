@@ -38,8 +38,8 @@ from lmd.space.crowd import worst_mean, worst_of
 class SeenFrames:
     """Weighted sum of log(1 + tags in view) over the frames, a `Selection`.
 
-    A further tag gains the more in a frame the fewer tags the frame has, so chosen tags spread over the drives. The sum
-    is submodular if no tag hides another.
+    A further tag gains more in a frame with fewer tags, so chosen tags spread over the drives. The sum is submodular if
+    no tag hides another.
 
     Args:
         evaluator: scene with the frames as positions.
@@ -77,27 +77,27 @@ class SeenFrames:
 
 
 VAGUE, ROUNDED = 512, 64  # quanta of information that matter next to the first estimate, and that are rounding errors
-WORST = 0.05  # share of the drives that the figure of the worst ones is of, unless the fitness is
+WORST = 0.05  # share of the drives in the figure of the worst drives, unless `Filtered.worst` is given
 
 
 @dataclass(frozen=True)
 class Filtered(AtLeast):
-    """Share of the time of drives, or of the worst of them, at which the filtered pose is known to a tolerance.
+    """Share of the time, of all drives or of the worst drives, at which the filtered pose is known to a tolerance.
 
     Each frame of a drive is a position of the problem (`lmd.space.changed.DrivenRoom`). The value of a frame is 1 if
     the standard deviation of the filtered position, computed from the odometry and from the tags in view of this frame
-    and of the frames before it (`covariance`), is at most the tolerance, otherwise 0.
+    and of the frames before it (`lanes`), is at most the tolerance, otherwise 0.
 
     Args:
         n: least number of tags of an image that the filter uses.
         thold_p: least value of a qualified position; values are 0 or 1.
-        drives: drives that are optimised on.
-        fresh: other drives, for the validation; None for none.
+        drives: training drives, which determine the fitness.
+        fresh: validation drives; None for none.
         tolerance: greatest standard deviation of the filtered position, metres.
         rotation_tolerance: greatest standard deviation of the filtered rotation, rad; None for no limit.
         pixel_noise: standard deviation of each coordinate of a corner, pixels.
-        worst: share of the drives, those with the least share of their time, whose mean is the fitness; None for the
-            share of the time of all drives.
+        worst: share of the drives over which the fitness is the mean: those whose pose is known for the least share of
+            their time. None for the share of the time of all drives.
 
     Raises:
         InputError: a value is out of range.
@@ -156,7 +156,7 @@ class Filtered(AtLeast):
         return Tolerance(*limits, 1.0 / scale**2, ROUNDED * QUANTUM if vague else None)
 
     def poses(self, evaluator: Evaluator, deployment: Deployment, drives: Drives | None = None) -> FilteredPoses:
-        """Filtered pose of each frame of `drives`, by default those that are optimised on."""
+        """Filtered pose of each frame of `drives`, by default of the training drives."""
         scene, along = evaluator.scene, drives or self.drives
         asked, limits = self.asked(scene), self.limits(scene)
         if evaluator.by_reference:
@@ -201,7 +201,7 @@ class Filtered(AtLeast):
         return {"filtered_share": values}
 
     def figures(self, values: FloatArray, relevance: FloatArray) -> dict[str, float]:
-        """Share of the time of all drives, and of the worst ones."""
+        """Shares of the time with a known pose, of all drives and of the worst drives."""
         return self._figures(self.drives, values)
 
     def _figures(self, drives: Drives, values: FloatArray) -> dict[str, float]:
@@ -220,7 +220,7 @@ class Filtered(AtLeast):
         }
 
     def off_grid(self, evaluator: Evaluator, deployment: Deployment) -> dict[str, float]:
-        """See `lmd.objectives.base.SelfValidating`: figures of the fresh drives."""
+        """See `lmd.objectives.base.SelfValidating`: figures of the validation drives."""
         if self.fresh is None:
             return {}
         known = self.poses(evaluator, deployment, self.fresh).known.astype(np.float64)
@@ -242,7 +242,7 @@ class Filtered(AtLeast):
         return f"the worst {self._worst_count(drives)} of {len(drives)} drives"
 
     def field(self, evaluator: Evaluator) -> Field:
-        """See `Incremental.field`; a rig has a field whose moves are full evaluations."""
+        """See `Incremental.field`; for a rig, each move is a full evaluation."""
         self._check(evaluator)
         scene = evaluator.scene
         if scene.rig is not None or evaluator.by_reference:

@@ -1,7 +1,7 @@
 """Landmarks in the frames of drives while one landmark moves: sights, occlusion and information.
 
-`see` lists the frames whose landmarks in view change by a move. Only landmarks near the lines of sight to the moving
-one are asked whether they hide it or are hidden (`lmd.incremental.occlusion`), block by block of frames.
+`see` lists the frames in which a move changes the landmarks in view. Occlusion is tested only for landmarks near the
+lines of sight to the moving landmark (`lmd.incremental.occlusion`), block by block of frames.
 """
 
 import math
@@ -123,7 +123,7 @@ def _flush(role: Integer, count: Integer, k: Integer, normal: Any, field: Any, s
 
 @inlined
 def _spot(role: Integer, count: Integer, f: Integer, k: Integer, pose: Any, field: Any, scratch: Any) -> Any:
-    """Note that frame f shows the moving landmark with a `pose`; the new number of the `spots` of a role."""
+    """Append frame f, which shows the moving landmark at `pose`, to the `spots` of a role; return their number."""
     spots, i, offset = scratch.spots[role], np.uint64(count), offset_of(pose[0], f, field)
     write3(spots, i, _1, offset)
     spots[i + _3] = pixel_density(field.sight, offset, field.axes, f)
@@ -155,7 +155,7 @@ def _list_near(b: Integer, k: Integer, width: float, state: Any, field: Any, scr
 
 @inner
 def begin(field: Any, k: Integer, pose: FloatArray, surface: Integer, state: Any, scratch: Any) -> None:
-    """Take the place tried, and forget the last move."""
+    """Store the place to try, and clear the data of the last move."""
     scratch.surface[0], scratch.numbers[PAIRS] = surface, 0
     for i in range(6):
         scratch.pose[i] = pose[i]
@@ -178,7 +178,7 @@ def begin(field: Any, k: Integer, pose: FloatArray, surface: Integer, state: Any
 
 @inner
 def see(field: Any, k: Integer, state: Any, scratch: Any) -> None:
-    """Find the changed frames, and their information."""
+    """Find the frames that the move changes, and compute their information."""
     poses, width, reaches, mine = state.poses, 0.0, field.sight.reach >= 0.0, sized(field.sight, k)
     clear, ends, d, old, new = is_clear(field.obstacles), scratch.ends, 0, pair3(state.poses, k), tried_pose(scratch)
     if reaches:
@@ -238,7 +238,9 @@ def see(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 @inlined
 def _meet(j: Integer, f: Integer, k: Integer, covered: Any, field: Any, state: Any, scratch: Any) -> Any:
-    """Count landmark j if it hides landmark k at the place tried from frame f, and note it if k hides it or did so."""
+    """Count landmark j if it hides landmark k, at the place tried, from frame f; list j if k hides it now or did
+    before.
+    """
     seen, hiding, change, other = _is_covered(state, f, j), False, np.int64(0), pair3(state.poses, j)
     before, after = scratch.near[0, word_of(j)] & bit_of(j), scratch.near[1, word_of(j)] & bit_of(j)
     if seen and before:

@@ -1,8 +1,8 @@
 """Moves of single landmarks along drives: the frames that see another landmark, and the filters from there on.
 
 A move changes the information of the frames that see the landmark at its old place or at the place tried. It also
-changes those in which it hides another landmark or no longer does. Each drive with such a frame is filtered again from
-the first of them to its end; the covariances of the frames before it stay.
+changes the frames in which the landmark begins or ceases to hide another landmark. Each drive with such a frame is
+filtered again from the first of them to its end; the covariances of the frames before it stay.
 
 All values are exact after `bound_move`; `settle_move` has nothing to do.
 """
@@ -119,7 +119,7 @@ def settle_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 @inner
 def exchange_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
-    """Carry out the move tried last, or undo it: exchange the place and what follows from it with the scratch."""
+    """Carry out or undo the move tried last: exchange the place, and the data that depend on it, with the scratch."""
     for i in range(6):
         state.poses[i, k], scratch.pose[i] = scratch.pose[i], state.poses[i, k]
     state.surfaces[k], scratch.surface[0] = scratch.surface[0], state.surfaces[k]
@@ -148,7 +148,7 @@ def exchange_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 @kernel
 def fill_state(field: Any, state: Any, scratch: Any) -> None:
-    """Compute everything in a state from its landmarks."""
+    """Compute all other fields of a state from its landmarks."""
     poses, clear, ends = state.poses, is_clear(field.obstacles), scratch.ends
     for k in range(poses.shape[1]):
         mine, pose = sized(field.sight, k), pair3(poses, k)

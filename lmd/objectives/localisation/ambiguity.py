@@ -149,7 +149,7 @@ def _has_any_pose(least: None, sums: Any, v: Integer, step: Integer) -> bool:
 
 @overridable
 def body_has_one_pose(least: float | None, sums: Any, v: Integer, step: Integer) -> Any:
-    """True if the images of a single tag in view v of a rig determine one pose; `sums` as in `body`."""
+    """True if the images of a single tag in view v of a rig determine one pose; `sums` as in `information`."""
     r, m = v + BODY_NUMBERS * step, v + (BODY_NUMBERS + 1) * step
     return rig_ratio(sums[r], sums[m], sums[m + step], sums[m + 2 * step], sums[m + 3 * step], least) >= 1.0
 

@@ -1,4 +1,4 @@
-"""Incremental field of localisation: L at every position while single landmarks move, for a camera or a rig."""
+"""Field of localisation: it updates L at every position while single landmarks move, for a camera or a rig."""
 
 from typing import NamedTuple
 
@@ -88,7 +88,7 @@ class LocalisationField(NamedTuple):
         return self.state_with(self.coverage.state(deployment))
 
     def state_with(self, known: State | RigState) -> LocalisationState:
-        """State of a deployment with the coverage `known`, which becomes a field of the state."""
+        """State of a deployment whose attribute `coverage` is `known`."""
         size, words = known.counts.sets.shape[1:]
         width = width_of(self.precision) if self.mounts else WIDTH
         check_views(8.0 * width if self.asks else 0.0, size, BITS * words)

@@ -1,4 +1,4 @@
-"""Fisher information on the pose of a camera, or of the body of a rig, from the tag corners in a view.
+"""Fisher information about the pose of a camera, or of the body of a rig, from the tag corners in a view.
 
 Let d be the offset of a corner from the camera, r = |d|, and b = d / r the direction in which the camera sees the
 corner. If the camera moves by v and turns by w, both in the world frame, b turns by b x w - (I - b b^T) v / r. With
@@ -7,8 +7,8 @@ noise of equal size in all directions, the corners together have the information
     [ C       -[g]x ]       A = sum (I - b b^T),   g = sum b / r,   C = sum (I - b b^T) / r^2
     [ [g]x     A    ]
 
-on (v, w): 15 numbers, which do not depend on the orientation of the camera. The information on the position, if the
-rotation is estimated too, is the Schur complement
+about (v, w): 15 numbers, which do not depend on the orientation of the camera. The information about the position, if
+the rotation is estimated too, is the Schur complement
 
     S = C - ((g^T A g) A - (A g) (A g)^T) / det A,
 
@@ -18,9 +18,9 @@ minors of S over det S. The formulas for the rotation have A and C exchanged.
 Noise is isotropic in pixels, not in directions. At the cosine c = z / r from the optical axis, a rotation of the
 direction moves the image by 1 / c^2 radially and 1 / c tangentially. The 15 numbers of a landmark at the distance r and
 the depth z are therefore weighted with (r / z)^3, which preserves the determinant of the information of each corner.
-For a lens with distortion the weight is `lmd.scene.criteria.pixel_density`. The remaining error is some per cent of the
-standard deviation, see docs/accuracy.md. The exact information would need 21 numbers for each landmark, position *and*
-orientation. Pixels are treated as square, with the geometric mean of the two focal lengths.
+For a lens with distortion the weight is `lmd.scene.criteria.pixel_density`. The remaining error is a few per cent of
+the standard deviation, see docs/accuracy.md. The exact information would need 21 numbers for each landmark, position
+*and* orientation. Pixels are treated as square, with the geometric mean of the two focal lengths.
 
 A point landmark counts as one corner. Two points leave the rotation about the line through them undetermined. A single
 tag has two poses with nearly equal images, which these formulas ignore; see `ambiguity`.
@@ -31,7 +31,7 @@ C. The contribution of a landmark is rounded to a multiple of `QUANTUM`. Sums ar
 can be added and removed again.
 
 A camera at the offset o from the body's origin, world frame, moves by v - o x w when the body moves by v and turns by
-w. With A, g and C of the camera, the information on (v, w) of the body is
+w. With A, g and C of the camera, the information about (v, w) of the body is
 
     [ C       B           ]      B = -C [o]x - [g]x
     [ B^T     A'          ]      A' = A - [o]x C [o]x - [o]x [g]x - [g]x [o]x,

@@ -1,10 +1,10 @@
-"""Expected log determinant of the information on the pose, the surrogate of localisation for greedy selection.
+"""Expected log determinant of the information about the pose: the surrogate of localisation for greedy selection.
 
 The accuracy of localisation is not submodular in the landmarks, as the first landmark alone has no value. The log det
 of prior plus information is submodular if no landmark hides another: each further landmark adds less. The surrogate is
-the mean over positions and orientations. The prior is the information on the pose before the image. With a prior
-standard deviation of some tolerances, the selected landmarks spread over the room. With a wide prior, the first view of
-one place would gain more than any improvement of another place.
+the mean over positions and orientations. The prior is the information about the pose before the image. With a prior
+standard deviation of a few tolerances, the selected landmarks spread over the room. With a wide prior, the first view
+of one place would gain more than any improvement of another place.
 """
 
 import math

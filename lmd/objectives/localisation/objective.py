@@ -165,5 +165,5 @@ class Localisation(AtLeast):
 
 
 def localisation(fitness: str = "mean", **settings: Any) -> Localisation:
-    """Make a `Localisation` from a configuration, whose key for `climbs` is `fitness`."""
+    """Make a `Localisation` from a configuration, in which the argument `climbs` is called `fitness`."""
     return Localisation(climbs=fitness, **settings)

@@ -62,7 +62,7 @@ class GroupCoverage(NamedTuple):
 def coverage_by_group(
     evaluator: Evaluator, groups: tuple[MountGroup, ...], positions: FloatArray, deployment: Deployment
 ) -> tuple[GroupCoverage, ...]:
-    """Coverage of a deployment by mount groups of the evaluator, or variants of them, from `positions` `(P, 3)`."""
+    """Coverage of a deployment from `positions` `(P, 3)`, for each mount group of the evaluator or variant of one."""
     blockers, slack = evaluator.scene.room.blockers(), np.zeros(len(deployment))
     poses = deployment.positions, deployment.normals, slack
     sets = [covered_sets_by_mount(group, blockers, positions, poses) for group in groups]
@@ -70,7 +70,7 @@ def coverage_by_group(
 
 
 def mounts_of(evaluator: Evaluator, groups: tuple[MountGroup, ...]) -> tuple[Mounts, ...]:
-    """Mounts of mount groups of the evaluator, or variants of them."""
+    """`Mounts` for each mount group of the evaluator or variant of one."""
     cameras = evaluator.scene.cameras
     each = enumerate(zip(groups, dict.fromkeys(cameras), strict=True))
     return tuple(Mounts(j, p.sight, p.offsets, p.axes, gain_of(kind, cameras[0])) for j, (p, kind) in each)
@@ -84,7 +84,7 @@ def numbers_of(precision: Precision) -> np.uint64:
 
 @inner
 def fill_views(left: np.uint64, precision: Precision, views: BodyViews) -> np.uint64:
-    """Begin views for the orientations `left` of a word, with sums of zero, and return the number of views."""
+    """Set up a view with zero sums for each orientation in `left`, a word of a bit set; return the number of views."""
     bits, number, rows, count = views.lists[ORIENTATION], views.lists[NUMBER], views.rows, ZERO
     views.lists[TAKEN, 0], views.lists[TAKEN, 1] = left, ZERO
     while left:

@@ -1,4 +1,4 @@
-"""Localised views of a rig: a view has the images of all cameras, and their information on the body is summed (`body`).
+"""Localised views of a rig: a view has the images of all cameras, whose information about the body is summed.
 
 A rig with one camera at the body's origin has the values of the single camera.
 """
@@ -171,7 +171,7 @@ def located(evaluator: Evaluator, deployment: Deployment, images: RigImages, n: 
 
 
 def body_sums(evaluator: Evaluator, deployment: Deployment, images: RigImages, precision: Precision) -> FloatArray:
-    """Information of all images on the body in the units of the first camera, `(N, width_of(precision))`."""
+    """Information of all images about the body, in the units of the first camera, `(N, width_of(precision))`."""
     scene, (positions, axes, seen) = evaluator.scene, images[3:]
     assert scene.rig is not None
     tags, sums = (

@@ -1,8 +1,8 @@
 """Moves of single landmarks: bounds on L, exact L, and moves that are carried out or undone.
 
 Counts and occlusion come from the field of coverage (`lmd.incremental.trial`). The field of localisation adds the sums
-of the numbers of every view (`information`, `body`), exact in any order, and the sets of localised views. Further
-landmarks never reduce the information of a view, so a move can change the decision for few views:
+of the numbers of every view (`information`), exact in any order, and the sets of localised views. Further landmarks
+never reduce the information of a view, so a move can change the decision for few views:
 
 - if landmarks only disappear from a view, the view may change if it is localised and still covers n landmarks.
 - if landmarks only appear in a view, the view may change if it is not localised and now covers n landmarks.

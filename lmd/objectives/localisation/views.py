@@ -6,7 +6,8 @@ of moments for all views of a position. A camera of a rig has another position f
 computed for each pair of a landmark and a view (`pairs`); for a single camera, moments for each pair would be up to 64
 times the work.
 
-Functions of `trial` that differ for camera and rig: landmarks that appear in views or disappear.
+The module declares the functions of `trial` that differ for camera and rig; they treat landmarks that appear in views
+or disappear from views.
 
 For a single camera (`camera_changes`), a landmark is hidden at a position for all orientations or for none, and has one
 set of moments per position. For a rig (`rig_changes`), occlusion and moments depend on mount and orientation.
@@ -206,7 +207,7 @@ def replace_moments(
 
 @inlined
 def load_rows(left: np.uint64, first: Integer, sums: FloatArray, views: CameraViews) -> np.uint64:
-    """Begin views for the orientations `left` of a word, and prefetch their rows of `sums` from `first` on.
+    """Set up a view for each orientation in `left`, a word of a bit set; prefetch their rows of `sums` from `first` on.
 
     Returns:
         number of the views.
@@ -245,7 +246,7 @@ def add_to_sums(
 
 @dispatched_call
 def see_place(known: Any, k: Integer, n: Integer, localised: WordArray, cover: Any, trial: Any) -> Any:
-    """Write the relevant orientations with which landmark k is seen at the place tried into `FRESH`.
+    """Write into `FRESH` the relevant orientations with which landmark k is seen at the place tried.
 
     Args:
         known, trial: state and scratch of coverage.
@@ -276,7 +277,7 @@ def find_turns(known: Any, trial: Any, lost: WordArray, gained: WordArray) -> No
 
 @dispatched
 def clear_moments(views: Any, p: Integer) -> None:
-    """Discard the moments that the last move stored for position p."""
+    """Discard the moments stored for position p by the last move."""
 
 
 @dispatched
@@ -300,7 +301,7 @@ def change_sums(
 
 @dispatched
 def sum_anew(known: Any, p: Integer, w: Integer, seen: np.uint64, field: Any, state: Any, scratch: Any) -> Any:
-    """Add all landmarks to the sums of the views `seen` of word w, and begin these views.
+    """Set up the views `seen` of word w with zero sums, and add all landmarks to the sums.
 
     Returns:
         number of the views.

@@ -63,18 +63,18 @@ class Annealing(DeploymentSearch):
     Args:
         stacked: conditions of the stage that moves stacks. `stacked`, `single`, `sampled` and `given` are each a
             `Stage`, or a mapping of the fields that differ from the default stage.
-        single: conditions of the stage that moves the landmarks of stacks pulled apart.
+        single: conditions of the stage that moves single landmarks after the stacks are separated.
         sampled: conditions in place of `single` for an objective with a sampling, whose samples the walk must not
             overfit.
         given: conditions of the only stage if the start is given. The temperature is higher, as the start may be bad,
             and the objective as smooth as in `sampled`.
         stacked_share: share of the budget spent on stacks.
         climb_share: share of the budget spent on the ascent, for an objective with a sampling.
-        growth: share of the stage `single` in which footprints grow to their size: nu, or the paper of tags.
+        growth: share of the stage `single` in which footprints grow to their true size: nu, or the paper of tags.
         spread: distance between the separated landmarks of a stack, over the larger of virtual diameter and paper's
             edge.
-        largest: share of the positions of an objective's sampling in the samples at the end of a stage. Twice the share
-            takes twice the time, and wrong decisions at the end of the run become rarer.
+        largest: size of the samples at the end of a stage, as a share of the positions of the objective's sampling.
+            Twice the share takes twice the time, and wrong decisions at the end of the run become rarer.
         walkers: number of groups of landmarks that are moved at the same time, see `Surrogate`.
         seed: see `Optimiser`.
 

@@ -59,7 +59,7 @@ class Surrogate:
     Args:
         problem: the true problem.
         walkers: largest number of walks. There are fewer if a walk would have too few landmarks to move together.
-        largest: share of the positions of an objective's sampling in the samples at the end of a stage.
+        largest: size of the samples at the end of a stage, as a share of the positions of the objective's sampling.
     """
 
     def __init__(self, problem: Problem, walkers: int, largest: float) -> None:

@@ -60,7 +60,7 @@ class Walker(NamedTuple):
     group: IntArray
     """`(n,)` working memory: landmarks that move together."""
     state: Any
-    """State of the field with the landmarks at the end of the walker's last stretch."""
+    """State of the field with the landmarks at the end of the walker's last phase."""
     scratches: Any
     """`layers` of a scratch, one for each landmark of a group."""
     best: Best

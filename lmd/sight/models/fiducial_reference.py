@@ -37,7 +37,7 @@ def in_rectangle(sight: FiducialSight, centre: FloatArray, sides: list[FloatArra
 
 
 def in_bent_rectangle(sight: LensSight, centre: FloatArray, sides: list[FloatArray]) -> BoolArray:
-    """Mask of the tags with centre and corners within the widest angle of a lens with distortion and in the image.
+    """Mask of the tags with centre and corners in the image, and within the widest angle of a lens with distortion.
 
     Arguments as in `in_rectangle`.
     """

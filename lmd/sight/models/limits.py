@@ -43,7 +43,7 @@ class Limits(Checked):
     margin: NotNegative
 
     def found(self, pitch: FloatArray, incidence: FloatArray, edge: FloatArray, sigma: FloatArray) -> BoolArray:
-        """Mask of the views that the detector finds, for tags wholly in the image; arrays of one shape.
+        """Mask of the views that the detector finds, for tags wholly in the image; arrays of equal shape.
 
         Views with NaN (behind the camera) are not found.
 

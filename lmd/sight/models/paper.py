@@ -60,7 +60,7 @@ class PaperSight(NamedTuple):
 
     @property
     def tabulated(self) -> bool:
-        """See `SightModel.tabulated`; the test is a depth and two comparisons."""
+        """See `SightModel.tabulated`: False, as the test (a depth and two comparisons) is faster than a table."""
         return False
 
     def unhidden(self) -> "PaperSight":
