@@ -20,12 +20,12 @@ from lmd.sight.evaluator import Evaluator
 
 # Seeds every draw of an objective's `Sampling`: the problem does not depend on the seed of an optimiser.
 SAMPLING_STREAM = 0x64657369
-# Work of a batch that compiled code evaluates in one call, which no signal interrupts: landmarks, positions and axes.
+# Greatest product of landmarks, positions and axes in one call of compiled code, which no signal interrupts.
 AT_ONCE = 5 * 10**8
 
 
 class Genome(Protocol):
-    """Encoding of the candidates of a problem, such as deployments or rigs, as vectors in the unit box."""
+    """Encoding of a problem's candidates (deployments or rigs) as vectors in the unit box."""
 
     @property
     def dim(self) -> int:
@@ -49,21 +49,21 @@ class Genome(Protocol):
         """Landmarks of a candidate `(dim,)`."""
 
     def rig(self, genes: FloatArray) -> Rig | None:
-        """Cameras of a candidate `(dim,)`; None where the scene's camera is fixed."""
+        """Cameras of a candidate `(dim,)`; None if the scene's camera is fixed."""
 
     def reached(self, fitness: float) -> None:
-        """Set the best fitness to the value at a checkpoint, so that a resumed run makes equal decisions."""
+        """Restore the best fitness from a checkpoint, so that a resumed run makes equal decisions."""
 
 
 def checked_genes(genes: FloatArray, *shape: int | str) -> FloatArray:
-    """Genes of a candidate or of several, as an array.
+    """Return the genes of one candidate or several as an array.
 
     Args:
         genes: the genes.
-        shape: numbers of them along each axis; a letter for any number.
+        shape: required length of each axis; a letter for any length.
 
     Raises:
-        InputError: `genes` have another shape, are no numbers, or lie outside [0, 1].
+        InputError: `genes` have another shape, are not numbers, or lie outside [0, 1].
     """
     try:
         if np.iscomplexobj(genes):  # NumPy would drop the imaginary part
@@ -128,7 +128,7 @@ class Problem:
             self.fitness_relevance = np.tile(weights, len(self.fitness_evaluator.positions) // len(weights))
 
     def with_rig(self, rig: Rig, start: DeploymentSource | None = None) -> "Problem":
-        """The problem of placing landmarks for another rig, with another start if `start` is given.
+        """Problem of placing landmarks for another rig, with another start if `start` is given.
 
         Raises:
             InputError: a camera would be outside the room.
@@ -138,19 +138,19 @@ class Problem:
 
     @property
     def genome(self) -> Genome | None:
-        """Genome of a problem that varies something other than landmarks; None if landmarks vary, which optimisers
-        encode themselves.
+        """Genome of a problem that varies something other than landmarks; None if landmarks vary, as optimisers
+        encode landmarks themselves.
         """
         return None
 
     @property
     def fixed_count(self) -> int:
-        """Number of landmarks, of K, that are fixed."""
+        """Number of fixed landmarks among the K."""
         return 0 if self.fixed is None else len(self.fixed)
 
     @property
     def free_count(self) -> int:
-        """Number of landmarks, of K, that are to be placed."""
+        """Number of landmarks to be placed among the K."""
         return self.count - self.fixed_count
 
     @property
@@ -217,12 +217,12 @@ class Problem:
         return np.asarray(returned(self.objective, "fitness", fitness, *values.shape[:-1]))
 
     def values(self, deployment: Deployment) -> FloatArray:
-        """The objective's value at every position of the grid, in [0, 1], `(P,)`; at each for every crowd state."""
+        """The objective's value in [0, 1] at every position of the grid (in every crowd state), `(P,)`."""
         return self._values(self.evaluator, deployment)
 
     @property
     def places(self) -> FloatArray:
-        """Positions of the grid, `(P,)`, each once, also with a crowd."""
+        """Positions of the grid; with a crowd, too, each position occurs once."""
         return np.asarray(self.evaluator.positions[: len(self.relevance) // self.state_count])
 
     @property
@@ -263,7 +263,7 @@ class Problem:
         return {"fitness": fitness, **described, **describe_crowd(self.objective, figures, self.evaluator)}
 
     def resampled(self, share: float, rng: np.random.Generator) -> tuple[Evaluator, FloatArray] | None:
-        """A fresh draw of the objective's sampling with a share of its positions, and their relevance, `(Q,)`.
+        """New sample of positions, a share of the objective's sampling, and the relevance of the positions, `(Q,)`.
 
         For optimisers that can change the sample during a run, which avoids fitting the deployment to one sample.
 
@@ -287,8 +287,8 @@ class Problem:
         return max(1, math.ceil(share * (max(most, self.state_count) if seeks_worst(self.evaluator) else most)))
 
     def settings(self) -> Mapping[str, Any]:
-        """Settings that the figures of `metrics` depend on, for files of results; None for infinite numbers, as JSON
-        has none.
+        """Settings that determine the figures of `metrics`, for files of results; None replaces infinite numbers, as
+        JSON has none.
         """
         scene = self.scene
         return {
@@ -309,7 +309,7 @@ class Problem:
 
 
 def _fields(part: Any) -> dict[str, Any]:
-    """Fields of a dataclass by name; for other objects, the `repr` as their `name`."""
+    """Fields of a dataclass by name; for another object, its `repr` as `name`."""
     return _finite(asdict(part)) if hasattr(part, "__dataclass_fields__") else {"name": repr(part)}
 
 

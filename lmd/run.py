@@ -20,14 +20,14 @@ def optimise(
 
     Args:
         problem: problem whose fitness is maximised.
-        evaluations: maximum number of full evaluations; an evaluation after a move of one landmark counts 1/K.
+        evaluations: maximum number of full evaluations; an evaluation after a move of one landmark counts as 1/K.
         seconds: wall time after which no new evaluation starts. At least one of the two limits is needed.
         seed: random seed of the optimiser; the same seed gives the same result.
-        optimiser: optimiser, `Annealing` by default. `seed` does not affect a given optimiser.
+        optimiser: optimiser, `Annealing` by default. `seed` does not affect an optimiser that is given.
         callback: function called after every batch; the run stops if the function returns True.
 
     Raises:
-        InputError: there is no limit, or the optimiser cannot take the problem.
+        InputError: there is no limit, or the optimiser does not support the problem.
     """
     method = Annealing(seed=seed) if optimiser is None else optimiser
     return method.run(problem, Budget(evaluations, seconds), callback)

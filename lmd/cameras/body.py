@@ -29,7 +29,7 @@ class Box(Checked):
         name: prefix of the names of its faces if there are several boxes, as in `mast_front`.
 
     Raises:
-        InputError: the box is empty, or there is no such face.
+        InputError: the box is empty, or `faces` has an unknown name.
     """
 
     low: Point
@@ -105,7 +105,7 @@ class Body(Checked):
         return np.array([box.low for box in self._boxes]), np.array([box.high for box in self._boxes])
 
     def surfaces(self) -> tuple[Surface, ...]:
-        """Faces that may carry cameras, with the allowed regions; faces without such a region are left out.
+        """Faces that may carry cameras, reduced to their allowed regions; faces without an allowed region are left out.
 
         Raises:
             InputError: no face has an allowed region.
@@ -130,7 +130,7 @@ class Body(Checked):
         return tuple(left)
 
     def own_part(self, centre: FloatArray, rays: FloatArray) -> float:
-        """Share of the rays `(R, 3)` from a camera's centre `(3,)` that hit the body; 1 from inside the body."""
+        """Share of the rays `(R, 3)` from a camera's centre `(3,)` that hit the body; 1 if the centre is inside."""
         low, high = self.corners
         if ((centre > low) & (centre < high)).all(axis=1).any():
             return 1.0

@@ -21,8 +21,8 @@ from lmd.space.surface import SurfaceArrays
 
 DECIMALS = 3  # number of decimals of positions, metres, and angles, radians
 IMAGE_SAMPLES = (17, 13)  # pixels sampled along width and height of an image to measure the share of the body
-TURN_STEPS = 8  # number of equal steps in which a camera that sees too much of the body is turned
-GIVEN_TOLERANCE = 0.0016  # a given mount is refused if it deviates more from its encoding, metres and rad
+TURN_STEPS = 8  # number of equal steps by which a camera is turned if it sees too much of the body
+GIVEN_TOLERANCE = 0.0016  # greatest accepted deviation of a given mount from its encoding, metres and rad
 DRAWS_PER_CAMERA = 200  # greatest number of random mounts drawn for each camera
 QUARTER_TURN = math.pi / 2.0
 HALF_TURN = {"low": -math.pi - 0.01, "high": math.pi + 0.01}  # bounds of an angle, rad, with a margin for rounding
@@ -67,7 +67,7 @@ class MountSpace(Checked):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Name of each gene of a camera."""
+        """Names of the genes of a camera."""
         turns = tuple(name for name in ("yaw", "pitch", "roll") if np.ptp(getattr(self, name)) or name == "yaw")
         return ("along", "up", *turns, *(("lens",) if len(self.lenses) > 1 else ()))
 
@@ -188,7 +188,7 @@ def rounded(camera: Camera, place: FloatArray, yaw: float, pitch: float, roll: f
 
 
 def _alike(one: Mount, other: Mount) -> bool:
-    """True if two mounts differ by at most the rounding."""
+    """True if two mounts are equal within the rounding."""
     away = np.abs(np.array(one.translation) - other.translation).max()
     return one.camera == other.camera and max(away, np.abs(one.rotation - other.rotation).max()) <= GIVEN_TOLERANCE
 
@@ -211,7 +211,7 @@ def _turned(angle: float) -> float:
 
 
 def _rays_of(camera: Camera) -> FloatArray:
-    """Viewing directions of sampled pixels, borders included, as forward, left, up, `(R, 3)`."""
+    """Viewing directions of sampled pixels, including the borders; components forward, left, up, `(R, 3)`."""
     sizes = (camera.image_width, camera.image_height)
     u, v = (np.linspace(0.0, size, samples) for size, samples in zip(sizes, IMAGE_SAMPLES, strict=True))
     seen = bearings(camera, np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))

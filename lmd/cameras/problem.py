@@ -89,14 +89,14 @@ class CameraViews:
 class CameraProblem(Problem):
     """Problem of maximising the objective's fitness over the cameras of a rig.
 
-    The fitness equals the fitness of a `Problem` with the rig of the cameras, bit for bit. For objectives that count
+    The fitness is bit-identical to the fitness of a `Problem` with a rig of these cameras. For objectives that count
     landmarks, the views of each camera are evaluated once and cached; for other objectives every rig is evaluated
     again.
 
     Args:
         problem: problem with the objective and with the scene, whose camera is replaced.
         tags: the landmarks, which do not move.
-        space: admissible mounts.
+        space: admissible mounts of the cameras.
         start: cameras of the start; random cameras by default.
 
     Raises:
@@ -119,7 +119,7 @@ class CameraProblem(Problem):
         scene = replace(problem.scene, camera=Rig((farthest,)))
         super().__init__(scene, problem.objective, problem.start, problem.evaluator.threads, problem.fixed)
         self.views = CameraViews(self.fitness_evaluator, tags)
-        self._most = -np.inf  # best fitness of cameras that stay in the room at all positions
+        self._most = -np.inf  # best fitness found for cameras that are in the room at all positions
         if not self.counts:  # an objective that does not support a rig raises an error here
             self.values_of(space.mounts(space.draw(np.random.default_rng(0))) or ())
 
@@ -129,7 +129,7 @@ class CameraProblem(Problem):
         return isinstance(self.objective, Coverage)
 
     def _corners(self) -> tuple[Mount, ...]:
-        """Mounts at the corners of the faces: the body is in the room if these mounts are."""
+        """Mounts at the corners of the faces; if all are in the room, the body is in the room."""
         at = [
             face.point(a, b) + self.space.body.standoff * face.normal
             for face in self.space.body.surfaces()

@@ -10,22 +10,22 @@ from numpy.typing import NDArray
 
 from lmd.core.compiled import OVERLOAD_INLINED, inlined
 
-Integer: TypeAlias = int | np.integer[Any]  # an index or a count in compiled code, of any width
+Integer: TypeAlias = int | np.integer[Any]  # index or count in compiled code, an integer of any width
 WordArray: TypeAlias = NDArray[np.uint64]  # sets of axes
 
 BITS = 64
 LANES = 32  # number of axes or landmarks that are tested at once, one bit each
 ZERO, ONE, ALL = np.uint64(0), np.uint64(1), np.uint64(2**64 - 1)
-HALF, LOWER = np.uint64(32), np.uint64(2**32 - 1)  # shift and mask for two numbers in a word, a << HALF | b
+HALF, LOWER = np.uint64(32), np.uint64(2**32 - 1)  # shift and mask to pack two numbers into a word, a << HALF | b
 
 
 def lowest(word: Any) -> np.uint64:
-    """Index of the lowest set bit of a word other than 0; compiled, it is one instruction."""
+    """Index of the lowest set bit of a nonzero word; one instruction in compiled code."""
     return np.uint64((int(word) & -int(word)).bit_length() - 1)
 
 
 def prefetch(array: Any, index: Any) -> None:
-    """Prefetch 16 elements of 64 bits (two cache lines) from `index` on; the array is in C order."""
+    """Prefetch 16 elements of 64 bits (two cache lines) of an array in C order, beginning at `index`."""
 
 
 @intrinsic
@@ -73,7 +73,7 @@ def add_digit(digit: np.uint64, carry: np.uint64, decrement: np.uint64) -> tuple
 
 @inlined
 def equal_so_far(equal: np.uint64, digit: np.uint64, n: Integer, j: Integer) -> np.uint64:
-    """Subset of the axes `equal` whose count has the digit j of n."""
+    """Those of the axes `equal` whose count has digit j equal to digit j of n."""
     return equal & (digit if n >> j & 1 else ~digit)
 
 

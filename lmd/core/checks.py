@@ -54,7 +54,7 @@ class InputError(ValueError):
         self.argument = argument
 
     def within(self, whole: str) -> "InputError":
-        """Copy of the error for the argument `whole.argument`; unchanged if the error names no argument."""
+        """Copy of the error about the argument `whole.argument`; the error itself if it names no argument."""
         if self.argument is None:
             return self
         return InputError(f"{whole}.{self}", f"{whole}.{self.argument}")
@@ -62,7 +62,7 @@ class InputError(ValueError):
 
 @contextmanager
 def argument_of(whole: str) -> Iterator[None]:
-    """Prefix the argument of an `InputError` with `whole.`."""
+    """Prefix the argument's name in an `InputError` with `whole.`."""
     try:
         yield
     except InputError as error:
@@ -92,8 +92,8 @@ def real(
 ) -> float:
     """Return `value` as a float.
 
-    `above` is an open lower bound, `low` and `high` are closed; infinity passes only with `infinite`. Without
-    `high` the number is at most `LARGEST` in size.
+    `above` is an open lower bound; `low` and `high` are closed bounds. Infinity is accepted only with `infinite`.
+    Without `high`, the magnitude is at most `LARGEST`.
 
     Raises:
         InputError: `value` is not a number, is NaN, or is out of range.
@@ -109,7 +109,7 @@ def real(
     if above is not None and not number > above:
         raise InputError(f"{name} must be greater than {above:g}, got {value!r}.", name)
     if low is not None and high is not None and not low <= number <= high:
-        digits = ".9g" if f"{number:g}" in (f"{low:g}", f"{high:g}") else "g"  # 1.5708 is above pi / 2
+        digits = ".9g" if f"{number:g}" in (f"{low:g}", f"{high:g}") else "g"  # else 1.5708 is not in [0, 1.5708]
         raise InputError(f"{name} must be in [{low:{digits}}, {high:{digits}}], got {value!r}.", name)
     if low is not None and number < low:
         raise InputError(f"{name} must be at least {low:g}, got {value!r}.", name)
@@ -121,7 +121,7 @@ def real(
 
 
 def integer(name: str, value: Any, *, low: int, high: int | None = None) -> int:
-    """Return `value` as an int in [low, high], see `real`; whole floats such as 1e3 pass.
+    """Return `value` as an int in [low, high], see `real`; whole floats such as 1e3 are accepted.
 
     Raises:
         InputError: `value` is not a whole number or is out of range.
@@ -137,7 +137,7 @@ def seed_number(value: Any) -> int:
     """Return `value` as the seed of a random generator; messages call it `seed`.
 
     Raises:
-        InputError: `value` is no whole number from 0 to `LARGEST_SEED`.
+        InputError: `value` is not a whole number from 0 to `LARGEST_SEED`.
     """
     return integer("seed", value, low=0, high=LARGEST_SEED)
 
@@ -146,7 +146,7 @@ def boolean(name: str, value: Any) -> bool:
     """Return `value` if it is True or False.
 
     Raises:
-        InputError: `value` is neither True nor False, for example 0 or 1.
+        InputError: `value` is neither True nor False; 0 and 1 are refused, too.
     """
     if not isinstance(value, bool):
         raise InputError(f"{name} must be true or false, got {value!r}.", name)
@@ -180,10 +180,10 @@ def vector(name: str, value: Any, size: int | None, **bounds: Any) -> tuple[floa
 
 
 def span(name: str, value: Any, *, point: bool = True, **bounds: float) -> tuple[float, float]:
-    """Return `value` as a range of two floats, each checked by `real`; `point` allows a range of one number.
+    """Return `value` as a range of two floats, each checked by `real`; `point` allows equal ends.
 
     Raises:
-        InputError: `value` has no two admissible numbers, or the first exceeds the second.
+        InputError: `value` is not a pair of admissible numbers, or the first exceeds the second.
     """
     low, high = vector(name, value, 2, **bounds)
     if low > high or (low == high and not point):
@@ -195,7 +195,7 @@ def entries(name: str, value: Any, check: Callable[[str, Any], Item]) -> tuple[I
     """Return the list `value` as a tuple of the results of `check`, which is called for each entry.
 
     Raises:
-        InputError: `value` is no list, or `check` raises it.
+        InputError: `value` is not a list, or `check` refuses an entry.
     """
     if isinstance(value, str) or not isinstance(value, Sequence):
         raise InputError(f"{name} must be a list, got {value!r}.", name)
@@ -203,13 +203,13 @@ def entries(name: str, value: Any, check: Callable[[str, Any], Item]) -> tuple[I
 
 
 def only_keys(name: str, value: Iterable[Any], known: Sequence[str]) -> None:
-    """Raise `InputError` if a mapping has a key that is not `known`."""
+    """Raise `InputError` if a key of a mapping is not in `known`."""
     if unknown := [key for key in value if key not in known]:
         raise InputError(f"{name} has no key {unknown[0]!r}, only {', '.join(known)}.", name)
 
 
 def text(name: str, value: Any) -> str:
-    """Return `value` if it is a text with a character; raise `InputError` if not."""
+    """Return `value` if it is a non-empty text; raise `InputError` otherwise."""
     if not isinstance(value, str) or not value.strip():
         raise InputError(f"{name} must be a text, got {value!r}.", name)
     return value
@@ -228,12 +228,12 @@ Point = Annotated[tuple[float, ...], partial(vector, size=3)]
 
 
 def bounded(what: str, number: float, most: float, source: str, argument: str | None = None) -> None:
-    """Raise `InputError` if a file or a setting asks for more than `most`; called before the work.
+    """Raise `InputError` if a file or a setting requires more than `most` objects; called before they are made.
 
     Args:
         what: plural noun, such as `triangles`.
-        number: number that is asked for; NaN is refused.
-        most: greatest number that is taken, far above that of real input.
+        number: required number; NaN is refused.
+        most: greatest accepted number, far above the numbers in real input.
         source: subject of the message, such as `path: 'room.obj'`.
         argument: name of the argument that is the cause.
     """
@@ -270,7 +270,7 @@ def returned(part: Any, method: str, value: Any, *shape: int | None, truth: bool
         truth: True for a mask, False for real numbers.
 
     Raises:
-        InputError: the result has another shape, or is no mask or no real numbers; NumPy would broadcast it.
+        InputError: the result has another shape, which NumPy might broadcast, or another type of entries.
     """
     array = np.asarray(value)
     fits = len(shape) == array.ndim and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
@@ -298,8 +298,8 @@ class Checked:
     """Base of a frozen dataclass that checks its fields.
 
     The type of a field names its check: a field of the type `Annotated[T, check]` becomes `check(name, value)`. A field
-    of the type `Annotated[T, check] | None` may be None too. Fields are checked in their order, and then `_validate`
-    checks what they must be together.
+    of the type `Annotated[T, check] | None` may be None, too. Fields are checked in their order; then `_validate`
+    checks the combination of fields.
 
     >>> @dataclass(frozen=True)
     ... class Lamp(Checked):
@@ -318,7 +318,7 @@ class Checked:
         self._validate()
 
     def _validate(self) -> None:
-        """Raise `InputError` if the fields, each of which is right, are wrong together."""
+        """Raise `InputError` if fields that are valid one by one are invalid together."""
 
 
 def check_fields(instance: Any, check: Callable[..., Any], *names: str, **bounds: Any) -> None:

@@ -20,7 +20,7 @@ GARBAGE_THRESHOLDS = (20_000, 50, 1_000)
 
 
 class CompileClock:
-    """Clock without the time during which this process compiles, in any of its threads."""
+    """Clock that stops while any thread of this process compiles."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -28,7 +28,7 @@ class CompileClock:
         self._began = self._spent = 0.0
         self._kernels = 0  # number of kernels whose compilation has begun
         self._thresholds = gc.get_threshold()
-        self.cache_note = "it is kept for the next time"  # part of the message on the first compilation
+        self.cache_note = "it is kept for the next time"  # part of the message about the first compilation
 
     @contextmanager
     def stopped(self, function: Any) -> Iterator[None]:
@@ -78,7 +78,7 @@ CLOCK = CompileClock()
 class TimedCompiler(Compiler):
     """numba's compiler; `CLOCK` stands still while it works."""
 
-    returns_arrays = True  # False: a function may return a counted array, but no array in a tuple
+    returns_arrays = True  # False: a function may return an array with a reference count, but no tuple with an array
 
     def compile_extra(self, func: Any) -> Any:
         """Compile a function.

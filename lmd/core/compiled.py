@@ -83,7 +83,7 @@ def borrowing(function: F) -> F:
 
 
 def _made_kernel(function: F, options: Any) -> F:
-    if PYTHON:  # as compiled code, which does not warn of a division by zero
+    if PYTHON:  # compiled code does not warn of a division by zero either
         quiet: F = np.errstate(all="ignore")(function)
         return quiet
     compiled: Any = numba.njit(pipeline_class=_KERNEL, **options)(function)
@@ -100,7 +100,7 @@ def inner(function: F) -> F:
     """Mark a function that kernels call; it is compiled as a part of each kernel. Python calls it as plain Python.
 
     numba's own compiler has LLVM optimise a function by itself and again within each caller, at every level of nesting,
-    which takes most of the compilation time for nested calls. Here LLVM optimises it within the kernel only.
+    which takes most of the compilation time for nested calls. Here LLVM optimises a function within the kernel only.
 
     The function must neither allocate nor return arrays, alone or in a tuple: without reference counts they would be
     freed too early.
@@ -109,17 +109,17 @@ def inner(function: F) -> F:
 
 
 def inlined(function: F) -> F:
-    """As `inner`, but LLVM inlines the function regardless of its size.
+    """Like `inner`, but LLVM inlines the function regardless of its size.
 
     Then LLVM vectorises loops that call the function, and moves invariant terms out of the loops. An inlined function
-    also needs no arguments: a field, a state and a scratch are hundreds of numbers, and passing them at each position
-    would take longer than the work.
+    also saves the passing of arguments: a field, a state and a scratch are hundreds of numbers, and passing these at
+    each position would take longer than the function's work.
     """
     return _made_inner(function, _INNER, _UNCOUNTED | _INLINED)
 
 
 def allocating(function: F) -> F:
-    """As `inner`, for a function that allocates arrays; it may return them."""
+    """Like `inner`, for a function that allocates arrays and may return these arrays."""
     return _made_inner(function, _ALLOCATING, {"_nrt": True})
 
 

@@ -1,8 +1,8 @@
 """Single dispatch in compiled code: the class of the first argument (a named tuple or None) selects the function.
 
-This is `functools.singledispatch` for numba. A kernel calls one name; it is compiled for each class of arguments with
-the function that is registered for the class. So a criterion or an objective is one file that no kernel imports.
-Compiled code stays cached on disk, which functions as arguments would prevent.
+This is `functools.singledispatch` for numba. A kernel calls one name. The kernel is compiled for each class of
+arguments, with the function that is registered for the class. So a criterion or an objective is one file that no kernel
+imports. Compiled code stays cached on disk; functions passed as arguments would prevent caching.
 
     @dispatched
     def area(shape): ...
@@ -38,7 +38,7 @@ class Dispatched(Protocol[P, R_co]):
 
 
 def dispatched(declaration: Callable[P, R_co]) -> Dispatched[P, R_co]:
-    """Make a dispatched function with name and docstring of `declaration`; calls are inlined (`compiled.inlined`).
+    """Make a dispatched function, called like `declaration`; calls are inlined (`compiled.inlined`).
 
     The body of `declaration` is not used.
     """
@@ -46,12 +46,12 @@ def dispatched(declaration: Callable[P, R_co]) -> Dispatched[P, R_co]:
 
 
 def dispatched_call(declaration: Callable[P, R_co]) -> Dispatched[P, R_co]:
-    """As `dispatched`, but calls are not inlined; for long functions."""
+    """Like `dispatched`, but calls are not inlined; for long functions."""
     return _dispatched(declaration, None, OVERLOAD)
 
 
 def overridable(declaration: Callable[P, R_co]) -> Dispatched[P, R_co]:
-    """As `dispatched`, but the body of `declaration` is used for classes without a registered function."""
+    """Like `dispatched`, but the body of `declaration` is the function for classes without a registered function."""
     return _dispatched(declaration, declaration, OVERLOAD_INLINED)
 
 
@@ -81,7 +81,7 @@ def _dispatched(declaration: Callable[P, R_co], otherwise: Function | None, opti
 
 
 def entry(column: Any, k: Any) -> Any:
-    """Entry k of a column `(K,)`; a number is returned as it is, for all k. Kernels are compiled for both types."""
+    """Entry k of a column `(K,)`; a column that is one number has this value for all k. Kernels accept both types."""
     return column[k] if isinstance(column, np.ndarray) else column
 
 

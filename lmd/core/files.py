@@ -18,7 +18,7 @@ import yaml
 from lmd.core.checks import InputError, file_path
 from lmd.core.memory import check_memory
 
-# Greatest memory during parsing per byte of a file, bytes; needed for tables of short texts.
+# Greatest memory for parsing one byte of a file, bytes; tables of short texts need most.
 MEMORY_PER_BYTE = 20.0
 # Greatest size of a YAML file, bytes; larger files are refused, as half a megabyte takes seconds to parse.
 LARGEST_YAML = 1 << 19
@@ -54,7 +54,7 @@ def read_bytes(path: Any, name: str, largest: float = math.inf, first: int | Non
     source = file_path(name, path)
     refused = f"{name}: {str(path)!r} cannot be read"
     try:
-        descriptor = os.open(source, os.O_RDONLY | os.O_NONBLOCK)  # opening a pipe does not wait for a writer
+        descriptor = os.open(source, os.O_RDONLY | os.O_NONBLOCK)  # so that opening a pipe does not wait for a writer
         try:
             status = os.fstat(descriptor)
             if not stat.S_ISREG(status.st_mode):
@@ -80,7 +80,7 @@ def read_bytes(path: Any, name: str, largest: float = math.inf, first: int | Non
 
 def write_whole(path: Path, content: bytes) -> None:
     """Write a file atomically: after a crash it has the old or the new content."""
-    partial = path.with_name(f"{path.name}.partial")  # a file left by a kill is overwritten
+    partial = path.with_name(f"{path.name}.partial")  # overwrites a file that a killed process left
     try:
         with partial.open("wb") as file:
             file.write(content)
@@ -159,7 +159,7 @@ def _without(pattern: str, text: str) -> str:
 
 
 class _Loader(yaml.SafeLoader):  # type: ignore[misc] # yaml has no types
-    """YAML loader that reads OpenCV matrices as mappings and 1e-5 as a number, which YAML 1.1 reads as a text.
+    """YAML loader that reads OpenCV matrices as mappings, and 1e-5 as a number (YAML 1.1 reads a text).
 
     libyaml's faster loader is not used, as deeply nested values overflow the stack of the process.
     """
@@ -172,7 +172,7 @@ _Loader.add_implicit_resolver(
 
 
 def _integer(loader: Any, node: Any) -> int:
-    """Read an integer; base 60 of YAML and integers too long to print are refused."""
+    """Read an integer; YAML's base-60 integers and integers too long to print are refused."""
     if ":" in node.value:
         raise ValueError(f"{node.value[:20]!r} is no number")
     value = loader.construct_yaml_int(node)
@@ -197,7 +197,7 @@ def check_aliases(text: str) -> None:
 
 
 def _values(node: Any, known: dict[int, float]) -> float:
-    """Number of values of a node with expanded aliases; infinite for a node that contains itself."""
+    """Number of values of a node after aliases are expanded; infinite for a node that contains itself."""
     if id(node) not in known:
         known[id(node)] = math.inf
         pairs = isinstance(node, yaml.MappingNode)

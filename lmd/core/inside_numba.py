@@ -20,9 +20,9 @@ from lmd.core.sources import classes_in, digest_of
 
 # Errors of truncated cache files, or of removed classes.
 UNREADABLE = AttributeError, EOFError, ImportError, pickle.UnpicklingError
-PATIENCE_SECONDS = 60.0  # greatest wait for another process that compiles the kernel; then it is compiled here too
+PATIENCE_SECONDS = 60.0  # greatest wait for another process that compiles the kernel; then this process does
 LOCKS: dict[Any, dict[str, FileLock]] = {}  # locks of the kernels that this process compiles, by function and signature
-FLAGS_HASH = hash(Flags())  # one hash for all flags; equality decides
+FLAGS_HASH = hash(Flags())  # equal hash for all flags, so that only equality is tested
 PYTHON_WRAPPER = "_ZN7cpython"  # prefix of the names of numba's wrappers that Python calls
 
 
@@ -80,7 +80,7 @@ class _InnerLibrary(_Library):
     codegen = property(lambda self: self)  # numba calls `codegen().set_env`
 
     def set_env(self, name: str, environment: Any) -> None:
-        """Do nothing: only machine code needs an environment."""
+        """Ignore the environment, which only machine code needs."""
 
 
 def _called_by(library: Any, found: dict[Any, None]) -> list[Any]:
@@ -118,7 +118,7 @@ class KernelCompiler(StrictCompiler):
         self.state.flags = _Flags(self.state.flags)
 
     def compile_extra(self, func: Any) -> Any:
-        """See `TimedCompiler`; after an error the locks are released, so that no other process waits."""
+        """See `TimedCompiler`; after an error all locks are released, so that no other process waits."""
         try:
             return super().compile_extra(func)
         except BaseException:
@@ -217,11 +217,11 @@ class _Index(IndexDataCacheFile):
         try:
             return super()._load_data(name)
         except UNREADABLE as error:
-            raise OSError(f"{name} cannot be read") from error  # numba takes this for a missing file
+            raise OSError(f"{name} cannot be read") from error  # numba interprets this error as a missing file
 
     def save(self, key: Any, data: Any) -> None:
         with FileLock(f"{self._index_path}.lock"):
-            if not self._load_index():  # existing files have another digest
+            if not self._load_index():  # existing files have another digest in their names
                 for old in Path(self._cache_path).glob(f"{glob.escape(self._index_name.removesuffix('nbi'))}*.nbc"):
                     old.unlink(missing_ok=True)
             super().save(key, data)

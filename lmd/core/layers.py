@@ -21,7 +21,7 @@ def layers(bundle: Bundle, number: int) -> Bundle:
 
 
 def _copied(part: Any, number: int, copies: dict[int, np.ndarray]) -> Any:
-    """Stack copies of a part of a bundle; `copies` has the stacks made before, by the id of the part.
+    """Stack copies of a part of a bundle; `copies` contains the earlier stacks, keyed by the id of the part.
 
     The function is not a closure of `layers`: a recursive closure is a reference cycle, which delays the release of
     arrays.
@@ -34,7 +34,7 @@ def _copied(part: Any, number: int, copies: dict[int, np.ndarray]) -> Any:
 
 
 def layer(bundle: Any, number: Any) -> Any:
-    """Layer `number` of a result of `layers`, as views; also in kernels."""
+    """Layer `number` of a result of `layers`, as views; works in kernels, too."""
     if isinstance(bundle, tuple):
         return _made(type(bundle), (layer(part, number) for part in bundle))
     return bundle[number]

@@ -6,14 +6,14 @@ from pathlib import Path
 from lmd.core.checks import InputError
 
 GIB = 2.0**30
-LITTLE = 2.0**16  # greatest allocation that is not checked, bytes; a check takes a third of a millisecond
+LITTLE = 2.0**16  # smaller allocations are not checked, bytes, as a check takes a third of a millisecond
 MEMINFO = Path("/proc/meminfo")
 # Files with the memory limit of a container, in versions 2 and 1 of Linux control groups.
 LIMITS = (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"))
 
 
 def free_memory() -> float:
-    """Free memory, bytes: MemAvailable on Linux, else the total memory; at most the limit of a container."""
+    """Free memory, bytes: MemAvailable on Linux, the total memory elsewhere; at most the limit of a container."""
     limits = [path.read_text().strip() for path in LIMITS if path.is_file()]
     if MEMINFO.is_file():
         entries = dict(line.split(":") for line in MEMINFO.read_text().splitlines())

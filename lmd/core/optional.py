@@ -21,7 +21,7 @@ EXTRAS = {
     "pymoo": "optimisers",
     "rosbags": "bags",
 }
-MOST_NAMES = 12  # most names of a module in a message
+MOST_NAMES = 12  # greatest number of a module's names in a message
 LIKENESS = 0.75  # least similarity, by `difflib`, of a suggested class or module
 
 
@@ -47,7 +47,7 @@ def missing(package: str, extra: str) -> InputError:
 
 
 def missing_of(error: BaseException | None) -> InputError | None:
-    """Result of `missing` if an error was caused by the absence of a package of `EXTRAS`, else None."""
+    """Result of `missing` if the cause of an error is a missing package of `EXTRAS`, else None."""
     while error is not None and not isinstance(error, ModuleNotFoundError):
         error = error.__cause__ or error.__context__
     name = getattr(error, "name", None) or ""
@@ -55,14 +55,14 @@ def missing_of(error: BaseException | None) -> InputError | None:
 
 
 def lack_of(target: str) -> str:
-    """Say which part of a dotted path to a class is missing, and which names are close to it."""
+    """Sentence that names the missing part of a dotted path to a class, and similar names that exist."""
     found, parts = None, target.split(".")
     for i, part in enumerate(parts):
         whole = ".".join(parts[: i + 1])
         try:
             found = getattr(found, part) if hasattr(found, part) else importlib.import_module(whole)
         except ModuleNotFoundError as error:
-            if not f"{whole}.".startswith(f"{error.name}."):  # an alias of a module is no package
+            if not f"{whole}.".startswith(f"{error.name}."):  # an alias of a module is not a package
                 return failure(error)
             below = pkgutil.iter_modules(getattr(found, "__path__", None if found is None else []))
             callables = [name for name, value in vars(found or object).items() if name[0] != "_" and callable(value)]
@@ -72,7 +72,7 @@ def lack_of(target: str) -> str:
             hint = f"did you mean {' or '.join(names[name] for name in close)}?" if close else there
             lacks = f"{'.'.join(parts[:i])} has no {part}" if i else f"there is no module {part}"
             return f"{lacks}; {hint}".rstrip("; ")
-        except Exception as error:  # a module may fail in any way
+        except Exception as error:  # a user's module may raise any error
             return f"{target} cannot be imported: {failure(error)}"
     return f"{target} is no class and no function"
 

@@ -29,7 +29,7 @@ def package_digest() -> str:
 
 
 def digest_of(kernel: FunctionType, classes: Iterable[type]) -> str | None:
-    """Digest of the code that a kernel is compiled from; None if a part of this code is in no module's file.
+    """Digest of the code from which a kernel is compiled; None if a part of this code is not in a module's file.
 
     The digest covers
 
@@ -45,7 +45,7 @@ def digest_of(kernel: FunctionType, classes: Iterable[type]) -> str | None:
         classes: classes of its arguments, see `classes_in`.
     """
     kinds, known = set(classes), -1
-    while known != len(kinds):  # functions may use further classes, with further registered functions
+    while known != len(kinds):  # functions may use further classes, for which further functions are registered
         known = len(kinds)
         texts, functions, waiting = set[str](), set[FunctionType](), [kernel]
         while waiting:
@@ -91,7 +91,7 @@ def _used_by(function: FunctionType) -> Iterator[tuple[str, Any]]:
     names = set(_names_in(function.__code__))
     spaces = [function.__globals__, inspect.getclosurevars(function).nonlocals]
     values = [("default", value) for value in function.__defaults__ or ()]
-    for space in spaces:  # the loop appends the modules that the code names
+    for space in spaces:  # the loop appends modules that are named in the code
         for name in names & space.keys():
             value = space[name]
             if not isinstance(value, ModuleType):
@@ -123,7 +123,7 @@ def _resolved(function: FunctionType, kinds: set[type]) -> list[FunctionType]:
 
 
 def _text_of(value: Any) -> str:
-    """Value of a constant as text; the name of the type for other objects."""
+    """Value of a constant as text; for an object that is no constant, the name of its type."""
     if isinstance(value, np.ndarray):
         return f"{value.dtype}{value.shape}{value.tobytes().hex()}"
     if isinstance(value, tuple | frozenset):

@@ -19,10 +19,10 @@ from lmd.core.files import read_text
 LATEST = 1e11  # greatest time, seconds since 1970; later times are taken for milliseconds or nanoseconds
 # Least median difference of times that may be milliseconds: 5 ms between frames is a rate of 200 frames per second.
 APART = 5.0
-CREEPING = 5e-3  # median speed, m/s, below which times with differences of `APART` or more are taken for milliseconds
+CREEPING = 5e-3  # median speed, m/s; with slower motion, times `APART` or more apart are taken for milliseconds
 MOST_COLUMNS = 1000  # greatest number of columns; a file with more is refused
 CONTROL = re.compile(r"[\x00-\x08\x0a-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]")
-COMMENT = "#"  # first character of a line that is skipped
+COMMENT = "#"  # first character of a comment line
 
 
 def write_table(file: str | Path | TextIO, columns: Mapping[str, ArrayLike]) -> None:
@@ -66,7 +66,7 @@ class Table:
         """Table of numbered rows.
 
         Raises:
-            InputError: two columns have one name, or a row has another number of values.
+            InputError: two columns have equal names, or a row does not have one value per column.
         """
         for i, column in enumerate(columns):
             if column in columns[:i]:
@@ -83,14 +83,14 @@ class Table:
         return column in self.texts
 
     def numbers(self, columns: Sequence[str], optional: Sequence[str] | None = ()) -> FloatArray:
-        """Columns as finite numbers, `(rows, len(columns))`.
+        """Numbers in columns, `(rows, len(columns))`; all are finite.
 
         Args:
             columns: names of the columns, in the order of the result.
-            optional: further columns that the table may have; None for any.
+            optional: further columns that the table may have; None if any further column is allowed.
 
         Raises:
-            InputError: the file is empty, a column is missing or unknown, or a value is no finite number.
+            InputError: the file is empty, a column is missing or unknown, or a value is not a finite number.
         """
         if not self.texts:
             raise InputError(f"{self.path} is empty; expected the columns {','.join(columns)}.")
@@ -138,7 +138,7 @@ def read_table(path: Any, *, name: str) -> Table:
 
 
 def csv_rows(path: Any, lines: Sequence[tuple[int, str]], name: str) -> list[tuple[int, list[str]]]:
-    """Values of the numbered lines of a CSV, with the number of the line in which each row ends.
+    """Rows of a CSV from its numbered lines; each row has the number of its last line.
 
     Raises:
         InputError: the lines are no CSV, have semicolons instead of commas, or too many columns.
@@ -157,12 +157,12 @@ def csv_rows(path: Any, lines: Sequence[tuple[int, str]], name: str) -> list[tup
 
 
 def _safe(text: str) -> str:
-    """Text without characters that control a terminal or the direction of writing; other blanks stay as they are."""
+    """Text without characters that control a terminal or the direction of writing; ordinary blanks are kept."""
     return text if text.isprintable() else CONTROL.sub(lambda found: printable(found[0]), text)
 
 
 def is_number(text: str) -> bool:
-    """True for a text that Python reads as a float."""
+    """True if Python reads the text as a float."""
     try:
         float(text)
     except ValueError:
@@ -194,7 +194,7 @@ def read_numbers(path: Any, columns: Sequence[str], *, name: str) -> FloatArray:
 
 
 def time_of(text: str) -> Decimal | str:
-    """Key of a time: its decimal number, or the text if it is not a number, such as the name of a photograph.
+    """Sort key of a time: a decimal number; for a text that is not a number, such as a photograph's name, the text.
 
     A float has too few digits for nanoseconds since 1970.
     """
@@ -219,7 +219,7 @@ def _time_key(text: str) -> tuple[float, str]:
 
 
 def seconds(source: str, time: FloatArray, positions: FloatArray | None = None) -> None:
-    """Raise `InputError` if times `(T,)` of the file `source`, in seconds from any origin, look like smaller units.
+    """Raise `InputError` if times `(T,)` of the file `source`, seconds from any origin, seem to be in smaller units.
 
     With `positions` `(T, 3)`, metres, the speed is checked too: frames that are seconds apart, while the camera hardly
     moves, have times in milliseconds.
@@ -242,7 +242,7 @@ def seconds(source: str, time: FloatArray, positions: FloatArray | None = None) 
 
 
 def radians(source: str, **angles: FloatArray) -> None:
-    """Raise `InputError` if named angles of the file `source` exceed one turn, which looks like degrees."""
+    """Raise `InputError` if named angles of the file `source` exceed one turn, as they are probably in degrees."""
     for name, angle in angles.items():
         worst = float(angle[np.argmax(np.abs(angle))])
         if abs(worst) > ONE_TURN:

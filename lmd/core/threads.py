@@ -12,7 +12,7 @@ import numpy as np
 
 T = TypeVar("T")
 
-MOST_THREADS = 1024  # greatest number of threads in a setting; more are refused
+MOST_THREADS = 1024  # greatest number of threads that a setting may request
 
 
 def available_threads() -> int:
@@ -30,11 +30,11 @@ def _helpers(count: int) -> ThreadPoolExecutor:
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_helpers.cache_clear)  # a child process has none of its parent's threads
+    os.register_at_fork(after_in_child=_helpers.cache_clear)  # a child process does not inherit its parent's threads
 
 
 def at_once(threads: int, work: Callable[..., T], *arguments: Iterable[Any]) -> list[T]:
-    """Results of `work` for each of the arguments, in the order of `map`.
+    """Call `work` in threads, once for each set of arguments like `map`; returns the results in order.
 
     The calling thread works too, so Ctrl-C interrupts it as usual. After an error, no further call begins, and the
     function waits for calls that have begun. `work` may call `at_once`; calls for which no thread is free run in the
@@ -60,7 +60,7 @@ def at_once(threads: int, work: Callable[..., T], *arguments: Iterable[Any]) -> 
         begun = [other for other in others if not other.cancel()]
         try:
             wait(begun)
-        except BaseException:  # interrupted: wait again, as other threads still write to shared arrays
+        except BaseException:  # after an interrupt: wait, as other threads still write to shared arrays
             wait(begun)
             raise
     for other in begun:
@@ -82,7 +82,7 @@ def in_parts(threads: int, work: Callable[[int, int], object], size: int, parts:
 def in_daemon(work: Callable[..., T], *arguments: Any) -> "Future[T]":
     """Begin `work(*arguments)` in a daemon thread; returns the future of its result.
 
-    Threads that `work` starts are daemons too by default, and a process that ends waits for no daemon.
+    Threads that `work` starts are daemons by default, too. A process does not wait for daemons when it ends.
     """
     outcome: Future[T] = Future()
 

@@ -13,13 +13,13 @@ CODE_MARKS = re.compile(r"[\\`*<>|&]")
 
 
 def labelled(rows: Mapping[str, str]) -> str:
-    """Texts behind their labels, one a line, for the terminal."""
+    """Lines for a terminal: each label followed by its text."""
     width = max(map(len, rows))
     return "\n".join(f"{label:<{width}} {text}" for label, text in rows.items())
 
 
 def few(texts: Iterable[object], most: int) -> str:
-    """The first `most` texts, separated by commas, and the number of the others."""
+    """First `most` texts, separated by commas, and the number of omitted texts."""
     every = list(map(str, texts))
     return ", ".join(every[:most]) + f" and {len(every) - most} more" * (len(every) > most)
 
@@ -32,13 +32,13 @@ def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 def escaped(text: object) -> str:
     """Escape a text for Markdown (also in table cells) and HTML.
 
-    Characters with a meaning there become numeric entities, non-printable characters escapes.
+    Special characters of Markdown and HTML become numeric entities; non-printable characters become escapes.
     """
     return MARKS.sub(lambda found: f"&#{ord(found[0])};", printable(str(text)))
 
 
 def as_code(text: object) -> str:
-    """Text as inline code of Markdown: in backticks; if the text has special characters, `escaped` in HTML tags."""
+    """Text as inline code in Markdown: in backticks, or in HTML tags and `escaped` if it has special characters."""
     plain = str(text)
     is_plain = plain.isprintable() and plain == plain.strip() != "" and not CODE_MARKS.search(plain)
     return f"`{plain}`" if is_plain else f"<code>{escaped(plain)}</code>"

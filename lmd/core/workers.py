@@ -27,9 +27,9 @@ def in_processes(
     name: Callable[[Job], str],
     ordered: bool = False,
 ) -> Generator[Result, None, None]:
-    """Results of a function for each job, from worker processes if there is more than one.
+    """Results of a function for each job, computed in worker processes; in this process if one would suffice.
 
-    When a worker is killed, the jobs that were possibly running in it are repeated, one at a time.
+    When a worker is killed, all jobs that it may have been running are repeated, one at a time.
 
     Args:
         function: function of a job, which a worker imports by name.
@@ -60,7 +60,7 @@ def processes(workers: int | None) -> int:
 def _results(
     function: Callable[[Job], Result], jobs: Sequence[Job], workers: int, name: Callable[[Job], str]
 ) -> Iterator[tuple[int, Result]]:
-    """Numbers of jobs with their results, in the order in which the jobs finish."""
+    """Index and result of each job, in the order in which the jobs finish."""
     waiting = deque(range(len(jobs)))
     while waiting:
         in_hand: dict[Future[Result], int] = {}
@@ -100,12 +100,12 @@ def _in_order(results: Iterable[tuple[int, Result]]) -> Generator[Result, None, 
 
 @contextmanager
 def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """Context with worker processes, which end with the context."""
+    """Context with a pool of worker processes; the processes end when the context is left."""
     ready_server()
     others = multiprocessing.active_children()
     try:
         pool = ProcessPoolExecutor(workers, multiprocessing.get_context("forkserver"), _begin)
-    except OSError as error:  # /dev/shm is missing or full
+    except OSError as error:  # if /dev/shm is missing or full
         raise InputError(
             f"workers need semaphores of the system ({error}); workers=1 does without.", "workers"
         ) from None
@@ -119,12 +119,12 @@ def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def ready_server() -> None:
-    """Prepare a process from which workers are forked; it imports the modules of this project that this process has."""
+    """Prepare a server process from which workers are forked; it imports the project's modules loaded here."""
     multiprocessing.set_forkserver_preload([name for name in sys.modules if name.startswith(OWN_PACKAGES)])
 
 
 def _begin() -> None:
-    """Ignore interrupts of a terminal, which reach workers, too, as the parent process ends its workers."""
+    """Ignore a terminal's interrupts in a worker; the parent process receives them, too, and ends its workers."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_the_parent, daemon=True).start()
 

@@ -19,7 +19,7 @@ from lmd.space.space import Space
 
 
 def all_formats() -> dict[str, Writer]:
-    """Outputs by name, including outputs of other packages."""
+    """Output formats by name, including formats of other packages."""
     printed = {
         "plan": Writer("plan.pdf", write_plan, on_paper=True),
         "sheets": Writer("sheets.pdf", write_sheets, on_paper=True),
@@ -33,7 +33,7 @@ def formats_of(tag: Tag) -> tuple[str, ...]:
 
 
 def check_printing(name: str, tag: Tag, paper: str) -> None:
-    """Raise `InputError` if a printed format cannot be written for tags like `tag`."""
+    """Raise `InputError` if the printed format `name` cannot be written for tags like `tag`."""
     optional("reportlab", "export")
     if name == "sheets":
         for edge in tag.sizes:
@@ -53,7 +53,7 @@ def not_printed(tag: Tag, paper: str) -> dict[str, str]:
 
 
 def one_edge(edges: Sequence[float]) -> str:
-    """Reason for which a format with one edge for all tags cannot hold tags with `edges`, metres; predicate of a
+    """Reason why a format with one edge for all tags cannot hold tags with `edges`, metres; the predicate of a
     sentence.
     """
     return f"it has one edge for all tags, and these have {', '.join(f'{edge:g}' for edge in sorted(edges))} m"
@@ -117,7 +117,7 @@ class Export(Checked):
         return tuple(name for name in self.formats if several and all_formats()[name].edges == NONE)
 
     def writers(self, room: Space, tag: Tag, deployment: Deployment) -> dict[str, Callable[[Path], None]]:
-        """Functions that write the files of the tags, by the names of the files.
+        """Functions that write the files of the tags, keyed by the names of the files.
 
         Raises:
             InputError: there are formats, and the tag is a point, the family lacks an id, or a format cannot hold the

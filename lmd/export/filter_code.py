@@ -1,9 +1,9 @@
-"""Standard deviations of poses as filters take them: WPILib in Java and Python.
+"""Code that gives filters the standard deviations of poses: WPILib in Java and Python.
 
 WPILib's pose estimators take the standard deviations of x [m], y [m] and heading [rad] of a measurement by
-`setVisionMeasurementStdDevs`, or with each `addVisionMeasurement`. PhotonVision has no such setting; its examples pass
-constants of the robot's code, and AdvantageKit's template scales a baseline by d^2 / n: the code has these constants.
-Limelight publishes standard deviations (`stddevs`) and takes none.
+`setVisionMeasurementStdDevs`, or with each `addVisionMeasurement`. PhotonVision has no such setting: its examples pass
+constants in the robot's code, and AdvantageKit's template scales a baseline by d^2 / n. The written code has these
+constants. Limelight publishes standard deviations (`stddevs`) and accepts none.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,7 +19,7 @@ CLASS = "VisionUncertainty"
 
 @dataclass(frozen=True)
 class FilterLaws:
-    """Laws that code for filters needs."""
+    """Laws for the code."""
 
     laws: Mapping[str, Law]
     """Laws of `horizontal`, `vertical`, `tilt` and `heading`."""
@@ -28,7 +28,7 @@ class FilterLaws:
     reach: float
     """Distance of a single tag above which its pose is ambiguous, metres; infinite without a limit."""
     nearest: float
-    """Least mean distance of the views from which the laws were fitted, metres."""
+    """Least mean distance of tags in the views to which the laws were fitted, metres."""
     farthest: float
     """Greatest mean distance of these views, metres."""
     about: str
@@ -127,7 +127,7 @@ def _triple(rules: Mapping[str, Rule], group: str) -> str:
 
 
 def python(laws: FilterLaws) -> str:
-    """Python module for WPILib (RobotPy), which takes a tuple."""
+    """Python module for WPILib (RobotPy), which expects a tuple."""
     h, t = laws.laws["horizontal"], laws.laws["heading"]
     squared, photon = laws.rules["squared"], laws.rules["photonvision"]
     reach = "math.inf" if np.isinf(laws.reach) else _number(laws.reach)

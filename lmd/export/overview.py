@@ -21,8 +21,8 @@ WALL = 0.7  # width of the line of a wall on a floor plan, mm
 def draw_fixture(canvas: Any, kind: str, ring: FloatArray, name: str = "") -> None:
     """Draw a fixture on the view of a wall: `ring` `(N, 2)` on the page, mm.
 
-    A door has two diagonals to the middle of its right side, a window a cross; furniture is hatched; other fixtures
-    have an outline.
+    A door has two diagonals to the middle of its right side, a window has a cross, furniture is hatched, and other
+    fixtures have an outline.
     """
     (left, bottom), (right, top) = ring.min(axis=0).tolist(), ring.max(axis=0).tolist()
     middle = (left + right) / 2.0, (bottom + top) / 2.0
@@ -74,7 +74,7 @@ def draw_opening(canvas: Any, kind: str, ends: FloatArray) -> None:
 
 
 def draw_legend(canvas: Any, x: float, y: float, kinds: Sequence[str]) -> None:
-    """Draw the legend of the symbols of a floor plan, in a line."""
+    """Draw the legend of a floor plan's symbols, in a line."""
     for kind in kinds:
         if kind == "furniture":
             draw_fixture(canvas, kind, np.array([(x, y), (x + 6.0, y), (x + 6.0, y + 3.0), (x, y + 3.0)]))
@@ -95,7 +95,7 @@ SHIFTS = np.stack(np.meshgrid(np.arange(-6.0, 21.0, 1.5), np.arange(-20.0, 21.0,
 SHIFTS = SHIFTS[np.argsort(np.abs(SHIFTS).sum(axis=1), kind="stable")]
 TAG, ID = 1.8, 2.0  # height of the triangle of a tag, and of the letters of its id
 IDS_STEPS = 8  # number of places that are tried for ids in front of a tag
-MANY = 1000  # number of edges of a room above which edges are drawn thinner
+MANY = 1000  # number of edges; rooms with more edges are drawn with thinner lines
 ARROW = 9.0  # length of the arrow to the north
 
 
@@ -108,7 +108,7 @@ def scale_of(room: Space, width: float, height: float, scales: tuple[int, ...]) 
 
 
 def draw_floor_plan(canvas: Any, tags: TagMap, left: float, top: float, scale: int, north: float | None) -> None:
-    """Draw the room from above, its x to the right, with its upper left corner, names included, at (left, top), mm."""
+    """Draw the room and its names from above, x to the right, with the upper left corner at (left, top), mm."""
     import shapely
 
     low, high = tags.room.bounds()
@@ -178,7 +178,7 @@ def draw_floor_plan(canvas: Any, tags: TagMap, left: float, top: float, scale: i
 
 
 def numbers_of(places: IntArray) -> str:
-    """Text with the first and the last of some places in the order of hanging, counted from 1."""
+    """Text with the first and the last of `places` in the order of hanging, counted from 1."""
     first, last = int(places[0]) + 1, int(places[-1]) + 1
     return f"{first}" if first == last else f"{first} to {last}"
 
@@ -200,10 +200,10 @@ def _write_along(
     bold: bool = False,
     needed: bool = True,
 ) -> None:
-    """Write a text beside a line between `ends` `(2, 2)`, in the given way, clear of walls and other texts, `taken`.
+    """Write a text beside a line between `ends` `(2, 2)`, in direction `way` from it, clear of the boxes in `taken`.
 
     The text runs along the line, or upright if the line is too short. The box of the text is added to `taken`. A text
-    that had to move is connected to its wall by a line; a text that is not `needed` is left out instead.
+    that had to move is connected to its wall by a line, or left out if the text is not `needed`.
     """
     import shapely
 
@@ -211,7 +211,7 @@ def _write_along(
     middle, turn = ends.mean(axis=0) + away * way, 0.0
     if width <= length + 2.0 * away:
         turn = math.degrees(math.atan2(*(ends[1] - ends[0])[::-1]))
-        turn = (turn + 80.0) % 180.0 - 80.0  # texts are never upside down, and alike on nearly parallel walls
+        turn = (turn + 80.0) % 180.0 - 80.0  # no text is upside down; on nearly parallel walls texts run alike
     else:
         middle = middle + abs(way[0]) * (width - NAME) / 2.0 * way
     box = shapely.affinity.rotate(shapely.box(-width / 2.0, -NAME / 2.0, width / 2.0, NAME / 2.0), turn, origin=(0, 0))
@@ -242,7 +242,7 @@ def _draw_tag(canvas: Any, at: FloatArray, normal: FloatArray) -> None:
 
 
 def _write_ids(canvas: Any, text: str, at: FloatArray, way: FloatArray, taken: list[Any]) -> None:
-    """Write ids in front of a tag, clear of the texts and walls in `taken`, which they join."""
+    """Write ids in front of a tag, clear of the boxes in `taken`; the ids' box is added to `taken`."""
     import shapely
 
     half = np.array([width_of(text, ID), ID]) / 2.0

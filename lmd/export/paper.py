@@ -1,5 +1,5 @@
-"""Pages as PDF, in millimetres from the lower left corner; equal drawings give equal bytes. And the layout of tags on
-sheets: whole tags in rows and columns, tags larger than a sheet in pieces.
+"""Pages as PDF, in millimetres from the lower left corner, and the layout of tags on sheets: whole tags in rows and
+columns, tags larger than a sheet in pieces. Equal drawings give equal bytes.
 """
 
 import math
@@ -25,8 +25,8 @@ LONGEST = 24  # greatest number of letters of a name
 
 @contextmanager
 def document(path: Path, title: str) -> Iterator[Any]:
-    """Context with a reportlab canvas, saved to `path` at its end; a page begins with `begin_page`, ends with
-    `showPage`.
+    """Context with a reportlab canvas, which is saved to `path` at the end. A page begins with `begin_page` and ends
+    with `showPage`.
     """
     canvas = optional("reportlab.pdfgen.canvas", "export").Canvas(str(path), invariant=1)
     canvas.setTitle(title)
@@ -36,7 +36,7 @@ def document(path: Path, title: str) -> Iterator[Any]:
 
 
 def begin_page(canvas: Any, width: float, height: float) -> None:
-    """Begin a page of this size, mm; all lengths on the page are in mm, including sizes of letters."""
+    """Begin a page of a size in mm; all lengths on the page, including sizes of letters, are in mm."""
     canvas.setPageSize((width * POINTS, height * POINTS))
     canvas.scale(POINTS, POINTS)
     canvas.setLineWidth(LINE)
@@ -54,7 +54,7 @@ def _own_font(bold: bool) -> str:
 
 
 def font_of(text: str, bold: bool) -> str:
-    """Font of a text: the viewer's font for Western European letters, else a font embedded in the file."""
+    """Font of a text: a font of the viewer for Western European letters, else a font embedded in the file."""
     try:
         text.encode("cp1252")
     except UnicodeEncodeError:
@@ -129,7 +129,7 @@ def up_arrow(canvas: Any, x: float, y: float, size: float) -> None:
     fill_polygon(canvas, [(x - size / 2.0, y), (x + size / 2.0, y), (x, y + size)])
 
 
-MARGIN = 8.0  # border of a sheet, on which many printers do not print
+MARGIN = 8.0  # width of the border where many printers do not print
 FOOTER = 7.0  # height of the ruler's strip
 MARK, MARK_GAP = 4.0, 1.0  # length of a cut mark, and its distance from the cut piece
 LABEL, SMALLEST_LABEL = 3.2, 1.0  # height of the letters of the largest and of the smallest label
@@ -143,7 +143,7 @@ ROUNDING = 1e-6
 class Whole(NamedTuple):
     """Sheets with whole tags, separated by straight cuts. Lengths in mm.
 
-    page: width and height. columns, rows: numbers of papers. left, top: corner of all papers. pitch: distance of rows.
+    page: width and height. columns, rows: numbers of papers. left, top: corner of all papers. pitch: row distance.
     """
 
     page: tuple[float, float]
@@ -184,7 +184,7 @@ def label_size(tag: Tag) -> float:
 
 
 def layout(tag: Tag, paper: str) -> Whole | Pieces:
-    """Layout, portrait or landscape, with the most tags on a sheet, or with the fewest sheets for a large tag.
+    """Layout, portrait or landscape, with the most tags on a sheet, or, for a large tag, with the fewest sheets.
 
     Raises:
         InputError: a tag would take more than `MOST_PIECES` sheets.
@@ -203,7 +203,7 @@ def layout(tag: Tag, paper: str) -> Whole | Pieces:
 
 
 def largest_whole(tag: Tag, paper: str) -> float:
-    """Largest edge of a tag like `tag`, metres, with which it is not in pieces."""
+    """Largest edge, metres, at which a tag like `tag` is not printed in pieces."""
     low, high = 0.0, max(PAPERS[paper]) / MM_PER_M
     while high - low > ROUNDING:
         middle = (low + high) / 2.0
@@ -225,7 +225,7 @@ def _whole(tag: Tag, page: tuple[float, float]) -> Whole:
     width, height = page[0] - 2.0 * MARGIN, page[1] - 2.0 * MARGIN - FOOTER
     pitch = plate if label_size(tag) else plate + LABEL + 2.0 * LABEL_GAP
     rows = int((height + ROUNDING) // pitch)
-    # Papers may fill the whole page, as their outer white margins need no printing.
+    # Papers may fill the whole page, as the outer white margins need no printing.
     columns = int(min(page[0] + ROUNDING, width + ROUNDING + plate - edge) // plate)
     left, spare = (page[0] - columns * plate) / 2.0, height - rows * pitch
     return Whole(page, columns, rows, left, page[1] - MARGIN - spare / 2.0, pitch)

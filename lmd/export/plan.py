@@ -38,7 +38,7 @@ LIGHT = 0.85  # grey level of tags' squares, and of lines below rows
 
 
 class Table(NamedTuple):
-    """Table on the right of a page: widths of the columns, mm; lines of the head; columns that are boxes."""
+    """Table on the right of a page: widths of the columns, mm; lines of the head; indices of columns of boxes."""
 
     widths: tuple[float, ...]
     head: tuple[tuple[str, ...], ...]
@@ -50,16 +50,16 @@ class Table(NamedTuple):
         return sum(self.widths)
 
     def fitting(self, height: float) -> int:
-        """Number of rows that fit on a page of this height, mm."""
+        """Number of rows that fit on a page of a height, mm."""
         return int((height - 2.0 * MARGIN - HEAD) // ROW) - len(self.head)
 
     def pages(self, rows: int, height: float) -> int:
-        """Number of pages for this number of rows."""
+        """Number of pages for a number of rows."""
         return max(1, math.ceil(rows / self.fitting(height)))
 
 
 def begin_titled(canvas: Any, size: tuple[float, float], title: str, facts: str) -> None:
-    """Begin a page of this size with a title, a line of facts below it, and its number."""
+    """Begin a page of a size, mm, with a title, a line of facts below the title, and the page's number."""
     begin_page(canvas, *size)
     write_text(canvas, MARGIN, size[1] - MARGIN - TITLE, title, size=TITLE, bold=True)
     write_text(canvas, MARGIN, size[1] - MARGIN - TITLE - 1.5 * TEXT, facts, size=TEXT)
@@ -69,7 +69,7 @@ def begin_titled(canvas: Any, size: tuple[float, float], title: str, facts: str)
 def draw_tables(
     canvas: Any, size: tuple[float, float], table: Table, rows: list[list[str]], title: str, facts: str
 ) -> None:
-    """Draw the rows on the right of the page, continue on further pages, and end the last page."""
+    """Draw rows on the right of the page, continue on further pages, and end the last page."""
     fitting = table.fitting(size[1])
     for first in range(0, len(rows), fitting):
         if first:
@@ -85,7 +85,7 @@ def _draw_table(canvas: Any, size: tuple[float, float], table: Table, rows: list
         y, x = top - (line + 1) * ROW, left
         for column, (width, text) in enumerate(zip(table.widths, row, strict=True)):
             if line >= len(table.head) and column in table.boxes:
-                side = min(width, 0.65 * ROW) if width < 2.0 * ROW else width - 2.0  # to tick, or to write in
+                side = min(width, 0.65 * ROW) if width < 2.0 * ROW else width - 2.0  # boxes to tick, or to write in
                 canvas.rect(x + width - side, y - 0.17 * ROW, side, 0.65 * ROW)
             write_text(canvas, x + width, y, text, size=SMALL, align="right", bold=line < len(table.head))
             x += width
@@ -130,7 +130,7 @@ class View:
 
     @property
     def direction(self) -> str:
-        """Direction of view, in words."""
+        """Viewing direction, in words."""
         up = self.surface.normal[2]
         return "seen from above" if up > FLAT else "seen from below" if up < -FLAT else "seen from the front"
 
@@ -168,7 +168,7 @@ def write_plan(path: Path, tags: TagMap, paper: str, north: float | None = None)
 def _draw_overview(
     canvas: Any, size: tuple[float, float], tags: TagMap, pages: dict[int, int], north: float | None
 ) -> None:
-    """Draw the floor plan with the surfaces in the order of hanging; `pages` has the page of each surface."""
+    """Draw the floor plan, and a table of surfaces in the order of hanging; `pages` has each surface's page number."""
     rows = [
         [numbers_of(own), shortened(tags.place_of(int(tags.order[own[0]]))), str(len(own)), str(pages[index])]
         for index, own in tags.tags_by_surface.items()
@@ -224,7 +224,7 @@ def _draw_free(canvas: Any, size: tuple[float, float], tags: TagMap, places: Int
 
 
 def _named(tags: TagMap, place: int, k: int) -> list[str]:
-    """First texts of the row of tag k, which is hung as number `place`; with the tag's edge if edges differ."""
+    """First texts of the row of tag k, number `place` in the order of hanging; with the tag's edge if edges differ."""
     edge = [f"{MM_PER_M * tags.sizes[k]:.4g}"] if len(tags.by_size) > 1 else []
     return ["", str(place + 1), str(tags.ids[k]), *edge]
 
@@ -290,7 +290,7 @@ def _draw_tag(
     at: FloatArray,
     papers: FloatArray,
 ) -> None:
-    """Draw paper and black square, a triangle that points up, and the number beside the tag, clear of other tags.
+    """Draw a tag: paper, black square, a triangle that points up, and the number beside it, clear of other tags.
 
     The N tags of the surface are `at` `(N, 2)` and have the `papers` `(N,)`, mm.
     """

@@ -1,4 +1,4 @@
-"""Print sheets: tags at their true size, to be cut out, in the order of hanging, the smallest sizes first.
+"""Print sheets with tags of true size to cut out, the smallest sizes first, in the order of hanging.
 
 The white margin of each tag has an arrow that points up, the number of the tag and the name of its surface. A tag that
 is larger than a sheet is printed in pieces, with registration crosses that coincide when the pieces are glued. A ruler
@@ -40,7 +40,7 @@ from lmd.scene.tag import Tag
 
 # Lengths, mm.
 RULER = 100.0
-CROSS, LINE, HALO = 4.0, 0.2, 0.8  # arm of a registration cross, width of its lines, and of the white around them
+CROSS, LINE, HALO = 4.0, 0.2, 0.8  # arm of a registration cross, width of its lines, width of the white around lines
 
 
 def check_sheets(tag: Tag, paper: str) -> None:
@@ -138,11 +138,11 @@ def _draw_piece(canvas: Any, tags: TagMap, tag: Tag, sheets: Pieces, k: int, row
 def _draw_tag(
     canvas: Any, tags: TagMap, tag: Tag, k: int, x: float, y: float, right: float, inset: float | None = None
 ) -> None:
-    """Draw a tag with the lower left corner of its paper at (x, y), and its label, above the tag if the margin is too
-    narrow.
+    """Draw a tag with the lower left corner of its paper at (x, y). Its label is in the margin, or above the tag if the
+    margin is too narrow.
 
-    The label ends at `right`. In the margin, it is `inset` from the edges of the paper, if given, else by a quarter of
-    its height.
+    The label ends at `right`. In the margin, its distance from the edges of the paper is `inset`, if given, else a
+    quarter of the label's height.
     """
     number = tags.ids[k]
     plate, edge, module = (MM_PER_M * length for length in (tag.paper_edge, tag.picture_edge, tag.module))
@@ -158,7 +158,7 @@ def _draw_tag(
 
 
 def _write_label(canvas: Any, text: str, x: float, top: float, size: float, right: float) -> None:
-    """Draw an arrow that points up, and a line of text, below `top`, in smaller letters where it would pass `right`."""
+    """Draw an arrow that points up and a text below `top`; letters are smaller if the text would pass `right`."""
     size *= min(1.0, (right - x) / (1.75 * size + width_of(text, size)))
     up_arrow(canvas, x + size / 2.0, top - 0.75 * size, 0.75 * size)
     write_text(canvas, x + 1.5 * size, top - 0.75 * size, text, size=size)
@@ -172,7 +172,7 @@ def _draw_cuts(
     ends_x: Iterable[float] = (),
     ends_y: Iterable[float] = (),
 ) -> None:
-    """Draw marks beyond both ends of cuts along `xs` and `ys`, or on the cuts if the sheet ends there.
+    """Draw marks beyond both ends of the cuts at `xs` and `ys`, or on the cuts if the sheet ends there.
 
     The cuts end at `ends_x` and `ends_y`, if these are given.
     """

@@ -20,8 +20,8 @@ from lmd.core.checks import (
 from lmd.geometry.lens import Lens, lens_of
 
 MM_PER_M = 1000.0
-# Distance of the first pixel's centre from the image border, pixels. ROS and OpenCV have their origin at this centre,
-# COLMAP at the border.
+# Distance of the first pixel's centre from the image border, pixels. The origin of ROS and OpenCV is this centre, the
+# origin of COLMAP is the border.
 PIXEL_CENTRE = 0.5
 # Largest half-angle of `Camera.cone_half_angle`, rad: a wider cone would contain points at zero depth.
 WIDEST_CONE = math.radians(89.0)
@@ -66,7 +66,7 @@ class Camera(Checked):
     image_height: Annotated[float, pixels]
     """Image height h, whole pixels."""
     aperture: NotNegative
-    """Effective diameter d_a of the aperture, mm; 0 for a pinhole or an unknown aperture, without defocus blur."""
+    """Effective diameter d_a of the aperture, mm; 0 (no defocus blur) for a pinhole or an unknown aperture."""
     focus_distance: Distance = math.inf
     """Distance d_s of the plane in focus, mm; may be infinite."""
     distortion: tuple[float, ...] = ()
@@ -108,17 +108,17 @@ class Camera(Checked):
 
     @property
     def cameras(self) -> "tuple[Camera, ...]":
-        """Tuple of the camera itself; the interface of `lmd.scene.rig.Rig`."""
+        """Tuple of only this camera, as in the interface of `lmd.scene.rig.Rig`."""
         return (self,)
 
     @property
     def extrinsics(self) -> FloatArray:
-        """Identity, `(1, 4, 4)`: the moving frame of a single camera is the frame of the camera."""
+        """Identity, `(1, 4, 4)`, as the body's frame of a single camera is the camera's frame."""
         return np.eye(4)[None]
 
     @property
     def is_pinhole(self) -> bool:
-        """True without defocus blur."""
+        """True if the camera has no defocus blur."""
         return self.aperture == 0.0
 
     @cached_property
@@ -176,8 +176,8 @@ class Camera(Checked):
         """Compute the near and far limits d_n, d_f of acceptable focus, metres.
 
         With b = delta min(s_u, s_v): d_n = d_a d_s f / (d_a f + b (d_s - f)) and
-        d_f = d_a d_s f / (d_a f - b (d_s - f)). The far limit from the hyperfocal distance on (d_a f <= b (d_s -
-        f)) is infinite; focused at infinity d_n = d_a f / b.
+        d_f = d_a d_s f / (d_a f - b (d_s - f)). The far limit is infinite if the focus is at or beyond
+        the hyperfocal distance (d_a f <= b (d_s - f)); focused at infinity, d_n = d_a f / b.
 
         Args:
             circle_of_confusion: permissible diameter delta, pixels.

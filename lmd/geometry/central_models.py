@@ -1,6 +1,6 @@
 """Central camera models of other programs, converted to a lens of `lmd.geometry.lens`.
 
-The image of a point (u, v, w) at the distance r is (u, v) / d, in units of the model's focal lengths. The models are
+A point (u, v, w) at the distance r has the image (u, v) / d, in units of the model's focal lengths. The models are
 
 - the double sphere of Usenko, Demmel and Cremers (2018), `ds`: d = alpha sqrt(u^2 + v^2 + s^2) + (1 - alpha) s with
   s = xi r + w.
@@ -29,12 +29,12 @@ from lmd.geometry.lens_models import BrownConrady, Equidistant, image_of
 # Largest differences between lens and model, pixels. A fit within `GOOD_PIXELS` ends the search for a lens; a fit
 # beyond `MOST_PIXELS` is refused.
 GOOD_PIXELS, MOST_PIXELS = 0.05, 1.0
-# Samples of a model: largest angle theta from the optical axis, rad, number of angles theta, number of azimuths.
+# Sampling of a model: largest angle theta from the optical axis, rad; numbers of angles theta and of azimuths.
 WIDEST, ANGLES, AROUND = 2.6, 160, 144
 # Largest angle from the optical axis, rad, in images to which the rational model is fitted.
 WIDEST_PINHOLE = 1.45
-# Fixed-point iteration that inverts a polynomial: number of steps, and largest last step, focal lengths, at
-# convergence.
+# Fixed-point iteration that inverts a polynomial: maximum number of steps; convergence threshold of the step, focal
+# lengths.
 INVERSION_STEPS, INVERTED = 60, 1e-9
 # Offset from the border of a pixel to its centre, pixels.
 CENTRE = 0.5
@@ -83,7 +83,7 @@ def extended_unified(alpha: Any, beta: Any) -> Model:
 
 
 def unified(xi: Any, k1: Any = 0.0, k2: Any = 0.0, p1: Any = 0.0, p2: Any = 0.0) -> Model:
-    """Model `omni`, with the distortion of a pinhole."""
+    """Model `omni`, with Brown-Conrady distortion."""
     xi, *distortion = (real(*of) for of in (("xi", xi), ("k1", k1), ("k2", k2), ("p1", p1), ("p2", p2)))
     lens = BrownConrady._make([*distortion, *(0.0,) * 8])
 
@@ -96,7 +96,7 @@ def unified(xi: Any, k1: Any = 0.0, k2: Any = 0.0, p1: Any = 0.0, p2: Any = 0.0)
 
 
 def modified_brown_conrady(k1: float, k2: float, p1: float, p2: float, k3: float) -> Model:
-    """Model of RealSense whose tangential terms are computed from the radially distorted point."""
+    """RealSense's model that computes the tangential terms from the radially distorted point."""
 
     def image(u: FloatArray, v: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:
         x, y = _divided(u, v, w, True)
@@ -109,7 +109,7 @@ def modified_brown_conrady(k1: float, k2: float, p1: float, p2: float, k3: float
 
 
 def inverse_brown_conrady(k1: float, k2: float, p1: float, p2: float, k3: float) -> Model:
-    """Model of RealSense whose polynomial undistorts; NaN where the fixed-point inversion does not converge."""
+    """RealSense's model whose polynomial undistorts an image; NaN where the fixed-point inversion does not converge."""
 
     def image(u: FloatArray, v: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:
         x, y = a, b = _divided(u, v, w, True)
@@ -170,8 +170,8 @@ def nearest_lens(model: Model, focal: Any, centre: Any, size: Any, guess: Sequen
         focal: focal lengths (f_x, f_y), pixels.
         centre: principal point (c_x, c_y), pixels from the centre of the first pixel.
         size: width and height of the image, pixels.
-        guess: first coefficients of a `BrownConrady` lens that is similar to the model. That lens, with thin prism, is
-            then fitted first, from these coefficients. Empty to begin with a fisheye.
+        guess: coefficients of a `BrownConrady` lens that is similar to the model. The fit begins with this lens, with
+            thin prism. Empty to begin with a fisheye.
 
     Raises:
         InputError: the model has no image near the axis, or all fitted lenses differ from the model by more than

@@ -60,7 +60,7 @@ def angles_of(world_to_local_rotation: FloatArray) -> tuple[FloatArray, FloatArr
         radians, shape `(...)` each; the yaw of a vertical optical axis is 0.
     """
     right, axis = world_to_local_rotation[..., 0, :], world_to_local_rotation[..., 2, :]
-    yaw, pitch = (-angle for angle in normal_angles(axis))  # `normal_angles` has both signs opposite
+    yaw, pitch = (-angle for angle in normal_angles(axis))  # `normal_angles` uses the opposite signs for both angles
     level = rotation(yaw, pitch)
     across, down = ((right * level[..., i, :]).sum(axis=-1) for i in (0, 1))
     return yaw, pitch, np.asarray(np.arctan2(-down, across))
@@ -84,7 +84,7 @@ def optical_axis(yaw: ArrayLike, pitch: ArrayLike) -> FloatArray:
 def landmark_normal(yaw: ArrayLike, pitch: ArrayLike) -> FloatArray:
     """Unit normal of a landmark's front face, n = (-sin r cos e, cos r cos e, -sin e) (Eq. n_k).
 
-    Both angles enter with the sign opposite to `optical_axis`, as printed in the paper.
+    Both angles have signs opposite to `optical_axis`, as in the paper.
 
     Args:
         yaw: rho, radians, shape `(...)`.

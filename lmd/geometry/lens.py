@@ -1,12 +1,12 @@
-"""Distorting lenses: images of points, directions of pixels, and bounds on the local scale up to the fold.
+"""Distorting lenses: projection, unprojection, and bounds on the local scale.
 
 Images are in focal lengths from the principal point; points and directions `(..., 3)` are in the camera's frame. See
 `lmd.geometry.lens_models` for the formulas.
 
 At the angle theta from the optical axis, the local scale of a lens (image length per angle) is `along` in the radial
 direction and `across` in the tangential direction. Tangential distortion and a thin prism change both scales by at most
-`sway`. The lens is injective as long as both scales exceed the sway; the `fold` is the angle at which this ends. A
-model is invalid beyond its fold.
+`sway`. The lens is injective as long as both scales exceed the sway; the `fold` is the angle up to which
+they do. A model is invalid beyond its fold.
 """
 
 from collections.abc import Callable
@@ -21,7 +21,7 @@ from lmd.geometry.lens_models import BrownConrady, Equidistant, image_of, slope_
 
 EQUIDISTANT = "equidistant"
 MODELS = ("plumb_bob", "rational_polynomial", EQUIDISTANT)
-# Numbers of coefficients that OpenCV accepts; the last coefficient is p2, k3, k6, s4, or the tilt of the sensor.
+# Numbers of coefficients that OpenCV accepts: up to p2, k3, k6, s4, or the tilt of the sensor.
 COEFFICIENT_COUNTS = (4, 5, 8, 12, 14)
 # Index of the first coefficient of the sensor's tilt.
 FIRST_TILT = 12
@@ -37,7 +37,7 @@ DEGREE, ROUNDED = 5, 1e-9
 
 
 class Profile(NamedTuple):
-    """Image radius and scales of a lens at angles theta from the optical axis; arrays of one shape."""
+    """Image radius and local scales of a lens at angles theta from the optical axis; arrays of equal shape."""
 
     inner: FloatArray
     """Lower bound on the distance of the image from the principal point, focal lengths."""
@@ -77,13 +77,13 @@ class Lens:
     """Distorting lens.
 
     Raises:
-        InputError: the model is unknown, or the number of coefficients is wrong, or one is not finite.
+        InputError: the model is unknown, the number of coefficients is wrong, or a coefficient is not finite.
     """
 
     model: str
     """One of `MODELS`; the first two differ in the number of coefficients only."""
     coefficients: tuple[float, ...]
-    """The first 4, 5, 8 or 12 of k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 (OpenCV's order), or all 12 and two
+    """First 4, 5, 8 or 12 of k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 (OpenCV's order), or all 12 followed by two
     zeros for the sensor's tilt. For `equidistant`: k1, k2, k3, k4."""
 
     def __post_init__(self) -> None:
@@ -103,24 +103,24 @@ class Lens:
 
     @cached_property
     def model_numbers(self) -> BrownConrady | Equidistant:
-        """Coefficients as the named tuple that kernels dispatch on."""
+        """Coefficients as a named tuple, whose class selects the functions in kernels."""
         if self.model == EQUIDISTANT:
             return Equidistant(*self.coefficients)
         return BrownConrady(*self.coefficients, *(0.0,) * (FIRST_TILT - len(self.coefficients)))
 
     def project(self, points: FloatArray) -> FloatArray:
-        """Images of points, `(..., 2)`, also beyond the fold."""
+        """Images of points, `(..., 2)`; points beyond the fold have images, too."""
         with np.errstate(all="ignore"):
             return np.stack(image_of(self.model_numbers, *np.moveaxis(points, -1, 0)), axis=-1)
 
     def jacobian(self, points: FloatArray) -> FloatArray:
-        """Jacobian of the images by the points, focal lengths per metre, `(..., 2, 3)`."""
+        """Jacobian of the images with respect to the points, focal lengths per metre, `(..., 2, 3)`."""
         with np.errstate(all="ignore"):
             slopes = slope_of(self.model_numbers, *np.moveaxis(points, -1, 0))
         return np.stack(slopes, axis=-1).reshape(*points.shape[:-1], 2, 3)
 
     def directions(self, image: FloatArray) -> FloatArray:
-        """Unit vectors whose images are `image` `(..., 2)`, `(..., 3)`; NaN without one within the fold.
+        """Unit vectors `(..., 3)` whose images are `image` `(..., 2)`; NaN if there is none within the fold.
 
         Newton's method solves for the angle theta, ignoring tangential terms and prism, then refines the direction with
         all terms.
@@ -174,7 +174,7 @@ class Lens:
         return _border(folds, theta[bad[0] - 1], theta[bad[0]]) if bad.size else float(theta[-1])
 
     def widest(self, reach: float) -> float:
-        """Angle beyond which all images are at least `reach`, focal lengths, from the principal point, rad.
+        """Angle, rad, beyond which all images are at least `reach`, focal lengths, from the principal point.
 
         The angle is at most the fold.
         """
@@ -185,8 +185,8 @@ class Lens:
     def stretch(self, widest: float, power: int = 0) -> Stretch:
         """Bounds on the local scale up to the angle `widest` from the optical axis, rad.
 
-        With `power` 1, the bounds are on ratios to the scales of a pinhole: `least` and `least_area` to 1 / cos(theta)
-        and 1 / cos(theta)^3, `most` and `most_area` to 1 / cos(theta)^2 and 1 / cos(theta)^3.
+        With `power` 1, the bounds are on ratios of the lens's scale to a pinhole's scale. The pinhole's scale is
+        1 / cos(theta) for `least`, 1 / cos(theta)^2 for `most`, 1 / cos(theta)^3 for `least_area` and `most_area`.
         """
         theta = np.linspace(0.0, widest, ANGLE_SAMPLES)
         profile, cosine = self.profile(theta), np.cos(theta) ** power
@@ -199,8 +199,8 @@ class Lens:
         """Approximate the image of directions up to the angle `widest`, rad, by a polynomial.
 
         Returns:
-            coefficients of s(h), with the image (s(h) x, s(h) y) of a unit vector (x, y, z) and h = 1 - z; bound on the
-            error, focal lengths.
+            coefficients of s(h), where (s(h) x, s(h) y) is the image of a unit vector (x, y, z) and h = 1 - z; bound on
+            the error, focal lengths.
         """
         return _approximation(self, widest)
 
@@ -248,7 +248,7 @@ def _ceiling(lens: Lens, widest: float) -> tuple[float, ...]:
 
 
 def lens_of(model: str, distortion: Any) -> Lens | None:
-    """Lens of a model with coefficients `distortion`; None for a pinhole, without coefficients or with zeros only.
+    """Lens of a model with coefficients `distortion`; None for a pinhole (no coefficients, or all zero).
 
     Raises:
         InputError: see `Lens`.
@@ -268,5 +268,5 @@ def _border(reached: Callable[[Any], Any], low: float, high: float) -> float:
 
 
 def _above(values: FloatArray) -> float:
-    """Upper bound on a sampled function: maximum of the samples plus the largest difference of neighbours."""
+    """Upper bound on a sampled function: maximum of the samples plus the largest difference between neighbours."""
     return float(values.max() + np.abs(np.diff(values)).max(initial=0.0))

@@ -1,8 +1,8 @@
 """Lens models as scalar functions: the image of a point and its derivatives.
 
 A model is a named tuple of its coefficients, with OpenCV's names. NumPy code calls the functions with arrays, and
-kernels compile them, so that both give equal bits. Points (u, v, w) are in the camera's frame: right, down, along the
-optical axis. Images are in focal lengths from the principal point.
+kernels compile the functions, so that the results of both are bit-identical. Points (u, v, w) are in the camera's
+frame: right, down, along the optical axis. Images are in focal lengths from the principal point.
 
 `BrownConrady` images points in front of the camera. With x = u / w, y = v / w and s = x^2 + y^2 at
 
@@ -60,12 +60,12 @@ class Equidistant(NamedTuple):
 
 @dispatched
 def image_of(lens: Any, u: Any, v: Any, w: Any) -> Any:
-    """Image of a point: coordinates to the right and down."""
+    """Image of a point: the coordinate to the right, then the coordinate down."""
 
 
 @dispatched
 def slope_of(lens: Any, u: Any, v: Any, w: Any) -> Any:
-    """Jacobian of the image: derivatives of the right coordinate by u, v, w, then of the down coordinate."""
+    """Jacobian of the image: derivatives by u, v, w of the coordinate to the right, then of the coordinate down."""
 
 
 @dispatched
@@ -118,7 +118,7 @@ def _depth_brown_conrady(lens, u, v, w):  # type: ignore[no-untyped-def]
 
 @inlined
 def _polar(r: Any, w: Any) -> Any:
-    """Angle theta in [0, pi] of a point at the distance r from the axis and w along it, theta / r, and r^2 + w^2.
+    """For a point at distance r from the axis and w along the axis: its angle theta in [0, pi], theta / r, r^2 + w^2.
 
     theta = 4 atan(p), or pi - 4 atan(p). The arctangent is a polynomial, as libraries differ in its last bits.
     """

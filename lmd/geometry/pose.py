@@ -17,10 +17,10 @@ from lmd.geometry.se3 import adjoint_matrix, angle_between, exp, inverse, pose_o
 FEWEST_POINTS = 4
 # Points are coplanar if their extent across the plane is at most this multiple of the extent along the plane.
 FLATNESS = 1e-6
-# Largest difference of the matrix elements of equal poses.
+# Poses are equal if no matrix element differs by more than this.
 SAME_POSE = 1e-3
-# Largest angle of a ray from the axis of the virtual pinhole for a distorting lens, rad; rays beyond it are used in the
-# refinement only.
+# Largest angle of a ray from the axis of a distorting lens's virtual pinhole, rad; rays at larger angles are used in
+# the refinement only.
 NEAR_MIDDLE_RAD = np.radians(75.0)
 # Gauss-Newton: maximum number of steps, and relative decrease of the sum of squares below which it stops.
 ROUNDS, GAIN = 10, 1e-9
@@ -47,7 +47,7 @@ class PointImage(NamedTuple):
     pixels: FloatArray
     """Images of the points, pixels from the border, `(M, 2)`."""
     noise: FloatArray
-    """Standard deviation of each image, pixels, `(M,)`."""
+    """Standard deviation of each image point, pixels, `(M,)`."""
 
     def off(self, pose: FloatArray) -> FloatArray:
         """Reprojection errors for a pose X of the body, in units of their standard deviations, `(M, 2)`."""
@@ -58,14 +58,15 @@ class PointImage(NamedTuple):
         return image_slopes(self.camera, self.mounted, y)
 
     def scaled_slope(self, pose: FloatArray) -> FloatArray:
-        """Jacobian of `off` by a body twist, `(M, 2, 6)`."""
+        """Jacobian of `off` with respect to a body twist, `(M, 2, 6)`."""
         return np.asarray(self.slope(to_camera(pose @ self.mounted, self.points)) / self.noise[:, None, None])
 
 
 def image_slopes(camera: Camera, mounted: FloatArray, y: FloatArray) -> FloatArray:
     """Jacobian of the images of points y `(..., 3)` in a camera's frame by a twist (w, v) of its body, `(..., 2, 6)`.
 
-    A twist of the camera moves y by y x w - v; the camera with the pose M on the body moves by Ad_{M^-1} (w, v).
+    A twist (w, v) of the camera moves y by y x w - v. A twist (w, v) of the body moves a camera with the mount M by the
+    twist Ad_{M^-1} (w, v).
 
     Args:
         camera: intrinsics and lens.
@@ -76,7 +77,7 @@ def image_slopes(camera: Camera, mounted: FloatArray, y: FloatArray) -> FloatArr
 
 
 def body_solutions(images: Sequence[PointImage]) -> list[Solution]:
-    """Poses of a body from simultaneous images of its cameras, least error first.
+    """Candidate poses of a body from simultaneous images of its cameras, least error first.
 
     The `solutions` of each camera with at least four points are refined by Gauss-Newton on the images of all cameras.
     The list is empty if no camera has four points.
@@ -91,7 +92,7 @@ def body_solutions(images: Sequence[PointImage]) -> list[Solution]:
 
 
 def _best(images: Sequence[PointImage], poses: Iterable[FloatArray]) -> list[Solution]:
-    """Different poses with a finite error, least error first."""
+    """Distinct poses with a finite error, least error first."""
     found: list[Solution] = []
     for pose in poses:
         square = float(sum((image.off(pose) ** 2).sum() for image in images))
@@ -101,11 +102,11 @@ def _best(images: Sequence[PointImage], poses: Iterable[FloatArray]) -> list[Sol
 
 
 def solutions(camera: Camera, points: FloatArray, image: FloatArray, noise: ArrayLike = 1.0) -> list[Solution]:
-    """Poses of a camera from the image of points, least error first; empty with fewer than four points.
+    """Candidate poses of a camera from an image of points, least error first; empty for fewer than four points.
 
-    Candidates are the poses of SQPnP. Coplanar points add the two poses of IPPE; four points that are not coplanar add
-    up to four poses of P3P for each triple. Candidates are refined by Levenberg-Marquardt, or, for a distorting lens,
-    by Gauss-Newton on the errors in the distorted image.
+    Candidates are the poses of SQPnP, for coplanar points the two poses of IPPE, and for four points that are not
+    coplanar up to four poses of P3P for each triple. Candidates are refined by Levenberg-Marquardt, or, for a
+    distorting lens, by Gauss-Newton on the errors in the distorted image.
 
     Args:
         camera: intrinsics and lens.
@@ -192,7 +193,7 @@ def _refined(images: Sequence[PointImage], pose: FloatArray) -> FloatArray:
 def body_from_corners(
     cameras: Sequence[Camera], mounted: FloatArray, points: FloatArray, images: Sequence[FloatArray]
 ) -> FloatArray:
-    """Pose of a body with the least reprojection error of tag corners in the images of its C cameras.
+    """Pose of a body that minimises the reprojection error of tag corners in the images of its C cameras.
 
     Args:
         cameras: intrinsics.

@@ -2,7 +2,7 @@
 
 Image coordinates are pixels from the top-left *border* of the image, u to the right and v down. The centre of the first
 pixel is at (0.5, 0.5) and a `w` x `h` image ends at (w, h). The camera's principal point and AprilTag's corners follow
-this convention; OpenCV counts from the centre of the first pixel, 0.5 less.
+this convention; OpenCV's coordinates, from the centre of the first pixel, are smaller by 0.5.
 """
 
 import math
@@ -14,8 +14,8 @@ from lmd.core.checks import FloatArray
 from lmd.geometry.camera import MM_PER_M, Camera
 from lmd.geometry.lens_models import depth_of
 
-# Number of segments per image side in the view of a distorting lens, and of steps from the principal point to the
-# border in the search for the fold.
+# For the view of a distorting lens: number of segments per image side, and number of steps from the principal point to
+# the border in the search for the fold.
 BEND, STEPS = 16, 100
 # Largest `Camera.widest_angle` of a view drawn with a flat base, rad; the base of a wider view is a part of a sphere.
 FLAT_BASE = np.radians(75.0)
@@ -60,10 +60,10 @@ def project(camera: Camera, pose: FloatArray, points: FloatArray) -> FloatArray:
 
 
 def slope(camera: Camera, points: FloatArray) -> FloatArray:
-    """Jacobian of the image by points y `(..., 3)` in the camera's frame, pixels/m, `(..., 2, 3)`.
+    """Jacobian of the image with respect to points y `(..., 3)` in the camera's frame, pixels/m, `(..., 2, 3)`.
 
-    d(u, v)/dy = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)] for a pinhole. The focal lengths in pixels times
-    the Jacobian of the lens otherwise.
+    For a pinhole, d(u, v)/dy = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)]. For a distorting lens, the result
+    is the focal lengths in pixels times the Jacobian of the lens.
     """
     if camera.lens is not None:
         return np.asarray(camera.focal_pixels[:, None] * camera.lens.jacobian(points))
@@ -92,7 +92,7 @@ def bearings(camera: Camera, image: FloatArray) -> FloatArray:
 
 
 def view_edges(camera: Camera, depth: float) -> FloatArray:
-    """Edges of the viewing frustum of a camera, a pyramid, camera's frame, metres, `(N, 2, 3)`.
+    """Edges of a camera's viewing frustum, camera's frame, metres, `(N, 2, 3)`.
 
     The base is the border of the image, or of the part of the image within the fold. Its points are at the depth
     `depth`, metres, or at the distance `depth` for a view wider than `FLAT_BASE`.
@@ -104,7 +104,7 @@ def view_edges(camera: Camera, depth: float) -> FloatArray:
     border = np.concatenate([a + along * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])
     centre, steps = np.array(camera.principal_point), np.linspace(0.0, 1.0, STEPS)[:, None, None]
     ways = bearings(camera, centre + steps * (border - centre))
-    shown = np.isfinite(ways[..., 0]).cumsum(axis=0).argmax(axis=0)  # the last step before the fold
+    shown = np.isfinite(ways[..., 0]).cumsum(axis=0).argmax(axis=0)  # last step within the fold
     base = depth * ways[shown, np.arange(len(border))]
     if camera.widest_angle < FLAT_BASE:
         base *= depth / base[:, 2:]
@@ -115,7 +115,7 @@ def view_edges(camera: Camera, depth: float) -> FloatArray:
 def depth_in_focus(camera: Camera, points: FloatArray) -> FloatArray:
     """Depth that determines focus and apparent size of points `(..., 3)`, camera's frame, metres, `(...)`.
 
-    The depth is z, or for a fisheye the distance, see `lmd.geometry.lens_models.depth_of`.
+    The depth is z; for a fisheye it is the distance, see `lmd.geometry.lens_models.depth_of`.
     """
     if camera.lens is None:
         return points[..., 2]

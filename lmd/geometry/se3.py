@@ -16,7 +16,7 @@ from lmd.geometry.frames import rotation
 
 # Angle below which coefficients are computed by their Taylor series, rad.
 SMALL_ANGLE = 1e-4
-# Angle below which the left Jacobian is its Taylor series to the fourth order, rad.
+# Angle below which the left Jacobian is computed by its Taylor series to the fourth order, rad.
 SERIES_ANGLE = 0.02
 # Tolerances for files with few decimals: error of the length of a quaternion, and of the elements of R^T R.
 QUATERNION_TOLERANCE = 1e-2
@@ -74,7 +74,7 @@ def nearest_rotations(matrices: FloatArray) -> FloatArray:
 
 
 def rigid_alignment(points: FloatArray, others: FloatArray) -> FloatArray:
-    """Least-squares rigid motion that maps points `(N, 3)`, not collinear, to `others` `(N, 3)`, `(4, 4)`."""
+    """Least-squares rigid motion `(4, 4)` that maps points `(N, 3)`, not collinear, to `others` `(N, 3)`."""
     from scipy.spatial.transform import Rotation
 
     here, there = points.mean(axis=0), others.mean(axis=0)
@@ -116,7 +116,7 @@ def skew(vector: FloatArray) -> FloatArray:
 
 
 def seen_by_twist(points: FloatArray) -> FloatArray:
-    """Derivative [[y]x  -I] of points y `(..., 3)` in the frame of a pose X by a twist (w, v), X -> X exp(w, v).
+    """Derivative [[y]x  -I] of points y `(..., 3)`, in the frame of X, with respect to a twist: X -> X exp(w, v).
 
     Returns:
         `(..., 3, 6)`.
@@ -131,7 +131,7 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def adjoint(pose: FloatArray, twist: FloatArray) -> FloatArray:
-    """Adjoint map Ad_X (w, v) = (R w, p x R w + R v), from body to world coordinates of a twist, `(..., 6)`."""
+    """Adjoint map Ad_X (w, v) = (R w, p x R w + R v) of a twist from body to world coordinates, `(..., 6)`."""
     orientation = pose[..., :3, :3]
     angular = (orientation @ twist[..., :3, None])[..., 0]
     linear = (orientation @ twist[..., 3:, None])[..., 0] + cross(pose[..., :3, 3], angular)

@@ -1,4 +1,4 @@
-"""Squares in space: corners, and right and up of upright tags."""
+"""Squares in space: their corners, and the right and up vectors of upright tags."""
 
 import math
 from typing import Any
@@ -23,7 +23,7 @@ def corners(centres: FloatArray, normals: FloatArray, ups: FloatArray, edge: flo
     Args:
         centres: `(..., 3)`, world frame, metres.
         normals: unit normals of the front faces, `(..., 3)`.
-        ups: unit vectors in the squares' planes to their upper edges, `(..., 3)`; right is up x normal.
+        ups: unit vectors in the squares' planes to their upper edges, `(..., 3)`; the right vector is up x normal.
         edge: metres, one number or `(...)`.
 
     Returns:
@@ -34,11 +34,11 @@ def corners(centres: FloatArray, normals: FloatArray, ups: FloatArray, edge: flo
 
 
 def upright(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Right and up of upright tags, seen from the front: unit vectors `(..., 3)`, world frame.
+    """Right and up vectors of upright tags, seen from the front: unit vectors `(..., 3)`, world frame.
 
-    Up is the direction in the tag's plane nearest to +z, or nearest to +y if the normal is within `VERTICAL_TOLERANCE`
-    of vertical. Placed tags are upright: a square is symmetric under quarter turns, so other rotations in the plane
-    gain little, and upright tags can be mounted with a spirit level.
+    The up vector is the direction in the tag's plane nearest to +z, or nearest to +y if the normal is within
+    `VERTICAL_TOLERANCE` of vertical. Placed tags are upright, as these can be mounted with a spirit level. Other
+    rotations in the plane gain little, as a square is symmetric under quarter turns.
 
     Args:
         normals: unit normals of the front faces, `(..., 3)`.

@@ -1,4 +1,4 @@
-"""Vectors in kernels, tuples of three numbers; sums go from left to right. In the reference the numbers are arrays."""
+"""Vectors in kernels: tuples of three numbers (arrays in the NumPy reference); sums are added from left to right."""
 
 from typing import Any, TypeAlias
 
@@ -65,7 +65,7 @@ def pair3(columns: Any, k: Integer) -> tuple[Vector, Vector]:
 @inlined
 def read3(numbers: Any, first: Integer, step: Integer) -> Vector:
     """Three numbers of an array `(N,)`, `step` entries apart."""
-    # No factor: an unsigned number times a constant is signed, and numba tests if a signed index is negative.
+    # Sums instead of a factor: an unsigned number times a constant is signed; numba tests signed indices for < 0.
     return numbers[first], numbers[first + step], numbers[first + step + step]
 
 

@@ -1,4 +1,4 @@
-"""Steps 4 and 5 of the paper's procedure: test of independence, and fit of a density to samples of one or both angles.
+"""Steps 4 and 5 of the paper's procedure: test of independence, and fit of a density to one angle or both.
 
 A density is represented by the probabilities of fine cells of its angles. Parametric families and kernel estimates are
 compared by the cross-validated log-likelihood per sample: each fold, a contiguous section of the recording, is scored
@@ -36,7 +36,7 @@ class AngleCells:
     cells: int
     """M, the number of cells."""
     circular: bool
-    """True if `high` and `low` are equal directions."""
+    """True if `low` and `high` are one direction."""
 
     @property
     def width(self) -> float:
@@ -87,7 +87,7 @@ class Candidate:
     behind: float
     """Largest log-likelihood of all candidates minus `log_likelihood`."""
     standard_error: float
-    """Standard error of `behind`, from the differences sample by sample."""
+    """Standard error of `behind`, from the differences of log-likelihood for each sample."""
 
 
 def uniform(_angle: FloatArray, axis: AngleCells) -> Density:
@@ -107,7 +107,7 @@ def normal(angle: FloatArray, axis: AngleCells) -> Density:
     the angle.
     """
     mean, std = norm.fit(angle)
-    std = max(std, axis.width / 4.0)  # limited by the width of cells, as a fold may contain a single value
+    std = max(std, axis.width / 4.0)  # at least a quarter of a cell, as a fold may contain a single value
     low, high = (axis.low - mean) / std, (axis.high - mean) / std
     probability = np.diff(truncnorm.cdf(axis.edges, low, high, loc=mean, scale=std))
     return Density("normal", {"mean": float(mean), "standard_deviation": float(std)}, probability)
@@ -253,6 +253,6 @@ def circular_difference(angle: FloatArray, origin: float) -> FloatArray:
 
 
 def _equal_bins(values: FloatArray, bins: int) -> IntArray:
-    """Bin index of each value, `(S,)`; bins are not empty and have equal frequencies as far as ties allow."""
+    """Bin index of each value, `(S,)`; no bin is empty, and frequencies are as equal as ties allow."""
     inner = np.quantile(values, np.arange(1, bins) / bins)
     return np.asarray(np.unique(np.searchsorted(inner, values, side="right"), return_inverse=True)[1], dtype=np.int64)

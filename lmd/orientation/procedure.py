@@ -35,7 +35,7 @@ from lmd.scene.pdf import OrientationPdf, divisions_of
 FINE_CELLS = 96
 YAW_FAMILIES = (density.uniform, density.von_mises, density.kernel_estimate)
 PITCH_FAMILIES = (density.uniform, density.normal, density.kernel_estimate)
-# Least probability of a cell of the orientation grid; cells below it are dropped to save time.
+# Least probability of a cell of the orientation grid; less probable cells are dropped to save time.
 NEGLIGIBLE = 1e-6
 
 
@@ -50,7 +50,7 @@ class Marginal:
     block: int
     """Number of fine cells per cell of the orientation grid."""
     density: Density
-    """Chosen density; family `fixed` has a single cell."""
+    """Chosen density; the family `fixed` has one cell only."""
     candidates: tuple[Candidate, ...]
     """Densities that were compared; empty for a fixed angle."""
 
@@ -66,7 +66,7 @@ class Marginal:
 
     @property
     def grid_cell(self) -> IntArray:
-        """Cell of the orientation grid of each of `angles`."""
+        """Index of the orientation grid's cell that contains each of `angles`."""
         return np.arange(len(self.angles)) // self.block
 
     @property
@@ -104,7 +104,7 @@ class Marginal:
         }
 
     def described(self) -> str:
-        """Text of the chosen density, and of the log-likelihood differences of the other densities from the best."""
+        """Text with the chosen density, and the differences of the other densities from the best log-likelihood."""
         parameters = ", ".join(f"{key.replace('_', ' ')} {value:.3g}" for key, value in self.density.parameters.items())
         name = self.density.family.replace("_", " ") + (f" ({parameters})" if parameters else "")
         behind = ", ".join(
@@ -269,6 +269,6 @@ def _gathered(table: FloatArray, yaw: Marginal, pitch: Marginal, name: str) -> O
     )
     kept = weight > NEGLIGIBLE
     mean_yaw, mean_pitch = (moment[kept] / weight[kept] for moment in moments)
-    # The first cells extend half a step beyond -pi.
+    # The first cells of the yaw extend half a step beyond -pi.
     mean_yaw = np.where(mean_yaw < -np.pi - 1e-9, mean_yaw + 2.0 * np.pi, mean_yaw)
     return OrientationPdf(mean_yaw, mean_pitch, weight[kept] / weight[kept].sum(), name)

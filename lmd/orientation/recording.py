@@ -23,10 +23,10 @@ QUATERNION = ("qw", "qx", "qy", "qz")
 # Further columns of recorded poses, which do not change the optical axis.
 IGNORED = ("x", "y", "z", OWN_ANGLES[2])
 UNIT_TOLERANCE = 1e-3  # largest deviation of the length of a quaternion, printed with a few decimals, from 1
-RECORD_BYTES = 200  # memory of a record during simulation: two dozen numbers
+RECORD_BYTES = 200  # memory of a record during simulation, bytes: two dozen numbers
 LEAST_SAMPLES = 50  # least number of samples for an estimate
-# Default mean interval over the correlation time. The least interval is half the mean, so that samples are at least the
-# correlation time apart; neighbours then correlate by less than 0.05 for an exponential or Gaussian autocorrelation.
+# Ratio of the default mean interval to the correlation time. The least interval is half the mean, so samples are at
+# least the correlation time apart. Neighbours then correlate by less than 0.05 for a Gaussian autocorrelation.
 INTERVAL_FACTOR = 2.0
 
 
@@ -96,8 +96,8 @@ class OrientationRecording:
         """Read a CSV with the columns time (s), yaw and pitch (rad), or time and qw, qx, qy, qz.
 
         The quaternion rotates the camera's optical frame (x right, y down, z along the optical axis) to the world
-        frame. Yaw and pitch may be called yaw_from_y and pitch_up, as in recordings of poses. Columns x, y, z are
-        ignored. A yaw beyond +-2 pi is refused, as it may be in degrees.
+        frame. The columns yaw and pitch may be called yaw_from_y and pitch_up, as in recordings of poses. Columns
+        x, y, z are ignored. A yaw beyond +-2 pi is refused, as it may be in degrees.
 
         Raises:
             InputError: the file cannot be read, is not a recording, or its angles are ambiguous.
@@ -149,7 +149,7 @@ class FileRecording:
 
 @dataclass(frozen=True)
 class SimulatedRecording(Checked):
-    """Simulated smooth random motion; at any time the yaw is von Mises and the pitch truncated normal distributed.
+    """Simulated smooth random motion; at any time the yaw is von Mises distributed, the pitch truncated normal.
 
     z_1 and z_2 are stationary Gaussian processes with the autocorrelation exp(-t^2 / (2 tau^2)). The phase phi has a
     uniform start and the rate z_1 / tau, so it is uniform at any time. The yaw is the von Mises quantile of

@@ -1,4 +1,4 @@
-"""Planning by hand: the user drags tags over the surfaces of a room in a browser, and all figures are updated at once.
+"""Planning by hand: the user drags tags over a room's surfaces in a browser, and all figures are updated immediately.
 
 - `server` serves the planner; `access` refuses other pages; `actions` is the queue of requests from browsers.
 - `session` is the state of planning: a `plan` with undo, its `figures`, and a `tag_search` by an optimiser.

@@ -1,4 +1,4 @@
-"""Requests from browsers: who may connect, and the actions that one thread runs in order."""
+"""Requests from browsers: checks of connections, and a queue of actions that one thread runs in order."""
 
 import hmac
 import logging
@@ -38,13 +38,13 @@ class ActionQueue:
             return None
 
     def on(self, register: Callable[[Any], object], answer: Callable[[Any], None]) -> None:
-        """Append `answer` for each event of viser; `register` takes viser's callback."""
+        """Append `answer` to the queue for each event of viser; `register` receives the callback for viser."""
         call_in_order(register, partial(self.put_answer, answer))
 
     def put_answer(self, answer: Callable[..., None], *of_event: Any) -> None:
         """Append the answer to a browser's event.
 
-        Browsers may send any values. An answer that fails because of such values raises only InputError.
+        Browsers may send invalid values. An answer that fails because of these raises only `InputError`.
         """
         self.put(partial(_answer, answer, *of_event))
 
@@ -68,8 +68,8 @@ def call_in_order(register: Callable[[Any], object], answer: Callable[[Any], Non
     register(call)
 
 
-HOST = "127.0.0.1"  # listening address, which other machines cannot reach
-LOCAL_ADDRESS = re.compile(r"(127\.0\.0\.1|localhost)(:\d+)?")  # any port, as the port may be forwarded
+HOST = "127.0.0.1"  # listening address, unreachable for other machines
+LOCAL_ADDRESS = re.compile(r"(127\.0\.0\.1|localhost)(:\d+)?")  # with any port, as the port may be forwarded
 TOKEN_BYTES = 18
 
 Answer = Callable[[Any, Any], Any]
@@ -83,7 +83,7 @@ class Access:
         self._is_asked = False
 
     def address(self, port: int) -> str:
-        """The only address that is allowed."""
+        """The only allowed address."""
         return f"http://{HOST}:{port}{self._path}/"
 
     @contextmanager
@@ -109,7 +109,7 @@ class Access:
             raise InputError("this version of viser cannot be kept from talking to every web page; 1.1.1 can.")
 
     def _answer(self, hand_on: Answer, connection: Any, request: Any) -> Any:
-        """Refuse or forward a request; the function `process_request` of the server."""
+        """Refuse or forward a request; called by the server as `process_request`."""
         path = self._inner_path(request.path)
         if path is None:
             return connection.respond(HTTPStatus.FORBIDDEN, "This is not the address that the planner has printed.\n")
@@ -125,7 +125,7 @@ class Access:
 
 
 def _is_from_here(headers: Any) -> bool:
-    """True if a request names this machine and, for a websocket, was sent by a page of this machine."""
+    """True if a request is addressed to this machine and, for a websocket, was sent by one of this machine's pages."""
     hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
     if len(hosts) != 1 or not LOCAL_ADDRESS.fullmatch(hosts[0]):
         return False

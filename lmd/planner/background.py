@@ -1,4 +1,4 @@
-"""Background work: slow figures, computed in a thread of their own while the user does nothing."""
+"""Background work: slow figures, computed in a separate thread while the user does nothing."""
 
 import threading
 from collections.abc import Callable, Iterator
@@ -19,7 +19,7 @@ from lmd.scene.deployment import Deployment
 
 PATIENCE_SECONDS = 0.5  # maximum time to wait for the end of unwanted work, seconds
 TO_COME = {"off the grid": "..."}
-FIRST_SAMPLE = Sample(groups=8, positions=256, divisions=8)  # takes a fiftieth of the time of the whole sample
+FIRST_SAMPLE = Sample(groups=8, positions=256, divisions=8)  # takes a fiftieth of the whole sample's time
 ESTIMATE = {"a first estimate": "all digits follow"}
 
 Question = TypeVar("Question")
@@ -31,21 +31,19 @@ class Worker(Generic[Question]):
 
     Args:
         work: called with a question, and with a function that returns True while the answer is wanted.
-        failed: called in the worker's thread with a question that cannot be answered, and the reason in a sentence.
+        failed: called in the worker's thread with a question that cannot be answered and with the reason, a sentence.
     """
 
     def __init__(self, work: Callable[[Question, Wanted], None], failed: Callable[[Question, str], None]) -> None:
         self._work, self._failed = work, failed
-        self._question: tuple[Question] | None = None  # a new tuple each time that a question is asked
+        self._question: tuple[Question] | None = None  # a new tuple for each question
         self._closing = False
         self._changed = threading.Condition()
         self._thread = threading.Thread(target=self._run, name="worker", daemon=True)
         self._thread.start()
 
     def ask(self, question: Question | None) -> None:
-        """Replace the question; None for no question. A question is answered once, unless another question replaces it
-        before.
-        """
+        """Replace the question; None for no question. A question is answered once, unless it is replaced before."""
         with self._changed:
             if question is None:
                 self._question = None
@@ -54,7 +52,7 @@ class Worker(Generic[Question]):
                 self._changed.notify()
 
     def close(self) -> None:
-        """End the thread when its work next checks if the answer is wanted; compilation makes no such checks."""
+        """End the thread at the next check if the answer is wanted; there is no check during compilation."""
         with self._changed:
             self._question, self._closing = None, True
             self._changed.notify()
@@ -79,7 +77,7 @@ class Worker(Generic[Question]):
 
 
 class UnwantedError(Exception):
-    """Raised when the answer is not wanted any more."""
+    """Raised when the answer is no longer wanted."""
 
 
 def off_grid(problem: Problem, deployment: Deployment, seed: int, wanted: Wanted) -> Iterator[dict[str, str]]:

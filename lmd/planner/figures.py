@@ -21,7 +21,7 @@ from lmd.sight.poses import Cells, wall_cells
 from lmd.space.surface import SurfaceArrays
 
 CANDIDATES = 3000  # approximate number of candidate places in a room
-CANDIDATE_BATCH = 64  # number of candidate places between two checks if the result is wanted
+CANDIDATE_BATCH = 64  # number of candidate places between two checks whether the result is still wanted
 
 
 class Values:
@@ -31,7 +31,7 @@ class Values:
     change.
 
     Args:
-        problem: scene and objective; its number of landmarks does not matter.
+        problem: scene and objective; the problem's number of landmarks does not matter.
         deployment: K landmarks.
 
     Raises:
@@ -78,7 +78,7 @@ class _FieldValues:
         self._state, self._scratches = state, layers(self._field.scratch(state), 1)
 
     def update(self, deployment: Deployment) -> None:
-        """Move the landmarks whose places differ."""
+        """Move the landmarks whose places differ from the present ones."""
         if np.array_equal(deployment.edges_of(self._evaluator.scene.tag), self._edges):
             steps, poses = moved(places_of(deployment), self._state)
             runner(self._field, perform)(steps, poses, self._field, self._state, self._scratches, NO_UNITS)
@@ -91,13 +91,13 @@ class _FieldValues:
 
 
 class Additions(NamedTuple):
-    """Gains by one more tag at each of N places; NaN where its paper would overlap another paper."""
+    """Gains by one more tag at each of N places; NaN where the new tag's paper would overlap another paper."""
 
     fitness: FloatArray
     """`(N,)` gain of the fitness."""
     value: FloatArray
-    """`(N,)` gain of the mean of the objective's value over positions, weighted by their relevance. The mean value also
-    ranks places where a tag lifts no position over a threshold.
+    """`(N,)` gain of the objective's mean value over positions, weighted by relevance. Unlike the fitness, the mean
+    value also ranks places where a tag lifts no position over a threshold.
     """
 
 
@@ -113,7 +113,7 @@ def _add_up(units, target, fitness, value):  # type: ignore[no-untyped-def]
 
 
 def candidate_cells(problem: Problem) -> Cells:
-    """Coarse grid of about `CANDIDATES` places at which a tag may hang."""
+    """Coarse grid of about `CANDIDATES` places where a tag may hang."""
     room = problem.scene.footprints.hanging
     surfaces = SurfaceArrays.of(room.surfaces())
     cells = wall_cells(room, math.sqrt(float(surfaces.area.sum()) / CANDIDATES))
@@ -126,8 +126,8 @@ def additions(
 ) -> Additions | None:
     """Gains by one more tag at each of N poses.
 
-    An invisible landmark is moved from place to place (`lmd.incremental.field`). Moves are settled, so that occlusion
-    counts, but never accepted.
+    A landmark that is invisible at first is moved from place to place (`lmd.incremental.field`). Moves are settled, so
+    that occlusion counts, but never accepted.
 
     Args:
         problem: scene and objective; gains are computed on its grid.

@@ -25,8 +25,8 @@ HINT = "drag a tag; click a tag, a position or a surface"
 UNDO, REDO, PIN, DELETE, SAVE = "Undo", "Redo", "Pin or unpin", "Delete", "Save"
 RESIZE = "Give the tag this size"
 PLACE, FROM_FLOOR, FROM_BELOW = "Hang it there", "from floor, m", "from below, m"
-OFF_GRID_HEIGHT, TWO_LINES = "9em", "min-height: 2.8em"  # texts that change keep what is below them in place
-YAW, PITCH = "yaw, degrees from x to y", "pitch, degrees down"  # angles of ROS
+OFF_GRID_HEIGHT, TWO_LINES = "9em", "min-height: 2.8em"  # constant heights, so that the widgets below do not move
+YAW, PITCH = "yaw, degrees from x to y", "pitch, degrees down"  # angles in ROS's convention
 WIDTH, GAP = 290.0, 12.0  # width of the legend, and its distance from the lower left corner of the picture, pixels
 OPTIMISE, STOP = "Optimise the free tags", "Stop, keep the best"
 COLOUR_STOPS = 9  # number of colours in a scale of the legend
@@ -65,7 +65,7 @@ class PlannerPanel:
             self._size = gui.add_dropdown("size", tuple(self._edges) or ("",), visible=len(self._edges) > 1)
             self.resize = gui.add_button(RESIZE, visible=len(self._edges) > 1)
         with gui.add_folder("Optimise"):
-            # Limits are floats, as viser makes an integer widget for an integer, and cannot send fractions to it.
+            # Limits are floats: for an integer, viser makes a widget that cannot receive fractions.
             self._limits = {
                 name: gui.add_number(f"budget, {name}", float(limit), step=1.0)
                 for name, limit in asdict(budget).items()
@@ -99,7 +99,7 @@ class PlannerPanel:
 
     @property
     def view(self) -> FloatArray:
-        """Rotation `(3, 3)` of a body with the yaw and pitch of the sliders; its columns are ahead, left and up."""
+        """Rotation `(3, 3)` of a body with the yaw and pitch of the sliders; the columns are ahead, left and up."""
         return roll_pitch_yaw(np.radians([0.0, _within(self.pitch), _within(self.yaw)]))
 
     @property
@@ -143,7 +143,7 @@ class PlannerPanel:
             self.say(f"a tag here adds {', '.join(f'{gain:+.3%} to the {name}' for name, gain in gains.items())}")
 
     def show_tag(self, text: str | None, measured: MeasuredPlace | None) -> None:
-        """Show the selected tag and its place; None for no tag, and for a tag on no surface."""
+        """Show the text and place of the selected tag; both are None without a tag, the place also off all surfaces."""
         self._tag.content = _paragraph("tag", text or "no tag is selected", TWO_LINES)
         if measured is not None:
             self._left.value, self._up.value = round(measured.left, 4), round(measured.up, 4)
@@ -177,7 +177,7 @@ class PlannerPanel:
         self.show_legend(self._most)
 
     def show_image(self, image: UInt8Array) -> None:
-        """Show what the camera sees, `(h, w)`."""
+        """Show the image `(h, w)` of the camera."""
         self._image.image, self._image.visible = np.repeat(image[..., None], 3, axis=2), True
 
     def show_legend(self, most: float | None) -> None:
@@ -212,7 +212,7 @@ def _legend_html(value: str, span: tuple[float, float], most: float | None) -> s
 
     Args:
         value: label of the values of positions.
-        span: values, from 0 to 1, that the first and the last colour of positions mean.
+        span: values, from 0 to 1, of the first and the last colour of positions.
         most: gain at the brightest place of a surface; None while surfaces are grey.
     """
     rows = [f'<td colspan=2 style="white-space: normal">positions: {html.escape(value)}</td>']
@@ -225,7 +225,7 @@ def _legend_html(value: str, span: tuple[float, float], most: float | None) -> s
 
 
 def _scale(name: str, low: str, high: str) -> str:
-    """HTML bar with the colours of a map, between the values at its ends."""
+    """HTML bar with the colours of a colour map, between the texts `low` and `high`."""
     colours = ", ".join(_css(tuple(colour)) for colour in mapped(name, np.linspace(0.0, 1.0, COLOUR_STOPS)).tolist())
     return f"{low} {_box('6em', f'linear-gradient(to right, {colours})')} {high}"
 

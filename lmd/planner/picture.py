@@ -37,7 +37,7 @@ SQUARE = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 
 TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])
 SHADOWLESS: dict[str, Any] = {"cast_shadow": False, "receive_shadow": False}
 MESH_OPTIONS: dict[str, Any] = {"lod": "off", **SHADOWLESS}  # options of viser's batched meshes
-TAG_OFFSET_M = 0.01  # distance at which tags are drawn in front of their surface, to be visible, metres
+TAG_OFFSET_M = 0.01  # distance of drawn tags in front of their surface, so that they are visible, metres
 BALL_RADIUS = 0.12  # radius of a position, relative to the spacing of positions
 POINT_SIZE = 0.008  # half the edge of a point landmark, in diagonals of the room
 CELL_SHARE = 0.97  # coloured share of the width and height of a cell
@@ -81,7 +81,7 @@ class RoomPicture:
             colour = rgb(common.PARTS[name][0])
             self._scene.add_line_segments(f"/outline/{name}", edges, np.array(colour, dtype=np.uint8))
         walls = [face for face in self._problem.scene.room.faces() if face.is_upright]
-        if walls:  # filled, and like the cells invisible from behind
+        if walls:  # filled and, like the cells, invisible from behind
             corners = [self._behind(face) for face in walls]
             self._scene.add_mesh_simple(
                 "/walls", np.concatenate(corners), _squares(len(walls)), color=WALL, side="front", **SHADOWLESS
@@ -89,7 +89,7 @@ class RoomPicture:
 
     @staticmethod
     def _behind(face: Surface) -> FloatArray:
-        """Corners of a face, counter-clockwise from its front, slightly behind it, `(4, 3)`."""
+        """Corners of a face, counter-clockwise seen from its front, moved slightly behind the face, `(4, 3)`."""
         (length, height), is_left = face.extent, np.cross(face.u, face.v) @ face.normal > 0.0
         ring = face.point(*np.array([[0.0, 0.0], [length, 0.0], [length, height], [0.0, height]]).T)
         return np.asarray((ring if is_left else ring[::-1]) - TAG_OFFSET_M * face.normal)
@@ -162,7 +162,7 @@ class RoomPicture:
         return np.where(papers > 0.0, papers / 2.0, POINT_SIZE * self._diagonal)
 
     def show_survey(self, tags: Deployment, plan: Deployment) -> None:
-        """Draw the tags of a survey and lines from their planned places."""
+        """Draw the tags of a survey, and lines from the planned places of these tags."""
         self._scene.add_batched_meshes_simple(
             "/survey/tags",
             SQUARE,
@@ -225,7 +225,7 @@ class Captions:
             label.visible = visible
 
     def show_ids(self, ids: IntArray, places: FloatArray, selected: int | None, visible: bool) -> None:
-        """Show the ids `(K,)` of tags at `places` `(K, 3)`; the id of the selected tag is larger and always visible."""
+        """Show the ids `(K,)` of tags at `places` `(K, 3)`; the selected tag's id is larger and always visible."""
         for k, (number, place) in enumerate(zip(ids.tolist(), places.tolist(), strict=True)):
             self._show_id(k, (str(number), tuple(place), number == selected, visible or number == selected))
         for label in self._ids[len(ids) :]:
@@ -246,7 +246,7 @@ class Captions:
 
 
 def _add_name(scene: Any, surface: Surface) -> Any:
-    """Name a wall below its lower edge, which is visible even if the wall is not drawn; a floor in its middle."""
+    """Draw a surface's name: below a wall, where the name is visible without the wall, or in the middle of a floor."""
     is_level, (width, height) = abs(surface.normal[2]) > FLAT, surface.extent
     return scene.add_label(
         f"/names/{surface.name}",
@@ -258,7 +258,7 @@ def _add_name(scene: Any, surface: Surface) -> Any:
 
 
 def offsets(tags: Deployment, plan: Deployment) -> FloatArray:
-    """Lines from planned places towards those of tags with equal ids, magnified, `(n, 2, 3)`, metres."""
+    """Magnified lines from planned places towards the places of `tags` with equal ids, `(n, 2, 3)`, metres."""
     _, of, among = np.intersect1d(plan.ids, tags.ids, return_indices=True)
     start = plan.places[of]
     return np.stack([start, start + OFFSET_MAGNIFICATION * (tags.places[among] - start)], axis=1)

@@ -1,4 +1,4 @@
-"""Plan: tags, pinned or free, and movable cameras."""
+"""Plan: tags, pinned or free."""
 
 import threading
 from collections.abc import Callable
@@ -33,7 +33,7 @@ class MeasuredPlace(NamedTuple):
 
 @dataclass(frozen=True)
 class Plan:
-    """Tags and cameras. A plan is immutable; every change returns a new plan."""
+    """Tags, pinned or free. A plan is immutable; every change returns a new plan."""
 
     deployment: Deployment
     """Tags with their ids and surfaces; `of` gives ids to landmarks that have none."""
@@ -42,7 +42,7 @@ class Plan:
 
     @classmethod
     def of(cls, deployment: Deployment, hung: Deployment | None = None) -> "Plan":
-        """Plan of a deployment, in which the tags `hung`, which are fixed, are pinned."""
+        """Plan of a deployment in which the fixed tags `hung` are pinned."""
         labels = deployment.labels or Labels(deployment.ids)
         pinned = frozenset() if hung is None else frozenset(hung.ids.tolist())
         return cls(replace(deployment, labels=labels), pinned)
@@ -53,7 +53,7 @@ class Plan:
         return np.flatnonzero(~np.isin(self.deployment.ids, list(self.pinned)))
 
     def index_of(self, number: int) -> int:
-        """Index of the tag with an id.
+        """Index of the tag with the id `number`.
 
         Raises:
             InputError: there is no such tag.
@@ -64,7 +64,7 @@ class Plan:
         return int(found[0])
 
     def described(self, number: int, scene: Scene) -> str:
-        """Sentence on the place and size of the tag with an id.
+        """Sentence about the place and size of the tag with the id `number`.
 
         Raises:
             InputError: there is no such tag.
@@ -78,7 +78,7 @@ class Plan:
         return f"tag {number}: {where}, ({x:.3f}, {y:.3f}, {z:.3f}) m{size}{pinned}"
 
     def measured(self, number: int, room: Space) -> "MeasuredPlace | None":
-        """Place of the tag with an id on its surface; None if the tag hangs on no surface.
+        """Place on its surface of the tag with the id `number`; None if the tag hangs on no surface.
 
         Raises:
             InputError: there is no such tag.
@@ -119,7 +119,7 @@ class Plan:
         return replace(self, deployment=replace(self.deployment, edges=edges)).moved(footprints, number, surface, at)
 
     def added(self, scene: Scene, surface: int, at: FloatArray, edge: float | None = None) -> tuple["Plan", int]:
-        """Add a tag at the free place nearest to `at`; return the plan and the tag's id, which is the least unused id.
+        """Add a tag at the free place nearest to `at`; return the plan and the tag's id, the least unused one.
 
         Args:
             scene: scene of the tags.

@@ -38,7 +38,7 @@ class Planner:
     Args:
         session: session to serve.
         port: port of the address; 0 for any free port.
-        save: function that writes a plan and returns a text about the files.
+        save: function that writes a plan and returns a text about the written files.
         optimiser: function that makes the optimiser of a search.
         budget: initial budget of searches.
         seed: seed of the sample off the grid; None to compute no figures off the grid.
@@ -66,8 +66,8 @@ class Planner:
         self._selected: int | None = None
         self._dragged: int | None = None
         self._span = (0.0, 1.0)  # values of the first and the last colour
-        self._is_imaged = False  # the panel shows the image of the present view
-        self._pointer: Any = None  # last event of a drag that is not applied yet
+        self._is_imaged = False  # True if the panel shows the image of the present view
+        self._pointer: Any = None  # last event of a drag, if the event is not applied yet
         logging.getLogger("websockets.server").setLevel(logging.WARNING)
         self._access = Access()
         with contextlib.redirect_stdout(io.StringIO()), self._access.checking():  # viser prints a banner
@@ -264,7 +264,7 @@ class Planner:
         with self._server.atomic():
             self._show_tags()
             values = session.values()
-            if self._dragged is None:  # else colours would change their meaning under the pointer
+            if self._dragged is None:  # during a drag the meaning of colours must not change
                 self._span = span_of(values)
             self._picture.show_values(values, self._span)
             self._panel.show_span(self._span)
@@ -291,7 +291,7 @@ class Planner:
             call_in_order(self._picture.tags.on_drag, self._point)
 
     def _show_image(self) -> None:
-        """Show what the chosen camera sees, if that may have changed."""
+        """Show the image of the chosen camera, if the image may have changed."""
         if self._is_imaged or self._robot.position is None:
             return
         self._is_imaged = True

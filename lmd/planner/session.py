@@ -1,6 +1,6 @@
 """Planning session: the plan, its history and its figures, independent of browsers.
 
-Only one thread may use a session. A search works on a copy of the plan, and calls a function at its end.
+Only one thread may use a session. A search works on a copy of the plan, and calls a function when the search ends.
 """
 
 from collections.abc import Callable
@@ -24,7 +24,7 @@ PATIENCE_SECONDS = 1.0  # maximum time to wait for the end of a stopped search, 
 
 
 class Posed(NamedTuple):
-    """Deployment together with its problem."""
+    """Deployment with its problem."""
 
     problem: Problem
     """Scene and objective."""
@@ -78,12 +78,12 @@ class PlanningSession:
         return self._values.metrics()
 
     def gains(self) -> dict[str, str]:
-        """Differences of the figures to those of the plan that was opened, as a labelled text."""
+        """Differences of the figures from the figures of the opened plan, as labelled texts."""
         gained = self.metrics()["fitness"] - self._opened["fitness"]
         return {"since opened": f"{100.0 * gained:+.2f} points of fitness"}
 
     def visible_tags(self, position: FloatArray, turn: FloatArray) -> BoolArray:
-        """True for tags that a robot at `position` `(3,)`, metres, covers, `(K,)`; `turn` `(3, 3)`: ahead, left, up."""
+        """Mask `(K,)` of tags covered by a robot at `position` `(3,)`, metres; `turn` `(3, 3)`: ahead, left, up."""
         pose = np.hstack([turn[:, 0], -turn[:, 1]])[None]
         return np.asarray(visible(self.problem.evaluator, self.deployment, position[None], pose)[0])
 
@@ -146,7 +146,7 @@ class PlanningSession:
         """Delete a tag, see `Plan.without`.
 
         Raises:
-            InputError: as for `Plan.without`, or too few tags would be left for the objective, or a search is running.
+            InputError: as for `Plan.without`, or the objective needs the tag, or a search is running.
         """
         self.problem.objective.check(len(self.deployment) - 1)
         self._become(self.plan.without(number))
@@ -233,7 +233,7 @@ class PlanningSession:
         self.posed = Posed(self.problem, plan.deployment)
 
     def _become(self, plan: Plan, dragged: object = None) -> None:
-        """Change the plan, within the last step if the same object is still being dragged."""
+        """Change the plan; the change belongs to the last step while one object is dragged."""
         self._check_idle()
         self._follow(plan)
         if dragged is None or dragged != self._dragged:

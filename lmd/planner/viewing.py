@@ -23,7 +23,7 @@ from lmd.space.surface import SurfaceArrays
 FIELD_OF_VIEW = math.radians(50.0)  # vertical field of view of a browser, rad
 IMAGE_WIDTH = 320.0  # width of the image of a camera in the panel, pixels
 FILLED_SHARE = 0.92  # share of the window's width or height that the room fills
-ASPECT = 1.6  # width by height of a window before the browser reports its own
+ASPECT = 1.6  # ratio of width to height of a window before the browser reports it
 SAME_PLACE = 1e-3  # maximum distance of two equal viewpoints, in diagonals of the room
 EDGE_ON = 1e-6  # minimum cosine between a ray and the normal of a surface that it meets
 ON_SURFACE_M = 1e-6  # tolerance of the borders of a surface, metres
@@ -43,7 +43,7 @@ def framed(low: FloatArray, high: FloatArray, aspect: float) -> BrowserView:
 
     Args:
         low, high: corners of the box with the least and the largest coordinates, `(3,)`, metres.
-        aspect: width by height of the window.
+        aspect: ratio of width to height of the window.
     """
     ahead = -viewer()
     right = np.cross(ahead, [0.0, 0.0, 1.0])
@@ -73,7 +73,7 @@ class Framing:
 
     def __init__(self, server: Any, low: FloatArray, high: FloatArray) -> None:
         self._low, self._high = low, high
-        self._given: dict[int, FloatArray] = {}  # viewpoint that each browser was given
+        self._given: dict[int, FloatArray] = {}  # viewpoint that was sent to each browser
         first = framed(low, high, ASPECT)
         server.initial_camera.fov = FIELD_OF_VIEW
         server.initial_camera.position, server.initial_camera.look_at = first
@@ -118,8 +118,8 @@ def pointed_at(surfaces: SurfaceArrays, eye: FloatArray, way: FloatArray, own: i
     """First place where a ray meets the front of a surface.
 
     Backs are transparent, so that walls between the viewer and the room do not stop the ray. A ray that meets no front
-    ends in the plane of the surface `own`, whose front or back it may meet. So a tag that is dragged beyond the edge of
-    its wall, or that is seen from behind, stays on the wall.
+    ends in the plane of the surface `own`, even if the ray meets its back. So a tag stays on its wall if the tag is
+    dragged beyond the wall's edge, or is seen from behind.
 
     Args:
         surfaces: W surfaces, treated as whole rectangles, even where no landmark may hang.
@@ -154,7 +154,7 @@ def seen_by(problem: Problem, deployment: Deployment, camera: Camera, pose: Floa
         pose: pose of the camera, camera to world, `(4, 4)`.
 
     Returns:
-        `(h, w)`; None for points, and where the package that draws the tags is missing.
+        `(h, w)`; None for points, or if the package that draws the tags is missing.
     """
     scene, larger = problem.scene, camera.image_width / IMAGE_WIDTH
     small = replace(
@@ -195,7 +195,7 @@ GAINS = "magma"  # colour map of gains by one more tag
 
 
 def alike(colour: Rgb, count: int) -> Colours:
-    """`count` times one colour, `(count, 3)`."""
+    """One colour, repeated `count` times, `(count, 3)`."""
     return np.tile(np.array(colour, dtype=np.uint8), (count, 1))
 
 
@@ -206,7 +206,7 @@ def span_of(values: FloatArray) -> tuple[float, float]:
 
 
 def mapped(name: str, shares: ArrayLike) -> Colours:
-    """Colours of a matplotlib map for values from 0 to 1 `(N,)`, `(N, 3)`."""
+    """Colours `(N, 3)` in a matplotlib colour map of values from 0 to 1 `(N,)`."""
     from matplotlib import colormaps
 
     return np.asarray(colormaps[name](np.asarray(shares), bytes=True))[:, :3]

@@ -44,7 +44,7 @@ class Canvas:
         self.cv2: Any = optional("cv2", "detection")
 
     def outline(self, polygon: FloatArray) -> FloatArray:
-        """Image of a convex polygon `(M, 3)` (camera frame, metres), clipped at the near plane, pixels, `(m, 2)`."""
+        """Image, pixels, `(m, 2)`, of a convex polygon `(M, 3)`, camera frame, metres, clipped at the near plane."""
         image = clipped(polygon) @ self.matrix.T
         return np.asarray(image[:, :2] / image[:, 2:])
 
@@ -52,8 +52,8 @@ class Canvas:
         """Draw a convex part of a plane.
 
         Args:
-            plane: columns are the unit vectors u, v and the origin, metres; camera frame, `(3, 3)`.
-            shape: vertices (a, b) of the convex polygon, origin + a u + b v, not negative, metres, `(M, 2)`.
+            plane: the columns are the unit vectors u, v and the origin, metres; camera frame, `(3, 3)`.
+            shape: vertices (a, b) of the convex polygon, for points origin + a u + b v; not negative, metres, `(M, 2)`.
             grey: mean grey level.
             pattern: offsets of the grey level, `(T, T)` texels of `TEXEL` metres, tiled over larger polygons; None for
                 a plain surface.
@@ -112,7 +112,7 @@ class Canvas:
         plane = np.stack([right, down, centre - len(picture) / 2.0 * (right + down)], axis=1)
         drawn = self._warp(picture, self.matrix @ plane, window, samples, self.cv2.BORDER_CONSTANT)
         drawn = self.cv2.resize(drawn.astype(np.float32), (width, height), interpolation=self.cv2.INTER_AREA)
-        if (paper[:, 2] < NEAR_PLANE).any():  # the homography also maps points behind the camera
+        if (paper[:, 2] < NEAR_PLANE).any():  # outside, as the homography also maps points behind the camera
             front = np.zeros((height, width), dtype=np.float32)
             self._fill(front, outline - window[:2], 1)
             drawn *= front[..., None]
@@ -122,7 +122,7 @@ class Canvas:
         self._over(drawn, window)
 
     def _over(self, drawn: Float32Array, window: tuple[int, int, int, int]) -> None:
-        """Blend a tag over a window of the image, which may reach over the border.
+        """Blend a tag over a window of the image; the window may reach beyond the image.
 
         Args:
             drawn: white share and opacity of each pixel, `(h, w, 2)`.
@@ -138,7 +138,7 @@ class Canvas:
     def _window(self, outline: FloatArray, margin: int) -> tuple[int, int, int, int] | None:
         """Bounding box (x, y, width, height) of an outline, enlarged by `margin`, pixels; None outside the image.
 
-        The box may reach over the border of the image by `margin`.
+        The box may reach beyond the image by `margin`.
         """
         if not len(outline):
             return None
@@ -200,7 +200,7 @@ def _area(outline: FloatArray) -> float:
 
 @lru_cache(maxsize=512)
 def texture(tag: Tag, number: int, texels: int) -> UInt8Array:
-    """Texture of a tag with its quiet zone, `texels` per module: white and opacity, 0 or 255 each, `(S, S, 2)`."""
+    """Texture of a tag with its quiet zone, `texels` per module: whiteness and opacity, 0 or 255, `(S, S, 2)`."""
     modules = np.where(tag.picture(number), 255, 0).astype(np.uint8)
     margin = round(tag.quiet_zone * texels)
     white = np.pad(np.kron(modules, np.ones((texels, texels), dtype=np.uint8)), margin, constant_values=255)
@@ -210,7 +210,7 @@ def texture(tag: Tag, number: int, texels: int) -> UInt8Array:
 # Edge of a texel of a surface's pattern, metres, and its period in texels.
 TEXEL = 0.005
 PATTERN = 1024
-# Maximum number of periods of a pattern along an edge of its array; 3 periods are 15 m and 38 MB.
+# Maximum number of a pattern's periods along an edge of the array; 3 periods are 15 m and 38 MB.
 MOST_REPEATS = 3
 
 

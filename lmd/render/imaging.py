@@ -1,4 +1,4 @@
-"""Imaging: conversion of the light of a scene to grey levels by lens, exposure and noise."""
+"""Imaging: conversion of a scene's light to grey levels by lens, exposure and noise."""
 
 import math
 from dataclasses import dataclass
@@ -58,7 +58,7 @@ class Imaging(Checked):
     texture_seed: Index = 0
     """Seed of the pattern, which is constant over frames."""
     supersampling: Annotated[int, partial(integer, low=1, high=16)] = 4
-    """Samples of a tag along each axis of a pixel."""
+    """Number of samples of a tag along each axis of a pixel."""
 
     def _validate(self) -> None:
         if self.white <= self.black:
@@ -97,5 +97,5 @@ def _grain_row(size: int) -> Float32Array:
 
 # Number of start indices of the noise of an image in the cached array.
 SPARE_GRAIN = 2**20
-# Relative brightness per component of the normal; adjacent walls differ, so that edges are visible.
+# Relative brightness per component of the normal. Adjacent walls differ in brightness, so that edges are visible.
 LIGHT = np.array([0.03, 0.05, 0.08])

@@ -1,8 +1,8 @@
 """Frames of a camera in a room with tags.
 
-A frame is assembled from pinhole images, its faces. Without distortion, the frame is its only face. For a distorting
-lens, faces are remapped to the frame: one face up to a `Camera.widest_angle` of `ONE_FACE`, otherwise the visible faces
-of a cube around the camera.
+A frame is assembled from its faces, which are pinhole images. Without distortion, the frame is its only face. For a
+distorting lens, faces are remapped to the frame: one face up to a `Camera.widest_angle` of `ONE_FACE`, otherwise the
+visible faces of a cube around the camera.
 """
 
 import math
@@ -32,14 +32,14 @@ X, Y, Z = np.eye(3)
 CUBE = np.array([(X, Y, Z), (-Z, Y, X), (Z, Y, -X), (X, -Z, Y), (X, Z, -Y), (-X, Y, -Z)]) + 0.0
 # Width of the border around the visible part of a face, for interpolation, pixels.
 MARGIN = 2.0
-# Lower bound on the scale of a face in the image. At the fold of a lens the scale is 0, and the blur in the face would
-# be infinite.
+# Lower bound on the scale of a face in the image. Without it, the blur in the face would be infinite at the fold of a
+# lens, where the scale is 0.
 SMALLEST_SCALE = 0.2
-# Lower bound, in the blur correction of a tag, on the cosine of the angle from a face's axis.
+# Lower bound on the cosine of the angle from a face's axis, used to correct the blur of a tag.
 LEAST_COSINE = 0.5
 # Maximum number of images that motion blur averages.
 MOST_STEPS = 64
-# Grey level of people over that of a wall.
+# Ratio of the grey level of people to the grey level of a wall.
 PEOPLE_SHADE = 0.6
 # Largest distance of a tag behind its surface, metres; a surface hides tags that are farther behind it.
 FLUSH = 1e-3
@@ -61,7 +61,7 @@ class Face(NamedTuple):
     """Mask of the pixels of the camera's image that show the face, `(h, w)`."""
 
     def scale(self, camera: Camera, point: FloatArray) -> float:
-        """Pixels of the camera's image per pixel of the face around a point `(3,)` in the camera's frame."""
+        """Pixels of the camera's image per pixel of the face, near a point `(3,)` in the camera's frame."""
         if camera.lens is None:
             return 1.0
         ahead, angle = point / np.linalg.norm(point), math.atan2(math.hypot(point[0], point[1]), point[2])
@@ -104,12 +104,12 @@ class Renderer:
     def corners(self, pose: FloatArray) -> FloatArray:
         """Exact images of the tags' corners from poses `(..., 4, 4)`, pixels from the border, `(..., K, 4, 2)`.
 
-        Includes tags outside the image, facing away or occluded. NaN as in `lmd.geometry.projection.project`.
+        Tags outside the image, facing away or occluded are included. NaN as in `lmd.geometry.projection.project`.
         """
         return self._images(pose, self.room.corners)
 
     def picture_corners(self, pose: FloatArray) -> FloatArray:
-        """`corners` of the whole pictures."""
+        """Like `corners`, but for the corners of the tags' whole pictures."""
         return self._images(pose, self.room.picture_corners)
 
     def _images(self, pose: FloatArray, squares: FloatArray) -> FloatArray:
@@ -117,7 +117,7 @@ class Renderer:
         return flat.reshape(*flat.shape[:-2], -1, 4, 2)
 
     def inside(self, pose: FloatArray, margin: float = 0.0) -> BoolArray:
-        """Mask of the tags whose front faces the camera and whose whole picture is in the image, `(..., K)`.
+        """Mask of the tags that face the camera with the whole picture in the image, `(..., K)`.
 
         Args:
             pose: X, camera to world, `(..., 4, 4)`.
@@ -134,7 +134,7 @@ class Renderer:
         return [self._light(pose, face) for face in faces_of(self.camera)]
 
     def _light(self, from_camera: FloatArray, face: Face) -> Float32Array:
-        """Light on one face: surfaces, then people, drawn from far to near and blurred, then tags from far to near."""
+        """Light on one face: surfaces, then people, from far to near, all blurred; then tags from far to near."""
         pose = from_camera.copy()
         pose[:3, :3] = from_camera[:3, :3] @ face.turn.T
         canvas = Canvas(face.matrix, face.size, self.imaging)
@@ -157,7 +157,7 @@ class Renderer:
         return canvas.light
 
     def _sigma(self, square: FloatArray, face: Face) -> float:
-        """Blur sigma of a tag in a face, pixels: blur at the depth of the tag's centre over the scale of the face."""
+        """Blur sigma of a tag in a face, pixels: blur at the depth of the tag's centre divided by the face's scale."""
         centre, sigma, camera = face.turn.T @ square.mean(axis=0), self.imaging.psf_sigma, self.camera
         if self.imaging.defocus:
             sigma = float(blur_sigma(camera, max(float(depth_in_focus(camera, centre)), NEAR_PLANE), sigma))
@@ -205,7 +205,7 @@ def _middle(surface: Surface, part: FloatArray) -> FloatArray:
 
 @lru_cache(maxsize=2)
 def faces_of(camera: Camera) -> tuple[Face, ...]:
-    """Faces of a camera's image, cached here so that a pickled renderer stays small."""
+    """Faces of a camera's image; cached outside of `Renderer`, so that a pickled renderer is small."""
     width, height = image_size(camera)
     if camera.lens is None:
         return (Face(CUBE[0], projection.intrinsics(camera), (width, height), None, None),)
@@ -220,7 +220,7 @@ def faces_of(camera: Camera) -> tuple[Face, ...]:
     for number, turn in enumerate(CUBE):
         taken = imaged & (nearest == number)
         if taken.any():
-            # Makes the pixel density of the face at least the density of the image everywhere.
+            # Everywhere the face has at least the pixel density of the image.
             focal = math.sqrt((density[taken] * (rays[taken] @ turn[2]) ** 3).max())
             faces.append(_face(turn, np.array([focal, focal]), rays, taken))
     return tuple(faces)

@@ -13,18 +13,18 @@ from lmd.scene.tag import Tag
 from lmd.space.crowd import BOTTOM, COLUMNS, RADIUS, TOP, X, Y
 from lmd.space.surface import Surface
 
-SIDES = 32  # number of sides of a prism; its outline is at most r (1 - cos(pi / 32)) / 2, 0.6 mm of 25 cm, off
+SIDES = 32  # number of sides of a prism; error of its outline: r (1 - cos(pi / 32)) / 2, or 0.6 mm for r = 25 cm
 
 
 def faces_of(people: FloatArray) -> tuple[Surface, ...]:
-    """Sides and tops of the cylinders `(N, 5)`."""
+    """Surfaces of prisms that approximate the sides and tops of the cylinders `(N, 5)`."""
     import shapely
 
     faces = []
     half = np.pi / SIDES
     for i, person in enumerate(people):
         low, height = person[BOTTOM], float(person[TOP] - person[BOTTOM])
-        radius = person[RADIUS] * 2.0 / (1.0 + np.cos(half))  # vertices as far outside of the cylinder as sides inside
+        radius = person[RADIUS] * 2.0 / (1.0 + np.cos(half))  # vertices as far outside the cylinder as sides inside
         angles = 2.0 * half * np.arange(SIDES + 1)
         ring = np.stack([np.cos(angles), np.sin(angles)], axis=-1) * radius
         for j in range(SIDES):
@@ -46,7 +46,7 @@ class TaggedRoom:
     """K tags on the surfaces of a room.
 
     Raises:
-        InputError: shapes do not match, an id occurs twice or is not in the family, or an up is not in its tag's plane.
+        InputError: shapes differ, an id is repeated or not in the family, or an up vector is not in its tag's plane.
     """
 
     tag: Tag
@@ -64,7 +64,7 @@ class TaggedRoom:
     edges: FloatArray = None  # type: ignore[assignment] # always an array once made
     """Edge of each tag, metres, `(K,)`; None for the edge of `tag`."""
     people: FloatArray = None  # type: ignore[assignment] # always an array once made
-    """Cylinders that stand before surfaces and tags, `(N, 5)`, see `lmd.space.crowd`; None without a crowd."""
+    """Cylinders of people in front of surfaces and tags, `(N, 5)`, see `lmd.space.crowd`; None without a crowd."""
 
     def __post_init__(self) -> None:
         ids = np.asarray(self.ids)
@@ -90,12 +90,12 @@ class TaggedRoom:
             raise InputError(f"ups[{k}] must be perpendicular to normals[{k}], their product is {lean[k]:g}.")
 
     def among(self, people: FloatArray) -> "TaggedRoom":
-        """The room with other people, `(N, 5)`."""
+        """Room with the people `(N, 5)` instead of its own."""
         return replace(self, people=people)
 
     @cached_property
     def people_faces(self) -> tuple[Surface, ...]:
-        """Faces of the people."""
+        """Surfaces of the cylinders of people."""
         return faces_of(self.people)
 
     @cached_property
@@ -105,7 +105,7 @@ class TaggedRoom:
 
     @cached_property
     def picture_corners(self) -> FloatArray:
-        """Corners of the whole pictures, which the image must contain, like `corners`."""
+        """Like `corners`, but for the whole pictures, which must be in the image."""
         if self.tag.picture_share == 1.0:
             return self.corners
         return corners(self.centres, self.normals, self.ups, self.tag.picture_share * self.edges)

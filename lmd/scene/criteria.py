@@ -1,4 +1,4 @@
-"""Interface of visibility models: tests of whether a camera covers a landmark, and whether landmarks hide others.
+"""Interface of visibility models: tests if a camera covers a landmark, and if one landmark hides another.
 
 Most criteria depend mainly on the camera's position, so a model is evaluated in stages:
 
@@ -16,8 +16,8 @@ A model has two halves:
 
 Both halves must give equal results, bit for bit. A `Covering` has only the first half.
 
-Pruning uses conservative bounds: bands of axes use a cone that contains every axis that covers a landmark (`low`),
-tables of directions use only the field of view (`in_view`).
+Pruning uses conservative bounds. Bands of axes use a cone (`low`) that contains every axis from which the landmark is
+covered; tables of directions use only the field of view (`in_view`).
 """
 
 import math
@@ -33,8 +33,8 @@ from lmd.core.dispatch import dispatched, overridable
 from lmd.geometry.camera import Camera
 from lmd.geometry.vectors import Vector, column3, dot3, pair3
 
-# Tolerance of every closed inequality: a landmark on a boundary meets the criterion despite rounding. Relative for
-# lengths, absolute for cosines and probabilities.
+# Tolerance of every closed inequality, so that a landmark on a boundary meets the criterion despite rounding; relative
+# for lengths, absolute for cosines and probabilities.
 TOLERANCE = 1e-9
 
 
@@ -47,19 +47,19 @@ class SightModel(Protocol):
 
     @property
     def inset(self) -> float:
-        """Angle of a landmark from the border of the field of view that suffices for coverage, rad.
+        """Angle from the border of the field of view that makes a landmark `well in view`, rad.
 
-        An orientation with the landmark's direction `in_view` by this angle, and its depth between `low` and `sure` of
-        `from_position`, covers the landmark. Such a landmark is well in view.
+        A landmark is covered if its direction is `in_view` by this angle, and its depth is between `low` and `sure` of
+        `from_position`.
         """
 
     @property
     def reach(self) -> float:
-        """Squared distance from a line of sight beyond which a landmark cannot block it, m^2; negative for none."""
+        """Squared distance beyond which a landmark cannot block a line of sight, m^2; negative if none can block."""
 
     @property
     def horizon(self) -> float:
-        """Distance as in `horizon_of`, metres; an optional field, by default infinite."""
+        """Distance of `horizon_of`, metres; an optional field, by default infinite."""
 
     @property
     def tabulated(self) -> bool:
@@ -90,10 +90,10 @@ class Criteria(Protocol):
 
     @property
     def spacing(self) -> float:
-        """Least distance between neighbouring landmarks that excludes occlusion of one by the other, metres."""
+        """Least distance between neighbouring landmarks at which neither can hide the other, metres."""
 
     def sight(self, camera: Camera) -> Any:
-        """Compile the criteria for a camera to a `SightModel`; None if there is only the reference."""
+        """Compile the criteria for a camera to a `SightModel`; None if there is no compiled half."""
 
     def covered(
         self, camera: Camera, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
@@ -155,13 +155,12 @@ def from_position(sight: Any, offset: Vector, normal: Vector, slack: float) -> A
     Args:
         offset: offset of the landmark from the camera, world frame, metres.
         normal: unit normal of the landmark.
-        slack: metres; `reached` and `low` hold for all landmarks up to this distance away in the landmark's plane (see
-            `lmd.sight.poses`).
+        slack: metres; `reached` and `low` also hold for landmarks moved by up to this distance in the landmark's plane
+            (see `lmd.sight.poses`).
 
     Returns:
         reached: False only if no orientation covers the landmark.
-        low, high: bounds on the depth along the optical axis at which an orientation covers the landmark, metres;
-            `high` ignores the slack.
+        low, high: bounds on the depth of a covered landmark along the optical axis, metres; `high` ignores the slack.
         sure: depth, metres. An orientation with the landmark well in view (`SightModel.inset`) and at a depth between
             `low` and `sure` covers it; infinite if no depth is too large. `sure` ignores the slack.
     """
@@ -192,7 +191,7 @@ def in_image(sight: Any, offset: Vector, normal: Vector, low: float, slack: floa
 
     Args:
         offset, normal, slack: as in `from_position`.
-        low: result of `from_position`; if infinite, the function is False.
+        low: result of `from_position`; if it is infinite, the function returns False.
         axis: optical axis, unit vector.
         right: image's right, unit vector; axis x right points down in the image.
     """
@@ -204,13 +203,13 @@ def in_view(sight: Any, way: Vector, sine: float, cosine: float, axis: Vector, r
 
     `sine` and `cosine` are sin(delta) and cos(delta), |delta| < pi / 2. If delta is negative, the function is True if
     the field of view may contain any part of the cone of half-angle -delta. The field of view contains the directions
-    of all landmarks that the model may cover. Orientation as in `in_image`.
+    of all landmarks that the model may cover. `axis` and `right` are as in `in_image`.
     """
 
 
 @inlined
 def in_cone(least: float, way: Vector, sine: float, cosine: float, axis: Vector) -> Any:
-    """`in_view` for a field of view that is a cone around the optical axis; `least` is the cosine of its half-angle."""
+    """`in_view` for a conical field of view around the optical axis; `least` is the cosine of the cone's half-angle."""
     # With the half-angle theta, the cone narrowed by delta has the cosine cos(theta - delta), unless it is empty or the
     # whole sphere.
     edge = least * cosine + math.sqrt(max(0.0, 1.0 - least * least)) * sine
@@ -220,7 +219,7 @@ def in_cone(least: float, way: Vector, sine: float, cosine: float, axis: Vector)
 
 @dispatched
 def hide(sight: Any, a: Vector, aa: float, b: Vector, bb: float, u: Vector, v: Vector) -> Any:
-    """Test if landmark A hides B, and if B hides A, from the camera's position; two booleans.
+    """Test if landmark A hides B from the camera's position, and if B hides A; two booleans.
 
     Args:
         a, b: offsets of A and B from the camera, metres.
@@ -267,9 +266,9 @@ def covers_one(sight: Any, offset: Vector, frame: Any, depths: Vector, well: Any
 
 @overridable
 def pixel_density(sight: Any, offset: Vector, axes: FloatArray, a: Integer) -> Any:
-    """Image area per solid angle around a landmark that orientation a covers, over distance^3.
+    """Image area per solid angle around a landmark that orientation a covers, divided by distance^3.
 
-    The unit is squared focal lengths per steradian and m^3. For a pinhole the result is 1 / depth^3.
+    The unit is squared focal lengths per steradian and cubic metre. For a pinhole the result is 1 / depth^3.
     """
     depth = dot3(column3(axes, a), offset)
     return 1.0 / (depth * depth * depth)
@@ -279,7 +278,7 @@ def pixel_density(sight: Any, offset: Vector, axes: FloatArray, a: Integer) -> A
 def covering(
     sight: Any, left: Any, w: Integer, offset: Vector, frame: Any, depths: Vector, well: Any, axes: FloatArray
 ) -> Any:
-    """Subset of the axes in `left` that cover the landmark; bit sets of word w.
+    """Those of the axes in `left` from which the landmark is covered; bit sets of word w.
 
     Arguments as in `covers_one`, except that `well` is a bit set. All axes of half a word are tested: for a cheap test
     this is faster than iterating over the set bits.
@@ -298,7 +297,7 @@ def covering(
 def depth_first(
     sight: Any, left: Any, w: Integer, offset: Vector, frame: Any, depths: Vector, well: Any, axes: FloatArray
 ) -> Any:
-    """`covering` for models with an expensive test: depths are compared first, as they decide most cases."""
+    """`covering` for models with an expensive test: depths are compared first, as these decide most cases."""
     within, shallow, (low, high, sure) = ZERO, ZERO, depths
     for first in range(np.uint64(0), np.uint64(BITS), np.uint64(LANES)):
         if left >> first << np.uint64(BITS - LANES):

@@ -15,7 +15,7 @@ from lmd.scene.tag import Tag
 from lmd.space.space import Space
 from lmd.space.surface import FILE_TOLERANCE, PLACEMENT_TOLERANCE, SurfaceArrays
 
-POSE_FIELDS = ("positions", "normals", "surfaces")  # fields with the poses of the landmarks
+POSE_FIELDS = ("positions", "normals", "surfaces")  # fields that define the poses of the landmarks
 COLUMNS = ("x", "y", "z", "nx", "ny", "nz")
 UP_COLUMNS = ("ux", "uy", "uz")
 # Largest error of the length of a normal, which may be printed with few decimals.
@@ -34,8 +34,8 @@ class Deployment:
         surfaces: index of the room's surface that carries each landmark, `(K,)`; -1 (the default) if unknown, see
             `with_surfaces`.
         labels: ids and further columns of the landmarks; None for ids from 0.
-        surveyed: measured positions and ups, for landmarks measured behind their surface or rotated in their plane;
-            None if `positions` are the measured positions and all landmarks hang upright.
+        surveyed: measured positions and up vectors, for landmarks measured behind their surface or rotated in their
+            plane; None if `positions` are the measured positions and all landmarks hang upright.
         edges: edges of the black squares, metres, `(K,)`; NaN (the default) for the edge of the scene's tag, see
             `edges_of`.
         note: remark on an ambiguous file, a sentence; empty without ambiguity.
@@ -94,7 +94,7 @@ class Deployment:
         return np.arange(len(self)) if self.labels is None else self.labels.ids
 
     def put(self, chosen: slice | IntArray, there: "Deployment") -> "Deployment":
-        """Deployment with the landmarks `chosen` moved to the poses of the landmarks of `there`."""
+        """Deployment in which the landmarks `chosen` have the poses of the landmarks of `there`."""
         parts = {name: getattr(self, name).copy() for name in POSE_FIELDS}
         for name, values in parts.items():
             values[chosen] = getattr(there, name)
@@ -113,9 +113,8 @@ class Deployment:
     def with_surfaces(self, room: Space, anywhere: bool = False, papers: float | FloatArray = 0.0) -> "Deployment":
         """Deployment with `surfaces` set to the surfaces of `room` that carry the landmarks.
 
-        A tag that belongs to a surface (`Space.surface_near`) but has a corner behind the surface would be hidden by
-        the wall. Such a tag is moved along the normal until it touches the surface; `places` keeps the measured
-        position.
+        The wall would hide a tag that belongs to a surface (`Space.surface_near`) but has a corner behind the surface.
+        Such a tag is moved along the normal until the tag touches the surface; `places` keeps the measured position.
 
         Args:
             room: room of the landmarks.
@@ -123,7 +122,7 @@ class Deployment:
             papers: edges of the footprints, metres, one for all or `(K,)`; 0 for points.
 
         Raises:
-            InputError: a landmark lies outside the room and belongs to no surface of it.
+            InputError: a landmark lies outside the room and belongs to none of the room's surfaces.
         """
         own, surfaces = room.surface_near(self.positions, self.normals), room.surfaces()
         outside = np.flatnonzero((own < 0) & ~room.contains(self.positions))
@@ -138,7 +137,7 @@ class Deployment:
         normals = np.array([surface.normal for surface in surfaces])[own]
         sides = np.stack(upright(self.normals))  # right and up
         leaning = np.abs((sides * normals).sum(axis=-1)).sum(axis=0)
-        depth = depth - (papers / 2.0 * leaning)[:, None]  # of the deepest corner
+        depth = depth - (papers / 2.0 * leaning)[:, None]  # depth of the deepest corner
         behind = (own[:, None] >= 0) & (depth < -PLACEMENT_TOLERANCE)
         hung = self
         if behind.any():
@@ -154,7 +153,7 @@ class Deployment:
 
         Args:
             room: room of the landmarks.
-            near: True if a small distance from a surface is accepted, see `Space.surface_near`.
+            near: True to accept a small distance from a surface, see `Space.surface_near`.
         """
         surfaces, some = room.surfaces(), f"of {len(self)} landmarks do"
         distance = self._distance(room)
@@ -184,8 +183,8 @@ class Deployment:
         return None
 
     def belonging(self, room: Space) -> IntArray:
-        """Index of the surface that carries each landmark, else of the surface nearby (`Space.surface_near`), else -1,
-        `(K,)`.
+        """Index of each landmark's surface, `(K,)`: the surface that carries the landmark, else the surface nearby
+        (`Space.surface_near`), else -1.
         """
         if (self.surfaces >= 0).all():
             return self.surfaces
@@ -240,8 +239,8 @@ class Deployment:
 
     @property
     def ups(self) -> FloatArray:
-        """Unit vectors to the upper edges of the tags, world frame, `(K, 3)`; upright unless `surveyed`."""
-        ups = upright(self.normals)[1] + 0.0  # no -0
+        """Up vectors: unit vectors to the upper edges of the tags, world frame, `(K, 3)`; upright unless `surveyed`."""
+        ups = upright(self.normals)[1] + 0.0  # turns -0 into 0
         return ups if self.surveyed is None else self.surveyed.ups_of(self.positions, ups)
 
     @property
@@ -260,7 +259,7 @@ class Deployment:
 
         Args:
             file: path or open text file.
-            ups: True to add the columns `ux,uy,uz`, the ups of tags.
+            ups: True to add the columns `ux,uy,uz`, the up vectors of tags.
         """
         columns = dict(zip(COLUMNS, np.hstack([self.places, self.normals]).T, strict=True))
         if ups:
@@ -272,17 +271,17 @@ class Deployment:
 
     @classmethod
     def from_csv(cls, path: str | Path, name: str = "path") -> "Deployment":
-        """Read a CSV with the columns x,y,z,nx,ny,nz and optionally id, ux,uy,uz (ups of tags) and edge.
+        """Read a CSV with the columns x,y,z,nx,ny,nz and optionally id, ux,uy,uz (up vectors of tags) and edge.
 
         Column `edge` has the edges of tags, metres; an empty cell means the edge of the scene's tag. Normals printed
         with few decimals are normalised. Further columns are kept as labels.
 
         Args:
             path: path of the file.
-            name: argument with the path, for messages.
+            name: name of the argument with the path, for messages.
 
         Raises:
-            InputError: the file cannot be read or is no deployment, or an up is not in its tag's plane.
+            InputError: the file cannot be read or is no deployment, or an up vector is not in its tag's plane.
         """
         return cls.from_table(read_table(path, name=name))
 
@@ -296,15 +295,15 @@ class Deployment:
         with said_of(path):
             deployment = cls(rows[:, :3], rows[:, 3:6], labels=labels, edges=edges)
         length = np.linalg.norm(deployment.normals, axis=1, keepdims=True)
-        exact = np.abs(length - 1.0) < 1e-12  # dividing these normals would only change the last bit
+        exact = np.abs(length - 1.0) < 1e-12  # normalising these normals would only change the last bit
         deployment = replace(deployment, normals=np.where(exact, deployment.normals, deployment.normals / length))
         return deployment if rows.shape[1] == len(COLUMNS) else deployment.turned(path, rows[:, 6:])
 
     def turned(self, path: str | Path, ups: FloatArray) -> "Deployment":
-        """Deployment with the ups `(K, 3)` of a file; unchanged if all are upright.
+        """Deployment with the up vectors `(K, 3)` of a file; unchanged if all tags are upright.
 
         Raises:
-            InputError: an up is no unit vector in the plane of its tag.
+            InputError: an up vector is not a unit vector in the plane of its tag.
         """
         turned = in_plane(path, self.ids, self.normals, self.ups, ups)
         return self if turned is None else replace(self, surveyed=Surveyed(self.positions, self.positions, turned))

@@ -26,7 +26,7 @@ class DeploymentSource(Protocol):
         """True if draws are random."""
 
     def draw(self, room: Space, rng: np.random.Generator, tag: Tag = POINT) -> Deployment:
-        """Draw a deployment in `room` with the surfaces of its landmarks.
+        """Draw a deployment in `room`; its landmarks have surfaces.
 
         Args:
             room: room whose surfaces allow the centres of landmarks.
@@ -36,10 +36,10 @@ class DeploymentSource(Protocol):
 
 
 def landmark_count(name: str, value: Any) -> int:
-    """Check K, the number of landmarks of a source.
+    """Return `value` as K, the number of landmarks of a source.
 
     Raises:
-        InputError: the value is no positive whole number, or the landmarks would not fit into memory.
+        InputError: the value is not a positive whole number, or the landmarks would not fit into memory.
     """
     count = integer(name, value, low=1)
     check_memory(count * LANDMARK_BYTES, f"{name} = {count} landmarks", name)
@@ -51,7 +51,7 @@ LandmarkCount = Annotated[int, landmark_count]
 
 @dataclass(frozen=True)
 class RandomDeployment(Checked):
-    """Landmarks flush on the walls, each wall with a probability proportional to its area."""
+    """Landmarks flush on the walls; a wall is chosen with a probability proportional to its area."""
 
     count: LandmarkCount
     varies = True
@@ -71,8 +71,8 @@ class UniformDeployment(Checked):
 
     Args:
         count: K.
-        layout: `per_wall` for equal numbers per wall, with the remainder on the largest walls, as in the paper (15 per
-            wall); `by_area` for numbers in proportion to area.
+        layout: `per_wall` for equal numbers on all walls, and the remainder on the largest walls, as in the paper (15
+            each); `by_area` for numbers in proportion to the areas of walls.
     """
 
     count: LandmarkCount
@@ -86,7 +86,7 @@ class UniformDeployment(Checked):
         share = area / area.sum() if self.layout == "by_area" else np.full(len(area), 1.0 / len(area))
         quota = share * self.count
         counts = np.floor(quota + 1e-9).astype(int)
-        # Largest remainder first; the larger surface wins a tie.
+        # Surfaces with the largest remainder first, of equal ones the largest surface.
         order = np.lexsort((-area, -np.round(quota - counts, 9)))
         counts[order[: self.count - counts.sum()]] += 1
         grids = [surface.grid(n) for surface, n in zip(surfaces, counts, strict=True)]
@@ -99,7 +99,7 @@ class ExistingDeployment:
 
     Attributes:
         path: file of the landmarks, for messages.
-        free: True if placement is not checked: landmarks may be outside the room, on no surface, or overlap.
+        free: True to skip the check of placement: landmarks may be outside the room, on no surface, or overlap.
     """
 
     path: str | None

@@ -27,8 +27,8 @@ class Family:
         ids: number of tags.
         dictionary: name of the dictionary in `cv2.aruco`; None if OpenCV lacks the family.
         apriltag: name in the AprilTag library; None if the library lacks the family.
-        around: width of the ring and the data around the detected square, modules.
-        square: words for the detected square, whose edge is the edge of a tag.
+        around: width of the border (ring and data) outside the detected square, modules.
+        square: words for the detected square in texts; the square's edge is the edge of a tag.
     """
 
     modules: int
@@ -80,13 +80,13 @@ _NAMED = {_short(name): name for name in FAMILIES} | {"aruco": "aruco_original"}
 
 
 def family_named(name: Any) -> str:
-    """Family by the name that any of the libraries has for it, such as `tagStandard41h12` or `DICT_4X4_50`.
+    """Name in `FAMILIES` of a family with a library's name, such as `tagStandard41h12` or `DICT_4X4_50`.
 
     Returns:
-        One of `FAMILIES`, or `name` unchanged if no family has that name.
+        one of `FAMILIES`, or `name` unchanged if no family has that name.
 
     Raises:
-        InputError: the name is no text.
+        InputError: the name is not a text.
     """
     if not isinstance(name, str):
         raise InputError(f"the family of a tag must be a text, got {name!r}.")
@@ -114,10 +114,10 @@ def dictionary(family: str) -> Any:
 
 
 def _apriltag_picture(family: str, number: int) -> BoolArray:
-    """Picture of a tag by its code in the AprilTag library, as `apriltag_to_image` draws it."""
+    """Picture of a tag from its code in the AprilTag library, as drawn by `apriltag_to_image`."""
     known, described = FAMILIES[family], _described(family)
     size, first = known.picture_modules, known.around
-    shown = np.ones((size, size), dtype=bool)  # around a circular family, the corners of the square are white paper
+    shown = np.ones((size, size), dtype=bool)  # the corners of a circular family's picture are white paper
     ring = first - 1
     shown[ring : size - ring, ring : size - ring] = False
     shown[first : size - first, first : size - first] = True

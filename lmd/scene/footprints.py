@@ -1,4 +1,4 @@
-"""Footprints: the squares of paper that tags cover. A footprint lies wholly on its surface and overlaps no other.
+"""Footprints: the squares of paper that tags cover. A footprint lies wholly on its surface and overlaps no other one.
 
 Tags hang upright (`lmd.geometry.squares.upright`), so footprints are squares along u and v of their surface. Two
 footprints with edges e and f do not overlap if and only if their centres are at least (e + f) / 2 apart along u or v.
@@ -27,8 +27,8 @@ COLUMN = "fixed"  # column in a file of landmarks: 1 for fixed landmarks, 0 for 
 def beside(fixed: Deployment, others: Deployment) -> Deployment:
     """Concatenate the fixed landmarks and the others; ids and columns are kept, and the column `COLUMN` is added.
 
-    Others without labels get the smallest unused ids. `others` may include fixed landmarks, identified by their ids;
-    these are dropped from `others`.
+    Other landmarks without labels get the smallest unused ids. `others` may include fixed landmarks, identified by
+    their ids; these are dropped from `others`.
 
     Args:
         fixed: F landmarks with known surfaces.
@@ -60,7 +60,7 @@ def beside(fixed: Deployment, others: Deployment) -> Deployment:
     return replace(fixed + others, labels=labels, note=others.note)
 
 
-AT_ONCE = 64  # footprints that are pushed apart by one call of the kernel, which no signal interrupts
+AT_ONCE = 64  # footprints that one call of the kernel, which no signal interrupts, pushes apart
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class Footprints:
 
     @cached_property
     def hanging(self) -> Space:
-        """Room with surfaces reduced to the allowed centres of the smallest tags.
+        """Room whose surfaces are the regions where centres of the smallest tags are allowed.
 
         Raises:
             InputError: a surface is narrower than a footprint.
@@ -90,7 +90,7 @@ class Footprints:
         return self.inset(self.edge)
 
     def inset(self, paper: float) -> Space:
-        """Room with surfaces reduced to the allowed centres of footprints with the edge `paper`, metres."""
+        """Room whose surfaces are the regions where centres of footprints with edge `paper`, metres, are allowed."""
         if not paper:
             return self.room
         with said_of("edge is too large", "edge"):
@@ -101,7 +101,7 @@ class Footprints:
         return SurfaceArrays.of(self.hanging.surfaces())
 
     def surfaces_of(self, paper: float) -> SurfaceArrays:
-        """Surfaces with the allowed centres of footprints of edge `paper`, metres, in the coordinates of `hanging`.
+        """Surfaces with the allowed centres of footprints with the edge `paper`, metres, in coordinates of `hanging`.
 
         Raises:
             InputError: a surface is narrower than a footprint.
@@ -147,12 +147,12 @@ class Footprints:
         """Assign surfaces to existing landmarks and check them.
 
         Positions are measured by hand, so a tag slightly in front of or behind a surface belongs to the surface. The
-        footprint is the footprint of its projection to the surface.
+        tag's footprint is at its projection to the surface.
 
         Args:
             fixed: existing landmarks.
-            beside: source of the other landmarks; if that source is not checked (`as_they_are`), `fixed` is not checked
-                either.
+            beside: source of the other landmarks; if these landmarks are not checked (`as_they_are`), `fixed` is not
+                checked either.
 
         Raises:
             InputError: a landmark lies outside the room, is on no surface or faces into its surface, or a footprint
@@ -171,7 +171,7 @@ class Footprints:
     def draw(self, source: DeploymentSource, rng: np.random.Generator, fixed: Deployment | None = None) -> Deployment:
         """Draw a deployment with valid footprints; footprints of a random deployment are pushed apart.
 
-        Deployments of a source with `ExistingDeployment.free` are not checked.
+        Deployments from a source with `ExistingDeployment.free` are not checked.
 
         Args:
             source: source of the deployment.
@@ -290,7 +290,7 @@ class Footprints:
         for b in range(len(positions)):
             on = surfaces[b, order]
             at, moved = s.coordinates(on, positions[b, order]), np.zeros(len(order), dtype=np.bool_)
-            edge, parts = size * papers[order], range(fixed, len(order), AT_ONCE)  # a signal may end it between parts
+            edge, parts = size * papers[order], range(fixed, len(order), AT_ONCE)  # a signal may act between parts
             fits[b] = all(push(k, on, at[: k + AT_ONCE], pieces, first, of, edge, moved) for k in parts)
             for c, own in enumerate(sizes):
                 those = moved & (of == c)
@@ -299,7 +299,7 @@ class Footprints:
         return positions, normals, surfaces, fits
 
     def touched(self, poses: Deployment, pose: Deployment) -> BoolArray:
-        """Mask of N landmarks whose footprints overlap the footprint of the landmark `pose`, `(N,)`."""
+        """Mask of the N landmarks `poses` whose footprints overlap the footprint of the landmark `pose`, `(N,)`."""
         s, surface = self._surfaces, poses.surfaces
         away = s.coordinates(surface, poses.positions) - s.coordinates(surface, pose.positions)
         near = np.abs(away).max(axis=1) < (self.papers(poses) + self.papers(pose)) / 2.0 * (1.0 - TOUCHING)

@@ -44,10 +44,10 @@ class Labels:
 
         Args:
             table: table of the landmarks.
-            known: columns with another meaning, which are not labels.
+            known: columns that are read elsewhere and are not labels.
 
         Raises:
-            InputError: an id is no whole number, is negative, or occurs twice.
+            InputError: an id is not a whole number, is negative, or occurs twice.
         """
         count = len(table.lines)
         columns = {name: texts for name, texts in table.texts.items() if name not in (ID, *known)}
@@ -62,9 +62,7 @@ class Labels:
             return cls(given.astype(np.int64), columns)
 
     def __add__(self, other: "Labels") -> "Labels":
-        """Concatenate labels; a column that only one operand has gets empty texts for the landmarks of the other
-        operand.
-        """
+        """Concatenate labels; if only one operand has a column, landmarks of the other operand get empty texts."""
         names = {**self.columns, **other.columns}
         parts = ((part.columns.get(name, [""] * len(part.ids)) for part in (self, other)) for name in names)
         columns = {name: [*mine, *theirs] for name, (mine, theirs) in zip(names, parts, strict=True)}
@@ -103,7 +101,7 @@ def edge_column(table: Table) -> FloatArray:
     """Column `EDGE` of a file, metres, `(K,)`; NaN for empty cells or without the column.
 
     Raises:
-        InputError: an edge is no number, or exceeds `LARGEST_EDGE`.
+        InputError: an edge is not a number, or exceeds `LARGEST_EDGE`.
     """
     if EDGE not in table:
         return np.full(len(table.lines), np.nan)
@@ -117,8 +115,8 @@ def edge_column(table: Table) -> FloatArray:
     return edges
 
 
-# `UP_TOLERANCE`: largest length of the difference between an up and the upright up that counts as upright. `IN_PLANE`:
-# largest deviation of an up in a file from unit length and from the plane of its tag.
+# `UP_TOLERANCE`: largest difference of an up vector from the upright up vector that counts as upright. `IN_PLANE`:
+# largest deviation of a file's up vector from unit length and from the plane of its tag.
 UP_TOLERANCE, IN_PLANE = 1e-3, 1e-2
 
 
@@ -145,7 +143,7 @@ class Surveyed:
         return np.where(self._stays(positions), self.places, positions)
 
     def ups_of(self, positions: FloatArray, upright: FloatArray) -> FloatArray:
-        """Measured ups of landmarks at `positions`, `(K, 3)` each; for moved landmarks, the `upright` ups."""
+        """Measured up vectors of landmarks at `positions`, `(K, 3)` each; for moved landmarks, `upright`."""
         return np.where(self._stays(positions), self.ups, upright)
 
     def _stays(self, positions: FloatArray) -> BoolArray:
@@ -158,7 +156,7 @@ def in_plane(
     """Project a file's up vectors `(K, 3)` to the planes of their tags; None if all equal `upright` `(K, 3)`.
 
     Raises:
-        InputError: an up is no unit vector in the plane of its tag.
+        InputError: an up vector is not a unit vector in the plane of its tag.
     """
     leaning = (ups * normals).sum(axis=1, keepdims=True)
     off = np.maximum(np.abs(leaning[:, 0]), np.abs(np.linalg.norm(ups, axis=1) - 1.0))

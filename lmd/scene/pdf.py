@@ -47,15 +47,15 @@ class OrientationPdf:
 
     Args:
         yaw, pitch: angles of each orientation, radians, `(A,)`; pitch in [-pi/2, pi/2].
-        weight: probability of each orientation, not negative, `(A,)`; normalised if the sum is 1 within rounding.
+        weight: probability of each orientation, not negative, `(A,)`; normalised; the sum must be 1 within rounding.
         name: name of the source, for messages.
         refine: function that returns the PDF with half the grid step; None if there is no finer grid.
         continuous: continuous distribution of yaw and pitch that the grid discretises; None for a discrete
             distribution.
         roll: roll about the optical axis, radians, one for all or `(A,)`; independent of yaw and pitch if `continuous`
             is given.
-        by_position: position-dependent probabilities, of which `weight` is the mean; None if they do not depend on
-            the position.
+        by_position: position-dependent probabilities, with the mean `weight`; None if probabilities are equal at all
+            positions.
 
     Raises:
         InputError: shapes differ, an angle or weight is not finite or out of range, or the sum is not 1.
@@ -93,7 +93,7 @@ class OrientationPdf:
 
     @cached_property
     def by_axis(self) -> Orientations:
-        """Orientations with distinct optical axes; poles and yaws of +-pi are merged, so `grid_325` has 266."""
+        """Orientations with distinct optical axes; poles and yaws of +-pi are merged, so `grid_325` has 266 axes."""
         return self._distinct(3)
 
     @cached_property
@@ -102,7 +102,7 @@ class OrientationPdf:
         return self._distinct(6)
 
     def _distinct(self, size: int) -> Orientations:
-        """Orientations that differ in the first `size` of the six coordinates of axis and right."""
+        """Orientations that are distinct in the first `size` of the six coordinates of axis and right."""
         # `optical_axis` and the last row of `rotation` may differ in the last bits; results depend on the former.
         right = rotation(self.yaw, self.pitch, self.roll)[:, 0]
         axes = np.hstack([optical_axis(self.yaw, self.pitch), right])
@@ -124,7 +124,7 @@ class OrientationPdf:
         return self if self.refine is None else self.refine()
 
     def stratified(self, divisions: int, rng: np.random.Generator) -> "OrientationPdf":
-        """PDF of stratified draws, with equal weights, from `continuous`; the PDF itself if `continuous` is None.
+        """PDF of equally weighted, stratified draws from `continuous`; the PDF itself if `continuous` is None.
 
         One orientation is drawn in each of 2 divisions x divisions cells of equal probability. Estimates are unbiased,
         as for independent draws, but the error of P_n for a union of visible axes falls as divisions^-1.5 instead of
@@ -181,7 +181,7 @@ def divisions_of(value: int, pitches: int | None = None) -> int:
         pitches: number of pitches, if it differs from `divisions`.
 
     Raises:
-        InputError: the value is no positive whole number, or the orientations do not fit into memory.
+        InputError: the value is not a positive whole number, or the orientations do not fit into memory.
     """
     count = integer("divisions", value, low=1)
     made = 2 * count * (pitches or count)
@@ -237,7 +237,7 @@ def _cell_pitches(divisions: int) -> FloatArray:
 
 
 def _open_yaws(divisions: int) -> FloatArray:
-    """Yaw from -pi in steps of pi / divisions, pi excluded."""
+    """Yaws from -pi to below pi in steps of pi / divisions."""
     return np.asarray(np.arange(2 * divisions) * (np.pi / divisions) - np.pi)
 
 
@@ -277,8 +277,8 @@ def solid_angle(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
 
 
 def level_flight(divisions: int = 12, pitch: float = 0.0, roll: Roll = 0.0) -> OrientationPdf:
-    """PDF uniform in yaw, in steps of pi / divisions, at a fixed pitch, radians (Eq. D_DJI, the UAV of the
-    experiment).
+    """PDF uniform in yaw, in steps of pi / divisions, at a fixed pitch, radians (Eq. D_DJI, for the experiment's
+    UAV).
     """
     n, roll = divisions_of(divisions, pitches=1), _rolls(roll)
     fixed = real("pitch", pitch, low=-np.pi / 2, high=np.pi / 2)
@@ -292,7 +292,7 @@ def from_csv(path: str | None) -> OrientationPdf:
     """PDF from a CSV with the columns yaw, pitch (radians), weight (sum 1) and optionally roll (radians).
 
     Raises:
-        InputError: there is no path, the file cannot be read, or the weights are no probabilities.
+        InputError: there is no path, the file cannot be read, or the weights are not probabilities.
     """
     if path is None:
         raise InputError("path is missing: a CSV with the columns yaw,pitch,weight is needed.", "path")

@@ -1,4 +1,4 @@
-"""Kernel that pushes footprints apart: it moves each footprint to the nearest place where no earlier footprint is."""
+"""Kernel that pushes footprints apart: each footprint is moved to the nearest place free of earlier footprints."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from lmd.space.allowed import allows, nearest
 
 # Relative rounding tolerance of overlap: footprints that share an edge do not overlap.
 TOUCHING = 1e-9
-# Radius of the first search for a free place, in edges of the largest footprint; the second search has no limit.
+# Radius of the first search for a free place, in edges of the largest footprint; a second search has no limit.
 NEARBY_EDGES = 3.0
 
 
@@ -23,7 +23,7 @@ def _is_free(k, a, b, s, surface, at, edge):  # type: ignore[no-untyped-def]
 
 @inner
 def _blocked(k, a, b, s, surface, at, edge, beside):  # type: ignore[no-untyped-def]
-    """Ends of an interval around b: footprint k fits at (a, q) on surface s for no q inside. Empty if b is free.
+    """Ends of an interval around b. Footprint k does not fit at (a, q) on surface s for any q inside. Empty if b fits.
 
     The interval ends a rounding error before the footprints that block it. `beside` `(2, K)` is working memory.
     """
@@ -88,7 +88,7 @@ def push(fixed, surface, at, pieces, first, of, edge, moved):  # type: ignore[no
         surface: surface of each footprint, `(K,)`; updated.
         at: centres in surface coordinates, metres, `(K, 2)`; updated.
         pieces: trapezoids of the allowed centres of S sizes, `(T, 6)`.
-        first: trapezoids of size c on surface s are `first[c, s]` to `first[c, s + 1]`, `(S, W + 1)`.
+        first: trapezoids for size c on surface s are `first[c, s]` to `first[c, s + 1]`, `(S, W + 1)`.
         of: size index of each footprint, `(K,)`.
         edge: edges of the footprints, metres, `(K,)`.
         moved: mask of the moved footprints, `(K,)`; written.
@@ -98,7 +98,7 @@ def push(fixed, surface, at, pieces, first, of, edge, moved):  # type: ignore[no
     for k in range(fixed, len(at)):
         own = first[of[k]]
         _, a, b = nearest(pieces, own[surface[k]], own[surface[k] + 1], at[k, 0], at[k, 1])
-        # An offset within rounding is not corrected.
+        # An offset below the rounding tolerance is not corrected.
         rounding = edge[k] - edge[k] * (1.0 - TOUCHING)
         if abs(a - at[k, 0]) + abs(b - at[k, 1]) < rounding and _is_free(k, a, b, surface[k], surface, at, edge):
             continue

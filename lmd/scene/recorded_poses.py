@@ -1,7 +1,7 @@
 """Recorded camera poses, which replace the position grid and the orientation PDF.
 
 The recording is cut into blocks of time. Every `held_out`-th block is held out for validation:
-`lmd.evaluation.validation` scores a deployment at its exact poses. The other blocks give the positions
+`lmd.evaluation.validation` scores a deployment at the exact poses of these blocks. The other blocks give the positions
 (`lmd.space.changed`) and the position-dependent orientation PDF (`lmd.scene.recorded_poses`) for optimisation.
 """
 
@@ -72,7 +72,7 @@ def pdf_by_position(
 
 
 def _grid(poses: FloatArray, divisions: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Grid of yaw, pitch (poles included) and recorded rolls, and relative solid angle of the cells, `(A,)` each."""
+    """Grid of yaw, pitch (with the poles) and recorded rolls, and the cells' relative solid angles, `(A,)` each."""
     step = np.pi / divisions
     *_, rolled = angles_of(np.swapaxes(poses[:, :3, :3], 1, 2))
     rolls = np.unique(np.rint(rolled / step) % (2 * divisions)) * step
@@ -140,7 +140,7 @@ class _Kernels:
         weight = self._seconds[pairs["j"]] * np.exp(-((pairs["v"] / self._bandwidth) ** 2) / 2.0)
         shape = len(positions), self._records.n
         near = csr_array((weight, (pairs["i"], pairs["j"])), shape=shape)
-        near.sort_indices()  # so that records are summed in order of time
+        near.sort_indices()  # so that sums are in order of time
         return np.asarray((near @ self._spread).toarray())
 
 
@@ -167,7 +167,7 @@ class Records:
 
 @dataclass(frozen=True)
 class RecordedPoses(Checked):
-    """Recording with the settings of its positions, its orientation PDF and its validation.
+    """Recording, with settings for the positions, the orientation PDF and the validation from the recording.
 
     Args:
         trajectory: trajectory of the camera in the room.
@@ -181,7 +181,7 @@ class RecordedPoses(Checked):
         note: remark on an ambiguous file.
 
     Raises:
-        InputError: a value is out of range, or the recording is too short for a block to be held out.
+        InputError: a value is out of range, or the recording is too short to hold out a block.
     """
 
     trajectory: Trajectory
@@ -204,7 +204,7 @@ class RecordedPoses(Checked):
 
     @cached_property
     def _records(self) -> Records:
-        """All records; the last pose of the trajectory is no record, as it only ends the record before it."""
+        """All records; the last pose of the trajectory only ends the last record."""
         time = self.trajectory.time
         block = np.floor((time[:-1] - time[0]) / self.block).astype(np.int64)
         return Records(self.trajectory.poses[:-1], np.diff(time), block)
@@ -216,7 +216,7 @@ class RecordedPoses(Checked):
 
     @property
     def training(self) -> Records:
-        """Records that a deployment is optimised on."""
+        """Records used for the optimisation of a deployment."""
         return self._records[~self._is_kept_back]
 
     @property

@@ -17,7 +17,7 @@ from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import QUATERNION_TOLERANCE, inverse, pose_of
 
 ANGLES = ("yaw", "pitch", "roll")
-# Number of decimals of offsets in metres, so that cameras at one place within rounding have equal offsets.
+# Number of decimals of offsets in metres, so that offsets that differ only by rounding are equal.
 SAME_PLACE_DECIMALS = 12
 # Rotation from a frame with x right, y down, z ahead to a frame with x forward, y left, z up.
 OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -45,9 +45,9 @@ class Mount(Checked):
     Args:
         camera: intrinsics.
         translation: offset of the camera's centre from the body's origin, body frame, metres.
-        yaw, pitch, roll: radians, see above; with zero angles the camera looks along the body's x axis, upright.
-        quaternion: x, y, z, w of the rotation from the camera's frame (x along the optical axis, y left and z up in the
-            image) to the body's frame, instead of the angles.
+        yaw, pitch, roll: radians, see the module; with zero angles the camera looks along the body's x axis, upright.
+        quaternion: instead of the angles, x, y, z, w of the rotation to the body's frame from the camera's frame (x
+            along the optical axis, y left and z up in the image).
 
     Raises:
         InputError: a number is not finite, the quaternion is not unit, or both quaternion and angles are given.
@@ -94,7 +94,7 @@ class Rig:
 
     @classmethod
     def of_poses(cls, cameras: Sequence[Camera], poses: FloatArray) -> "Rig":
-        """Rig of cameras with the poses `mounted`, `(C, 4, 4)`; the body is the first camera."""
+        """Rig of cameras with the poses `mounted`, `(C, 4, 4)`; the body's frame is the first camera's frame."""
         from scipy.spatial.transform import Rotation
 
         turns = Rotation.from_matrix(OPTICAL @ poses[:, :3, :3] @ OPTICAL.T).as_quat()
@@ -108,8 +108,7 @@ class Rig:
 
     @cached_property
     def extrinsics(self) -> FloatArray:
-        """Poses of the cameras in the body's frame, `(C, 4, 4)`; frames of cameras and body have x right, y down, z
-        ahead.
+        """Poses of the cameras in the body's frame, `(C, 4, 4)`; all frames have x right, y down, z ahead.
 
         If X is the pose of the body in this convention (`lmd.geometry.se3.camera_pose`), X extrinsics[c] is the pose of
         camera c.
@@ -163,7 +162,7 @@ def rig_of(camera: Camera | Rig) -> Rig | None:
 
 
 class Station(NamedTuple):
-    """Camera at one offset from the body's origin, with the orientations of the body that put it there."""
+    """Camera at one offset from the body's origin, and the orientations of the body that give this offset."""
 
     camera: Camera
     """Intrinsics."""

@@ -41,7 +41,7 @@ class Scene:
         crowd: states of people and other robots that hide landmarks; None without a crowd.
 
     Raises:
-        InputError: the visibility model has another tag, or a rig is to see a crowd.
+        InputError: the visibility model has another tag, or a scene with a rig has a crowd.
     """
 
     room: Space
@@ -102,7 +102,7 @@ class Scene:
             raise InputError(f"{what} works with tags of one size, not with edges of {sizes} m.")
 
     def check_count(self, count: int) -> None:
-        """Raise `InputError` if `edges` has one value per landmark, but not `count` values."""
+        """Raise `InputError` if `edges` has one value per landmark and their number is not `count`."""
         if self.edges is not None and len(self.edges) not in (1, count):
             raise InputError(f"of {count} landmarks the sizes are not known: there are {len(self.edges)} edges.")
 
@@ -113,7 +113,7 @@ class Scene:
 
     @property
     def spacing(self) -> float:
-        """Least distance between neighbouring landmarks that excludes occlusion and overlap, metres."""
+        """Least distance between neighbouring landmarks at which they neither hide nor overlap each other, metres."""
         return max(self.visibility.spacing, self.footprints.edge)
 
     @property

@@ -27,7 +27,7 @@ from lmd.scene.families import FAMILIES, Family, family_named, picture
 
 
 def edge_or_point(name: str, value: Any) -> float | None:
-    """Return `value` as the edge of a tag, metres; None for a point. Raise `InputError` if it is no such number."""
+    """Return `value` as the edge of a tag, metres; None for a point. Raise `InputError` if the value is not an edge."""
     if value is not None and real(name, value) < 0.0:
         raise InputError(
             f"{name} must be positive, in metres, or null for landmarks that are points, got {value!r}.", name
@@ -36,12 +36,12 @@ def edge_or_point(name: str, value: Any) -> float | None:
 
 
 def known_family(name: str, value: Any) -> str:
-    """Return the name that `FAMILIES` has for the family `value`; raise `InputError` if there is none."""
+    """Return the name in `FAMILIES` of the family `value`; raise `InputError` if the family is unknown."""
     return choice(name, family_named(value), tuple(FAMILIES))
 
 
 def tag_counts(name: str, value: Any) -> tuple[int, ...]:
-    """Return `value` as numbers of tags; raise `InputError` if one is no whole number."""
+    """Return `value` as numbers of tags; raise `InputError` if a number is not whole."""
     return tuple(integer(name, count, low=0) for count in value)
 
 
@@ -50,10 +50,9 @@ class Tag(Checked):
     """Tag at the landmarks of a deployment; without an edge, landmarks are points.
 
     Args:
-        edge: edge between the detected corners, of the square that the family names, metres. None or 0
-            for landmarks that are points, as in the paper; with `edges`, None for the largest of `edges`. Landmarks of
-            a file without sizes have this edge.
-        family: one of `lmd.scene.families.FAMILIES`, or a name that a library has for it.
+        edge: distance between neighbouring detected corners, metres. None or 0 for landmarks that are points, as in the
+            paper; with `edges`, None for the largest of `edges`. Landmarks of a file without sizes have this edge.
+        family: one of `lmd.scene.families.FAMILIES`, or a library's name of the family.
         quiet_zone: q, width of the white margin on each side, modules.
         edges: edges of tags of several sizes, metres; None for one size, `edge`. Placed landmarks are assigned these
             edges cyclically unless `counts` is given.
@@ -65,9 +64,9 @@ class Tag(Checked):
         budget: total cost of the placed landmarks, instead of `paper`.
 
     Raises:
-        InputError: the edge or the quiet zone is negative, the family is unknown, a value of `edges` is not positive or
-            repeated, counts or costs are not one for each of `edges`, paper is given without edges, or budget without
-            costs or with paper.
+        InputError: the edge or the quiet zone is negative; the family is unknown; a value of `edges` is not positive or
+            is repeated; `counts` or `costs` do not have one value for each of `edges`; `paper` is given without
+            `edges`; or `budget` is given without `costs` or with `paper`.
     """
 
     edge: Annotated[float | None, edge_or_point] = None
@@ -113,7 +112,7 @@ class Tag(Checked):
         return np.repeat(self.edges, self.counts)
 
     def filled(self, edges: FloatArray) -> FloatArray:
-        """Replace NaN in edges `(K,)`, metres, by the edge of the tag; zeros for points."""
+        """Edges `(K,)`, metres, with NaN replaced by the edge of the tag; zeros for points."""
         return np.zeros(len(edges)) if self.edge is None else np.where(np.isnan(edges), self.edge, edges)
 
     def of_size(self, edge: float) -> "Tag":
@@ -153,7 +152,7 @@ class Tag(Checked):
 
     @property
     def square(self) -> str:
-        """Words for the square whose edge is the edge of the tag."""
+        """Name in texts of the square whose edge is the edge of the tag."""
         return self.in_family.square
 
     @property

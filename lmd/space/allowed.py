@@ -38,12 +38,12 @@ def trapezoids(region: Any) -> FloatArray:
     for start, stop in itertools.pairwise(np.unique(edges[..., 0])):
         across = (left <= start) & (right >= stop)
         slope = (high[across] - low[across]) / (right[across] - left[across])
-        # At its ends an edge has the exact b of the vertex.
+        # At the ends of an edge, b is exactly the b of the vertex.
         first = np.where(left[across] == start, low[across], low[across] + slope * (start - left[across]))
         last = np.where(right[across] == stop, high[across], low[across] + slope * (stop - left[across]))
         order = np.argsort(first + last, kind="stable")
         for lower, upper in order.reshape(-1, 2):
-            # Rounding may make borders cross where they meet.
+            # Where borders meet, rounding may make them cross.
             top, end = max(first[lower], first[upper]), max(last[lower], last[upper])
             found.append((start, stop, first[lower], last[lower], top, end))
     return np.array(found).reshape(-1, TRAPEZOID_NUMBERS)
@@ -94,7 +94,7 @@ def _spread(
 
 
 def spread(pieces: FloatArray, at: FloatArray) -> FloatArray:
-    """Map points `at` `(..., 2)` of the unit square to trapezoids `(..., 6)`, `(..., 2)`; preserves uniformity."""
+    """Map points `at` `(..., 2)` of the unit square to trapezoids `(..., 6)`; uniform points stay uniform."""
     columns = [*np.moveaxis(pieces, -1, 0), *np.moveaxis(at, -1, 0)]
     return np.stack(_spread(*columns), axis=-1)
 
@@ -115,7 +115,7 @@ spread_one = inlined(_spread)
 
 @inlined
 def nearest(pieces, start, stop, a, b):  # type: ignore[no-untyped-def]
-    """Index of the trapezoid among `start` to `stop` nearest to (a, b), and the nearest point (a, b) of it.
+    """Trapezoid nearest to (a, b) among `start` to `stop`: its index, and its point nearest to (a, b).
 
     The point is exact inside a trapezoid and for rectangles, otherwise approximate.
     """

@@ -1,5 +1,5 @@
-"""Convex bodies that block lines of sight, each the intersection of half-spaces; and polygons of a floor plan, outside
-which upright bodies stand.
+"""Convex bodies that block lines of sight, each the intersection of half-spaces; and polygons of a floor plan, with the
+upright bodies outside a polygon.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ class Body(NamedTuple):
     """Convex body with m planes."""
 
     normals: FloatArray
-    """Unit normals outwards, `(m, 3)`."""
+    """Outward unit normals, `(m, 3)`."""
     offsets: FloatArray
     """Offset n . x of each plane, metres, `(m,)`."""
     solid: BoolArray
@@ -26,10 +26,10 @@ class Body(NamedTuple):
 
 
 class Blockers(NamedTuple):
-    """M bodies as arrays of their J planes."""
+    """Arrays of the J planes of M bodies."""
 
     normals: np.ndarray
-    """Unit normals outwards, `(J, 3)`."""
+    """Outward unit normals, `(J, 3)`."""
     offsets: np.ndarray
     """Offset n . x of each plane, moved by the tolerance, metres, `(J,)`."""
     solid: np.ndarray
@@ -82,7 +82,7 @@ def checked_ring(name: str, value: Any, either_way: bool = False) -> Ring:
     """Check the vertices of a simple polygon, metres, counter-clockwise unless `either_way`.
 
     Raises:
-        InputError: the value is no polygon, or the polygon crosses or touches itself or runs clockwise.
+        InputError: the value is not a polygon, or the polygon crosses or touches itself or is clockwise.
     """
     import shapely
 
@@ -108,7 +108,7 @@ def edges(ring: Sequence[Sequence[float]] | FloatArray) -> FloatArray:
 
 
 def planes(edge: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Lines n . x = d of edges `(N, 2, 2)`: unit normals n to the right `(N, 2)`, and offsets d, metres, `(N,)`.
+    """Lines n . x = d through edges `(N, 2, 2)`: unit normals n to the right `(N, 2)`; offsets d, metres, `(N,)`.
 
     The normals point outwards if the edges run counter-clockwise.
     """
@@ -127,7 +127,7 @@ def on_hull(polygon: Any) -> Any:
 
 
 def upright_bodies(polygon: Any) -> list[Body]:
-    """Upright bodies of unlimited height that fill the holes of a polygon, and its convex hull outside the polygon.
+    """Upright bodies of unlimited height that fill a polygon's holes, and its convex hull outside the polygon.
 
     Sides on the hull are left out, as no line between two points of the polygon crosses them.
     """
@@ -153,9 +153,9 @@ def upright_bodies(polygon: Any) -> list[Body]:
 def _tips(edge: FloatArray, solid: Any) -> tuple[FloatArray, FloatArray]:
     """Lines through the vertices of a convex piece between two edges shared with other pieces.
 
-    They cut off the tips that would protrude into the room because pieces overlap. Returns normals and offsets.
+    The lines cut off tips that would protrude into the room, as pieces overlap. Returns normals and offsets.
     """
-    bare = ~solid & ~np.roll(solid, 1)  # at the start of an edge
+    bare = ~solid & ~np.roll(solid, 1)  # tips at the start of an edge
     way = edge[:, 1] - edge[:, 0]
     way = way / np.linalg.norm(way, axis=1, keepdims=True)
     outwards = (np.roll(way, 1, axis=0) - way)[bare]

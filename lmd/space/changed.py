@@ -17,7 +17,7 @@ Method = TypeVar("Method", bound=Callable[..., Any])
 
 
 def _asked(method: Method) -> Method:
-    """Make a method that calls the method of the wrapped room with the name of `method`."""
+    """Make a method that calls the original room's method with the name of `method`."""
 
     @wraps(method)
     def ask(changed: "Changed", *arguments: Any, **named: Any) -> Any:
@@ -27,11 +27,11 @@ def _asked(method: Method) -> Method:
 
 
 class Changed:
-    """Base of rooms derived from another room: methods of `Space` call the method of that room unless overridden."""
+    """Base of rooms derived from another room: methods of `Space` call the other room's methods unless overridden."""
 
     def __init__(self, room: Space) -> None:
         self.original = room
-        """Room that this room is derived from."""
+        """Room from which this room is derived."""
 
     @property
     def relevance(self) -> Weighing:
@@ -60,7 +60,7 @@ class Changed:
 class Inset(Changed):
     """Room with smaller surfaces, such as the allowed centres of footprints.
 
-    `surfaces_of`, `surface_near` and `faces` use the whole surfaces.
+    `surfaces_of`, `surface_near` and `faces` use the original surfaces.
 
     Args:
         room: original room.
@@ -80,7 +80,7 @@ class Inset(Changed):
         return self._surfaces
 
 
-# Rounding tolerance of cell borders, metres: a record less than this below a border belongs to the cell above it.
+# Rounding tolerance of cell borders, metres: a record below a border by less than this is in the cell above.
 ON_BORDER = 1e-9
 
 
@@ -92,12 +92,12 @@ class _Cells(NamedTuple):
     seconds: FloatArray
     """Time spent in each cell, seconds, `(P,)`."""
     chosen: IntArray
-    """Index of the record nearest to the mean of each cell, `(P,)`. The mean itself might be an impossible position."""
+    """Index of the record nearest to each cell's mean position, `(P,)`; the mean itself might be unreachable."""
 
 
 @dataclass(frozen=True)
 class TimeSpent:
-    """Relevance of positions of a recording: time spent in the cell times the relevance of the room."""
+    """Relevance of a recording's positions: time spent in a position's cell times the room's relevance."""
 
     positions: FloatArray
     """Positions of the cells, metres, `(P, 3)`."""
@@ -162,7 +162,7 @@ class RecordedRoom(Changed):
 
     @override
     def passable(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
-        """Mask of the lines that are `clear`; the clearance is ignored, as a recorded camera may violate it."""
+        """Mask of the lines that are `clear`; the clearance is ignored, as recorded poses may violate the clearance."""
         return self.clear(starts, ends)
 
     @override
@@ -197,7 +197,7 @@ class RecordedRoom(Changed):
         return f"{self.original.describe()} along a recording"
 
 
-SPACING = 1.0  # edge of the cells of the base class, metres; a driven room does not use them
+SPACING = 1.0  # edge of the base class's cells, metres; not used by a driven room
 
 
 class FrameTime(TimeSpent):
@@ -205,13 +205,13 @@ class FrameTime(TimeSpent):
 
     @override
     def weights(self, points: FloatArray) -> FloatArray:
-        """See `Weighing.weights`; points that are not the frames have the relevance of the room alone."""
+        """See `Weighing.weights`; points other than the frames have the relevance of the room."""
         seconds = self.seconds if np.array_equal(points, self.positions) else np.float64(1.0)
         return np.asarray(self.within.weights(points) * seconds)
 
 
 class DrivenRoom(RecordedRoom):
-    """Room whose grid has one position for each frame of drives, in their order; a `Space`.
+    """Room whose grid has one position for each frame of drives, in the order of frames; a `Space`.
 
     Args:
         room: room of the drives.

@@ -4,9 +4,9 @@ A crowd state is a set of cylinders. S states are drawn once, so all deployments
 numbers), and one cylinder hides all landmarks behind it at the same time.
 
 A cylinder is an open convex set. A line of sight from p to q is blocked if its part in the cylinder has a positive
-length. The points p + t d, d = q - p, are horizontally inside for |t d_h - e|^2 < r^2, e from p to the axis, so for
-t between (b -+ sqrt(b^2 - a c)) / a with a = |d_h|^2, b = d_h . e, c = |e|^2 - r^2; the planes of floor and top limit
-t further.
+length. The points p + t d, d = q - p, are horizontally inside for |t d_h - e|^2 < r^2 with e from p to the axis, so for
+t between (b -+ sqrt(b^2 - a c)) / a with a = |d_h|^2, b = d_h . e, c = |e|^2 - r^2. The planes of the cylinder's lower
+and upper end limit t further.
 
 The camera is never inside a cylinder: a cylinder closer to the camera than the clearance is left out for that camera.
 """
@@ -37,16 +37,16 @@ from lmd.core.memory import check_memory
 from lmd.space.blockers import checked_ring
 from lmd.space.space import Space, floor_of
 
-ROUNDING = 1e-9  # of a share times a number, which is rounded up
+ROUNDING = 1e-9  # rounding tolerance of a share times a number, before it is rounded up
 
 
 def worst_of(number: int, share: float) -> int:
-    """Number of the worst of `number` values, a share of them, rounded up."""
+    """Number of the worst among `number` values: a share of the number, rounded up."""
     return max(1, math.ceil(share * number - ROUNDING))
 
 
 def worst_mean(values: FloatArray, count: int) -> FloatArray:
-    """Mean of the `count` least values along the last axis."""
+    """Mean of the `count` smallest values along the last axis."""
     return np.asarray(np.sort(values, axis=-1)[..., :count].sum(axis=-1) / count)
 
 
@@ -54,23 +54,23 @@ FITNESS = ("mean", "worst")
 # Columns of a cylinder: axis, radius, lower and upper end, metres.
 X, Y, RADIUS, BOTTOM, TOP = range(5)
 COLUMNS = 5
-# Rounds of drawing a place for each cylinder of every state; more are needed only where there is next to no room.
+# Greatest number of attempts to draw a place for each cylinder; more help only if there is next to no room.
 ROUNDS = 2000
-# Directions and heights, as shares of the cylinder's, at which the free floor is tested.
+# Directions around a cylinder, and heights as shares of its height, at which free space is tested.
 DIRECTIONS, HEIGHTS = 16, (0.01, 0.25, 0.5, 0.75, 0.99)
 # Greatest number of states; a drive of an hour has one for each of its 72,000 frames.
 MOST_STATES = 200_000
 
 
 def number_or_span(name: str, value: Any) -> float | tuple[float, float]:
-    """Return `value` as a positive length, or the least and the greatest; raise `InputError` for another value."""
+    """Return `value` as a positive length or as a range of lengths; raise `InputError` for another value."""
     if not isinstance(value, Sequence) or isinstance(value, str):
         return real(name, value, above=0.0)
     return span(name, value, above=0.0)
 
 
 def polygons(name: str, value: Any) -> tuple[Any, ...]:
-    """Return `value`, a polygon or several, as polygons; raise `InputError` for another value."""
+    """Return one polygon or several as a tuple of polygons; raise `InputError` for another value."""
     if not isinstance(value, Sequence) or isinstance(value, str) or not len(value):
         raise InputError(f"{name} must be a polygon [[x, y], ...] or several, got {value!r}.", name)
     first = value[0]
@@ -100,9 +100,9 @@ class Crowd(Checked):
     states: Count = 20
     """Number S of states."""
     fitness: Annotated[str, partial(choice, options=FITNESS)] = "mean"
-    """Fitness of all states: `mean`, or `worst` for the mean over the `worst` share of the states."""
+    """Fitness over the states: `mean`, or `worst` for the mean over the share `worst` of the states."""
     worst: Annotated[float, partial(real, above=0.0, high=1.0)] = 0.05
-    """Share of the states that are the worst, rounded up to whole states."""
+    """Share of the states that count as the worst, rounded up to whole states."""
     seed: Index = 0
     """Seed of the states."""
 
@@ -110,10 +110,10 @@ class Crowd(Checked):
         bounded("states, which take 5 kB each", self.states, MOST_STATES, "crowd", "states")
 
     def drawn(self, room: Space, rng: np.random.Generator | None = None) -> "CrowdStates":
-        """Draw the states, from `seed` unless there is a generator.
+        """Draw the states, with `rng` if given, else from `seed`.
 
         Raises:
-            InputError: a cylinder finds no place.
+            InputError: there is no room for a cylinder.
         """
         return CrowdStates(self, _draw(self, room, np.random.default_rng(self.seed) if rng is None else rng))
 
@@ -131,16 +131,16 @@ class CrowdStates:
         return len(self.people)
 
     def only(self, state: int) -> "CrowdStates":
-        """The single state with an index."""
+        """Crowd with only the state of an index."""
         return CrowdStates(self.crowd, self.people[[state]])
 
     @property
     def worst_count(self) -> int:
-        """Number of states that are the worst."""
+        """Number of states that count as the worst."""
         return worst_of(len(self), self.crowd.worst)
 
     def present(self, positions: FloatArray, states: IntArray) -> BoolArray:
-        """Mask of the cylinders that stand while the camera is at a position, `(P, N)`.
+        """Mask of the cylinders that are present while the camera is at each position, `(P, N)`.
 
         Args:
             positions: camera positions, `(P, 3)`, metres.
@@ -153,8 +153,8 @@ class CrowdStates:
         return np.asarray(~((ex * ex + ey * ey < away * away) & beside))
 
     def clear(self, position: FloatArray, points: FloatArray) -> BoolArray:
-        """Mask of the lines from a camera position `(3,)` to points `(..., 3)` that no cylinder of the only state
-        blocks; the reference.
+        """Mask of the lines from a camera position `(3,)` to points `(..., 3)` that no cylinder blocks, for a crowd
+        with one state; the reference.
         """
         assert len(self) == 1, "the reference is about one state"
         standing = self.people[0][self.present(position[None], np.zeros(1, dtype=np.int64))[0]]
@@ -170,7 +170,7 @@ def _crosses(cylinder: FloatArray, position: FloatArray, points: FloatArray) -> 
     ex, ey = cylinder[X] - position[0], cylinder[Y] - position[1]
     a, b, c = dx * dx + dy * dy, dx * ex + dy * ey, ex * ex + ey * ey - cylinder[RADIUS] * cylinder[RADIUS]
     square = b * b - a * c
-    with np.errstate(all="ignore"):  # upright and level lines have no second bound
+    with np.errstate(all="ignore"):  # upright lines have no horizontal bound, level lines no vertical one
         root = np.sqrt(np.maximum(square, 0.0))
         upright, level = a == 0.0, dz == 0.0
         inside = np.where(upright, c < 0.0, square > 0.0)
@@ -184,7 +184,7 @@ def _crosses(cylinder: FloatArray, position: FloatArray, points: FloatArray) -> 
 
 
 def _draw(crowd: Crowd, room: Space, rng: np.random.Generator) -> FloatArray:
-    """Draw cylinders that neither overlap each other nor anything of the room, `(S, N, 5)`."""
+    """Draw cylinders that overlap neither each other nor parts of the room, `(S, N, 5)`."""
     shape = crowd.states, crowd.number
     check_memory(8.0 * COLUMNS * crowd.states * crowd.number, f"crowd of {shape[1]} in {shape[0]} states", "number")
     people, floor = np.empty((*shape, COLUMNS)), floor_of(room)
@@ -213,7 +213,7 @@ def _draw(crowd: Crowd, room: Space, rng: np.random.Generator) -> FloatArray:
 
 
 def _ground(crowd: Crowd, room: Space) -> Any:
-    """Corners of the box in which axes are drawn, `(2,)` each, and the test of the places of cylinders `(M, 5)`."""
+    """Corners of the box in which axes are drawn, `(2,)` each, and a test of the places of cylinders `(M, 5)`."""
     import shapely
 
     if crowd.walk is None:

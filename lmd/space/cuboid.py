@@ -81,7 +81,7 @@ class Cuboid(Gridded):
 
     @override
     def surfaces_of(self, positions: FloatArray, normals: FloatArray) -> IntArray:
-        """See `Space.surfaces_of`; a landmark at an edge belongs to the wall with the most similar normal."""
+        """See `Space.surfaces_of`; a landmark at an edge of walls belongs to the wall with the most similar normal."""
         walls = SurfaceArrays.of(self.surfaces())
         on_wall = (np.abs(walls.heights(positions)) <= PLACEMENT_TOLERANCE) & self.contains(positions)[..., None]
         nearest = np.argmax(np.where(on_wall, normals @ walls.normal.T, -np.inf), axis=-1)

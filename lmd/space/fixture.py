@@ -10,10 +10,10 @@ import numpy as np
 from lmd.core.checks import FloatArray
 from lmd.space.surface import Surface
 
-# Largest distance from a surface of a fixture that touches it, and largest thickness of a flat fixture, metres.
+# Largest distance between a fixture and a surface that touch, and largest thickness of a flat fixture, metres.
 TOUCHING_M = 0.03
 KINDS = ("door", "window", "furniture", "other")
-NAMED_KIND = re.compile("(?<![a-z])(door|window)")  # at the beginning of a word
+NAMED_KIND = re.compile("(?<![a-z])(door|window)")  # matches only the beginning of a word
 
 
 @dataclass(frozen=True)
@@ -30,8 +30,8 @@ class Fixture:
 
     @cached_property
     def kind(self) -> str:
-        """One of `KINDS`: `door` or `window` if the name says so, else `furniture` if the footprint is thick, else
-        `other`.
+        """One of `KINDS`: `door` or `window` if the name has this word, else `furniture` if the footprint is thick,
+        else `other`.
         """
         named = NAMED_KIND.search(self.name.lower())
         if named:
@@ -60,7 +60,8 @@ class Fixture:
     def on(self, surface: Surface) -> Any:
         """Part of a surface that the fixture covers, a shapely polygon, possibly empty.
 
-        Coordinates are metres from the left and the lower edge of the surface. Empty for the fixture's own faces.
+        Coordinates are metres from the left and the lower edge of the surface. The part is empty for the fixture's own
+        faces.
         """
         import shapely
 

@@ -1,4 +1,4 @@
-"""Floor plan: built room, and allowed regions for landmarks on its surfaces."""
+"""Floor plan: the room's walls and obstacles, and the allowed regions for landmarks on surfaces."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from lmd.space.fixture import Fixture
 from lmd.space.parts import FACES, KeepOut, Obstacle, all_made, check_metres, check_surfaces, checked_names
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, free_of
 
-# Depth of the space in front of a face that must be free, metres.
+# Depth of the free space that a face must have in front, metres.
 FREE_BEFORE_M = 1e-3
 
 
@@ -36,7 +36,7 @@ class FloorPlan(Checked):
     obstacles: Annotated[Sequence[Any], partial(all_made, kind=Obstacle)] = ()
     """`Obstacle`s, or mappings of their arguments; their faces are `obstacle_<i>_<face>`."""
     surfaces: Sequence[str] | None = None
-    """Walls, `floor` and `ceiling` that may carry landmarks, in addition to the `faces` of obstacles; None for all."""
+    """Walls, `floor` and `ceiling` that may carry landmarks; None for all. The `faces` of obstacles are added."""
     keep_out: Annotated[Sequence[Any], partial(all_made, kind=KeepOut)] = ()
     """`KeepOut`s, or mappings of their arguments."""
     band: Annotated[Sequence[float], partial(span, point=False)] | None = None
@@ -44,9 +44,9 @@ class FloorPlan(Checked):
     margin: NotNegative = 0.0
     """Distance of landmarks from the edges of a surface along its u and v, metres."""
     path: str | None = None
-    """Path of the file that the plan was read from."""
+    """Path of the file from which the plan was read."""
     note: str = ""
-    """Remark on the file that the plan was read from, a sentence; may be empty."""
+    """Remark on the file from which the plan was read, a sentence; may be empty."""
 
     def _validate(self) -> None:
         hint = "it is in metres, a thousandth of millimetres"
@@ -135,7 +135,7 @@ class FloorPlan(Checked):
 
     @cached_property
     def _faces(self) -> dict[str, Surface]:
-        """All faces by name, as whole rectangles."""
+        """All faces by name, as rectangles without keep-outs."""
         faces = [self._wall(f"wall_{i}", edge, -1.0) for i, edge in enumerate(edges(self.outline))]
         for i, hole in enumerate(self.holes):
             faces += [self._wall(f"hole_{i}_wall_{j}", edge, 1.0) for j, edge in enumerate(edges(hole))]
@@ -152,7 +152,7 @@ class FloorPlan(Checked):
         """Wall over an edge that faces to the right (side 1) or to the left (-1) of the edge."""
         (normal,), _ = planes(edge[None])
         length = float(np.linalg.norm(edge[1] - edge[0]))
-        # As in a cuboid, u points towards higher x, or towards higher y if it is along y.
+        # As in a cuboid, u points towards higher x, or towards higher y if u is along y.
         start, end = sorted(edge.tolist())
         along = np.append((np.array(end) - start) / length, 0.0)
         facing = np.append(normal if side > 0.0 else 0.0 - normal, 0.0)
@@ -160,7 +160,7 @@ class FloorPlan(Checked):
 
     @property
     def faces(self) -> tuple[Surface, ...]:
-        """Visible faces as whole rectangles."""
+        """Faces that can be seen from inside the room, without keep-outs cut out."""
         return tuple(self._faces.values())
 
     @property
@@ -171,13 +171,13 @@ class FloorPlan(Checked):
 
     @property
     def fixtures(self) -> list[Fixture]:
-        """Keep-outs and obstacles; a fixture without a name is named by its index."""
+        """Keep-outs and obstacles; one without a name is named by its index."""
         parts = [(f"keep_out {i}", *pair) for i, pair in enumerate(zip(self.keep_out, self.kept_out, strict=True))]
         parts += [(f"obstacle {i}", part, part.corners()) for i, part in enumerate(self.obstacles)]
         return [Fixture(part.name or number, corners) for number, part, corners in parts]
 
     def clearings(self, clearance: float) -> list[list[tuple[float, ...]]]:
-        """Outlines of the ground at least `clearance`, metres, from walls, holes and obstacles, for drawings."""
+        """Outlines of the floor area at least `clearance`, metres, from walls, holes and obstacles, for drawings."""
         import shapely
 
         taken = [shapely.box(*part.low[:2], *part.high[:2]) for part in self.obstacles]
@@ -208,7 +208,7 @@ class FloorPlan(Checked):
         return face.where(region)
 
     def _region(self, face: Surface) -> Any:
-        """Existing part of a face's rectangle; for an obstacle's face, the part with the room in front of it."""
+        """Existing part of a face's rectangle; for an obstacle's face, the part that has the room in front."""
         import shapely
 
         along, up = face.extent

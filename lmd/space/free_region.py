@@ -13,9 +13,9 @@ NO_WALL = "no wall"
 
 # Least area of a free region that a note mentions, square metres.
 MENTIONED_M2 = 0.5
-# Shortest part of an edge without occupied cells that excludes landmarks, metres; shorter gaps in a wall are chance.
+# Shortest part of an edge without occupied cells that excludes landmarks, metres; shorter gaps are noise.
 SHORTEST_GAP_M = 0.2
-# Greatest tolerance of a ring, such as a pillar, over its shorter side.
+# Greatest ratio of a ring's tolerance to its shorter side; a pillar is such a ring.
 PILLAR_SHARE = 0.2
 # Least sine of the angle between edges whose lines are intersected.
 LEAST_ANGLE_SINE = 0.2
@@ -44,13 +44,13 @@ class OccupancyGrid(NamedTuple):
     """Remark on an ambiguous file, a clause; empty without ambiguity."""
 
     def in_map(self, at: FloatArray) -> FloatArray:
-        """Points of the map frame, metres, from points (column, row) in cells from the corner of cell (0, 0)."""
+        """Convert points (column, row) in cells, from the corner of cell (0, 0), to points of the map frame, metres."""
         x, y, yaw = self.origin
         turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
         return np.asarray(self.resolution * np.asarray(at) @ turn.T + [x, y])
 
     def in_cells(self, points: FloatArray) -> FloatArray:
-        """Points (column, row) in cells from points of the map frame, metres; the inverse of `in_map`."""
+        """Convert points of the map frame, metres, to points (column, row) in cells; the inverse of `in_map`."""
         x, y, yaw = self.origin
         turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
         return np.asarray((np.asarray(points) - [x, y]) @ turn / self.resolution)
@@ -62,15 +62,15 @@ class Region(NamedTuple):
     polygon: Any
     """Region with its holes, a shapely polygon."""
     to_wall: FloatArray
-    """Distance between the centres of each cell and its nearest occupied cell, in cells, `(H, W)`."""
+    """Distance from the centre of each cell to the centre of the nearest occupied cell, in cells, `(H, W)`."""
     note: str
-    """Clauses about the parts of the map that are left out."""
+    """Clauses about omitted parts of the map."""
 
 
 def plan_of_grid(
     grid: OccupancyGrid, tolerance: float, speck: float, passage: float, start: tuple[float, ...] | None
 ) -> ReadPlan:
-    """Find the floor plan of the free region of a map; the result is in the frame of the map.
+    """Find the floor plan of a map's free region; the plan is in the frame of the map.
 
     Args:
         grid: map.
@@ -148,7 +148,7 @@ def _free_region(
 
 
 def _at(grid: OccupancyGrid, parts: IntArray, start: tuple[float, ...], corner: IntArray) -> int:
-    """Label of the part of the free region at a point."""
+    """Label of the part of the free region that contains a point."""
     column, row = np.floor(grid.in_cells(np.array(start)) - corner).astype(int)
     inside = 0 <= row < parts.shape[0] and 0 <= column < parts.shape[1]
     if not inside or not parts[row, column]:
@@ -175,7 +175,7 @@ def _left_out(grid: OccupancyGrid, labels: IntArray, others: list[tuple[int, int
 
 
 def _without_pinches(region: BoolArray, core: BoolArray) -> BoolArray:
-    """Part of a region that is connected to its core, without pairs of cells that only share a corner."""
+    """Part of a region that is connected to the core; of two cells that touch only at a corner, one is dropped."""
     from scipy import ndimage
 
     while True:
@@ -200,13 +200,13 @@ def _polygon(region: BoolArray) -> Any:
 
 
 def _simplified(polygon: Any, tolerance: float, grid: OccupancyGrid) -> Any:
-    """Polygon whose edges fit the border of a polygon of cells within a tolerance, in cells; its rings do not touch."""
+    """Polygon whose edges fit the border of a polygon of cells within a tolerance, in cells; rings do not touch."""
     import shapely
 
     contours = []
     for ring in (polygon.exterior, *polygon.interiors):
         vertices = np.array(ring.coords[:-1])
-        # Simplifying keeps the first vertex, so it has to be a corner.
+        # The simplification keeps the first vertex, so this vertex must be a corner.
         first = np.argmax(np.linalg.norm(vertices - vertices.mean(axis=0), axis=1))
         contours.append(np.roll(vertices, -first, axis=0))
     asked = tolerance
@@ -236,7 +236,7 @@ def _simplified(polygon: Any, tolerance: float, grid: OccupancyGrid) -> Any:
 def _fitted(simple: FloatArray, contour: FloatArray, tolerance: float) -> FloatArray:
     """Move the vertices of a ring so that its edges are the lines of least squares through the contour.
 
-    A vertex keeps its place where an edge would leave the tolerance.
+    A vertex is not moved if an edge would exceed the tolerance.
 
     Args:
         simple: vertices of the ring, a subset of the contour's vertices, `(N, 2)`.
@@ -253,7 +253,7 @@ def _fitted(simple: FloatArray, contour: FloatArray, tolerance: float) -> FloatA
         points = shapely.get_coordinates(shapely.segmentize(shapely.LineString(along), 0.5))
         centred = (points[1:] + points[:-1]) / 2.0
         away = np.linalg.norm(centred[:, None] - along[[0, -1]], axis=-1).min(axis=1)
-        inner = away > tolerance  # away from corners, whose places are known only to the tolerance
+        inner = away > tolerance  # points away from corners, as corners are known only within the tolerance
         centred = centred[inner] if inner.mean() > 0.5 else centred
         middles[k] = centred.mean(axis=0)
         ways[k] = np.linalg.svd(centred - middles[k], full_matrices=False)[2][0]

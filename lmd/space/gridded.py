@@ -17,11 +17,11 @@ from lmd.space.surface import FILE_TOLERANCE, PLACEMENT_TOLERANCE, Surface, Surf
 from lmd.space.triangles import Triangles
 
 KINDS = ("cells", "vertices")
-# Greatest number of positions, where a hall of 100 m x 60 m x 10 m has 4 million at 0.25 m; and memory of a position
-# and its test, bytes.
+# Greatest number of positions (a hall of 100 m x 60 m x 10 m has 4 million with a spacing of 0.25 m), and memory of a
+# position and its test, bytes.
 MOST_POSITIONS, POSITION_BYTES = 20_000_000, 256
-# Inverse powers of the root of x^4 = x + 1, the golden ratio of three dimensions (Roberts, 2018). With other irrational
-# steps, such as square roots, some shapes were sampled worse than by independent points.
+# Inverse powers of the root of x^4 = x + 1, the golden ratio of three dimensions (Roberts, 2018). Other irrational
+# steps, such as square roots, sampled some shapes worse than independent points do.
 KRONECKER_STEPS = 1.2207440846057596 ** -np.arange(1.0, 4.0)
 
 
@@ -82,12 +82,12 @@ def combined(axes: Sequence[FloatArray]) -> FloatArray:
 def latin_hypercube(repeats: int, shape: tuple[int, ...], rng: np.random.Generator) -> FloatArray:
     """Stratified random numbers in [0, 1), `(repeats, *shape)`, each uniform.
 
-    Each of `repeats` equal parts of [0, 1) contains one of the `repeats` numbers at an index. Means over these numbers
-    usually have smaller errors than means over independent numbers.
+    At every index of `shape`, each of `repeats` equal parts of [0, 1) contains one of the `repeats` numbers. Means
+    over these numbers usually have smaller errors than means over independent numbers.
     """
     part = rng.permuted(np.broadcast_to(np.arange(repeats).reshape(-1, *len(shape) * (1,)), (repeats, *shape)), axis=0)
     drawn = (part + rng.random(part.shape)) / repeats
-    return np.asarray(np.minimum(drawn, np.nextafter(1.0, 0.0)))  # the sum may have been rounded up
+    return np.asarray(np.minimum(drawn, np.nextafter(1.0, 0.0)))  # the sum may have been rounded up to 1
 
 
 def kronecker(shift: FloatArray) -> Callable[[int], FloatArray]:
@@ -109,21 +109,21 @@ def kronecker(shift: FloatArray) -> Callable[[int], FloatArray]:
 
 # Maximum number of draws of a reachable position in a cell; after that the grid position is used.
 MOST_DRAWS = 100
-# Least share of reachable volume in the box for random sampling.
+# Least reachable share of the box's volume for random sampling.
 LEAST_SHARE = 1e-4
 # Tolerance of the comparison of cosines between a landmark's normal and the normals of two surfaces.
 SAME_WAY = 1e-6
 
 
 def clear_of(blockers: Blockers | Triangles | None, starts: FloatArray, ends: FloatArray) -> BoolArray:
-    """Mask of the lines between points `(..., 3)` that nothing blocks, `(...)`."""
+    """Mask of the lines between points `(..., 3)` that are not blocked, `(...)`."""
     if blockers is None:
         return np.ones(np.broadcast_shapes(starts.shape, ends.shape)[:-1], dtype=np.bool_)
     return blockers.clear(starts, ends)
 
 
 class Gridded(Checked, ABC):
-    """Base of rooms with a grid; a subclass is a frozen dataclass with the fields below."""
+    """Base of rooms with a grid; a subclass is a frozen dataclass with the fields declared here."""
 
     reachable: Any
     spacing: Any
@@ -140,7 +140,7 @@ class Gridded(Checked, ABC):
 
     @abstractmethod
     def reaches(self, points: FloatArray) -> BoolArray:
-        """Mask of the points `(..., 3)` of the box in the reachable volume, `(...)`."""
+        """Mask of the points `(..., 3)`, given within the box, that are in the reachable volume, `(...)`."""
 
     @abstractmethod
     def contains(self, points: FloatArray) -> BoolArray:
@@ -180,11 +180,11 @@ class Gridded(Checked, ABC):
         return f"{self.kind} of {' x '.join(f'{length:.{self.digits}g}' for length in high - low)} m"
 
     def _set_grid(self, lacking: str, argument: str) -> None:
-        """Check `spacing` and that the grid has a position.
+        """Check `spacing`, and check that the grid has a position.
 
         Args:
-            lacking: message about a grid without positions.
-            argument: name of the argument that the message is about.
+            lacking: message if the grid has no positions.
+            argument: name of the argument that causes the lack.
         """
         low, high = self.box
         object.__setattr__(self, "spacing", checked_spacing(self.spacing, (high - low).tolist()))
@@ -192,7 +192,7 @@ class Gridded(Checked, ABC):
             raise InputError(lacking, argument)
 
     def grid_shape(self) -> tuple[int, int, int]:
-        """Number of positions along x, y, z of the box."""
+        """Number of grid positions along x, y, z in the box."""
         low, high = self.box
         return grid_counts(high - low, self.spacing, self.positions)
 
@@ -201,7 +201,7 @@ class Gridded(Checked, ABC):
 
     @cached_property
     def _grid(self) -> tuple[FloatArray, BoolArray]:
-        """All positions of the grid in the box, and which of them are in the reachable volume."""
+        """All positions of the grid in the box, and the mask of the positions in the reachable volume."""
         positions = combined(self._grid_axes())
         return positions, self.reaches(positions)
 
@@ -238,7 +238,7 @@ class Gridded(Checked, ABC):
     def sample_evenly(self, size: int, rng: np.random.Generator) -> FloatArray:
         """See `Space.sample_evenly`."""
         low, high = self.box
-        # The first point is uniform in the reachable volume, so all reachable points of the sequence are uniform. From
+        # The first point is uniform in the reachable volume, so all reachable points of the sequence are uniform. With
         # a first point uniform in the box, reachable points that follow many unreachable ones would be drawn too often.
         extent = np.where(high > low, high - low, 1.0)  # the box of a ground robot may have zero height
         return self._reached(size, kronecker((self.sample(1, rng)[0] - low) / extent))
@@ -263,7 +263,7 @@ class Gridded(Checked, ABC):
         """See `Space.surfaces_of`; a landmark at an edge belongs to the surface with the most similar normal.
 
         Among coplanar surfaces with overlapping rectangles, a landmark belongs to the surface whose allowed region
-        holds it.
+        contains the landmark.
         """
         carriers, within, allowed = self._carried(positions)
         hangs = within & self.contains(positions)[..., None]
@@ -275,8 +275,8 @@ class Gridded(Checked, ABC):
         """Surfaces at points `(..., 3)`.
 
         Returns:
-            W surfaces; mask of the rectangles that contain each point, `(..., W)`; mask of the surfaces whose allowed
-            region contains it, `(..., W)`.
+            W surfaces; mask of the rectangles that contain each point, `(..., W)`; mask of the allowed regions that
+            contain each point, `(..., W)`.
         """
         carriers = SurfaceArrays.of(self.surfaces())
         every = np.arange(len(carriers.normal))

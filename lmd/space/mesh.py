@@ -43,7 +43,7 @@ STRAIGHT_M = 1e-6
 
 
 def flat_parts(mesh: Mesh) -> list[IntArray]:
-    """Indices of the triangles of each planar patch, largest area first; a patch belongs to one object."""
+    """Indices of the triangles in each planar patch, largest area first; a patch belongs to one object."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -91,14 +91,14 @@ def grown(shapes: Any, width: float) -> Any:
     """Buffer shapes by `width`, metres, with mitred corners; a negative width shrinks them."""
     import shapely
 
-    with np.errstate(divide="ignore", invalid="ignore"):  # of intermediate results that GEOS discards
+    with np.errstate(divide="ignore", invalid="ignore"):  # warnings about intermediate results that GEOS discards
         return shapely.buffer(shapes, width, cap_style="square", join_style="mitre")
 
 
 def standing_on(surface: Surface, triangles: FloatArray, height: float) -> list[Any]:
     """Projections to a surface of the parts of triangles `(T, 3, 3)` up to `height`, metres, in front of it.
 
-    The result is shapely shapes in the coordinates of the surface. A triangle perpendicular to the surface gives a
+    The results are shapely shapes in the coordinates of the surface. A triangle perpendicular to the surface gives a
     line.
     """
     import shapely
@@ -124,10 +124,10 @@ def _between(corners: FloatArray, height: FloatArray, low: float, high: float) -
     return np.concatenate(found)
 
 
-# Largest tilt of a triangle that counts as level or upright, rad. The noise of a scan tilts triangles by more, and few
-# walls are aligned with an axis by chance.
+# Largest tilt of a triangle that counts as level or upright, rad. A scan's noise tilts triangles more, and few walls
+# are aligned with a wrong axis by chance.
 BUILT_TOLERANCE_RAD = 3.5e-3
-# The up axis with the larger level or upright area is the better one if the ratio of the areas is below this.
+# Largest ratio of level or upright areas, smaller over larger, at which the axis with the larger area is preferred.
 DECIDING_SHARE = 0.8
 # Least |n_z| of the unit normal of a level triangle, and largest distance of floor and ceiling from the lowest or
 # highest point, metres.
@@ -135,11 +135,11 @@ LEVEL_NORMAL_Z, STOREY = 0.999, 0.1
 
 
 def doubt_of(mesh: Mesh, undecided: bool) -> str | None:
-    """Evidence that the assumed up axis of a mesh's file, z or y, is the wrong one of the two; None without evidence.
+    """Evidence that the assumed up axis of a mesh's file (z or y) is wrong; None without evidence.
 
     Args:
         mesh: mesh, rotated to z up from the assumed axis `Mesh.up`.
-        undecided: True to resolve a tie of the areas in favour of the axis with the lower room.
+        undecided: True to resolve a tie of the areas by choosing the axis along which the room is lower.
     """
     corners = mesh.vertices[mesh.faces]
     other = "y" if mesh.up == "z" else "z"
@@ -172,11 +172,11 @@ def _floor_area(corners: FloatArray, up: FloatArray) -> float:
     return float(areas_of(corners)[is_level & (height.max(axis=1) < height.min() + STOREY)].sum())
 
 
-# Spacing of nodes, metres, and maximum number of nodes; a larger number increases the spacing.
+# Spacing of nodes, metres, and maximum number of nodes. If there would be more nodes, the spacing is increased.
 STEP, MOST_NODES = 0.2, 400_000
 # Least distance of a node from a triangle, metres: a node in the plane of a triangle would connect both sides.
 NODE_CLEARANCE_M = 1e-3
-# Largest distance between a point and the nodes that are tested for a clear line, node spacings per axis.
+# Largest distance along an axis between a point and the nodes tested for a clear line, node spacings.
 STEPS_TO_NODES = 2
 
 
@@ -184,7 +184,7 @@ STEPS_TO_NODES = 2
 class Interior:
     """Free space of a mesh as a graph of grid nodes, with edges along clear lines.
 
-    Nodes have a triangle below them, as there usually is no floor outside the walls. The room is the connected
+    Nodes are above a triangle, as there usually is no floor outside the walls. The room is the connected
     component with the largest volume; the insides of furniture and walls are other components.
     """
 
@@ -232,7 +232,7 @@ class Interior:
         return at, free & (piece == np.bincount(piece[free], minlength=1).argmax()) if free.any() else free
 
     def contains(self, points: FloatArray) -> BoolArray:
-        """Mask of the points `(..., 3)` of the box in the room or on its walls, `(...)`."""
+        """Mask of the points `(..., 3)`, given within the box, that are in the room or on its walls, `(...)`."""
         nodes, inside = self.nodes
         flat = np.asarray(points, dtype=np.float64).reshape(-1, 3)
         found, left = np.zeros(len(flat), dtype=np.bool_), np.arange(len(flat))

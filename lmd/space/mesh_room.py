@@ -62,7 +62,7 @@ class MeshRoom(Gridded):
             "nothing, there is no floor below, or spacing is too large.",
             name,
         )
-        self.surfaces()  # raises if no surface may carry landmarks
+        self.surfaces()  # raises an error if no surface may carry landmarks
 
     @cached_property
     @override
@@ -94,7 +94,7 @@ class MeshRoom(Gridded):
 
     @override
     def contains(self, points: FloatArray) -> BoolArray:
-        """See `Space.contains`; allowed places of landmarks count as inside, even without a clear line to a node."""
+        """See `Space.contains`; allowed places of landmarks count as inside, even if no line to a node is clear."""
         low, high = self.bounds()
         within = (points >= low - PLACEMENT_TOLERANCE) & (points <= high + PLACEMENT_TOLERANCE)
         found = np.asarray(within.all(axis=-1) & self.scan.interior.contains(points))

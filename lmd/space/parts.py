@@ -25,7 +25,7 @@ from lmd.space.surface import Surface
 UNITS = {"metres": 1.0, "millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "feet": 0.3048}
 FACES = ("x_min", "x_max", "y_min", "y_max", "bottom", "top")
 
-# Bounds on the longest side of a room, and upper bound on its shortest side, metres; beyond them the unit is wrong.
+# Bounds on the longest side of a room, and upper bound on its shortest side, metres; violated if the unit is wrong.
 SHORTEST, LONGEST, FLATTEST = 0.3, 1000.0, 200.0
 
 Span = Annotated[Sequence[float], span]
@@ -37,8 +37,8 @@ def check_metres(size: Iterable[float], makes: str, hint: str, argument: str) ->
 
     Args:
         size: lengths along x, y and z, metres.
-        makes: beginning of the message: the cause.
-        hint: end of the message: the remedy.
+        makes: beginning of the message, which states the cause.
+        hint: end of the message, which states the remedy.
         argument: name of the argument.
     """
     lengths = list(size)
@@ -81,7 +81,7 @@ class Obstacle(Checked):
     high: Point
     """Upper corner, world frame, metres."""
     faces: Annotated[Sequence[str], partial(entries, check=partial(choice, options=FACES))] = ()
-    """Faces of `FACES` that may carry landmarks."""
+    """Faces that may carry landmarks, from `FACES`."""
     name: Annotated[str, text] | None = None
     """Name on drawings, such as `rack`."""
 
@@ -168,7 +168,7 @@ def made(name: str, value: Any, kind: type[T]) -> T:
 
 
 def all_made(name: str, value: Any, kind: type[T]) -> tuple[T, ...]:
-    """Make parts from a list of values in a configuration, see `made`."""
+    """Make each part in a list of values in a configuration, see `made`."""
     return entries(name, value, partial(made, kind=kind))
 
 
@@ -186,7 +186,7 @@ def checked_names(name: str, value: Any, known: Sequence[str]) -> tuple[str, ...
     return tuple(given)
 
 
-# Largest distance by which a keep-out may reach beyond its surface, metres, as keep-outs are measured by hand.
+# Keep-outs are measured by hand, so they may reach beyond their surface by this distance, metres.
 BEYOND_SURFACE_M = 0.05
 
 
@@ -194,18 +194,18 @@ BEYOND_SURFACE_M = 0.05
 class KeepOut(Checked):
     """Part of a surface without landmarks, such as a door, a window or a screen.
 
-    Left and below are as seen by a viewer in front of a wall with z up, or in front of floor or ceiling with y up.
+    Left and below are as seen by a viewer who faces a wall with z up, or the floor or ceiling with y up.
 
     Raises:
-        InputError: the part is empty, or is not given by either both spans or the corners.
+        InputError: the part is empty, or is given neither by both spans nor by the corners.
     """
 
     surface: str
     """Name of the surface."""
     from_left: Annotated[Sequence[float], partial(span, point=False)] | None = None
-    """Start and end from the left edge of the surface, metres."""
+    """Start and end of the part, measured from the left edge of the surface, metres."""
     from_below: Annotated[Sequence[float], partial(span, point=False)] | None = None
-    """Start and end from the lower edge of the surface, metres."""
+    """Start and end of the part, measured from the lower edge of the surface, metres."""
     corners: Annotated[Sequence[Sequence[float]], partial(checked_ring, either_way=True)] | None = None
     """Vertices [from left, from below], metres, instead of both spans."""
     name: Annotated[str, text] | None = None

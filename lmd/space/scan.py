@@ -1,4 +1,4 @@
-"""Mesh of a room: surfaces for landmarks, free space and obstacles."""
+"""Room from a triangle mesh: surfaces for landmarks, free space and obstacles."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -37,14 +37,15 @@ from lmd.space.parts import KeepOut, all_made, check_surfaces, checked_names
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, free_of
 from lmd.space.triangles import Triangles, unit_normals
 
-# Objects are walls if they span this share of the room's height, floor or ceiling if they cover this share of its area.
+# Objects are walls if they span this share of the room's height; they are floor or ceiling if they cover this share of
+# the room's area.
 WALL, GROUND = 0.9, 0.5
 # Relative rounding of the coordinates of a file.
 FILE_ROUNDING = 1e-5
 # Objects within this distance in front of a surface exclude landmarks, metres.
 FREE_BEFORE_M = 0.01
-# The front of a patch is the side with more clear lines to camera positions. Number of points on the patch, their
-# distance from the patch, metres, and number of camera positions.
+# The front of a patch is the side with more clear lines to camera positions. For this test: number of points on the
+# patch, their distance from the patch, metres, and number of camera positions.
 PLACES, AWAY, WITNESSES = 9, 1e-3, 300
 # Least angle between faces at a drawn edge, rad, and maximum number of drawn edges.
 CREASE, MOST_EDGES = 0.35, 5000
@@ -93,19 +94,19 @@ class Scan(Checked):
 
     @property
     def doubt(self) -> str | None:
-        """Evidence that another axis of the file than `Mesh.up` points up; None without evidence."""
+        """Evidence that the file's up axis is not `Mesh.up`; None without evidence."""
         return doubt_of(self.mesh, undecided=False)
 
     @cached_property
     def triangles(self) -> Triangles:
-        """All triangles, with a tolerance above the unevenness of all patches."""
+        """All triangles, with a tolerance greater than the unevenness of any patch."""
         uneven = [plane_of(self._corners[part])[1] for part in self._patches.values()]
         return Triangles.of(self.mesh.vertices, self.mesh.faces, PLACEMENT_TOLERANCE + max(uneven))
 
     @cached_property
     def solids(self) -> Triangles | None:
-        """Triangles from which the camera keeps its clearance: all triangles except floor and ceiling; None if no other
-        exists.
+        """Triangles from which the camera keeps its clearance: all triangles except floor and ceiling; None if there
+        are no others.
         """
         z, (low, high) = self._corners[..., 2], self.bounds
         level = np.abs(unit_normals(self._corners)[:, 2]) > LEVEL_NORMAL_Z
@@ -143,7 +144,7 @@ class Scan(Checked):
         for part in self._flat:
             corners = self._corners[part]
             if areas_of(corners).sum() < self.least_area * (1.0 - FILE_ROUNDING):
-                break  # all following parts are smaller
+                break  # all further parts are smaller
             normal, uneven = plane_of(corners)
             if uneven <= UNEVEN:
                 surface = surface_of("", corners, normal)
@@ -202,7 +203,7 @@ class Scan(Checked):
         return [part for part in self.keep_out if part.surface == surface.name]
 
     def _inside(self, surface: Surface, region: Any, standing: Sequence[Any]) -> Any:
-        """Part of a region of a patch inside the room: not below the floor, beyond a wall or in furniture.
+        """Part of a patch's region inside the room, so not below the floor, beyond a wall or in furniture.
 
         Triangles on the patch divide the region into cells; strips narrower than 2 `FREE_BEFORE_M` are ignored. As no
         triangle crosses a cell, a cell is inside the room if any of its points is.
@@ -221,7 +222,7 @@ class Scan(Checked):
 
     @cached_property
     def faces(self) -> tuple[Surface, ...]:
-        """Surfaces of all planar parts, each with both of its sides."""
+        """Surfaces of all planar parts, one for each side."""
         found = []
         for part in self._flat:
             corners = self._corners[part]
@@ -244,8 +245,8 @@ class Scan(Checked):
     def fixtures(self, surfaces: Sequence[Surface]) -> list[Fixture]:
         """Named objects of the file other than floor, ceiling and walls, and keep-outs on surfaces.
 
-        An object is a wall if it spans the share `WALL` of the room's height, floor or ceiling if it covers the share
-        `GROUND` of the room's bounding rectangle.
+        An object is a wall if it spans the share `WALL` of the room's height. An object is floor or ceiling if it
+        covers the share `GROUND` of the room's bounding rectangle.
         """
         low, high = self.bounds
         found = []

@@ -1,4 +1,4 @@
-"""Interface of rooms, functions of any room, and Rel(p), the relevance of a position."""
+"""Interface of rooms, functions for any room, and Rel(p), the relevance of a position."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from lmd.space.fixture import Fixture
 from lmd.space.surface import Surface
 from lmd.space.triangles import Triangles
 
-# Largest distance between a position and its row in a file of weights, and tolerance of regions, metres.
+# Largest distance between a position and the matching row in a file of weights, and tolerance of regions, metres.
 SAME_POINT = 1e-6
 
 
@@ -59,7 +59,7 @@ class Relevance(Checked):
         """Weights of `points` `(P, 3)`, shape `(P,)`.
 
         Raises:
-            InputError: every weight is zero, a region holds none of the points, or a point has no row in the file.
+            InputError: every weight is zero, a region contains no point, or a point has no row in the file.
         """
         weights = self._from_file(self.path, points) if self.path is not None else self._from_regions(points)
         if not weights.any():
@@ -111,7 +111,7 @@ class Space(Protocol):
         """
 
     def surface_near(self, positions: FloatArray, normals: FloatArray) -> IntArray:
-        """Index of the surface that each landmark `(K, 3)` belongs to, see `lmd.space.surface.surface_near`."""
+        """Index of the surface to which each landmark `(K, 3)` belongs, see `lmd.space.surface.surface_near`."""
 
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Lower and upper corner of the box around the room, `(3,)` each."""
@@ -123,7 +123,7 @@ class Space(Protocol):
         """Obstacles between points of the room; None for a convex and empty room."""
 
     def clear(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
-        """Mask of the lines between points `(..., 3)` of the room that nothing blocks, `(...)`.
+        """Mask of the lines between points `(..., 3)` of the room that are not blocked, `(...)`.
 
         Reference for the compiled kernels.
         """
@@ -168,7 +168,7 @@ class Space(Protocol):
         """Short description, such as `room of 7.5 x 5 x 6 m`."""
 
 
-# Distances behind a surface at which `outwards` looks for the room, over its size.
+# Distances behind a surface at which `outwards` looks for the room, relative to the room's size.
 BEHIND = np.linspace(0.02, 1.0, 20)
 # Least |n_z| of the unit normal of a level face.
 LEVEL_NORMAL_Z = 0.99
@@ -188,8 +188,8 @@ def lower_edge(room: Space, surface: Surface) -> float:
 
 
 def outwards(room: Space, surface: Surface) -> FloatArray:
-    """Direction `(2,)` from a wall to its name: behind a wall at the edge of the room, in front of a wall inside the
-    room.
+    """Direction `(2,)` from a wall to its name in a drawing: backwards for a wall at the edge of the room, forwards for
+    a wall inside the room.
     """
     low, high = room.bounds()
     middle, normal = surface.point(*np.divide(surface.extent, 2.0)), surface.normal
@@ -214,7 +214,7 @@ def check_positions(trajectory: Trajectory, room: Space) -> None:
 
 
 def check_inside(trajectory: Trajectory, room: Space) -> None:
-    """Raise `InputError` as `check_positions`, or if the camera passes through an obstacle."""
+    """Raise `InputError` like `check_positions`, and if the camera passes through an obstacle."""
     check_positions(trajectory, room)
     positions = trajectory.poses[:, :3, 3]
     through = np.flatnonzero(~room.clear(positions[:-1], positions[1:]))
@@ -231,7 +231,7 @@ def check_file_inside(
 ) -> None:
     """Raise `InputError` about the file `path` of a trajectory if it fails `check`.
 
-    If most of the trajectory is outside the room, the message suggests `align`, as the file may use another frame.
+    If most of the trajectory is outside the room, the message suggests `align`: the file may use another frame.
     """
     try:
         check(trajectory, room)

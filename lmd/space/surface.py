@@ -1,4 +1,4 @@
-"""Surfaces: flat rectangles that may carry landmarks everywhere or in an allowed region."""
+"""Surfaces: flat rectangles that may carry landmarks, everywhere or only in an allowed region."""
 
 import math
 from collections.abc import Sequence
@@ -23,16 +23,16 @@ from lmd.space.allowed import (
 
 # Largest distance outside a room or a surface that counts as inside, metres: files are rounded to micrometres.
 PLACEMENT_TOLERANCE = 1e-6
-# Tolerance for landmarks of a file, metres: distance from the allowed region, and overlap of two footprints.
+# Tolerance for a file's landmarks, metres: distance from the allowed region, and overlap of two footprints.
 FILE_TOLERANCE = 2e-6
-# Largest distance of a landmark from the surface that it belongs to, metres: above errors of measurement and the
+# Largest distance of a landmark from the surface to which it belongs, metres: more than measurement errors and the
 # thickness of a board.
 NEAR_SURFACE = 0.05
-# Least cosine of the angle between the normals of a landmark and of the surface that it belongs to.
+# Least cosine of the angle between the normals of a landmark and of the surface to which it belongs.
 FACING_COSINE = math.sqrt(0.5)
 # Largest |n_z| of the unit normal of a wall, and least |n_z| of the normal of a floor or a ceiling.
 UPRIGHT, FLAT = 1e-3, 0.5
-# Largest ratio of the sides of a cell in a grid with equal rows; a grid with longer cells has unequal rows.
+# Largest ratio of a cell's sides in a grid with equal rows; if cells would be longer, rows are unequal.
 MAX_ELONGATION = 3.0
 
 
@@ -49,7 +49,7 @@ class Surface:
     v: FloatArray
     """Unit vector, up on walls, along y on floor and ceiling, `(3,)`."""
     normal: FloatArray
-    """Unit vector to the side of the camera, `(3,)`."""
+    """Unit normal towards the side of the camera, `(3,)`."""
     extent: tuple[float, float]
     """Lengths along u and v, metres."""
     allowed: Any = None
@@ -139,7 +139,7 @@ class Surface:
         """Surface coordinates of `count` cell centres of a grid with nearly square cells.
 
         For the paper's walls and `count` 15 the grid is 5 x 3. On a surface with an allowed region, the grid is refined
-        until at least `count` centres are in the region, of which `count` evenly spaced centres are returned.
+        until at least `count` centres are in the region; `count` evenly spaced ones of these are returned.
         """
         if count == 0:
             return []
@@ -179,7 +179,7 @@ class Surface:
 
 
 def surface_near(surfaces: Sequence[Surface], positions: FloatArray, normals: FloatArray) -> IntArray:
-    """Index of the surface that each landmark `(K, 3)` belongs to, -1 for none, `(K,)`.
+    """Index of the surface to which each landmark `(K, 3)` belongs, -1 for none, `(K,)`.
 
     Candidates are surfaces within `NEAR_SURFACE` in front of or behind the landmark. The landmark belongs to the
     nearest candidate with a similar normal (`FACING_COSINE`), else to the nearest candidate.
@@ -231,7 +231,7 @@ class SurfaceArrays(NamedTuple):
     of_piece: np.ndarray
     """Surface of each trapezoid, `(T,)`."""
     shares: np.ndarray
-    """Cumulative share of the area, for drawing random trapezoids, `(T,)`."""
+    """Cumulative shares of the trapezoids' areas, for drawing random trapezoids, `(T,)`."""
 
     @classmethod
     def of(cls, surfaces: Sequence[Surface]) -> "SurfaceArrays":
@@ -273,7 +273,7 @@ class SurfaceArrays(NamedTuple):
         return np.asarray(np.abs(self.nearest(surface, at)[0] - at).max(axis=-1) <= tolerance)
 
     def spread(self, piece: IntArray, at: FloatArray) -> FloatArray:
-        """Map points `at` `(..., 2)` of the unit square to the trapezoids `piece` `(...)`; preserves uniformity."""
+        """Map points `at` `(..., 2)` of the unit square to trapezoids `piece` `(...)`; uniform points stay uniform."""
         return spread(self.pieces[piece], at)
 
     def gathered(self, piece: IntArray, places: FloatArray) -> FloatArray:

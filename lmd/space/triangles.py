@@ -4,13 +4,13 @@ A line from p to q crosses a triangle if p and q lie on different sides of the t
 plane than the tolerance. The line must also meet the plane within the triangle's edges. The effective extent at an edge
 depends on the adjacent triangle:
 
-- If the line crosses the planes of both triangles in one sense, both triangles are extended over the edge by the
-  tolerance, so that no line passes between them.
-- If it crosses them in opposite senses, the line only touches the surface at the edge: both triangles are shortened by
-  the tolerance. A triangle without a neighbour at an edge is shortened there, too.
+- If the line crosses the planes of both triangles in equal senses, both triangles are extended over the edge by the
+  tolerance, so that no line passes between the two.
+- If the line crosses the planes in opposite senses, the line only touches the surface at the edge. Then both triangles
+  are shortened by the tolerance. A triangle without a neighbour at an edge is shortened there, too.
 
-A line through a corner only touches the surface if it only touches the surface at some edge that ends there. So a line
-that touches an edge or a corner, or runs along a face, is clear, as for `lmd.space.blockers`.
+A line through a corner only touches the surface if it only touches the surface at some edge of that corner. So a line
+that touches an edge or a corner, or runs along a face, is clear, as in `lmd.space.blockers`.
 
 Landmarks lie in the planes of their own triangles, which therefore never hide them.
 """
@@ -23,7 +23,7 @@ import numpy as np
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.core.compiled import inner, kernel
 
-# Maximum numbers of triangles: in a leaf, and in a box that is cut at the median instead of by surface area.
+# Maximum numbers of triangles: in a leaf; in a box that is cut at the median instead of by surface area.
 LEAF, SMALL = 4, 48
 
 
@@ -71,7 +71,7 @@ def box_tree(
 
 
 def _cut(part: IntArray, low: FloatArray, high: FloatArray, middle: FloatArray) -> Sequence[IntArray]:
-    """Cut boxes into two parts, by the surface area heuristic (MacDonald and Booth, 1990) or, if few, at the median."""
+    """Cut boxes into two parts, by the surface area heuristic (MacDonald and Booth, 1990); few boxes at the median."""
     if len(part) <= SMALL:
         part = part[np.argsort(middle[part, np.argmax(np.ptp(middle[part], axis=0))], kind="stable")]
         return part[: len(part) // 2], part[len(part) // 2 :]
@@ -97,7 +97,7 @@ def _areas(low: FloatArray, high: FloatArray) -> FloatArray:
 
 # Padding of the boxes relative to the largest coordinate: more than rounding errors.
 BOX_PADDING = 1e-12
-# Least distance of a point from a plane, and least height of a triangle, metres; its square is the least area.
+# Least distance of a point from a plane, and least height of a triangle, metres; the square is the least area.
 THINNEST_M = 1e-7
 
 
@@ -131,7 +131,7 @@ class Triangles(NamedTuple):
     stop: np.ndarray
     """Index after the last triangle of a leaf, `(N,)`; equal to `first` for inner boxes."""
     tolerance: float
-    """Largest distance of a line from the plane or an edge of a triangle that counts as a touch."""
+    """Largest distance from a triangle's plane or edge at which a line only touches the triangle, metres."""
 
     @classmethod
     def of(cls, vertices: FloatArray, faces: IntArray, tolerance: float) -> "Triangles":
@@ -170,7 +170,7 @@ class Triangles(NamedTuple):
     def keeps_away(self, starts: FloatArray, ends: FloatArray, clearance: float) -> BoolArray:
         """Mask of the straight paths between points `(..., 3)` that keep `clearance`, metres, `(...)`.
 
-        Computed by sphere tracing in steps of at least `STEP`.
+        The function uses sphere tracing with steps of at least `STEP`.
         """
         starts, ends = np.broadcast_arrays(starts, ends)
         kept = np.empty(starts.shape[:-1], dtype=np.bool_)
@@ -190,8 +190,8 @@ def unit_normals(corners: FloatArray) -> FloatArray:
 
 
 def _beyond(faces: IntArray, normals: FloatArray) -> FloatArray:
-    """Compute `Triangles.beyond`; at an edge of more than two triangles, each of these triangles is its own
-    neighbour.
+    """Compute `Triangles.beyond`. If more than two triangles share an edge, each of them is its own neighbour
+    there.
     """
     count = len(faces)
     edge = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)

@@ -8,7 +8,7 @@ import numpy as np
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, bounded
 from lmd.space.blockers import edges
 
-# Half the thickness of lines, metres; walls move by this length.
+# Half the thickness given to lines, metres; walls move by this length.
 LINE_M = 1e-4
 # Half the thickness of a wall that is a single line with the room on both sides, metres.
 PARTITION_M = 0.01
@@ -16,17 +16,17 @@ PARTITION_M = 0.01
 NEAR_M = 0.011
 # Distance of the lines from a frame that is drawn around all lines, metres.
 FRAME_M = 10.0
-# Growth of the box of a door or a window so that it meets its wall, metres.
+# Growth of the box of a door or a window, so that the box meets the wall, metres.
 BOX_M = 0.05
-# Greatest width of a region that is the inside of a wall, metres.
+# Greatest width of a region that is taken for the inside of a wall, metres.
 THICKEST_M = 0.5
-# Greatest number of lines of walls and windows (a hospital has 20,000); of pairs of them that meet; and of pairs that
-# cross or overlap, of which a plan has few.
+# Greatest numbers: of lines of walls and windows (a hospital has 20,000), of pairs of lines that meet, and of pairs of
+# lines that cross or overlap (a plan has few).
 MOST_SEGMENTS, MOST_MEETINGS, MOST_CROSSINGS = 50_000, 1_000_000, 10_000
 
 
 class Stretch(NamedTuple):
-    """Part of an edge of a plan where nothing hangs, such as a door."""
+    """Part of an edge of a plan without landmarks, such as a door."""
 
     ring: int
     """Index of the ring: 0 for the outline, 1 for the first hole."""
@@ -46,7 +46,7 @@ class ReadPlan(NamedTuple):
     rings: Sequence[FloatArray]
     """Vertices of the outline and of the holes, counter-clockwise, metres, `(N, 2)` each."""
     stretches: Sequence[Stretch]
-    """Parts of the walls where nothing hangs."""
+    """Parts of the walls without landmarks."""
     scale: str
     """Text on the unit of the file, such as `resolution = 0.05`, for messages."""
     note: str = ""
@@ -56,13 +56,14 @@ class ReadPlan(NamedTuple):
     def of(
         cls, path: str, polygon: Any, openings: Callable[[FloatArray], Iterable[Any]], scale: str, *clauses: str
     ) -> "ReadPlan":
-        """Floor plan of a polygon of shapely with its holes.
+        """Floor plan from a shapely polygon with holes.
 
         Args:
             path: path of the file, for messages.
             polygon: outline and holes.
-            openings: function of an edge `(2, 2)` that returns start, end and name of its parts where nothing hangs.
-            scale, clauses: see the class; clauses of the note, which may be empty.
+            openings: function that returns start, end and name of the parts of an edge `(2, 2)` without landmarks.
+            scale: see the class.
+            clauses: clauses of the note, which may be empty.
         """
         rings = [
             np.array(ring.coords[:-1]) for ring in (polygon.exterior, *(hole.reverse() for hole in polygon.interiors))
@@ -81,7 +82,7 @@ class Drawing(NamedTuple):
     windows: Any
     """Lines of the windows, which close gaps."""
     boxes: list[tuple[str, Any]]
-    """Doors and windows that are blocks: `door` or `window`, and the box, a shapely polygon."""
+    """Doors and windows that are blocks of the drawing: `door` or `window`, and the box, a shapely polygon."""
     unit: str
     """Name of the unit."""
     note: str
@@ -89,7 +90,7 @@ class Drawing(NamedTuple):
 
 
 def plan_of(path: str, drawing: Drawing, gap: float, start: Sequence[float] | None) -> ReadPlan:
-    """Find the room in a drawing; the result is in the frame of the drawing.
+    """Find the room in a drawing; the plan is in the frame of the drawing.
 
     Gaps between walls are closed by the straight lines between their ends. The room is a region that no line crosses;
     lines inside the region, such as a pillar, are allowed.
@@ -162,7 +163,7 @@ def _enclosed(path: str, drawing: Drawing, gap: float, start: Sequence[float] | 
     else:
         at = np.flatnonzero(shapely.covers(triangles, shapely.Point(start)))
         chosen = int(labels[at[0]]) if len(at) else int(outside[0])
-    # Small parts that only a short line separates from the room, such as a niche, belong to the room.
+    # Small parts that only a short line separates from the room belong to the room, such as a niche.
     is_small = (areas[labels] <= gap**2) & (labels != chosen) & ~np.isin(labels, outside)
     clusters = labelled(is_small[first] & is_small[second])
     beside = np.concatenate([np.stack([first, second], axis=1), np.stack([second, first], axis=1)])

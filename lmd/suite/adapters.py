@@ -1,6 +1,6 @@
-"""Problems of the suite as other libraries take them: pymoo, nevergrad, ioh, Optuna and SciPy.
+"""Adapters of the suite's problems to other libraries: pymoo, nevergrad, ioh, Optuna and SciPy.
 
-Values are maximised here; libraries that minimise get them with the opposite sign.
+Values are maximised here; libraries that minimise get values with the opposite sign.
 """
 
 from collections.abc import Callable
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def pymoo_problem(problem: BlackBox) -> Any:
-    """Return a `pymoo.core.problem.Problem` that evaluates a whole population at a time, with one or more objectives.
+    """Return a `pymoo.core.problem.Problem` that evaluates a whole population at once, with one or more objectives.
 
     Raises:
         InputError: pymoo is not installed.
@@ -53,7 +53,7 @@ def nevergrad_function(problem: BlackBox) -> Any:
 
 
 def ioh_problem(problem: BlackBox) -> Any:
-    """Return a problem of IOHexperimenter to be maximised, named as `problem`; its loggers write IOHprofiler's format.
+    """Return a maximisation problem of IOHexperimenter, named like `problem`; its loggers write IOHprofiler's format.
 
     Raises:
         InputError: ioh is not installed, or the problem has several objectives.
@@ -65,7 +65,7 @@ def ioh_problem(problem: BlackBox) -> Any:
 
 
 def optuna_objective(problem: BlackBox) -> "Callable[[optuna.Trial], float | list[float]]":
-    """Return an objective of Optuna to be maximised: genes are the parameters `x0`, `x1` and so on.
+    """Return an objective for Optuna to maximise; genes are the parameters `x0`, `x1` and so on.
 
     A study of several objectives needs `directions=["maximize"] * len(problem.objectives)`.
     """
@@ -77,7 +77,7 @@ def optuna_objective(problem: BlackBox) -> "Callable[[optuna.Trial], float | lis
 
 
 def scipy_function(problem: BlackBox) -> Callable[[FloatArray], FloatArray]:
-    """Return the negative fitness as SciPy's optimisers take it: `(d,)`, or `(d, B)` of `vectorized=True`.
+    """Return the negative fitness as a function for SciPy's optimisers of `(d,)`, or `(d, B)` with `vectorized=True`.
 
     Raises:
         InputError: the problem has several objectives.
@@ -87,7 +87,7 @@ def scipy_function(problem: BlackBox) -> Callable[[FloatArray], FloatArray]:
 
 
 def _number(values: FloatArray) -> float | list[float]:
-    """A value as Python's number; several as a list."""
+    """One value as a Python number; several values as a list."""
     return values.tolist()  # type: ignore[no-any-return]
 
 

@@ -12,24 +12,24 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
 
 IMPOSSIBLE = -1.0
-"""Value of a candidate whose papers find no room, or whose cameras are not admissible: below every fitness."""
+"""Value of a candidate without room for all tags, or with cameras that are not admissible; below every fitness."""
 
 
 class BlackBox:
-    """A problem as a function of genes in the unit box, to be maximised; every value is in [0, 1], or `IMPOSSIBLE`.
+    """Problem as a function of genes in the unit box, to be maximised; values are in [0, 1] or `IMPOSSIBLE`.
 
     Args:
         problem: the problem.
         name: name in messages and records.
-        encoding: encoding of landmarks, see `lmd.optimisers.encoding.make_encoding`; problems with a genome of their
-            own ignore it.
+        encoding: encoding of landmarks, see `lmd.optimisers.encoding.make_encoding`; ignored if the problem has its own
+            genome.
 
     Raises:
-        InputError: there is no such encoding.
+        InputError: the encoding is unknown.
     """
 
     objectives: Sequence[str]
-    """Names of the values; a single one for most problems."""
+    """Names of the objectives; most problems have one."""
 
     def __init__(self, problem: Problem, name: str = "problem", encoding: str = "wall") -> None:
         self.problem, self.name = problem, name
@@ -59,13 +59,13 @@ class BlackBox:
         """Values of candidates.
 
         Args:
-            genes: `(B, d)` genes of B candidates in [0, 1], or `(d,)` of one.
+            genes: genes in [0, 1] of B candidates `(B, d)`, or of one `(d,)`.
 
         Returns:
-            `(B,)` fitness to be maximised, or a number for one candidate. With M > 1 objectives `(B, M)`, or `(M,)`.
+            fitness to be maximised, `(B,)`, or a number for one candidate. With M > 1 objectives `(B, M)`, or `(M,)`.
 
         Raises:
-            InputError: the genes have another shape, are no numbers, or lie outside [0, 1].
+            InputError: the genes have another shape, are not numbers, or lie outside [0, 1].
         """
         try:
             is_one = np.ndim(genes) == 1
@@ -81,7 +81,7 @@ class BlackBox:
         return self.problem.labelled(self.genome.deployment(genes))
 
     def rig(self, genes: FloatArray) -> Rig | None:
-        """Cameras of a candidate `(d,)`; None where the problem places landmarks."""
+        """Cameras of a candidate `(d,)`; None if the problem places landmarks."""
         return self.genome.rig(genes)
 
     def score(self, genes: FloatArray, seed: int = 0) -> Mapping[str, float]:

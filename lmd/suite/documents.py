@@ -20,13 +20,13 @@ MOVED = {
     "lmd.formats.deployments.FileDeployment": "lmd.formats.tag_maps.FileDeployment",
     "lmd.space.relevance.Relevance": "lmd.space.space.Relevance",
 }
-"""Classes that documents name by the modules in which they stood, and where they stand now; digests keep the names."""
+"""Present names of classes by the names in documents, if a class has moved; digests use the names in documents."""
 HASH_DIGITS = 16
 KEYS = ("about", "set", "version", "hash", "budgets", "bound", "problem")
 FOLDER = Path(__file__).parent / "problems"
-"""Folder of the documents and of the files that they name; not in `conf`, where Hydra would take it for a group."""
+"""Folder of the documents and of the files that they name. In `conf`, Hydra would take this folder for a group."""
 BEST = FOLDER / "best"
-"""Folder of the records of the best candidates known, and of the candidates."""
+"""Folder of the best known candidates and their records."""
 
 
 @dataclass(frozen=True)
@@ -38,21 +38,21 @@ class Document(Checked):
     """
 
     name: str
-    """Name, that of its file."""
+    """Name of the problem and of its file."""
     about: str
-    """A sentence."""
+    """Description of the problem, a sentence."""
     set: Annotated[str, partial(choice, options=SETS)]
-    """Smallest set that contains it, one of `SETS`."""
+    """Smallest set that contains the problem, one of `SETS`."""
     version: Count
     """Version of the problem; a changed hash needs a new version."""
     hash: str
-    """Digest of everything that decides the fitness, as `digest` gives it."""
+    """Result of `digest`: digest of everything that determines the fitness."""
     budgets: Sequence[int]
-    """Evaluations of the three budgets, ascending."""
+    """Numbers of evaluations of the three budgets, ascending."""
     bound: Annotated[float, partial(real, above=0.0, high=1.0)] | None
-    """Proven upper bound of the fitness of all candidates; None for none below 1."""
+    """Proven upper bound on the fitness of all candidates; None if none below 1 is known."""
     best: Mapping[str, Any] | None
-    """Record of the best candidate known, as `lmd.suite.records.verify` makes it; None before one was recorded."""
+    """Record of the best known candidate, made by `lmd.suite.records.verify`; None if there is no record yet."""
     problem: Mapping[str, Any]
     """Nodes of the problem, as in a configuration of `pipelines.optimise`."""
 
@@ -75,7 +75,7 @@ def names(which: str = "full") -> list[str]:
     """Names of the problems of a set, sorted.
 
     Raises:
-        InputError: there is no such set.
+        InputError: the set is unknown.
     """
     choice("set", which, SETS)
     every = sorted(path.stem for path in FOLDER.glob("*.yaml"))
@@ -84,7 +84,7 @@ def names(which: str = "full") -> list[str]:
 
 @cache
 def document(name: str) -> Document:
-    """Document of a problem; that of an instance, such as `tiny_mean-3`, has no bound and no best candidate.
+    """Document of a problem; an instance, such as `tiny_mean-3`, has no bound and no best candidate.
 
     Raises:
         InputError: no problem has that name, or its document is damaged.
@@ -109,12 +109,12 @@ def _frozen(name: str) -> Document:
 
 
 def with_paths(node: Any) -> Any:
-    """Copy the nodes of a problem with the full paths of all files, and classes where they stand now."""
+    """Copy the nodes of a problem, with full paths of files and present names of classes."""
     return _changed(node, {FILE: lambda file: str(FOLDER / file), TARGET: lambda target: MOVED.get(target, target)})
 
 
 def _changed(node: Any, change: Mapping[str, Callable[[str], str]]) -> Any:
-    """Copy the nodes of a problem with the texts of some keys changed."""
+    """Copy the nodes of a problem, with the values of the keys in `change` changed."""
     if isinstance(node, Mapping):
         return {
             key: change[key](str(value)) if key in change and value is not None else _changed(value, change)

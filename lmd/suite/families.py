@@ -1,4 +1,4 @@
-"""Families of problems: each problem of the suite is drawn anew by a number, its instance.
+"""Families of problems: variants of each problem of the suite, drawn at random by the number of the instance.
 
 An instance has another room, camera, number of landmarks, size of tags and numbers of the objective, drawn from the
 distributions of `draws.yaml`. Instance 0 is the frozen problem.
@@ -19,9 +19,9 @@ from lmd.core.files import read_keys
 TARGET = "_target_"
 
 HELD_OUT = 1000
-"""First instance that is held out: no optimiser and no default is tuned on it or on those above."""
+"""First held-out instance: no optimiser and no default is tuned on instances from this number on."""
 SEPARATOR = "-"
-"""Between the name of a family and the number of an instance in the name of a problem."""
+"""Separator of family and instance number in the name of a problem."""
 DIGITS = 4  # significant digits of a drawn number
 
 
@@ -31,10 +31,10 @@ def instance_name(family: str, instance: int) -> str:
 
 
 def instance_of(name: str) -> int:
-    """Instance that a name names.
+    """Number of the instance in the name of a problem.
 
     Raises:
-        InputError: it is not a number.
+        InputError: the name does not end in a number.
     """
     number = name.partition(SEPARATOR)[2] or "0"
     if not number.isdecimal():
@@ -52,10 +52,10 @@ def drawn(nodes: Mapping[str, Any], family: str, instance: int) -> dict[str, Any
     """
     rng = np.random.default_rng([zlib.crc32(family.encode()), instance])
     made = copy.deepcopy(dict(nodes))
-    is_counted = "counts" in made["tag"]  # of each size, so that their sum is the number of landmarks
+    is_counted = "counts" in made["tag"]  # numbers of tags of each size, so that their sum is the number of landmarks
     done = list[int]()
     for part in _parts(made):
-        if id(part) in done:  # a tag that the scene and its visibility share
+        if id(part) in done:  # a tag shared by the scene and its visibility model
             continue
         done.append(id(part))
         for paths, draw in _draws().get(part[TARGET], {}).items():
@@ -73,7 +73,7 @@ def _draws() -> Mapping[str, Any]:
 
 
 def _parts(node: Any) -> Iterator[dict[str, Any]]:
-    """The nodes that name a class, those within others first."""
+    """Nodes that name a class; nested nodes come first."""
     for value in node.values() if isinstance(node, dict) else node if isinstance(node, list) else ():
         yield from _parts(value)
     if isinstance(node, dict) and TARGET in node:
@@ -81,7 +81,7 @@ def _parts(node: Any) -> Iterator[dict[str, Any]]:
 
 
 def _change(node: Any, path: Sequence[str], operation: str, by: Any) -> None:
-    """Change the values at a path below a node; a path that it does not have is left out."""
+    """Change the values at a path below a node, if the node has this path."""
     first, *rest = path
     for key in range(len(node)) if first == "*" else [first] if first in node else []:
         if rest:
@@ -91,7 +91,7 @@ def _change(node: Any, path: Sequence[str], operation: str, by: Any) -> None:
 
 
 def _changed(value: Any, operation: str, by: Any) -> Any:
-    """A number, a vector or a list of vectors, changed by a number or by one for each axis; a count stays whole."""
+    """Number, vector or list of vectors, changed by one number or by one for each axis; a count stays whole."""
     numbers = np.array(value)
     each = by[: numbers.shape[-1]] if np.ndim(by) else by
     found = numbers * each if operation == "times" else numbers + each

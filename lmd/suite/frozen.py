@@ -18,7 +18,7 @@ from lmd.suite.families import TARGET, instance_name
 from lmd.suite.several import SeveralObjectives, TagChoice
 
 COUNTED = {"tags": False, "paper": True}
-"""Second objective of a problem that chooses tags, and a flag: weigh tags by paper."""
+"""Second objectives of problems that choose tags; True if tags are weighed by their paper."""
 
 
 def problem(name: str, threads: int | None = 1, instance: int = 0) -> BlackBox:
@@ -26,9 +26,9 @@ def problem(name: str, threads: int | None = 1, instance: int = 0) -> BlackBox:
 
     Args:
         name: one of `names()`, or the name of an instance, such as `tiny_mean-3`.
-        instance: number of an instance of the family `name`; 0 is the frozen problem, and those from 1000 on are held
+        instance: number of an instance of the family `name`; 0 is the frozen problem. Instances from 1000 on are held
             out, see `lmd.suite.families`.
-        threads: worker threads; None for all processors. The values do not depend on it.
+        threads: number of worker threads; None for all processors. The values do not depend on this number.
 
     Raises:
         InputError: no problem has that name.
@@ -66,7 +66,7 @@ def camera_of(frozen: Document) -> Camera:
 
 
 def _made(node: Any) -> Any:
-    """The object that a node describes, with all nodes within it."""
+    """Make the object that a node describes, with all nested nodes."""
     if isinstance(node, list):
         return [_made(each) for each in node]
     if not isinstance(node, Mapping):

@@ -1,8 +1,8 @@
-"""Entries and records of the suite: a candidate, who found it and how, scored by the NumPy reference.
+"""Entries and records of the suite: candidates with their origin, scored by the NumPy reference.
 
-An entry is a file in YAML with the keys of `ENTRY`; its `candidate` is a list of genes, or a file beside it: a table of
-landmarks, a rig file where cameras are placed, or with two objectives a table of landmarks with the number of the point
-of the front in the column `point`. A record is an entry with its score. `problems/best` has the best candidates known.
+An entry is a YAML file with the keys of `ENTRY`. Its `candidate` is a list of genes, or the name of a file in the same
+folder: a rig file if cameras are placed, else a table of landmarks. With two objectives, the table's column `point`
+numbers the points of the front. A record is an entry with its score. `problems/best` has the best known candidates.
 """
 
 import datetime
@@ -32,23 +32,23 @@ from lmd.suite.several import SeveralObjectives, TagChoice
 
 ENTRY = ("problem", "who", "how", "when", "candidate")
 POINT = "point"
-"""Column of the table of a front."""
+"""Column that numbers the points in the table of a front."""
 
 
 def verify(path: str | Path) -> dict[str, Any]:
-    """Score an entry by the NumPy reference; a score that the file claims is not read.
+    """Score an entry by the NumPy reference; a score in the file is ignored.
 
     Args:
         path: the entry, or a record, which is scored again.
 
     Returns:
-        the record: the entry; `value`, the fitness, or with two objectives the hypervolume of the front from the
-        origin; `off_grid`, the headline figure off the grid, None for a front; `version` and `hash` of the problem;
-        `scorer`.
+        the record, which adds to the entry: `value`, the fitness, or with two objectives the hypervolume of the front
+        from the origin; `off_grid`, the headline figure off the grid, None for a front; `version` and `hash` of the
+        problem; `scorer`.
 
     Raises:
-        InputError: the file cannot be read, a key is missing, there is no such problem, or the candidate is none of the
-            problem.
+        InputError: the file cannot be read, a key is missing, the problem is unknown, or the candidate does not belong
+            to the problem.
     """
     path = Path(path)
     keys = read_keys(path, "entry")
@@ -80,7 +80,7 @@ def scored(frozen: Document, candidate: Any, folder: Path) -> dict[str, float | 
         folder: folder of the entry.
 
     Raises:
-        InputError: the candidate is none of the problem.
+        InputError: the candidate does not belong to the problem.
     """
     box = build(frozen, threads=None)
     if len(box.objectives) > 1:
@@ -92,7 +92,7 @@ def scored(frozen: Document, candidate: Any, folder: Path) -> dict[str, float | 
         deployment, rig = box.deployment(genes), box.rig(genes)
     elif isinstance(problem, CameraProblem):
         deployment, rig = problem.tags, rig_in(frozen, folder / candidate)
-        problem.space.genes(rig)  # refuses cameras that may not be mounted so
+        problem.space.genes(rig)  # raises an error if the mounts of cameras are not admissible
     else:
         source = FileDeployment(str(folder / candidate), count=problem.count)
         deployment = problem.labelled(problem.scene.footprints.draw(source, np.random.default_rng(0)))
@@ -108,13 +108,13 @@ def _values(box: BlackBox, deployment: Deployment) -> FloatArray:
 
 
 def hypervolume(points: FloatArray) -> float:
-    """Area between the origin and points `(N, 2)` of a front, whose values are maximised."""
+    """Area that the points `(N, 2)` of a front dominate, from the origin; values are maximised."""
     first, second = points[np.argsort(-points[:, 0])].T
     return float(-np.diff(first, append=0.0) @ np.maximum.accumulate(second))
 
 
 def best_deployments(name: str) -> list[Deployment]:
-    """Best deployment known of a problem, or the front of a problem with several objectives.
+    """Best known deployment of a problem, or the front of a problem with several objectives.
 
     Raises:
         InputError: there is no problem of that name, none is recorded, or the problem places cameras.
@@ -126,7 +126,7 @@ def best_deployments(name: str) -> list[Deployment]:
 
 
 def best_rig(name: str) -> Rig:
-    """Best cameras known of a problem that places cameras.
+    """Best known cameras of a problem that places cameras.
 
     Raises:
         InputError: there is no problem of that name, none is recorded, or the problem places landmarks.
@@ -139,7 +139,7 @@ def best_rig(name: str) -> Rig:
 
 
 def deployments_of(path: Path) -> list[Deployment]:
-    """Deployments of a table of landmarks: one, or those of the points of a front."""
+    """Deployments in a table of landmarks: one, or one for each point of a front."""
     table = read_table(path, name="candidate")
     every = Deployment.from_table(table)
     if POINT not in table:

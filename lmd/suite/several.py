@@ -1,4 +1,4 @@
-"""Problems with two objectives, all of which are maximised."""
+"""Problems with several objectives, all to be maximised."""
 
 from collections.abc import Mapping, Sequence
 
@@ -12,7 +12,7 @@ from lmd.scene.deployment import Deployment
 from lmd.suite.black_box import IMPOSSIBLE, BlackBox
 
 HUNG = 0.5
-"""Gene of a tag from which on the tag is hung."""
+"""Least gene of a tag at which the tag is hung."""
 
 
 class SeveralObjectives(BlackBox):
@@ -48,9 +48,9 @@ class SeveralObjectives(BlackBox):
 
 
 class TagChoice(BlackBox):
-    """The fitness against the share of the tags, or of their paper, that is left over.
+    """Problem with two objectives: the fitness, and the share of tags (or of their paper) that is not used.
 
-    Each landmark has a gene more than in the problem: the tag is hung if the gene is at least `HUNG`. A candidate
+    Each landmark has one gene more than in the problem: the tag is hung if this gene is at least `HUNG`. A candidate
     without tags has the fitness 0.
 
     Args:
@@ -89,7 +89,7 @@ class TagChoice(BlackBox):
         return deployment
 
     def values_of(self, deployment: Deployment) -> FloatArray:
-        """Fitness of some of the tags, and the share that is left over, `(2,)`."""
+        """Fitness with the tags that are hung, and the share that is not used, `(2,)`."""
         used, every = (
             (sizes**2).sum() if self.by_paper else len(sizes)
             for sizes in (deployment.edges_of(self.problem.scene.tag), self.problem.sizes)
@@ -108,7 +108,7 @@ class TagChoice(BlackBox):
         return np.array([IMPOSSIBLE, 0.0]) if deployment is None else self.values_of(deployment)
 
     def _hung(self, row: FloatArray) -> Deployment | None:
-        """Tags that a candidate `(d,)` hangs, their papers pushed apart; None for no tag, or if these find no room."""
+        """Tags that a candidate `(d,)` hangs, pushed apart; None if there is no tag, or no room for the tags."""
         hangs = row[self.genome.dim :] >= HUNG
         if not hangs.any():
             return None
