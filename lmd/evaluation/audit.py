@@ -101,7 +101,7 @@ class Audit:
 
     @property
     def tables(self) -> dict[str, pd.DataFrame]:
-        """Tables by the names of their files."""
+        """Tables, keyed by file name."""
         return {
             "audit_pitches": by_pitch(self.prediction, self.seen),
             "audit_incidences": by_incidence(self.prediction, self.seen),

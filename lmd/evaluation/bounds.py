@@ -136,7 +136,7 @@ def fewest_landmarks(problem: Problem, target: float, search: Search) -> int:
     landmarks.
 
     A dual bounds the fitness by a line in K. The search starts with too few landmarks, and raises the number to the
-    point where the line reaches the target; by concavity this number is a lower bound, too. The search ends when the
+    point where the line reaches the target. By concavity, this number is again a lower bound. The search ends when the
     bound reaches the target.
 
     Raises:
@@ -153,7 +153,8 @@ def fewest_landmarks(problem: Problem, target: float, search: Search) -> int:
 
 
 def affordable(problem: Problem, count: int, search: Search) -> Search:
-    """Choose the spacing of a search's poses so that its time suffices, from the measured time of a scan of some poses.
+    """Choose the spacing of the poses so that the time of a search suffices, from the measured time of scanning some
+    poses.
 
     Without a time limit the search is returned unchanged.
 

@@ -27,7 +27,7 @@ CURVE_TARGETS = 50  # number of targets of a curve
 CONFIDENCE = 0.95  # confidence level of intervals
 SIGNIFICANCE = 0.05  # significance level of tests
 LEAST_PAIRS = 2  # least number of pairs for a test
-MOST_EXACT = 8  # largest samples with ties whose permutations are all enumerated
+MOST_EXACT = 8  # largest size of samples with ties for which all permutations are enumerated
 
 
 @dataclass(frozen=True)

@@ -60,7 +60,7 @@ class Rendered:
             problem: the problem; its tags may be points.
             tag: tag that is drawn.
             imaging: optics and sensor.
-            detectors: detectors by name.
+            detectors: detectors, keyed by name.
             frames: number of poses.
             seed: seed of the poses, and of a random deployment.
 
@@ -112,7 +112,7 @@ def sightings(subjects: Mapping[str, Rendered], seed: int, each: Each) -> dict[s
     """Detections, keyed by the name of the subject, then of the detector.
 
     Args:
-        subjects: subjects by name.
+        subjects: subjects, keyed by name.
         seed: seed of the noise.
         each: function such as `map`, which applies a function to each job, in the order of the jobs.
     """

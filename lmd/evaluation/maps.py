@@ -30,7 +30,7 @@ QUANTILES = (0.05, 0.5, 0.95)
 
 @dataclass(frozen=True)
 class MountedTags:
-    """Tags with their upper edges, which need not be upright."""
+    """Tags, not necessarily upright, with the directions of their upper edges."""
 
     deployment: Deployment
     """K landmarks."""
@@ -57,7 +57,7 @@ def map_errors(
         problem: problem with the scene, n, and the noise of a corner; another objective than `Localisation` has the
             noise of the default `Localisation`.
         truth: K tags as they hang. The visibility model, which assumes upright tags, decides which tags are seen.
-        maps: K tags as assumed by the estimates, by name; all maps are tested with equal noise.
+        maps: K tags as the estimates assume them, keyed by the name of the map; all maps are tested with equal noise.
         poses: X, `(N, 4, 4)`.
         rng: draws the noise.
 
@@ -88,7 +88,7 @@ def map_errors(
 
 
 def named_figures(*tables: "pd.DataFrame") -> dict[str, float]:
-    """Finite values of tables by name, such as `fitness/5` for the row `fitness` and the column `5 %`."""
+    """Finite values of tables, keyed by names such as `fitness/5` for the row `fitness` and the column `5 %`."""
     return {
         f"{row}/{column}".replace(" %", ""): float(value)
         for table in tables

@@ -106,7 +106,7 @@ class Target(Protocol):
 
 @dispatched_call
 def bound(field: Any, k: Integer, pose: Any, surface: Integer, state: Any, scratch: Any) -> None:
-    """Write upper bounds on the values with landmark k at `pose` on a surface into `scratch.units`.
+    """Write into `scratch.units` upper bounds on the values with landmark k at `pose` on a surface.
 
     `pose` `(6,)` is position (metres) and unit normal. Bounds are cheap and let most moves be dropped.
     """

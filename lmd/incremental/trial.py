@@ -1,4 +1,4 @@
-"""Trial of a move of one landmark: P_n with the landmark at another place, first an upper bound, then exact.
+"""Trial of a move of one landmark: an upper bound on P_n with the landmark at another place, then the exact P_n.
 
 A move of landmark k changes the counts at a position in at most four ways: k is no longer covered at its old place;
 landmarks that k hid appear; landmarks that k hides from its new place disappear; k is covered at its new place. The
@@ -206,7 +206,7 @@ def _find_units(k: Integer, positions: FloatArray, n: Integer, weights: Any, sta
 
 @inner
 def see_whole(k: Integer, field: Any, state: Any, scratch: Any) -> None:
-    """Run `see` for all orientations."""
+    """Run `see` for all orientations, not only for those that matter to the trial."""
     positions, asked = scratch.lists[LISTED][: list_changing(state, k, scratch)], scratch.sets[ASKED]
     for p in positions:
         for w in range(np.uint64(asked.shape[1])):
@@ -216,7 +216,7 @@ def see_whole(k: Integer, field: Any, state: Any, scratch: Any) -> None:
 
 @inner
 def bound_move(field: Any, k: Integer, pose: Any, surface: Integer, state: Any, scratch: Any) -> None:
-    """Write upper bounds on P_n with landmark k at `pose` on a surface into `scratch.units`, see `field.bound`."""
+    """Write into `scratch.units` upper bounds on P_n with landmark k at `pose` on a surface, see `field.bound`."""
     k = np.uint64(k)
     begin_move(k, pose, surface, field, state, scratch)
     ask_touched(k, field.n, False, state, scratch)

@@ -230,7 +230,7 @@ class AskTell(Optimiser):
 
     @override
     def restore(self, state: Mapping[str, Any], problem: Problem) -> None:
-        """See `Optimiser.restore`; all batches are repeated, which takes the computing time of the method."""
+        """See `Optimiser.restore`; all batches are repeated, which takes the optimiser's own computing time."""
         checksums = array("checksums", state["checksums"], np.uint32, None)
         seconds = array("wall_time", state["wall_time"], np.float64, len(checksums), low=0.0)
         batches = array("batches", state["batches"], np.int64, len(checksums), low=1)

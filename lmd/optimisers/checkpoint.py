@@ -92,7 +92,7 @@ class Checkpoint:
 
 
 def _without_arrays(name: str, value: Any, arrays: dict[str, Any]) -> Any:
-    """Turn `value` into JSON with names in place of its arrays, which are added to `arrays`."""
+    """Turn `value` into JSON with names in place of arrays, and add the arrays to `arrays`."""
     if value is None or isinstance(value, str | bool | int | float):
         return value
     if isinstance(value, np.generic):

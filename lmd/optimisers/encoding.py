@@ -96,7 +96,7 @@ class PaperEncoding:
 
 
 class WallEncoding:
-    """Two genes for a landmark: a coordinate along the surfaces laid side by side, and a height on the surface.
+    """Two genes for a landmark: the coordinate along all surfaces, side by side, and the height on the surface.
 
     Each piece of a surface where landmarks may hang has a share of the first gene in proportion to its area, so uniform
     genes are uniform over these places. Without `flush`, two more genes turn the normal by up to 90 degrees towards u
@@ -212,5 +212,5 @@ class LandmarkGenome:
 
 
 def _behind(fixed: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """Put `fixed` `(F, ...)` before each of the arrays `free` `(B, N, ...)`."""
+    """Put the array `fixed` `(F, ...)` before the free landmarks of each deployment in `free` `(B, N, ...)`."""
     return np.concatenate([np.broadcast_to(fixed, (len(free), *fixed.shape)), free], axis=1)

@@ -23,9 +23,7 @@ def recombination_range(shortest: float, longest: float) -> tuple[float, float]:
 
 
 def run_of_genes(rng: np.random.Generator, dim: int, shortest: float, longest: float) -> slice:
-    """Draw a run of genes in a chromosome of `dim` genes; the run is between `shortest` and `longest` times `dim`
-    long.
-    """
+    """Draw a run of successive genes of a chromosome; its length is between `shortest` and `longest` times `dim`."""
     length = int(rng.integers(round(shortest * dim), round(longest * dim), endpoint=True))
     first = int(rng.integers(0, dim - length, endpoint=True))
     return slice(first, first + length)

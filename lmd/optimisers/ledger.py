@@ -50,7 +50,8 @@ class Record:
     best_fitness: float
     """Best fitness."""
     wall_time: float
-    """Seconds spent; all records of a batch have the time of its end, as its candidates are evaluated together."""
+    """Seconds spent; all records of a batch have the end time of the batch, as its candidates are evaluated together.
+    """
 
 
 @dataclass

@@ -7,7 +7,7 @@ position p without occlusion, else 0, `w_a` the probability of an axis and `r_p`
     such that  n y_pa <= sum_j A_jpa x_j   for all p, a             y_pa: at least n landmarks are covered
                thold_p z_p <= sum_a w_a y_pa   for all p
                sum_j x_j = K,   of each size of tags if there are several,   y and z 0 or 1,
-               x_j 0 to n for points; 0 or 1 for papers, and x_i + x_j <= 1 where they overlap.
+               x_j 0 to n for points; 0 or 1 for tags, and x_i + x_j <= 1 where their papers overlap.
 
 Axes that equal sets of poses cover from a position are combined to one row, with the sum of their weights. Occlusion
 only reduces the numbers of covered landmarks, so a bound on the program also holds with occlusion. The chosen

@@ -72,7 +72,7 @@ def generator(name: str, state: Mapping[str, Any]) -> np.random.Generator:
 
 
 def deployment_state(deployment: Deployment) -> dict[str, Any]:
-    """Return a deployment as data, without its labels, which the problem has (`Problem.labelled`)."""
+    """Return a deployment as data, without its labels; the problem has the labels (`Problem.labelled`)."""
     return {name: getattr(deployment, name) for name in POSE_FIELDS}
 
 

@@ -17,7 +17,7 @@ from lmd.render.imaging import UInt8Array
 
 # Colours of outlines in frames: red, green, blue.
 BOTH, ONLY_DETECTED, ONLY_PREDICTED = (26, 150, 65), (31, 119, 220), (214, 39, 40)
-# Bounds of classes of a tag's size over its limit.
+# Bounds of the classes of the ratio of a tag's size to its limit.
 RATIOS = np.arange(0.3, 2.51, 0.1)
 PITCH_TICKS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 LEGEND = (

@@ -76,15 +76,15 @@ def _cells() -> tuple[FloatArray, FloatArray]:
 def _fill(
     sight: Any, centres: FloatArray, angles: FloatArray, axes: FloatArray, shifts: FloatArray, table: np.ndarray
 ) -> None:
-    """For each cell, write the set of axes whose field of view contains the centre at least the cell's angle inside.
+    """For each cell, write the set of axes for which the cell's centre is at least the cell's angle inside the view.
 
     Args:
         sight: compiled model of sight.
         centres: unit directions of the centres of the cells, `(3, cells)`.
         angles: angle from the border of the field of view by cell, `(cells,)`, rad.
         axes: axis and right, `(6, 64 W)`.
-        shifts: displacement of the camera by axis, over the distance of the landmark, `(3, 64 W)`; it is subtracted
-            from the centre.
+        shifts: displacement of the camera for each axis, divided by the distance of the landmark, `(3, 64 W)`; the
+            displacement is subtracted from the centre.
         table: receives the sets of axes, `(cells, W)`.
     """
     for c in range(len(angles)):

@@ -128,7 +128,7 @@ class Evaluator:
 
     @property
     def probability(self) -> FloatArray:
-        """Probability of each axis, `(1, 64 W)` if it is equal at all positions, else `(P, 64 W)`."""
+        """Probability of each axis, `(1, 64 W)` if all positions have equal probabilities, else `(P, 64 W)`."""
         return np.asarray(self.weights / PROBABILITY_ONE)
 
     @cached_property

@@ -71,7 +71,8 @@ def evaluate_range(
         weights: quantised probability of each axis, `(1, D)` for all positions or `(P, D)` for each.
         n: number of landmarks that must be covered.
         units: receives quantised P_n, `(B, P)` int64.
-        counts: receives the number of landmarks covered by axis, `(B, P, D)` int16 zeros; empty if it is not asked for.
+        counts: receives the number of landmarks that each axis covers, `(B, P, D)` int16 zeros; empty to skip the
+            counts.
     """
     order, positions, landmarks, normals, sight, horizon, obstacles, axes, bands, weights = batch
     # numba compiles one branch of `tables is None`, by the type of `tables`.

@@ -35,7 +35,7 @@ from lmd.space.surface import SurfaceArrays
 
 # Number of chunks of poses or positions per thread. Several chunks balance the load, as the work differs between walls.
 CHUNKS_PER_THREAD = 8
-CELL_BYTES = 400  # memory of a cell while cells are made: vectors of the cell and its pose, some of them twice
+CELL_BYTES = 400  # memory of a cell while cells are made: vectors of the cell and of its pose, some vectors twice
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ def _gains(
     start: Integer, stop: Integer, points: FloatArray, normals: FloatArray, slack: FloatArray, prices: FloatArray,
     parts: Any, out: FloatArray,
 ) -> None:  # fmt: skip
-    """Write the gains of the poses `start` to `stop - 1` into `out` `(N,)`.
+    """Write into `out` `(N,)` the gains of the poses `start` to `stop - 1`.
 
     Arguments as in `gains`, except that the positions are `(3, P)`.
     """

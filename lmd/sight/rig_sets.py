@@ -64,7 +64,7 @@ def _add_covered(
     positions: FloatArray, group: Any, landmarks: FloatArray, normals: FloatArray, slack: FloatArray, n: Integer,
     keep: bool, seen: WordArray,
 ) -> None:  # fmt: skip
-    """Add the orientations with which the cameras of a group cover each landmark to `seen`.
+    """Add to `seen` the orientations with which the cameras of a group cover each landmark.
 
     Args:
         positions: positions of the body, in blocks of neighbours, `(P, 3)`, metres.
@@ -174,7 +174,7 @@ def _count_set(at_least: WordArray, w: Integer, visible: Any) -> None:
 
 @inner
 def _add_within_slack(group: Any, body: Vector, pose: Any, k: Integer, slack: Any, seen: Any) -> None:
-    """Add the orientations that cover some landmark within `slack` metres of landmark k to `seen` `(W,)`."""
+    """Add to `seen` `(W,)` the orientations that cover any landmark within `slack` metres of landmark k."""
     sight, (place, normal) = sized(group.sight, k), pose
     if slack == 0.0:
         return
@@ -195,7 +195,7 @@ def _add_within_slack(group: Any, body: Vector, pose: Any, k: Integer, slack: An
 def covered_sets(
     groups: tuple[MountGroup, ...], blockers: Blocking, positions: FloatArray, poses: Poses, n: int = 0
 ) -> np.ndarray:
-    """Sets of the orientations with which some camera covers each landmark, `(P, K, W)`.
+    """Sets of the orientations with which any camera covers each landmark, `(P, K, W)`.
 
     Args:
         groups: the mounts of the rig.

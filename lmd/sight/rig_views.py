@@ -24,7 +24,8 @@ LARGEST_BATCH = 256
 
 @kernel
 def _sum_probability(seen: Any, weights: Any, n: Integer, units: Any, counts: Any) -> None:
-    """Write quantised P_n into `units` `(P,)`, and numbers of landmarks into `counts` `(P, 64 W)` unless it is empty.
+    """Write quantised P_n into `units` `(P,)`, and numbers of landmarks into `counts` `(P, 64 W)` unless `counts` is
+    empty.
 
     `seen` `(P, K, W)` has the orientations that cover each landmark.
     """
@@ -53,7 +54,7 @@ def _sum_probability(seen: Any, weights: Any, n: Integer, units: Any, counts: An
 
 @kernel
 def _sum_gains(seen: Any, prices: FloatArray, out: Any) -> None:
-    """Write the sum of the `prices` `(P, 64 W)` over the orientations `seen` `(P, N, W)` into `out` `(N,)`."""
+    """Write into `out` `(N,)` the sum of the `prices` `(P, 64 W)` over the orientations `seen` `(P, N, W)`."""
     row = np.empty(prices.shape[1])
     for j in range(len(out)):
         row[:] = 0.0

@@ -139,7 +139,8 @@ def gather(
 def load_deployment(
     b: Integer, landmarks: FloatArray, normals: FloatArray, sight: Any, room: Any, poses: FloatArray
 ) -> None:
-    """Write deployment b into `poses` `(6, K)` and, unless the `room` is clear, into its ends, see `is_shown`.
+    """Write deployment b into `poses` `(6, K)` and, unless the `room` is clear, into the ends of `room`, see
+    `is_shown`.
 
     `landmarks` and `normals` are `(B, 3, K)`.
     """

@@ -54,11 +54,11 @@ class FilteredScratch(NamedTuple):
     pose: np.ndarray
     """`(6,)` the place tried."""
     surface: np.ndarray
-    """`(1,)` its surface."""
+    """`(1,)` surface of the place tried."""
     covered: np.ndarray
     """`(F,)` uint8, 1 for frames that cover the landmark at the place tried."""
     hidden: np.ndarray
-    """`(F,)` int16 number of the landmarks that hide it."""
+    """`(F,)` int16 number of the landmarks that hide the landmark at the place tried."""
     counts: np.ndarray
     """`(F,)` int16, see `FilteredState`; valid for changed frames, as are `sums`."""
     sums: np.ndarray
@@ -71,7 +71,8 @@ class FilteredScratch(NamedTuple):
     """`(D,)` int64: first changed frame of each drive, where the filter restarts; end of the drive if no frame changes.
     """
     pairs: np.ndarray
-    """`(3, F K)` int32: frame, another landmark, and change of the number of landmarks that hide it."""
+    """`(3, F K)` int32: frame, another landmark, and change of the number of landmarks that hide this other landmark.
+    """
     numbers: np.ndarray
     """`(1,)` int64: number of pairs."""
     others: np.ndarray

@@ -11,15 +11,15 @@ covariance:
 Here the twist is expressed in the axes of the world: v is the error of the camera's position and w the error of its
 rotation. In these axes Ad(T^-1) is v <- v + w x d with the displacement d of the camera. Odometry with equal noise
 along all axes has the covariance Q = diag(m^2 h, t^2 h) in any axes, with the densities m and t over the time h. I has
-the numbers of `lmd.objectives.localisation.information`, without rounding the inverse of the squared noise to one.
+the numbers of `lmd.objectives.localisation.information` times `Tolerance.scale`, which contains the noise.
 
 A covariance or an information is 21 numbers: the block of v as xx, xy, xz, yy, yz, zz, the block of v and w row by row,
 and the block of w as that of v. The functions take numbers or arrays; kernels compile the functions that the reference
 calls, so the results are equal bit for bit.
 
 The information of a view is rounded to multiples of `information.QUANTUM`. In a direction that the view leaves
-undetermined, it is a small number of either sign, which matters where P is large: `update_beyond_rounding` leaves such
-directions out.
+undetermined, the rounded information is a small number of either sign. Such numbers matter if P is large, so
+`update_beyond_rounding` leaves out such directions.
 """
 
 from typing import Any, NamedTuple
@@ -205,7 +205,7 @@ class Lanes(NamedTuple):
     informed: np.ndarray
     """`(LANES,)` uint8, 1 if the frame of the lane has information."""
     frames: IntArray
-    """`(2, LANES)` next frame of each lane and the end of its drive; equal for a lane without work."""
+    """`(2, LANES)` next frame of each lane, and end of the drive in that lane; both are equal for an idle lane."""
     dense: FloatArray
     """`(3, 6, 6)` memory of `update_beyond_rounding`."""
 

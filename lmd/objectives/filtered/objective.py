@@ -76,7 +76,9 @@ class SeenFrames:
         return seen
 
 
-VAGUE, ROUNDED = 512, 64  # quanta of information that matter next to the first estimate, and that are rounding errors
+# In quanta of information: rounding matters if VAGUE quanta exceed the information of the vaguest pose; pivots below
+# ROUNDED are rounding errors.
+VAGUE, ROUNDED = 512, 64
 WORST = 0.05  # share of the drives in the figure of the worst drives, unless `Filtered.worst` is given
 
 
@@ -184,7 +186,7 @@ class Filtered(AtLeast):
         """See `Objective.fitness`.
 
         Raises:
-            InputError: the fitness is that of the worst drives, and one has no relevance.
+            InputError: the fitness is that of the worst drives, and a drive has no relevance.
         """
         if self.worst is not None:
             return self._worst_share(self.drives, values, relevance)

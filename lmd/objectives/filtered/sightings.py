@@ -136,7 +136,7 @@ def _spot(role: Integer, count: Integer, f: Integer, k: Integer, pose: Any, fiel
 
 @inner
 def _list_near(b: Integer, k: Integer, width: float, state: Any, field: Any, scratch: Any) -> None:
-    """List the landmarks that may hide landmark k, or be hidden by it, from the frames of block b."""
+    """List the landmarks that may hide landmark k, or be hidden by landmark k, from the frames of block b."""
     near, (middle, half) = scratch.near, pair3(field.boxes, b)
     sides = np.float32(half[0]), np.float32(half[1]), np.float32(half[2])
     for role in range(2):

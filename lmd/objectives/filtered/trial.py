@@ -1,8 +1,8 @@
 """Moves of single landmarks along drives: the frames that see another landmark, and the filters from there on.
 
 A move changes the information of the frames that see the landmark at its old place or at the place tried. It also
-changes the frames in which the landmark begins or ceases to hide another landmark. Each drive with such a frame is
-filtered again from the first of them to its end; the covariances of the frames before it stay.
+changes the frames in which the landmark begins or ceases to hide another landmark. Each drive with changed frames is
+filtered again from its first changed frame to its end; earlier covariances stay.
 
 All values are exact after `bound_move`; `settle_move` has nothing to do.
 """
@@ -74,7 +74,7 @@ def _begin_drive(lane: Integer, d: Integer, field: Any, state: Any, scratch: Any
 
 @inner
 def _filter(field: Any, state: Any, scratch: Any) -> None:
-    """Filter the drives with changed frames again; a lane at the end of its drive takes the next one."""
+    """Filter the drives with changed frames again; a lane at the end of its drive takes the next drive."""
     work, first, starts, d, drives = scratch.lanes, field.first, scratch.starts, 0, len(field.first) - 1
     frames = work.frames
     for lane in range(LANES):

@@ -48,7 +48,7 @@ from lmd.sight.obstacles import find_ends, new_ends
 from lmd.sight.poses import by_edge, shared
 from lmd.sight.viewpoint import see_alone
 
-# Greatest number of poses per thread whose views by a rig are in memory at a time.
+# Greatest number of poses per thread for which the views of a rig are in memory at a time.
 AT_A_TIME = 64
 Prior: TypeAlias = tuple[float, float]
 # Indices of the numbers of a view on the diagonal of the information: position, rotation.

@@ -75,7 +75,7 @@ def _localise(
     every: tuple[GroupCoverage, ...], positions: FloatArray, tags: FloatArray, weights: IntArray, n: Integer,
     precision: Precision, asks: bool, views: BodyViews, out: tuple[IntArray, FloatArray],
 ) -> None:  # fmt: skip
-    """Write quantised P_n and L, `(2, P)`, and variances into `out`.
+    """Write into `out` quantised P_n and L, `(2, P)`, and the variances.
 
     Args:
         every: coverage of the landmarks by mount group.
@@ -187,7 +187,7 @@ def body_sums(evaluator: Evaluator, deployment: Deployment, images: RigImages, p
 
 @kernel
 def _decide(precision: Precision, sums: FloatArray, several: BoolArray, views: BodyViews, met: BoolArray) -> None:
-    """Write the mask of the views that have the precision into `met` `(N,)`.
+    """Write into `met` `(N,)` the mask of the views that have the precision.
 
     `sums` `(N, width)` is the information of the views; `several` `(N,)` is True for views of two or more landmarks.
     """

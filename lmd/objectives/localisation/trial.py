@@ -77,8 +77,7 @@ def _decide_word(
     where: Any, lost: np.uint64, gained: np.uint64, has: np.uint64, several: np.uint64, field: Any, state: Any,
     scratch: Any,
 ) -> Any:  # fmt: skip
-    """Decide if the views `has` of word w, which cover n landmarks, are localised; the result is written to
-    `LOCALISED`.
+    """Decide which of the views `has` of word w are localised, and write them to `LOCALISED`; all cover n landmarks.
 
     Args:
         k, q, w: landmark, position and word.

@@ -172,7 +172,7 @@ def landmark_moments(offset: Vector, normal: Vector, precision: Precision, k: In
 def weigh(
     which: int, seen: np.uint64, offset: Vector, camera: Any, w: Integer, views: CameraViews, count: Integer
 ) -> None:
-    """Write the pixel density of a landmark in the views of word w that see it into row `which` of `weights`."""
+    """Write into row `which` of `weights` the pixel density of a landmark in those views of word w that see it."""
     bits, weights = views.lists[ORIENTATION], views.weights[which]
     for v in range(count):
         bit = bits[v]

@@ -50,7 +50,7 @@ MIN_STRETCHES = 500  # least number of phases in a run, so that conditions chang
 CHECK_EVALUATIONS = 10  # cost of the moves on a surrogate, in evaluations, between two evaluations on the problem
 CHECK_FACTOR_ON_SAMPLES = 2  # factor on `CHECK_EVALUATIONS` for walks on samples, which are drawn for each phase
 ASCENT_STEPS = 10  # number of steps of the ascent between two evaluations on the problem
-SMALLEST_SIZE = 0.2  # size of footprints, over the true size, when the separation of stacks begins
+SMALLEST_SIZE = 0.2  # size of footprints, relative to the true size, when the separation of stacks begins
 
 
 class Annealing(DeploymentSearch):

@@ -114,7 +114,7 @@ def propose(
     group: IntArray, here: Places, surfaces: SurfaceArrays, footprints: FootprintArrays, settings: Settings,
     rng: np.random.Generator, new: FloatArray, on: IntArray,
 ) -> bool:  # fmt: skip
-    """Propose a place for the first landmark of `group`; the others keep their offsets from the first along u and v.
+    """Propose a place for the first landmark of `group`; the other landmarks keep their offsets from it along u and v.
 
     Returns:
         True if all landmarks may hang at their new places.
@@ -147,7 +147,7 @@ def _may_hang(k: int, s: int, a: float, b: float, footprints: FootprintArrays) -
 
 @inner
 def pair_up(k: int, members: IntArray, footprints: FootprintArrays, rng: np.random.Generator, pair: IntArray) -> bool:
-    """Fill `pair` with landmark k and a landmark of another size among the `members`; return False without one."""
+    """Fill `pair` with landmark k and a landmark of another size among the `members`; return False if there is none."""
     start = int(rng.random() * len(members))
     for i in range(len(members)):
         j = members[(start + i) % len(members)]

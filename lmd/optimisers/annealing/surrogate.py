@@ -159,7 +159,7 @@ class Surrogate:
         return 0 if in_stacks else self._problem.fixed_count
 
     def _shared_out(self, count: int, in_stacks: bool) -> tuple[int, int]:
-        """Number of landmarks, among `count`, that can move together; and number of walks."""
+        """Number of landmarks, among `count`, that can move together, and number of walks."""
         movable = count - self._first_movable(in_stacks)
         together = 1 if in_stacks else max(1, min(self.stack, movable))
         return together, max(1, min(self._most_walkers, movable // together))

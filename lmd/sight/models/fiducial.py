@@ -5,10 +5,9 @@ predicts 95 to 96 % of these detections, and the probability of seeing at least 
 seen if
 
 - its incidence angle is at most `incidence`;
-- its pitch, the image length of a module in the direction in which it is shortest, is at least
-  sqrt(pitch^2 + (blur sigma)^2), with `pitch` and `blur` of the detector and sigma^2 = psf_sigma^2 + (c / 4)^2 +
-  motion_blur^2 / 12, where c is the diameter of the circle of confusion of a thin lens at the depth of the tag's
-  centre;
+- its pitch, the least image length of a module over all directions in the tag's plane, is at least sqrt(pitch^2 + (blur
+  sigma)^2), with `pitch` and `blur` of the detector and sigma^2 = psf_sigma^2 + (c / 4)^2 + motion_blur^2 / 12, where c
+  is the diameter of the circle of confusion of a thin lens at the depth of the tag's centre;
 - the square root of its image area is at least `edge` pixels;
 - the corners of its picture lie in the rectangular image, at least `margin` pixels from the border;
 - no other footprint covers its centre or a corner of its picture. Footprints include the quiet zone.
