@@ -1,4 +1,4 @@
-"""Fit of the limits of a detector to views of single tags, with scores and intervals."""
+"""Fit of a detector's limits to views of single tags, with scores and intervals."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -16,7 +16,7 @@ from lmd.render.renderer import Renderer
 from lmd.sight.models.limits import NAMES, Limits, Preset
 
 INTERVAL_ENDS = ("low", "high")
-# Number of resamples for intervals, and of blocks of time in a recording.
+# Number of resamples for intervals, and number of blocks of time in a recording.
 RESAMPLES, BLOCKS = 20, 20
 # Candidate values of the limits; units as in `Limits`.
 PITCHES, BLURS = np.linspace(0.0, 3.0, 31), np.linspace(0.0, 4.0, 41)
@@ -24,7 +24,7 @@ EDGES, INCIDENCES = np.linspace(0.0, 40.0, 41), np.linspace(40.0, 89.0, 50)
 MARGINS = np.linspace(0.0, 150.0, 31)
 # Candidate diameters of an image circle, relative to the smallest circle that contains all views.
 CIRCLES = np.linspace(1.0, 0.4, 61)
-# Evidence for an image circle: least number of views beyond the circle, and largest detected share of these views.
+# Evidence for an image circle: minimum number of views beyond it, and maximum share of these views that is detected.
 FEWEST_BEYOND, FOUND_BEYOND = 20, 0.05
 
 Errors = Callable[[BoolArray, BoolArray], NDArray[np.intp]]
@@ -40,19 +40,19 @@ class Fit:
     accuracy: float
     """Share of views predicted correctly."""
     precision: float
-    """Share of predicted views that are detected."""
+    """Precision: share of predicted views that are detected."""
     recall: float
-    """Share of detected views that are predicted."""
+    """Recall: share of detected views that are predicted."""
     circles: tuple[float, ...] = ()
-    """Diameter of the image circle of each camera, pixels; infinite if not found; empty for views without `placed`."""
+    """Diameter of each camera's image circle, pixels; infinite if none was found; empty for views without `placed`."""
 
     @property
     def known_circles(self) -> dict[int, float]:
-        """Finite `circles` by camera number, which counts from 1."""
+        """Finite `circles` by camera number, from 1."""
         return {number: diameter for number, diameter in enumerate(self.circles, 1) if math.isfinite(diameter)}
 
     def circles_text(self, detector: str) -> str:
-        """Lines about cameras with a round image, beyond which a detector finds nothing."""
+        """Sentences on cameras with a round image, beyond which a detector finds nothing."""
         return "".join(
             f"{detector} finds nothing beyond an image circle of {diameter:.0f} pixels, of camera {number}\n"
             for number, diameter in self.known_circles.items()
@@ -68,11 +68,11 @@ class DetectorCalibration:
     fit: Fit
     """Limits and scores."""
     rooms: dict[str, float]
-    """`frame_scores` in rendered rooms; may be empty."""
+    """Scores in rendered rooms, see `frame_scores`; may be empty."""
     photographs: int = 0
-    """Number of photographs with the views; 0 for renderings."""
+    """Number of photographs from which the views are; 0 for renderings."""
     intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """90 % intervals of the limits by name, see `intervals`; may be empty."""
+    """90 % intervals of the limits, by name, see `intervals`; may be empty."""
 
     def figures(self) -> dict[str, float]:
         """All numbers as one row of a table."""
@@ -126,7 +126,7 @@ class DetectorCalibration:
 
 
 def predicted_in_frames(limits: Limits, renderer: Renderer, poses: FloatArray) -> BoolArray:
-    """Mask of the tags that the limits predict to be detected in frames, `(N, K)`; False for overlapping tags.
+    """Mask of the tags in frames that are detected according to the limits, `(N, K)`; False for overlapping tags.
 
     Args:
         limits: limits of the detector.
@@ -155,18 +155,18 @@ def frame_scores(predicted: BoolArray, seen: Matches) -> dict[str, float]:
 def fit(views: TagViews, rng: np.random.Generator, margin: float) -> Fit:
     """Fit limits to one half of the views and score them on the other half.
 
-    Views without `placed` are halved at random. The objective is max(false positives, false negatives), which balances
-    both kinds of error, so that predicted shares such as P(>= n) are unbiased.
+    Views without `placed` are halved at random. The minimised value is max(false positives, false negatives), which
+    balances both kinds of error, so that predicted shares such as P(>= n) are unbiased.
 
-    The views of a recording are halved in time, as consecutive images are similar. The objective is the number of all
-    errors: balancing them would compensate for tags that are missed because of glare or occlusion, which the limits do
-    not model. The margin and the image circles are fitted, too.
+    The views of a recording are halved in time, as consecutive images are similar. The minimised value is the number of
+    all errors: balancing the errors would compensate for tags that are missed because of glare or occlusion, which the
+    limits do not model. The margin and the image circles are fitted, too.
 
     Args:
         views: at least two views; for a recording at two or more times.
         rng: draws the halves.
-        margin: margin of the limits, pixels, which views without `placed` do not determine; for a recording its lower
-            bound.
+        margin: margin of the limits, pixels, as views without `placed` do not determine the margin; for a recording,
+            lower bound of the fitted margin.
 
     Raises:
         InputError: there are too few views, or the margin is negative.
@@ -189,7 +189,7 @@ def fit(views: TagViews, rng: np.random.Generator, margin: float) -> Fit:
 
 
 def predicted_views(views: TagViews, limits: Limits, circles: tuple[float, ...]) -> BoolArray:
-    """Mask of the views that limits and image circles predict to be detected, `(M,)`."""
+    """Mask of the views that are detected according to limits and image circles, `(M,)`."""
     found = limits.found(views.pitch, views.incidence, views.edge, views.sigma)
     if (placed := views.placed) is None:
         return found
@@ -217,8 +217,8 @@ def _resampled(views: TagViews, rng: np.random.Generator) -> NDArray[np.intp]:
 def _best(views: TagViews, margin: float) -> tuple[Limits, tuple[float, ...]]:
     """Limits and image circles with the fewest errors on `views`.
 
-    Limits that are optimised jointly form a group: an array of masks, one per choice of these limits, of the views that
-    meet them.
+    Limits that are optimised jointly form a group. A group is an array of masks: for each choice of these limits, the
+    views that meet them.
     """
     placed, margins, circles = views.placed, np.array([margin]), []
     sharp = views.pitch >= np.hypot(PITCHES[:, None, None], BLURS[:, None] * views.sigma)  # (A, K, M)
@@ -226,7 +226,7 @@ def _best(views: TagViews, margin: float) -> tuple[Limits, tuple[float, ...]]:
     groups = [sharp, (views.edge >= EDGES[:, None, None]) & facing]  # (E, B, M)
     start: list[Choice] = [(0, 0), (0, len(facing) - 1)]
     if placed is None:
-        # The better result of two searches is taken; the first search starts from the limits with the fewest errors in
+        # Of two searches, the better result is taken; the first search starts from the limits with the fewest errors in
         # total.
         searches = ((_all_errors, _larger_errors), (_larger_errors,))
         _, chosen = min(_searched(groups, start, views.seen, kinds) for kinds in searches)
@@ -260,10 +260,10 @@ def _searched(
 ) -> tuple[int, list[Choice]]:
     """Minimise the objectives `kinds` one after the other, each from the optimum of the previous objective.
 
-    This is a coordinate descent: groups are optimised in turn, each over all of its choices, until no group improves.
+    The search is a coordinate descent: groups are optimised in turn, each over all of its choices, until none improves.
 
     Returns:
-        least value of the last objective; choice in each group.
+        minimum of the last objective; choice in each group.
     """
     chosen, least = list(start), 0
     for errors in kinds:
@@ -290,7 +290,7 @@ def _larger_errors(predicted: BoolArray, seen: BoolArray) -> NDArray[np.intp]:
 
 
 def limits_markdown(figures: dict[str, dict[str, float]]) -> str:
-    """Table of the limits of each detector, with the accuracy of the limits on held-out views."""
+    """Table of each detector's limits, with their accuracy on held-out views."""
     head = ["detector", "views", "a", "k", "m [px]", "b [degrees]", "margin [px]"]
     head += ["held-out accuracy / precision / recall"]
     head += [f"rooms: P(>= {n}) predicted / detected" for n in range(1, 5)]

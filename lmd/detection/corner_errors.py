@@ -1,5 +1,5 @@
-"""Quality of the image of a tag: pitch, apparent edge and incidence angle, which determine its detection; and errors of
-detected corners by the pitch.
+"""Quality of a tag's image, which determines the detection: pitch, apparent edge and incidence angle. Errors of
+detected corners as functions of the pitch.
 """
 
 import math
@@ -36,8 +36,8 @@ def pitch(
         edges: edge of each tag, metres, `(K,)`.
 
     Returns:
-        `(..., K)`, pixels, also for tags seen from behind; NaN for tags behind the camera or outside the view of its
-        lens.
+        pitches, `(..., K)`, pixels, also for tags seen from behind; NaN for tags behind the camera or outside the view
+        of its lens.
     """
     square, determinant = _stretch(camera, pose, centres, normals)
     root = np.sqrt(np.maximum(square**2 - 4.0 * determinant**2, 0.0))
@@ -53,7 +53,7 @@ def apparent_edge(
     tag: Tag,
     edges: FloatArray | None = None,
 ) -> FloatArray:
-    """Edge of a square with the area of the tag's image, sqrt(|det J|) times the edge, pixels; arguments as for
+    """Edge of a square with the area of the tag's image, pixels: sqrt(|det J|) times the tag's edge; arguments as for
     `pitch`.
     """
     _, determinant = _stretch(camera, pose, centres, normals)
@@ -61,7 +61,8 @@ def apparent_edge(
 
 
 def incidence(pose: FloatArray, centres: FloatArray, normals: FloatArray) -> FloatArray:
-    """Incidence angle, between a tag's normal and the direction from its centre to the camera; arguments as in `pitch`.
+    """Incidence angle: angle between a tag's normal and the direction from the tag's centre to the camera. Arguments
+    are as in `pitch`.
 
     Returns:
         `(..., K)`, rad in [0, pi]; the front is visible below pi / 2.
@@ -94,16 +95,16 @@ def _stretch(
 
 # 90 % quantile of the standard normal distribution.
 NORMAL_QUANTILE_90 = 1.2815515655446004
-LEAST_ANGLE = 0.2  # lower bound on the sine of the angle at a corner, which limits the shift of the corner
+LEAST_ANGLE = 0.2  # lower bound on the sine of the angle at a corner, so that the corner's shift stays bounded
 
 
-# Least standard deviation of corners without the mean shift, as a share of the deviation with the shift.
+# Minimum standard deviation of corners without the mean shift, relative to the deviation with the shift.
 LEAST_SHARE = 0.1
 
 
 @dataclass(frozen=True)
 class CornerErrors(Checked):
-    """Log-normal distribution of the root mean square error of a tag's four corners, by pitch.
+    """Log-normal distribution of the root mean square error of a tag's four corners, as a function of the pitch.
 
     Between the given pitches, log quantiles are interpolated linearly in the log pitch; beyond the given pitches,
     quantiles are constant. The direction of the error vector in its eight dimensions is uniform.
@@ -135,7 +136,7 @@ class CornerErrors(Checked):
                 )
 
     def _at(self, pitch: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean and standard deviation of the logarithm of the error, shape of `pitch`."""
+        """Mean and standard deviation of the logarithm of the error, in the shape of `pitch`."""
         at, known = np.log(pitch), np.log(self.pitch)
         mean, high = (np.interp(at, known, np.log(values)) for values in (self.median, self.high))
         return mean, (high - mean) / NORMAL_QUANTILE_90
@@ -149,24 +150,28 @@ class CornerErrors(Checked):
         return np.asarray(direction * (error / np.sqrt(square))[..., None, None])
 
     def inward_at(self, pitch: FloatArray) -> FloatArray:
-        """Mean shift of the edges towards the middle of the tag, pixels, shape of `pitch`, interpolated linearly."""
+        """Mean shift of the edges towards the middle of the tag, pixels, in the shape of `pitch`, interpolated
+        linearly.
+        """
         return np.asarray(np.interp(np.log(pitch), np.log(self.pitch), self.inward))
 
     def independent_sigma(self, pitch: FloatArray) -> FloatArray:
-        """Standard deviation of one coordinate of one corner without the mean shift `inward`, pixels, as `pitch`."""
+        """Standard deviation of one coordinate of one corner without the mean shift `inward`, pixels, in the shape of
+        `pitch`.
+        """
         whole = self.sigma(pitch)
         return np.asarray(np.sqrt(np.maximum(whole**2 - self.inward_at(pitch) ** 2, (LEAST_SHARE * whole) ** 2)))
 
     def sigma(self, pitch: FloatArray) -> FloatArray:
-        """Standard deviation of one coordinate of one corner, pixels, shape of `pitch`."""
+        """Standard deviation of one coordinate of one corner, pixels, in the shape of `pitch`."""
         mean, spread = self._at(pitch)
         return np.asarray(np.exp(mean + spread**2) / np.sqrt(2.0))
 
 
-# Projections of the corners' errors to the modes of `MeasuredCorners.modes`, in the order of `squares.CORNERS`.
+# Projections of the corners' errors onto the modes of `MeasuredCorners.modes`, in the order of `squares.CORNERS`.
 ALIKE, DIAGONAL = np.full((4, 4), 0.25), 0.25 * np.outer([-1.0, 1.0, -1.0, 1.0], [-1.0, 1.0, -1.0, 1.0])
 MODES = np.stack([ALIKE, np.eye(4) - ALIKE - DIAGONAL, DIAGONAL])
-# Least number of tags, and greatest number of classes of pitch and number of those of incidence, of `MeasuredCorners`.
+# For `MeasuredCorners`: minimum number of tags in a class, and maximum numbers of classes of pitch and of incidence.
 LEAST_TAGS, MOST_CLASSES, OBLIQUE_CLASSES = 40, 12, 3
 
 
@@ -185,26 +190,27 @@ def shortest_side(image: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class MeasuredCorners:
-    """Errors of corners of one detector, camera and light: independent noise and a shift of edges, by pitch."""
+    """Errors of corners for one detector, camera and light, by pitch: independent noise and a shift of edges."""
 
     pitch: tuple[float, ...]
-    """Pitch, pixels per module, ascending, `(B,)`; values between are interpolated in log pitch."""
+    """Pitches, pixels per module, ascending, `(B,)`; the fields below are interpolated in the logarithm of the pitch.
+    """
     noise: tuple[float, ...]
     """Standard deviation of one coordinate of one corner without the mean shift, pixels, `(B,)`."""
     inward: tuple[float, ...]
     """Mean shift of a tag's edges towards its centre, pixels, `(B,)`."""
     incidence: tuple[float, ...]
-    """Incidence angles, rad, ascending, `(I,)`; the factors between are interpolated."""
+    """Incidence angles, rad, ascending, `(I,)`; `oblique` is interpolated linearly between these angles."""
     oblique: tuple[float, ...]
     """Variance of the noise at these incidence angles over the variance at the pitch alone, `(I,)`."""
     modes: tuple[float, ...]
-    """Variances of the three modes of a tag's noise over their mean: all corners alike; linear in the corner's place on
-    the tag; the two diagonals apart. The modes have 2, 4 and 2 of the eight dimensions.
+    """Variances of the three modes of a tag's noise over their mean: all corners alike; linear in the corner's position
+    on the tag; opposite for the two diagonals. The modes have 2, 4 and 2 of the eight dimensions.
     """
 
     @classmethod
     def of(cls, pitch: FloatArray, incidence: FloatArray, error: FloatArray, image: FloatArray) -> "MeasuredCorners":
-        """Errors by classes of pitch, each with at least `LEAST_TAGS` tags.
+        """Estimate the errors in classes of pitch, each with at least `LEAST_TAGS` tags.
 
         Args:
             pitch: pitches of N tags, pixels per module, `(N,)`.
@@ -237,7 +243,7 @@ class MeasuredCorners:
         return cls(pitches, noise, shifts, slants, oblique, modes)
 
     def independent_sigma(self, pitch: FloatArray, incidence: FloatArray) -> FloatArray:
-        """Standard deviation of one coordinate of one corner without the mean shift, pixels, as `pitch`.
+        """Standard deviation of one coordinate of one corner without the mean shift, pixels, in the shape of `pitch`.
 
         Args:
             pitch: pixels per module, `(...)`.

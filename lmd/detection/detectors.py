@@ -1,4 +1,4 @@
-"""Tag detectors with one interface, the matching of detections to expected corners, and scores of predictions."""
+"""Tag detectors with one interface, matching of detections with expected corners, and scores of predictions."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -15,7 +15,7 @@ from lmd.geometry.camera import PIXEL_CENTRE
 from lmd.render.imaging import UInt8Array
 from lmd.scene.families import FAMILIES, dictionary, family_named
 
-# cv2.aruco rotates AprilTags by 180 degrees: its top-left corner is AprilTag's bottom-right corner.
+# cv2.aruco rotates AprilTags by 180 degrees: its first corner, the top left, is the bottom right of the AprilTag.
 HALF_TURN = [2, 3, 0, 1]
 # AprilTag's corners start at the bottom left, counter-clockwise.
 APRILTAG_ORDER = [3, 2, 1, 0]
@@ -35,7 +35,7 @@ class Detections:
     """
 
     ids: NDArray[np.int64]
-    """Ids of the tags in their family, `(M,)`; an id may occur several times."""
+    """Ids of the tags within their family, `(M,)`; an id may occur several times."""
     corners: FloatArray
     """Corners, pixels from the border, in the order of `lmd.detection.detectors`, `(M, 4, 2)`."""
 
@@ -62,16 +62,16 @@ class Detector(Protocol):
 
     @property
     def corner_errors(self) -> CornerErrors:
-        """Errors of the corners, as measured."""
+        """Measured errors of the detector's corners."""
 
 
 def read_family(name: str, value: Any, table: str, other: str) -> str:
-    """Return the name that `FAMILIES` has for the family `value`, which a library reads.
+    """Return the name in `FAMILIES` of the family `value`, after a check that a library reads this family.
 
     Args:
         name: name of the argument.
         value: name of the family.
-        table: field of a family with its name in the library; empty if the library does not read the family.
+        table: field of a family that holds its name in the library; the field is empty if the library lacks the family.
         other: the other library.
 
     Raises:
@@ -88,14 +88,14 @@ def read_family(name: str, value: Any, table: str, other: str) -> str:
 class ArucoDetector(Checked):
     """`cv2.aruco` with corners refined by `CORNER_REFINE_SUBPIX`.
 
-    `CORNER_REFINE_APRILTAG` is not used: it counts pixels from the border, half a pixel off the rest of OpenCV.
+    `CORNER_REFINE_APRILTAG` is not used: it counts pixels from the border, so its corners are half a pixel off.
 
     Raises:
         InputError: OpenCV lacks the family, or the preset is unknown.
     """
 
     family: Annotated[str, partial(read_family, table="dictionary", other="AprilTag")] = "36h11"
-    """One of `lmd.scene.families.FAMILIES` that OpenCV has."""
+    """Tag family: one of `lmd.scene.families.FAMILIES` that OpenCV has."""
     preset: Annotated[str, partial(choice, options=tuple(ARUCO_PRESETS))] = "default"
     """Settings of `cv2.aruco`: `default`, or `fine` to detect smaller tags, too."""
 
@@ -122,7 +122,7 @@ class AprilTagDetector(Checked):
     """
 
     family: Annotated[str, partial(read_family, table="apriltag", other="ArUco")] = "36h11"
-    """One of `lmd.scene.families.FAMILIES` that the library supports."""
+    """Tag family: one of `lmd.scene.families.FAMILIES` that the library supports."""
     quad_decimate: Annotated[float, partial(real, low=1.0)] = 1.0
     """Factor by which the image is downscaled for the detection of quadrilaterals."""
     most_errors: Annotated[int, partial(integer, low=0, high=2)] = 2
@@ -144,7 +144,7 @@ class AprilTagDetector(Checked):
 
 @lru_cache(maxsize=8)
 def _aruco(family: str, preset: str) -> Any:
-    """Detector of OpenCV; it is cached here, and not stored in `ArucoDetector`, which can thus be pickled."""
+    """Detector of OpenCV. The detector is cached here instead of in `ArucoDetector`, which can thus be pickled."""
     aruco = optional("cv2", "detection").aruco
     parameters = aruco.DetectorParameters()
     parameters.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
@@ -155,7 +155,7 @@ def _aruco(family: str, preset: str) -> Any:
 
 @lru_cache(maxsize=8)
 def _apriltag(family: str, quad_decimate: float) -> Any:
-    """Detector of the AprilTag library, cached like the detector of OpenCV."""
+    """Detector of the AprilTag library, cached as in `_aruco`."""
     library = optional("pyapriltags", "detection")
     return library.Detector(families=FAMILIES[family].apriltag, nthreads=1, quad_decimate=quad_decimate)
 
@@ -170,9 +170,9 @@ def _nothing() -> Detections:
     return Detections(np.empty(0, dtype=np.int64), np.empty((0, 4, 2)))
 
 
-# Numbers of tags n in P(>= n).
+# Numbers n of tags for which P(>= n) is reported.
 TAG_NUMBERS = np.arange(1, 5)
-# Largest distance of a detected corner from its projection, pixels; a detection farther away is false.
+# Maximum distance of a detected corner from its projection, pixels; a detection farther away is false.
 CORNER_TOLERANCE = 5.0
 
 
@@ -185,7 +185,7 @@ class Matches:
     corners: FloatArray
     """Detected corners, pixels from the border, `(..., K, 4, 2)`; NaN for tags not detected."""
     false: IntArray
-    """Number of detections that match no tag of the room by id and corners, `(...)`."""
+    """Number of detections whose id and corners match no tag of the room, `(...)`."""
 
     @classmethod
     def stacked(cls, frames: Sequence["Matches"]) -> Self:
@@ -235,8 +235,8 @@ def match(
 def precision_recall(
     predicted: BoolArray, detected: BoolArray, axis: int | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Precision and recall: share of predicted tags that are detected, and share of detected tags that are predicted;
-    NaN without such tags.
+    """Precision and recall: share of predicted tags that are detected, and share of detected tags that are predicted.
+    NaN if no tag is predicted, or detected.
 
     Args:
         predicted, detected: `(N, K)`.
@@ -251,7 +251,7 @@ class Shares(NamedTuple):
     """Shares of frames with at least n = 1, 2, 3, 4 tags."""
 
     share: FloatArray
-    """Share p = P(>= n) of frames with at least n tags, `(4,)`."""
+    """Shares p = P(>= n) of frames with at least n tags, `(4,)`."""
     error: FloatArray
     """Standard errors sqrt(p (1 - p) / N), `(4,)`."""
 
@@ -260,7 +260,7 @@ def shares_of_frames(seen: BoolArray) -> Shares:
     """Shares of the frames with at least n tags.
 
     Args:
-        seen: predicted or detected, `(N, K)`.
+        seen: mask of the predicted or detected tags, `(N, K)`.
     """
     share = (seen.sum(axis=1)[:, None] >= TAG_NUMBERS).mean(axis=0)
     return Shares(share, np.sqrt(share * (1.0 - share) / len(seen)))
@@ -277,7 +277,7 @@ def corner_error(found: FloatArray, expected: FloatArray) -> FloatArray:
 
 
 def quantiles_by(value: FloatArray, error: FloatArray, bounds: ArrayLike, quantiles: Sequence[float]) -> FloatArray:
-    """Quantiles of an error in B classes of another value, `(B, Q)`; NaN for empty classes.
+    """Quantiles of an error within B classes of another value, `(B, Q)`; NaN for empty classes.
 
     Args:
         value, error: arrays of one shape; pairs with a NaN are left out.

@@ -1,4 +1,4 @@
-"""Rendered frames of a deployment, and the detections in them."""
+"""Rendered frames of a deployment, and detections in the frames."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -21,7 +21,7 @@ from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
 from lmd.space.space import Space
 
-# Stream key that separates the random numbers of poses and noise from other uses of a seed.
+# Key that separates the random numbers of poses and noise from other uses of a seed.
 FRAMES_STREAM = 0x646574656374
 
 
@@ -40,7 +40,7 @@ def draw_crowd(scene: Scene, positions: FloatArray, seed: int) -> tuple[Scene, l
 
     Args:
         scene: the scene.
-        positions: positions of its camera, `(N, 3)`, metres.
+        positions: positions of the camera, `(N, 3)`, metres.
         seed: seed of the crowds.
 
     Returns:
@@ -79,7 +79,7 @@ def tagged_room(room: Space, deployment: Deployment, tag: Tag) -> TaggedRoom:
 
 
 def qualities(renderer: Renderer, poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Pitch, incidence angle, apparent edge and blur sigma of every tag, the arguments of `Limits.found`.
+    """Arguments of `Limits.found` for every tag: pitch, incidence angle, apparent edge and blur sigma.
 
     Args:
         renderer: camera and tags.
@@ -94,9 +94,9 @@ def qualities(renderer: Renderer, poses: FloatArray) -> tuple[FloatArray, FloatA
 
 
 def blur(camera: Camera, depth: FloatArray, imaging: Imaging) -> FloatArray:
-    """Total blur sigma [pixels] at `depth` [m], shape of `depth`."""
+    """Total blur sigma [pixels] at `depth` [m], in the shape of `depth`."""
     sigma = blur_sigma(camera, depth, imaging.psf_sigma) if imaging.defocus else np.full_like(depth, imaging.psf_sigma)
-    return np.hypot(sigma, imaging.motion_blur / math.sqrt(12.0))  # standard deviation of a uniform distribution
+    return np.hypot(sigma, imaging.motion_blur / math.sqrt(12.0))  # motion blur has a uniform distribution
 
 
 def overlapping(room: TaggedRoom) -> BoolArray:
@@ -112,7 +112,7 @@ def overlapping(room: TaggedRoom) -> BoolArray:
 
 
 def rendered_frame(renderer: Renderer, pose: FloatArray, number: int, seed: int) -> UInt8Array:
-    """Render frame `number` of a run; its noise depends on `number` and `seed` only, `(h, w)`."""
+    """Render frame `number` of a run, `(h, w)`; the noise depends only on `number` and `seed`."""
     return renderer.frame(pose, np.random.default_rng([seed, FRAMES_STREAM, number]))
 
 

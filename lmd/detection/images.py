@@ -1,4 +1,4 @@
-"""Images of one camera: a folder of photographs, and the blur of an image with tags."""
+"""Images of one camera from a folder of photographs, and the blur of an image with tags."""
 
 import hashlib
 import io
@@ -22,13 +22,13 @@ IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP")  # Pillow's names of these formats
 # Suffixes of image formats that cannot be read.
 UNREAD = (".heic", ".heif", ".avif", ".dng", ".raw", ".cr2", ".cr3", ".nef", ".arw", ".gif")
-# Least pitch of tags whose edges are measured, pixels per module, and largest distance of samples from an edge, pixels.
+# Minimum pitch of tags whose edges are measured, pixels per module; maximum distance of samples from an edge, pixels.
 LEAST_PITCH, WIDEST_EDGE = 3.0, 12.0
 # Number of samples along an edge and across it.
 SAMPLES, STEPS = 12, 65
-# Range along an edge that is sampled, as a share of the edge's length; the blurred corners are excluded.
+# Part of an edge that is sampled, as shares of its length; the blurred corners are excluded.
 EDGE_PART = (0.2, 0.8)
-# Two grey levels, as shares of the step from black to white: on a blurred edge they are two standard deviations apart.
+# Two grey levels, as shares of the step from black to white; on a blurred edge they are two standard deviations apart.
 LOW, HIGH = 0.16, 0.84
 # A frame counts as blurred if its blur exceeds `TIMES` times the median blur, and also `LEAST` pixels.
 TIMES, LEAST = 2.0, 1.0
@@ -43,11 +43,11 @@ class Images(Protocol):
 
     @property
     def remarks(self) -> Sequence[str]:
-        """Remarks on files that are not read, one sentence each without a full stop."""
+        """Remarks on files that are not read: sentences without a full stop."""
 
     @property
     def is_random_access(self) -> bool:
-        """True if an image can be read without its predecessors."""
+        """True if an image can be read without reading the images before it."""
 
     def read(self, first: int, last: int, camera: Camera) -> Iterator[UInt8Array]:
         """Read images `first` to `last` (excluded), `(h, w)` each.
@@ -68,7 +68,7 @@ class Photographs:
     folder: str | Path
     """Folder of the images."""
     argument: str = "folder"
-    """Name of the argument with the folder, for messages."""
+    """Name of the argument that gave the folder, for messages."""
 
     def __post_init__(self) -> None:
         if not self.paths:
@@ -99,12 +99,12 @@ class Photographs:
 
     @property
     def names(self) -> list[str]:
-        """See `Images.names`: names of the files, with characters that cannot be encoded replaced."""
+        """See `Images.names`: names of the files; characters that cannot be encoded are replaced."""
         return [printable(path.name) for path in self.paths]
 
     @cached_property
     def repeated(self) -> dict[str, str]:
-        """Name of the first copy of an image, by the names of its duplicates."""
+        """Maps each duplicate's name to the name of the first copy of the image."""
         first: dict[bytes, str] = {}
         digests = [hashlib.sha256(read_bytes(path, self.argument)).digest() for path in self.paths]
         earlier = [first.setdefault(digest, name) for digest, name in zip(digests, self.names, strict=True)]
@@ -126,7 +126,7 @@ def folder_entries(folder: str | Path, argument: str) -> list[Path]:
 
     Args:
         folder: path of the folder.
-        argument: argument with the path, for messages.
+        argument: name of the argument that gave the path, for messages.
 
     Raises:
         InputError: the folder does not exist or cannot be read.
@@ -146,7 +146,7 @@ def read_image(path: Path, camera: Camera, argument: str) -> UInt8Array:
     Args:
         path: file of the image.
         camera: camera with the required size.
-        argument: argument with the path, for messages.
+        argument: name of the argument that gave the path, for messages.
 
     Raises:
         InputError: the file cannot be read, or its size differs from the camera's.
@@ -156,7 +156,7 @@ def read_image(path: Path, camera: Camera, argument: str) -> UInt8Array:
     size = image_size(camera)
     written = pixels_of(content)
     if written in (size, size[::-1]):
-        # The file may state a rotation for display. The rotation is ignored, as a calibration is in the sensor's
+        # The file may state a rotation for display. It is ignored, as a calibration is in the sensor's
         # orientation, unless the calibrated size shows that the calibration used rotated images.
         turned = cv2.IMREAD_GRAYSCALE | (cv2.IMREAD_IGNORE_ORIENTATION if written == size else 0)
         image: UInt8Array | None = cv2.imdecode(np.frombuffer(content, np.uint8), turned)
@@ -169,13 +169,13 @@ def read_image(path: Path, camera: Camera, argument: str) -> UInt8Array:
 
 
 def wrong_size(path: Path, argument: str, written: tuple[int, ...], size: tuple[int, int]) -> InputError:
-    """Error for an image or a video whose size differs from the camera's."""
+    """Error about an image or a video whose size differs from the camera's."""
     found, needed = (" x ".join(map(str, pair)) for pair in (written, size))
     return InputError(f"{argument}: {str(path)!r} has {found} pixels, the camera {needed}.", argument)
 
 
 def pixels_of(content: bytes) -> tuple[int, ...] | None:
-    """Width and height in the header of an image file; None if the file is no image.
+    """Width and height from the header of an image file; None if the file is not an image.
 
     Callers check this size before decoding, as a small file may decode to gigabytes.
     """
@@ -184,12 +184,13 @@ def pixels_of(content: bytes) -> tuple[int, ...] | None:
     try:
         with Image.open(io.BytesIO(content), formats=FORMATS) as header:
             return header.size
-    except Exception:  # any error of a reader of a broken file
+    except Exception:  # readers may raise any error for a broken file
         return None
 
 
 def blur_of(image: UInt8Array, found: Detections, modules: int) -> float:
-    """Blur of an image, pixels: standard deviation across the second most blurred edge of a tag, median over tags.
+    """Blur of an image, pixels: for each tag the standard deviation across its second most blurred edge; median over
+    tags.
 
     Across the edge between the detected corners, the distance between 16 and 84 % of the step from black to white is
     two standard deviations of the blur. Motion blurs only the edges perpendicular to the motion.
@@ -204,7 +205,10 @@ def blur_of(image: UInt8Array, found: Detections, modules: int) -> float:
     """
     from scipy.ndimage import map_coordinates
 
-    starts, ends = found.corners, np.roll(found.corners, -1, axis=1)  # clockwise, so the outside is on the left
+    starts, ends = (
+        found.corners,
+        np.roll(found.corners, -1, axis=1),
+    )  # the corners are clockwise, so the outside is on the left
     along = ends - starts
     lengths = np.linalg.norm(along, axis=-1)
     pitch = lengths.min(axis=1) / modules
@@ -224,7 +228,9 @@ def blur_of(image: UInt8Array, found: Detections, modules: int) -> float:
     )
     across = grey.mean(axis=2)
     rises = across[..., -1:] >= across[..., :1]  # in some families the white side is inside
-    profile = np.maximum.accumulate(np.where(rises, across, across[..., ::-1]), axis=-1)  # from black to white
+    profile = np.maximum.accumulate(
+        np.where(rises, across, across[..., ::-1]), axis=-1
+    )  # from black to white, monotonic
     low, high = profile[..., :1], profile[..., -1:]
     step = (profile - low) / np.maximum(high - low, 1.0)
     width = ((step < HIGH) & (step >= LOW)).sum(axis=-1) * (2.0 * reach / (STEPS - 1))[:, None] / 2.0
@@ -232,7 +238,7 @@ def blur_of(image: UInt8Array, found: Detections, modules: int) -> float:
 
 
 def blurred(blurs: FloatArray) -> BoolArray:
-    """Mask of blurred frames, from the blur of each `(F,)`, pixels; NaN counts as sharp."""
+    """Mask of the blurred frames, given the blur of each frame `(F,)`, pixels; NaN counts as sharp."""
     known = blurs[np.isfinite(blurs)]
     usual = np.median(known) if known.size else np.inf
     return np.asarray(np.nan_to_num(blurs) > max(TIMES * usual, LEAST))

@@ -1,4 +1,4 @@
-"""Mosaics: rendered images with many views of single tags, one per tile.
+"""Mosaics: rendered images of many tiles, each with a view of a single tag.
 
 Each tag has a random pitch and incidence angle. The centre of the tag lies on the ray through the centre of its tile,
 at the depth that gives the pitch. The mosaic has the image size of the camera, as the settings of some detectors depend
@@ -27,7 +27,7 @@ from lmd.render.canvas import PATTERN, REACH, Canvas, pattern
 from lmd.render.imaging import Float32Array, Imaging
 from lmd.scene.tag import Tag
 
-# Edges of tiles, pixels; a view is rendered in the smallest tile that contains it.
+# Edges of square tiles, pixels; a view is rendered in the smallest tile that contains the view.
 TILE_EDGES = (64, 128, 256, 512)
 # Lower bound on the memory of a view, bytes.
 VIEW_BYTES = 1000
@@ -81,7 +81,7 @@ class Mosaics(Checked):
     def views(
         self, cameras: Sequence[Camera], tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator
     ) -> TagViews:
-        """See `ViewSource.views`; light and blur are random, and not taken from `imaging`."""
+        """See `ViewSource.views`; light and blur are random instead of those of `imaging`."""
         return sample_views(only(cameras), tag, detector, self.count, rng, self.sampling)
 
 
@@ -107,7 +107,7 @@ def sample_views(
     pitches, tilts = (rng.uniform(*span, count) for span in (ranges.pitch, ranges.incidence))
     sigmas = np.exp(rng.uniform(math.log(ranges.sigma[0]), math.log(ranges.sigma[1]), count))
     width, height = image_size(camera)
-    # At the angle phi from the optical axis, the radial scale of a pinhole is 1 / cos(phi) times the tangential scale.
+    # At the angle phi from the optical axis, a pinhole's radial scale is 1 / cos(phi) times the tangential scale.
     matrix = intrinsics(camera)
     ends = (np.array([[0, 0], [width, 0], [0, height], [width, height]]) - matrix[:2, 2]) / np.diag(matrix)[:2]
     stretch = math.sqrt(1.0 + (ends**2).sum(axis=1).max()) / np.cos(tilts)
@@ -137,7 +137,7 @@ def _tile_centres(camera: Camera, tile: int, count: int) -> FloatArray:
 def _place(
     camera: Camera, tag: Tag, tile: int, pitches: FloatArray, tilts: FloatArray, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Centres, normals and ups `(M, 3)` of tags with random orientation centred on their tiles, camera's frame."""
+    """Centres, normals and ups, camera's frame, `(M, 3)`, of tags with random orientation, centred on their tiles."""
     matrix = intrinsics(camera)
     at = _tile_centres(camera, tile, len(pitches)) + rng.uniform(-0.5, 0.5, (len(pitches), 2))
     rays = np.insert((at - matrix[:2, 2]) / np.diag(matrix)[:2], 2, 1.0, axis=1)
@@ -188,7 +188,7 @@ def _detect(
 
 
 def _errors(detections: Detections, ids: NDArray[np.int64], expected: FloatArray) -> FloatArray:
-    """Corner errors of the tags of a mosaic, pixels, `(M,)`; NaN for tags not detected. Ids may repeat."""
+    """Corner errors of a mosaic's tags, pixels, `(M,)`; NaN for tags that are not detected. Ids may repeat."""
     error = np.full(len(ids), np.nan)
     for number, found in zip(detections.ids, detections.corners, strict=True):
         near = np.linalg.norm(found - expected, axis=-1).max(axis=1) <= CORNER_TOLERANCE

@@ -25,35 +25,35 @@ if TYPE_CHECKING:
     from lmd.detection.detectors import Detections, Detector
     from lmd.geometry.camera import Camera
 
-# Encodings of `sensor_msgs/Image`: bytes of a pixel, and OpenCV's conversion to grey; None if the first byte is grey.
+# Encodings of `sensor_msgs/Image`: bytes per pixel, and OpenCV's conversion to grey; None if the first byte is grey.
 ENCODINGS: dict[str, tuple[int, str | None]] = {
     "mono8": (1, None), "8UC1": (1, None), "mono16": (2, None), "16UC1": (2, None),
     "rgb8": (3, "COLOR_RGB2GRAY"), "bgr8": (3, "COLOR_BGR2GRAY"), "8UC3": (3, "COLOR_BGR2GRAY"),
     "rgba8": (4, "COLOR_RGBA2GRAY"), "bgra8": (4, "COLOR_BGRA2GRAY"), "8UC4": (4, "COLOR_BGRA2GRAY"),
-    # OpenCV names the second row and column of a Bayer pattern, ROS the first ones.
+    # OpenCV names Bayer patterns by the second row and column, ROS by the first ones.
     "bayer_rggb8": (1, "COLOR_BayerBG2GRAY"), "bayer_bggr8": (1, "COLOR_BayerRG2GRAY"),
     "bayer_gbrg8": (1, "COLOR_BayerGR2GRAY"), "bayer_grbg8": (1, "COLOR_BayerGB2GRAY"),
     "yuv422": (2, "COLOR_YUV2GRAY_UYVY"), "uyvy": (2, "COLOR_YUV2GRAY_UYVY"),
     "yuv422_yuy2": (2, "COLOR_YUV2GRAY_YUY2"), "yuyv": (2, "COLOR_YUV2GRAY_YUY2"),
 }  # fmt: skip
-JITTER = 0.05  # shortening of a period between images that is taken for jitter, as a share
-DEEP = ("mono16", "16UC1")  # encodings with two bytes for a grey level
+JITTER = 0.05  # a period between images that is shorter by this share is taken for jitter
+DEEP = ("mono16", "16UC1")  # encodings with two bytes per grey level
 
 
 @dataclass(frozen=True)
 class BagImages(Checked):
-    """Images of one topic, sampled at a rate; their names are the times in their headers, seconds.
+    """Images of one topic of a bag, sampled at a rate; the names of images are the times in their headers, seconds.
 
     Raises:
         InputError: the rate is not positive, or the topic has no image.
     """
 
     bag: Bag
-    """The bag."""
+    """Bag with the topic."""
     topic: str
     """Topic of the images."""
     rate: Positive
-    """Greatest number of images per second that are taken."""
+    """Maximum number of images per second; other images are skipped."""
 
     def _validate(self) -> None:
         if not self._taken:
@@ -76,7 +76,7 @@ class BagImages(Checked):
 
     @cached_property
     def _taken(self) -> list[tuple[str, int]]:
-        """Time, and time of recording, ns, of each image that is taken, by ascending time."""
+        """Time and time of recording, ns, of each image that is not skipped, by ascending time."""
         found: dict[str, int] = {}
         for message in self.bag.messages(self.topic):
             found.setdefault(message.stamp, message.logged)
@@ -93,7 +93,7 @@ class BagImages(Checked):
         kind, size = self.bag.topics[self.topic], image_size(camera)
         waiting: dict[str, Message] = {}
         messages = self.bag.messages(self.topic, min(logged), max(logged))
-        for stamp, _ in wanted:  # images are yielded by ascending time, and were recorded nearly so
+        for stamp, _ in wanted:  # images are yielded by ascending time, and were recorded in nearly this order
             while stamp not in waiting:
                 message = next(messages, None)
                 if message is None:
@@ -142,13 +142,13 @@ def images_in(path: Any, topic: Any, rate: float, argument: str, count: int) -> 
     """Images of `count` topics of a bag, by topic; arguments as in `Bag.chosen`.
 
     Raises:
-        InputError: the bag cannot be read, or has other topics.
+        InputError: the bag cannot be read, or lacks the topics.
     """
     bag = Bag(path, argument)
     return {name: BagImages(bag, name, rate) for name in bag.chosen(topic, IMAGE, COMPRESSED, count=count)}
 
 
-CHUNK = 8  # number of images that are read at once
+CHUNK = 8  # number of images that are read together
 Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]
 
 
@@ -159,14 +159,15 @@ def detected_in_photographs(
     """Detections in the photographs of all cameras.
 
     Args:
-        given: folder of images, a video or a bag; of several cameras a folder with one folder for each, or a bag.
+        given: folder of images, a video or a bag; for several cameras, a folder with a folder for each camera, or a
+            bag.
         cameras: cameras with the sizes of their images.
         detector: detector of the tags.
         modules: number of modules on an edge in the tags' family.
-        each: function that applies a function to each of some jobs, in their order.
+        each: function that applies a function to all jobs, and keeps their order.
         topic: topic of a bag, or of each camera.
-        rate: greatest number of frames a second taken from a video.
-        workers: number of processes of `each`, None for every processor; the result does not depend on the number.
+        rate: maximum number of frames per second taken from a video or a bag.
+        workers: number of processes of `each`, None for one per processor; the result does not depend on this number.
 
     Raises:
         InputError: there are no photographs, or a photograph cannot be read.
@@ -207,12 +208,12 @@ class Chunk(NamedTuple):
 def detected_in(
     images: Images, camera: "Camera", detector: "Detector", modules: int, each: Each, workers: int | None
 ) -> DetectedTags:
-    """Detections in images of one camera, without images that are much more blurred than the others.
+    """Detections in images of one camera; images that are much more blurred than the others are left out.
 
     Raises:
         InputError: an image cannot be read, or no image shows a tag.
     """
-    next(images.read(0, 1, camera), None)  # an error that is common to all images is raised before the work begins
+    next(images.read(0, 1, camera), None)  # raise an error common to all images before the work begins
     count = len(images.names)
     for remark in images.remarks:
         print(f"warning: photographs: {remark}", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""Comparison of a visibility model's predictions for frames with detections: figures and tables."""
+"""Comparison of predictions of a visibility model for frames with detections: figures and tables."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -42,12 +42,12 @@ class CameraPrediction:
     poses: FloatArray
     """Poses X of the camera, `(N, 4, 4)`."""
     visible: BoolArray
-    """True for tags that the model counts as visible, `(N, K)`."""
+    """True for tags that are visible according to the model, `(N, K)`."""
     met: Mapping[str, BoolArray]
-    """Criteria that are met, by name, `(N, K)` each; empty if the model has none."""
+    """Mask of the tags that meet a criterion, `(N, K)`, by the criterion's name; empty if the model has none."""
     taken: BoolArray | None = None
-    """True for frames with an image, `(N,)`; None if all frames have an image. Without an image no tag is visible or
-    whole.
+    """True for frames with an image, `(N,)`; None if all frames have one. In a frame without an image, no tag is
+    visible or whole.
     """
     people: Sequence[FloatArray] | None = None
     """Cylinders that are in the way in each of the N frames, `(M, 5)` each; None without a crowd."""
@@ -59,7 +59,7 @@ class CameraPrediction:
 
     @cached_property
     def whole(self) -> BoolArray:
-        """True for tags that show their front with all corners in the image, `(N, K)`."""
+        """True for tags that show their front, and have all corners in the image, `(N, K)`."""
         inside = self.renderer.inside(self.poses)
         return inside if self.taken is None else inside & self.taken[:, None]
 
@@ -72,7 +72,7 @@ class CameraPrediction:
 
     @cached_property
     def incidence(self) -> FloatArray:
-        """Angle between the normal of a tag and the direction to the camera, degrees, `(N, K)`; NaN as for `pitch`."""
+        """Angle between a tag's normal and the direction to the camera, degrees, `(N, K)`; NaN as for `pitch`."""
         room = self.renderer.room
         return np.where(self.whole, np.degrees(incidence(self.poses, room.centres, room.normals)), np.nan)
 
@@ -84,7 +84,7 @@ def _beside(name: str) -> cached_property[NDArray[Any]]:
 
 @dataclass(frozen=True)
 class Prediction:
-    """Prediction for N simultaneous frames of C cameras on one body; arrays of the cameras are concatenated to C K."""
+    """Prediction for N frames of C cameras on one body; arrays of the cameras are concatenated along the tags (C K)."""
 
     parts: tuple[CameraPrediction, ...]
     """Prediction of each camera."""
@@ -101,7 +101,7 @@ class Prediction:
 
     @cached_property
     def met(self) -> Mapping[str, BoolArray]:
-        """Criteria that are met, by name, `(N, C K)` each."""
+        """Mask of the tags that meet a criterion, `(N, C K)`, by the criterion's name."""
         names = self.parts[0].met
         return {name: np.concatenate([part.met[name] for part in self.parts], axis=1) for name in names}
 
@@ -111,12 +111,12 @@ class Prediction:
         return overlapping(self.parts[0].renderer.room)
 
     def moved(self, poses: FloatArray) -> "Prediction":
-        """Prediction with other poses of the body."""
+        """The prediction for other poses of the body."""
         parts = tuple(replace(part, poses=poses @ at) for part, at in zip(self.parts, self.mounted, strict=True))
         return replace(self, parts=parts, poses=poses)
 
     def by_any(self, which: BoolArray) -> BoolArray:
-        """Logical or over the cameras, `(N, C K)` -> `(N, K)`."""
+        """Logical or over the cameras: `(N, C K)` -> `(N, K)`."""
         return np.asarray(which.reshape(len(which), len(self.parts), -1).any(axis=1))
 
 
@@ -124,8 +124,8 @@ def figures(prediction: Prediction, seen: Matches) -> dict[str, float]:
     """Figures of one deployment and one detector.
 
     A frame of a rig consists of the simultaneous images of all cameras. `predicted_<n>`, `detected_<n>` and
-    `agreement_<n>` count tags that any camera shows, and the pose is the pose of the body; other figures count a tag
-    once per camera.
+    `agreement_<n>` count tags that any camera shows, and the pose is that of the body; other figures count a tag once
+    per camera.
 
     - `predicted_<n>`, `detected_<n>`: P(>= n), the share of frames with at least n tags; `_error`: its standard error.
     - `agreement_<n>`: share of frames in which prediction and detection agree on at least n tags.
@@ -166,7 +166,7 @@ def figures(prediction: Prediction, seen: Matches) -> dict[str, float]:
 
 
 def repeatability(seen: Matches, again: Matches, prediction: Prediction) -> dict[str, float]:
-    """Agreement of a detector with itself on two renderings of each frame, a bound on the agreement of predictions.
+    """Agreement of a detector with itself on two renderings of each frame, which bounds the agreement of predictions.
 
     `repeated_<n>`: share of frames in which both renderings agree on at least n tags; `repeated_tags`: number of tags
     found in both renderings over the number found in either.
@@ -182,7 +182,7 @@ def repeatability(seen: Matches, again: Matches, prediction: Prediction) -> dict
 
 
 def _quantiles(name: str, values: FloatArray) -> dict[str, float]:
-    """`QUANTILES` of the finite values; NaN without any."""
+    """`QUANTILES` of the finite values; NaN if there are none."""
     known = values[np.isfinite(values)]
     return {f"{name}_{key}": float(np.quantile(known, q)) if known.size else np.nan for key, q in QUANTILES.items()}
 

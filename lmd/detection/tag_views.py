@@ -1,5 +1,5 @@
-"""Views of single tags with the outcome of a detector, for fitting the detector's limits; and sources of views:
-a survey, and photographs of a printed board with known geometry.
+"""Views of single tags, and detections of these tags, to which a detector's limits are fitted. Sources of views are a
+survey, and photographs of a printed board with known geometry.
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ from lmd.render.room import TaggedRoom
 from lmd.scene import deployment
 from lmd.scene.tag import Tag
 
-# File of a survey with the views of its tags, and the two columns that name the image.
+# File of a survey with the views of its tags, and the two columns that identify the image.
 FILE, FRAME, CAMERA = "in_view.csv", "time", "camera"
 # Further columns: id; image of the centre, pixels from the border; depth, metres; pitch, pixels per module; incidence
 # angle, degrees; apparent edge, pixels; border and circle, pixels, see `Placed`; seen, 0 or 1.
@@ -34,14 +34,14 @@ COLUMNS = ("id", "u", "v", "depth", "pitch", "incidence", "edge", "border", "cir
 
 @dataclass(frozen=True)
 class Placed:
-    """Place and time of M views in the images of a recording."""
+    """Positions of M views in the images of a recording, and times of the images."""
 
     camera: IntArray
     """Index of the camera in its rig, `(M,)`."""
     moment: IntArray
     """Rank of the image's time among all times, `(M,)`."""
     border: FloatArray
-    """Least distance of a corner from the border of the image, pixels, `(M,)`."""
+    """Minimum distance of the tag's corners from the border of the image, pixels, `(M,)`."""
     circle: FloatArray
     """Diameter of the smallest `Camera.image_circle` that contains the tag, pixels, `(M,)`; NaN without distortion."""
 
@@ -51,7 +51,7 @@ class Placed:
 
 @dataclass(frozen=True)
 class TagViews:
-    """M views of single tags with the outcome of a detector."""
+    """M views of single tags, with detected and missed tags."""
 
     pitch: FloatArray
     """Pitch, pixels per module, see `lmd.detection.corner_errors.pitch`, `(M,)`."""
@@ -62,11 +62,11 @@ class TagViews:
     sigma: FloatArray
     """Standard deviation of the total blur, pixels, `(M,)`."""
     seen: BoolArray
-    """True for tags detected with their id within the corner tolerance, `(M,)`."""
+    """True for detected tags: with their id, and with corners within the tolerance, `(M,)`."""
     error: FloatArray
     """Root mean square error of the corners, pixels, `(M,)`; NaN for tags not detected."""
     placed: Placed | None = None
-    """Place and time in a recording; None for single views that are rendered or photographed."""
+    """Position and time in a recording; None for single views, rendered or photographed."""
 
     def __len__(self) -> int:
         return len(self.pitch)
@@ -85,16 +85,16 @@ _ARRAYS = tuple(field.name for field in fields(TagViews))[:-1]
 
 
 class ViewSource(Protocol):
-    """Source of views with the outcome of a detector."""
+    """Source of views of tags in which a detector was run."""
 
     @property
     def photographs(self) -> int:
-        """Number of photographs with the views; 0 for renderings."""
+        """Number of photographs from which the views are; 0 for renderings."""
 
     def views(
         self, cameras: Sequence[Camera], tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator
     ) -> TagViews:
-        """Collect views and the outcome of a detector.
+        """Collect views, and the detections of a detector in them.
 
         Args:
             cameras: cameras of the images, several for a rig.
@@ -150,10 +150,10 @@ class SurveyedViews:
     def views(
         self, cameras: Sequence[Camera], tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator
     ) -> TagViews:
-        """See `ViewSource.views`; `detector` is ignored, as the survey recorded the outcome of its own detector.
+        """See `ViewSource.views`; `detector` is ignored, as the survey recorded the detections of its own detector.
 
         Raises:
-            InputError: the survey has more than `cameras`.
+            InputError: the survey has more cameras than `cameras`.
         """
         number, *columns = self._table.numbers((CAMERA, *COLUMNS), (FRAME,)).T
         _, _, _, depth, pitch, incidence, edge, border, circle, seen = columns
@@ -209,7 +209,7 @@ class BoardImages(Checked):
         parts = []
         read = self.images.read(0, len(self.images.names), camera)
         for name, image in zip(self.images.names, read, strict=True):
-            if name in self.images.repeated:  # a copy of an image adds no information
+            if name in self.images.repeated:  # a copy of an image has no new information
                 continue
             found = detector.detect(image)
             pose = _pose_by(renderer, found, self.tolerance) if known is None else known.get(name)

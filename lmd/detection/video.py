@@ -3,8 +3,8 @@
 Frames are identified by their times, which need not be equally spaced. Some containers store no times, and some do not
 support seeking.
 
-The decoder also opens playlists, scripts and descriptions of streams, which name other files and addresses. A file of
-unknown origin is passed to the decoder only if it begins like a video, and only to the demuxer of its container.
+The decoder also opens playlists, scripts and descriptions of streams, which name other files and addresses. So a file
+is passed to the decoder only if it begins like a video, and only the demuxer of its container is allowed.
 """
 
 import codecs
@@ -30,7 +30,7 @@ from lmd.render.imaging import UInt8Array
 
 # Number of bytes that identify a container.
 FIRST = 4096
-# Number of packets of a transport stream that must begin with its sync byte.
+# Number of packets that must begin with the sync byte for a file to be a transport stream.
 LEAST_PACKETS = 4
 
 
@@ -42,7 +42,7 @@ class Container(NamedTuple):
     demuxers: str
     """FFmpeg's names of the container's demuxers, separated by commas."""
     begins: re.Pattern[bytes]
-    """Pattern of the first bytes."""
+    """Pattern of the first bytes of a file."""
 
 
 def _kind(name: str, demuxers: str, begins: bytes) -> Container:
@@ -60,25 +60,25 @@ CONTAINERS = (
         for before, size in ((0, 188), (4, 192), (0, 204))
     ),
     _kind("MPEG-PS", "mpeg", rb"\0\0\x01\xba"),
-    # Start code, then the type of the first unit: parameters, a delimiter or information.
+    # Start code, followed by the type of the first unit: parameters, a delimiter or information.
     _kind("raw H.264", "h264", rb"\0{2,8}\x01[\x07\x27\x47\x67\x06\x09\x29\x49\x69]"),
     _kind("raw H.265", "hevc", rb"\0{2,8}\x01[\x40\x42\x46\x4e]\x01"),
 )
 IMAGE = re.compile(rb"\x89PNG|\xff\xd8\xff|BM|II\*\0|MM\0\*|RIFF.{4}WEBP|GIF8", re.DOTALL)
 
-# Time before a frame at which a seek aims, ms, as OpenCV assumes equidistant frames.
+# A seek aims at a time before the frame by this, ms, as OpenCV assumes equidistant frames.
 LEAD = 500.0
-# Largest difference between times that count as equal, ms.
+# Maximum difference between times that count as equal, ms.
 SAME_TIME = 1e-3
-# Largest plausible number of frames in a header, and rounding error of a number computed from the duration.
+# Maximum plausible number of frames in a header, and rounding error of a number computed from the duration.
 MOST_FRAMES, ROUNDED = 1e9, 1
-# Greatest number of pixels of a frame; 8K has 3.3e7.
+# Maximum number of pixels of a frame; 8K has 3.3e7.
 MOST_PIXELS = 10**8
 
 
 @dataclass(frozen=True)
 class Video(Checked):
-    """Frames of a video, sampled at a rate; their names are their times, seconds.
+    """Frames of a video, sampled at a rate; the names of frames are their times, seconds.
 
     Raises:
         InputError: OpenCV cannot read the file, or the rate is not positive.
@@ -87,9 +87,9 @@ class Video(Checked):
     path: str | Path
     """File of the video."""
     rate: Positive
-    """Frames per second to take, at most the rate of the video."""
+    """Number of frames to take per second, at most the rate of the video."""
     argument: str = "path"
-    """Argument with the path, for messages."""
+    """Name of the argument that gave the path, for messages."""
 
     def _validate(self) -> None:
         head = read_bytes(self.path, self.argument, first=FIRST)
@@ -124,7 +124,7 @@ class Video(Checked):
 
     @cached_property
     def _index(self) -> "_Index":
-        """Index of all frames. The whole video is read, as the frame count in its header may be wrong or missing."""
+        """Index of all frames. The whole video is read, as the header may have no or a wrong number of frames."""
         cv2, video = optional("cv2", "detection"), self._opened()
         try:
             stated, rate = video.get(cv2.CAP_PROP_FRAME_COUNT), float(video.get(cv2.CAP_PROP_FPS))
@@ -153,8 +153,8 @@ class Video(Checked):
         """Open the video before its first frame.
 
         Args:
-            size: required width and height. Frames are in the sensor's orientation if they have this size there,
-                otherwise rotated as the file states. None for any size, in the sensor's orientation.
+            size: required width and height. Frames keep the sensor's orientation if they then have this size; otherwise
+                they are rotated as the file states. None for any size, in the sensor's orientation.
 
         Raises:
             InputError: the video cannot be opened, or has frames of another size.
@@ -181,7 +181,7 @@ class Video(Checked):
         raise wrong_size(Path(self.path), self.argument, found[0], size)
 
     def _at(self, number: int, size: tuple[int, int]) -> Any:
-        """Open the video with frame `number` grabbed."""
+        """Open the video and grab frame `number`."""
         cv2, video = optional("cv2", "detection"), self._opened(size)
         if number and self._index.seeks:
             wanted = 1e3 * self._index.times[number]
@@ -235,7 +235,7 @@ class _Index:
 
 @contextmanager
 def _for(container: Container | None, cv2: Any) -> Iterator[None]:
-    """Context that restricts OpenCV to one container and silences it, by FFmpeg's environment variables."""
+    """Context in which environment variables of FFmpeg restrict OpenCV to one container and silence it."""
     assert container is not None, "Video checks its container"
     options = {
         "OPENCV_FFMPEG_CAPTURE_OPTIONS": f"format_whitelist;{container.demuxers}|protocol_whitelist;file",
@@ -260,7 +260,7 @@ def container_of(head: bytes) -> Container | None:
 
 
 def refusal(head: bytes) -> str:
-    """Reason for the refusal of a file that begins with `head`: predicate of a sentence about the file."""
+    """Reason to refuse a file that begins with `head`: predicate of a sentence about the file."""
     read = ", ".join(dict.fromkeys(kind.name for kind in CONTAINERS))
     if IMAGE.match(head):
         return "is one image: a folder of photographs is read, or a video."

@@ -1,10 +1,11 @@
 """Cramer-Rao bound on the pose of a camera from the images of landmarks.
 
-A perturbation X exp(w, v) moves a landmark at y_i = (x, y, z) in the camera's frame by y_i x w - v, hence its image by
-J_i (w, v) with `J_i = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)] [[y_i]x  -I]`. For a distorting lens, the
-lens's Jacobian (`lmd.geometry.lens`) replaces the factors of the focal lengths. With pixel noise sigma the information
-is sum J_i^T J_i / sigma^2, and no unbiased estimate from this one frame has a smaller covariance than the inverse of
-the information. Fewer than three landmarks, or three in line, do not determine the pose: the bound is infinite.
+A perturbation X exp(w, v) moves a landmark at y_i = (x, y, z) in the camera's frame by y_i x w - v, and the image of
+the landmark by J_i (w, v) with `J_i = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)] [[y_i]x  -I]`. For a
+distorting lens, the lens's Jacobian (`lmd.geometry.lens`) replaces the factors of the focal lengths. With pixel noise
+sigma the information is sum J_i^T J_i / sigma^2, and no unbiased estimate from this one frame has a smaller covariance
+than the inverse of the information. Fewer than three landmarks, or collinear landmarks, do not determine the pose: the
+bound is infinite.
 
 A camera of a rig with the pose M on the body (`lmd.scene.rig.Rig.extrinsics`) moves by Ad_{M^-1} (w, v) when the body
 moves by (w, v). The information of a moment is the sum of Ad^T I Ad over the cameras.
@@ -30,9 +31,9 @@ from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator, averaged
 from lmd.sight.views import visible_to_each
 
-# Least eigenvalue of the scaled information of a determined pose; smaller eigenvalues are rounding errors.
+# Minimum eigenvalue of the scaled information for a pose to be determined; smaller eigenvalues are rounding errors.
 SINGULAR_EIGENVALUE = 1e-9
-# Number of poses processed at a time.
+# Number of poses processed together.
 POSE_CHUNK = 1 << 14
 
 
@@ -44,14 +45,16 @@ def pose_information(
     noise: FloatArray | None = None,
     mounted: FloatArray | None = None,
 ) -> FloatArray:
-    """Information on the pose of a camera, or of its body, in each frame, `(F, 6, 6)`, of body twists (w, v).
+    """Fisher information about the pose of a camera, or of its body, in each frame, for body twists (w, v), `(F, 6,
+    6)`.
 
     Args:
         poses: X, `(F, 4, 4)`.
         landmarks: C_i, world frame, metres, `(K, 3)`.
-        seen: mask of the landmarks in view, `(F, K)`; they must be in front of the camera.
+        seen: mask of the landmarks in view, `(F, K)`; landmarks in view must be in front of the camera.
         camera: intrinsics and distortion.
-        noise: standard deviation of each image in the order of `np.nonzero(seen)`, pixels, `(M,)`; None for one pixel.
+        noise: standard deviation of each image point in the order of `np.nonzero(seen)`, pixels, `(M,)`; None for one
+            pixel.
         mounted: pose of the camera in the frame of the body, `(4, 4)`; None for a camera alone.
     """
     mounted = np.eye(4) if mounted is None else mounted
@@ -69,7 +72,7 @@ def moment_information(
     seen: BoolArray,
     noise: Sequence[FloatArray] | None = None,
 ) -> FloatArray:
-    """`pose_information` of all C cameras on the pose of their body, `(F, 6, 6)`.
+    """Sum of the `pose_information` of all C cameras about the pose of their body, `(F, 6, 6)`.
 
     Args:
         cameras: intrinsics of the cameras.
@@ -84,8 +87,8 @@ def moment_information(
 
 
 def determines_pose(information: FloatArray) -> BoolArray:
-    """Mask of regular information matrices `(..., 6, 6)`, `(...)`, scaled to a unit diagonal to be independent of
-    units.
+    """Mask of the regular matrices, `(...)`, among information matrices `(..., 6, 6)`. For the test they are scaled to
+    a unit diagonal, so that it does not depend on units.
     """
     diagonal = np.diagonal(information, axis1=-2, axis2=-1)
     scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, np.inf))
@@ -94,7 +97,8 @@ def determines_pose(information: FloatArray) -> BoolArray:
 
 
 def cramer_rao_bound(information: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Smallest standard deviations of position (metres) and attitude (rad), `(...)` each, infinite without a bound.
+    """Smallest standard deviations of position (metres) and attitude (rad), `(...)` each; infinite for undetermined
+    poses.
 
     The deviations are the square roots of the traces of the position block and the attitude block of the inverse
     information, see `determines_pose`.
@@ -110,19 +114,19 @@ def cramer_rao_bound(information: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True)
 class CramerRaoMap:
-    """Bounds for one pixel of noise at each position, summarised over the orientations of the PDF."""
+    """Bounds for one pixel of noise at each position, as medians over the orientations of the PDF."""
 
     positions: FloatArray
-    """World frame, metres, `(P, 3)`."""
+    """Positions, world frame, metres, `(P, 3)`."""
     share: FloatArray
     """Probability under the orientation PDF that a single frame determines the pose, `(P,)`."""
     position: FloatArray
-    """Median bound on the position over the orientations that determine the pose, metres, `(P,)`; infinite if no
-    orientation does.
+    """Median bound on the position over the orientations that determine the pose, metres, `(P,)`; infinite without such
+    an orientation.
     """
     attitude: FloatArray
-    """Median bound on the attitude over the orientations that determine the pose, rad, `(P,)`; infinite if no
-    orientation does.
+    """Median bound on the attitude over the orientations that determine the pose, rad, `(P,)`; infinite without such an
+    orientation.
     """
 
     def metrics(self) -> dict[str, float]:
@@ -137,8 +141,8 @@ class CramerRaoMap:
         return metrics
 
     def to_csv(self, path: str | Path) -> None:
-        """Write a CSV with the columns `x,y,z,share,position,attitude`, one row per position; infinite bounds are
-        empty.
+        """Write a CSV with the columns `x,y,z,share,position,attitude`, one row per position; cells of infinite bounds
+        are empty.
         """
         bounds = {"share": self.share, "position": self.position, "attitude": self.attitude}
         columns = dict(zip("xyz", self.positions.T, strict=True)) | bounds
@@ -178,8 +182,8 @@ def _finite_median(values: FloatArray, weight: FloatArray) -> FloatArray:
 class CramerRaoBound:
     """Least RMS error of unbiased estimates from a single frame, given the pixel noise; an `Estimator`.
 
-    A tag is measured by its corners, a point by its centre. An estimator that uses earlier frames may be better. The
-    error Er is its expectation tr S_vv + 2 tr S_ww.
+    A tag is measured by its corners, a point by its centre. An estimator that uses earlier frames may have smaller
+    errors. The error Er is its expectation tr S_vv + 2 tr S_ww.
     """
 
     def errors(self, recording: Recording, start: FloatArray) -> Errors:

@@ -1,15 +1,16 @@
-"""Standard deviations of the pose as laws of the distance and the number of tags, for filters.
+"""Laws for filters: standard deviations of the pose as functions of the distance and the number of tags.
 
-A law is sd = a d^b / n^c with the mean distance d [m] of the n tags in view. A single tag and several tags have laws of
-their own. With one tag the position hangs on the apparent size and tilt of a small square, with several tags on the
-angles between them. b and c are fitted by least squares to log sd. The scale a is the root mean square of sd / (d^b /
-n^c), so that errors normalised by the law have the mean square 1 over all views.
+A law is sd = a d^b / n^c with the mean distance d [m] of the n tags in view. There is one law for a single tag and one
+for several tags: with one tag the position follows from the apparent size and tilt of a small square, with several tags
+from the angles between the tags. b and c are fitted by least squares to log sd. The scale a is the root mean square of
+sd / (d^b / n^c), so that errors normalised by the law have the mean square 1 over all views.
 
-`RULES` are usual rules, fitted likewise:
+`RULES` are common rules, fitted in the same way:
 
 - `constant`: sd = a.
 - `squared`: sd = a d^2 / n, as in AdvantageKit's vision template (`linearStdDevBaseline`).
-- `photonvision`: sd = a (1 + d^2 / 30), with one a for a single tag and one for several, as in PhotonVision's example
+- `photonvision`: sd = a (1 + d^2 / 30), with one value of a for a single tag and one for several, as in PhotonVision's
+example
   (`kSingleTagStdDevs`, `kMultiTagStdDevs`).
 """
 
@@ -23,9 +24,9 @@ from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 # Standard deviations with a law: rms per axis of the position, of x and y, and of z, metres; rms per axis of the
 # rotation, of roll and pitch, and of yaw, rad.
 QUANTITIES = ("position", "horizontal", "vertical", "rotation", "tilt", "heading")
-LEAST_VIEWS = 30  # least number of views of a law
-LEAST_VARIATION = 0.05  # least standard deviation of log d or log n for which its exponent is fitted
-LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)  # reported quantiles of sd over its law
+LEAST_VIEWS = 30  # minimum number of views for fitting a law
+LEAST_VARIATION = 0.05  # an exponent is fitted if the standard deviation of log d, or of log n, is at least this
+LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)  # reported quantiles of the ratio of sd to its law
 
 
 @dataclass(frozen=True)
@@ -33,11 +34,11 @@ class PowerLaw:
     """sd = scale d^distance / n^tags."""
 
     scale: float
-    """a, sd of one tag at one metre, metres or rad."""
+    """Scale a: sd of one tag at one metre, metres or rad."""
     distance: float = 0.0
-    """b."""
+    """Exponent b of the distance."""
     tags: float = 0.0
-    """c."""
+    """Exponent c of the number of tags."""
 
     def at(self, distance: FloatArray | float, tags: IntArray | int) -> FloatArray:
         """Standard deviation for a mean distance [m] and a number of tags, broadcast."""
@@ -48,45 +49,45 @@ class PowerLaw:
 
 @dataclass(frozen=True)
 class Law:
-    """Laws of one tag, and of several tags."""
+    """Law for a single tag, and law for several tags."""
 
     one: PowerLaw
-    """Law of a single tag."""
+    """Law for a single tag."""
     several: PowerLaw
-    """Law of two tags and more."""
+    """Law for two or more tags."""
 
     def at(self, distance: FloatArray, tags: IntArray) -> FloatArray:
-        """Standard deviations for mean distances [m] and numbers of tags, `(V,)` each."""
+        """Standard deviations for mean distances [m] and numbers of tags, `(V,)`, from arguments `(V,)`."""
         return np.where(tags == 1, self.one.at(distance, 1), self.several.at(distance, tags))
 
 
 @dataclass(frozen=True)
 class Rule:
-    """Usual rule: sd = a times a fixed shape of d and n."""
+    """Common rule: sd = a times a fixed function of d and n."""
 
     shape: str
     """Name in `RULES`."""
     one: float
-    """a of a single tag, metres or rad."""
+    """Scale a for a single tag, metres or rad."""
     several: float
-    """a of several tags, metres or rad."""
+    """Scale a for several tags, metres or rad."""
 
     def at(self, distance: FloatArray, tags: IntArray) -> FloatArray:
         """See `Law.at`."""
         return np.where(tags == 1, self.one, self.several) * RULES[self.shape](distance, tags)
 
 
-# Shape of each rule as a function of d and n.
+# Each rule without its scale, as a function of d and n.
 RULES: Mapping[str, Callable[[FloatArray, IntArray], FloatArray]] = {
     "constant": lambda distance, tags: np.ones(np.broadcast_shapes(distance.shape, tags.shape)),
     "squared": lambda distance, tags: distance**2 / tags,
     "photonvision": lambda distance, tags: 1.0 + distance**2 / 30.0 + 0.0 * tags,
 }
-BY_NUMBER = {"photonvision"}  # rules with one a for a single tag and one for several
+BY_NUMBER = {"photonvision"}  # rules with one value of a for a single tag and one for several
 
 
 def fit_power(distance: FloatArray, tags: IntArray, deviation: FloatArray) -> PowerLaw:
-    """Power law of standard deviations `(V,)` for mean distances [m] and numbers of tags `(V,)`.
+    """Fit a power law to standard deviations at mean distances [m] and numbers of tags, `(V,)` each.
 
     An exponent is 0 if its variable is nearly constant.
     """
@@ -99,12 +100,12 @@ def fit_power(distance: FloatArray, tags: IntArray, deviation: FloatArray) -> Po
 
 
 def _scale(deviation: FloatArray, shape: FloatArray) -> float:
-    """a for which the mean square of deviation / (a shape) is 1."""
+    """Scale a for which the mean square of deviation / (a shape) is 1."""
     return float(np.sqrt(((deviation / shape) ** 2).mean()))
 
 
 def fit_law(distance: FloatArray, tags: IntArray, deviation: FloatArray) -> Law:
-    """Law of standard deviations `(V,)`; a group with fewer than `LEAST_VIEWS` views has the law of all views.
+    """Fit a law to standard deviations `(V,)`; a group with fewer than `LEAST_VIEWS` views gets the law of all views.
 
     Raises:
         InputError: there are fewer than `LEAST_VIEWS` views.
@@ -124,7 +125,7 @@ def fit_law(distance: FloatArray, tags: IntArray, deviation: FloatArray) -> Law:
 
 
 def fit_rule(shape: str, distance: FloatArray, tags: IntArray, deviation: FloatArray) -> Rule:
-    """Usual rule with the scale of `PowerLaw`; arguments as in `fit_power`."""
+    """Common rule with the scale fitted as in `PowerLaw`; arguments as in `fit_power`."""
     per_view = RULES[shape](distance, tags)
 
     def fitted(own: BoolArray) -> float:

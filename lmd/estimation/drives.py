@@ -1,4 +1,4 @@
-"""Drives of the objective of filtered poses, from recordings or from sources of trajectories."""
+"""Drives for the objective of the filtered pose, from recordings or from sources of trajectories."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,9 +14,9 @@ from lmd.objectives.filtered import Drives, Filtered
 from lmd.scene.scene import Scene
 from lmd.space.changed import DrivenRoom, RecordedRoom
 
-DRIVES_STREAM = 0x647269  # separates the random numbers of drives from other uses of a seed
+DRIVES_STREAM = 0x647269  # key that separates the random numbers of drives from other uses of a seed
 FRAME_BYTES = 1000  # memory of a frame of a drive
-FRESH_STREAM = 0x667265  # as `DRIVES_STREAM`, for the drives of the validation
+FRESH_STREAM = 0x667265  # as `DRIVES_STREAM`, for the held-out drives of the validation
 
 
 def filtered(
@@ -34,14 +34,15 @@ def filtered(
 ) -> tuple[Filtered, Scene]:
     """Objective of the filtered pose along drives, and the scene with the frames of the drives as positions.
 
-    A source of random trajectories gives `drives` drives, and `fresh` others for the validation. A recording, of the
-    scene or from a file, is cut into drives of `block` seconds, and every `held_out`-th is kept for the validation.
+    A source of random trajectories gives `drives` drives, and `fresh` other drives for the validation. A recording, of
+    the scene or from a file, is cut into drives of `block` seconds, and every `held_out`-th drive is kept for the
+    validation.
 
     Args:
         scene: room, camera and orientations.
         trajectory: source of the drives; unused if the scene has a recording.
         odometry: noise of the odometry.
-        drives, fresh: numbers of drives.
+        drives, fresh: numbers of drives for the objective and for the validation.
         seed: seed of the drives.
         block: length of a drive of a recording, seconds.
         held_out: every `held_out`-th drive of a recording is kept for the validation, at least 2.
@@ -49,7 +50,7 @@ def filtered(
         settings: arguments of `Filtered`.
 
     Raises:
-        InputError: a value is out of range, or there is no such drive.
+        InputError: a value is out of range, or there is no drive.
     """
     if not callable(getattr(trajectory, "draw", None)):
         raise InputError(f"trajectory must be a source of trajectories, got {trajectory!r}.", "trajectory")
@@ -61,7 +62,7 @@ def filtered(
     every, length = integer("held_out", held_out, low=2), real("block", block, above=0.0)
     if scene.recorded is not None:
         room, parts = scene.room, cut(scene.recorded.trajectory, length)
-        if isinstance(room, RecordedRoom):  # which counts the time spent once more
+        if isinstance(room, RecordedRoom):  # it would count the recorded time twice
             room = room.original
         chosen, kept = _divided(parts, every)
     else:
@@ -86,7 +87,7 @@ def filtered(
 
 
 def _draw(scene: Scene, source: TrajectorySource, seed: Sequence[int], count: int) -> list[Trajectory]:
-    """Draw trajectories; the first ones do not depend on their number."""
+    """Draw trajectories; a larger number adds trajectories and does not change the first ones."""
     return [source.draw(scene, np.random.default_rng([*seed, i])) for i in range(count)]
 
 
@@ -104,7 +105,7 @@ def cut(trajectory: Trajectory, seconds: float) -> list[Trajectory]:
 
 
 def _divided(parts: Sequence[Trajectory], every: int) -> tuple[list[Trajectory], list[Trajectory]]:
-    """Divide the drives of a recording into those that are optimised on and those that are held out."""
+    """Divide the drives of a recording into the drives of the objective and the held-out drives."""
     kept = [part for i, part in enumerate(parts) if i % every == every - 1]
     if not kept:
         raise InputError(

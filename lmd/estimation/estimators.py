@@ -2,10 +2,10 @@
 
 Consistency of estimators: normalised estimation errors squared (NEES) and their chi-square intervals.
 
-An estimate Xh with the covariance S of the body twist (w, v) of its error Xh^-1 X = exp(w, v) is consistent if
-(w, v)^T S^-1 (w, v) follows the chi-square distribution of 6 degrees. The blocks of S give the squares of rotation and
-of position, of 3 degrees each. See Y. Bar-Shalom, X. R. Li and T. Kirubarajan, "Estimation with applications to
-tracking and navigation", 2001, section 5.4.
+An estimate Xh with the covariance S of the body twist (w, v) of its error Xh^-1 X = exp(w, v) is consistent if (w, v)^T
+S^-1 (w, v) follows the chi-square distribution with 6 degrees of freedom. The blocks of S give the squares of rotation
+and of position, with 3 degrees of freedom each. See Y. Bar-Shalom, X. R. Li and T. Kirubarajan, "Estimation with
+applications to tracking and navigation", 2001, section 5.4.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -19,12 +19,12 @@ from lmd.core.checks import FloatArray
 from lmd.estimation.recording import Recording
 from lmd.geometry.se3 import angle_between, inverse, log
 
-# Degrees of freedom of the three squares of `squares`.
+# Degrees of freedom of the three columns of `squares`.
 DEGREES = {"joint": 6, "rotation": 3, "position": 3}
 
 
 def squares(estimates: Sequence[tuple[FloatArray, FloatArray]], true: FloatArray) -> FloatArray:
-    """Normalised errors squared of a run: joint, of rotation and of position, `(T, 3)`; NaN without an estimate.
+    """Normalised errors squared in a run: joint, of rotation, and of position, `(T, 3)`; NaN without an estimate.
 
     Args:
         estimates: Xh `(4, 4)` of each frame, and the covariance of its error as a body twist, `(6, 6)`.
@@ -85,13 +85,13 @@ def errors_of(
     start: FloatArray,
     run: Callable[[Recording, int, FloatArray], Iterator[tuple[FloatArray, FloatArray]]],
 ) -> Errors:
-    """Errors of an estimator that states covariances.
+    """Compute the errors of an estimator that states covariances.
 
     Args:
         recording: S runs.
         start: initial estimate of the pose, `(S, 4, 4)`.
-        run: estimate Xh `(4, 4)` of each frame of a run, and the covariance of its error as a body twist, `(6, 6)`; NaN
-            without an estimate.
+        run: function that gives, for each frame of a run, the estimate Xh `(4, 4)` and the covariance of its error as a
+            body twist, `(6, 6)`; NaN without an estimate.
     """
     runs = [list(run(recording, s, first)) for s, first in enumerate(start)]
     errors = pose_errors(recording.poses, np.array([[pose for pose, _ in one] for one in runs]))
@@ -100,7 +100,7 @@ def errors_of(
 
 
 class Estimator(Protocol):
-    """Estimator of the poses of a camera."""
+    """Interface of estimators of camera poses."""
 
     def errors(self, recording: Recording, start: FloatArray) -> Errors:
         """Estimate the poses in every frame of every run and compute the errors, NaN without an estimate.

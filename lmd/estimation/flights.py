@@ -1,4 +1,4 @@
-"""Flights: the motions of a camera through a room, from random or given waypoints or from a file."""
+"""Flights: motions of a camera through a room, through random or given waypoints or from a file."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from lmd.space.space import check_inside
 
 # Largest slope of the minimum-jerk profile, at its middle.
 PEAK_SLOPE = 1.875
-# Maximum number of waypoints between two frames, and of draws of a waypoint with a free straight path.
+# Maximum number of waypoints between two frames, and of draws until a waypoint has a free straight path.
 MOST_WAYPOINTS, MOST_DRAWS = 100, 1000
 # Lower bound on the memory of a frame of random motion, bytes.
 FRAME_BYTES = 1000
@@ -49,7 +49,7 @@ class Pace(Checked):
     turn_rate: Positive
     """Limit of |w|, rad/s; yaw and pitch turn about perpendicular axes."""
     frame_rate: Positive
-    """Frames per second."""
+    """Frame rate, frames per second."""
 
     def seconds(self, steps: FloatArray) -> FloatArray:
         """Duration of each change (x, y, z, yaw, pitch) `(..., 5)`, seconds, `(...)`."""
@@ -57,11 +57,11 @@ class Pace(Checked):
         return np.asarray(PEAK_SLOPE * np.maximum(way / self.speed, turn / self.turn_rate))
 
     def through(self, waypoints: FloatArray, duration: float | None = None) -> Trajectory:
-        """Make the trajectory through waypoints (x, y, z, yaw, pitch).
+        """Make a trajectory through waypoints (x, y, z, yaw, pitch).
 
         Args:
-            waypoints: `(N, 5)`, metres and radians; the yaw turns the shorter way.
-            duration: end of the trajectory, seconds; None for the last waypoint.
+            waypoints: `(N, 5)`, metres and radians; yaw changes by the smaller angle.
+            duration: end of the trajectory, seconds; None to end at the last waypoint.
 
         Raises:
             InputError: two consecutive waypoints coincide.
@@ -74,7 +74,7 @@ class Pace(Checked):
             raise InputError(f"waypoints {still[0]} and {still[0] + 1} are the same, {waypoints[still[0]].tolist()}.")
         arrival = np.concatenate([[0.0], np.cumsum(seconds)])
         end = arrival[-1] if duration is None else duration
-        # The allowance for rounding makes 3 steps of 0.3 s at 10 frames per second.
+        # Tolerance for rounding, so that 0.3 s at 10 frames per second are 3 steps.
         time = np.arange(int(end * self.frame_rate + 1e-9) + 1) / self.frame_rate
         leg = np.clip(np.searchsorted(arrival, time, side="right") - 1, 0, len(steps) - 1)
         t = (time - arrival[leg]) / seconds[leg]
@@ -144,8 +144,8 @@ class Waypoints:
     """Motion through given waypoints.
 
     Raises:
-        InputError: there are fewer than two waypoints, or no pace, or a waypoint is not five finite numbers with a
-            pitch in [-pi/2, pi/2].
+        InputError: there are fewer than two waypoints, the pace is missing, or a waypoint is not five finite numbers
+            with a pitch in [-pi/2, pi/2].
     """
 
     points: Sequence[Sequence[float]]

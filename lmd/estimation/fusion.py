@@ -1,4 +1,4 @@
-"""Estimators of GTSAM with models of the measurement noise: a Kalman filter and a fixed-lag smoother."""
+"""Estimators of GTSAM, a Kalman filter and a fixed-lag smoother, with models of the measurement noise."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -52,7 +52,7 @@ class Uncertainty(Checked):
 
 
 class Measurement(Protocol):
-    """Measurement of a frame: d numbers, which are predicted from a pose."""
+    """Measurement in a frame: d numbers that can be predicted from a pose."""
 
     @property
     def value(self) -> FloatArray:
@@ -63,7 +63,9 @@ class Measurement(Protocol):
         """Covariance of the measured numbers, `(d, d)`."""
 
     def predicted(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Predict the measurement at a pose X, `(d,)`, and its Jacobian by a body twist (w, v), `(d, 6)`."""
+        """Predict the measurement at a pose X, `(d,)`, and return its Jacobian with respect to a body twist (w, v),
+        `(d, 6)`.
+        """
 
 
 class CameraPoints(NamedTuple):
@@ -102,7 +104,7 @@ class CornerImages(NamedTuple):
         return cls(images, np.concatenate([image.pixels for image in images]).reshape(-1), np.diag(noise**2))
 
     def predicted(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """See `Measurement.predicted`; a point without an image is predicted at the principal point, with a zero
+        """See `Measurement.predicted`; a point that has no image is predicted at the principal point, with a zero
         Jacobian.
         """
         pixels, slopes = [], []
@@ -125,7 +127,9 @@ class InvariantKalmanFilter(Uncertainty):
     """
 
     measured: Annotated[str, partial(choice, options=("points", "corners"))] = field(default="points", kw_only=True)
-    """`points`, the position of each tag by its own image, or `corners`, the images of the corners of all tags."""
+    """Measurements: `points`, the position of each tag from its own image, or `corners`, the image points of all
+    corners.
+    """
 
     def errors(self, recording: Recording, start: FloatArray) -> Errors:
         """See `lmd.estimation.estimators.Estimator.errors`."""
@@ -137,7 +141,7 @@ class InvariantKalmanFilter(Uncertainty):
         corners = self.measured == "corners" and recording.corners is not None
         kind: type[CameraPoints | CornerImages] = CornerImages if corners else CameraPoints
         ekf = gtsam.InvariantEKFPose3(gtsam.Pose3(start), np.diag(self.initial**2))
-        density = np.diag(self.drift(recording) ** 2)  # the filter multiplies the density by the time step
+        density = np.diag(self.drift(recording) ** 2)  # GTSAM's filter multiplies the density by the time step
         yield start, ekf.covariance().copy()  # GTSAM returns a view of its own memory
         for t, step in enumerate(np.diff(recording.time), start=1):
             ekf.predict(recording.twists[s, t - 1], step, density)
@@ -160,19 +164,21 @@ class FixedLagSmoother(Uncertainty):
     """
 
     lag: Positive = field(default=1.0, kw_only=True)
-    """Time span of the graph, seconds; older frames are marginalised."""
+    """Time span of the factor graph, seconds; older frames are marginalised."""
 
     def errors(self, recording: Recording, start: FloatArray) -> Errors:
         """See `lmd.estimation.estimators.Estimator.errors`."""
         return errors_of(recording, start, self.run)
 
     def run(self, recording: Recording, s: int, start: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
-        """Estimates of run s, `(4, 4)` each, and their covariances as body twists, `(6, 6)`; NaN before the start."""
+        """Estimates of run s, `(4, 4)` each, and covariances as body twists, `(6, 6)`; NaN before the start."""
         gtsam = optional("gtsam", "estimators")
         diagonal, drift = gtsam.noiseModel.Diagonal.Sigmas, self.drift(recording)
         kind: type[CameraPoints | CornerImages] = CameraPoints if recording.corners is None else CornerImages
         parameters = gtsam.ISAM2Params()
-        parameters.setFactorization("QR")  # Cholesky fails if the first estimate is vague and the odometry precise
+        parameters.setFactorization(
+            "QR"
+        )  # Cholesky factorisation fails if the first estimate is vague and the odometry precise
         smoother = gtsam.IncrementalFixedLagSmoother(self.lag, parameters)
         estimate, begun = gtsam.Pose3(start), False
         for t, time in enumerate(recording.time):
@@ -198,7 +204,7 @@ class FixedLagSmoother(Uncertainty):
 
 
 def _beginning(recording: Recording, s: int, t: int, expected: FloatArray) -> FloatArray | None:
-    """Pose at which a smoother starts with frame t of run s; None if the frame does not determine the pose."""
+    """Pose with which a smoother starts at frame t of run s; None if the frame does not determine the pose."""
     if recording.corners is None:
         return expected
     found = likely(body_solutions(images_of(recording, s, t)))
@@ -206,7 +212,7 @@ def _beginning(recording: Recording, s: int, t: int, expected: FloatArray) -> Fl
 
 
 def _factor(gtsam: Any, key: int, measurement: Measurement) -> Any:
-    """Factor of a measurement on the pose `key`."""
+    """GTSAM factor of a measurement of the pose `key`."""
 
     def error(_: Any, values: Any, jacobians: Any) -> FloatArray:
         predicted, jacobian = measurement.predicted(values.atPose3(key).matrix())

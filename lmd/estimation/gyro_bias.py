@@ -1,34 +1,34 @@
 """Kalman filters that estimate the bias of a gyro beside the pose: an equivariant and an invariant one.
 
-The state is a pose T and a constant bias b of the measured body twist w, of which the gyro has the angular part:
+The state is a pose T and a constant bias b of the measured body twist w, whose angular part the gyro measures:
 
     T' = T (w - b - n),    b' = walk,    y_i = T^-1 C_i + noise.
 
-Both filters move their estimate by Th <- Th exp(h (w - bh)), which is exact for constant w and b, and both are extended
-Kalman filters of 12 numbers. The coordinates of the error differ (ad, Ad and J are those of `lmd.geometry.se3`).
+Both filters are extended Kalman filters of 12 numbers, and predict by Th <- Th exp(h (w - bh)), which is exact for
+constant w and b. They differ in the coordinates of the error (ad, Ad and J are those of `lmd.geometry.se3`).
 
 **Equivariant filter** (P. van Goor, T. Hamel and R. Mahony, "Equivariant filter (EqF)", IEEE Trans. Automatic Control
 68 (6), 2023; A. Fornasier et al., "Overcoming bias: equivariant filter design for biased attitude estimation with
-online calibration", IEEE Robotics and Automation Letters 7 (4), 2022). The tangent group of SE(3) with the product
-(A, a)(B, b) = (A B, a + Ad_A b) acts on states by (T, b) -> (T A, Ad_A^-1 (b - a)). The system is equivariant. With
-the origin (I, 0) the equivariant error is (e, z) = (T Th^-1, Ad_Th (b - bh)), in the frame of the map, and
+online calibration", IEEE Robotics and Automation Letters 7 (4), 2022). The tangent group of SE(3) with the product (A,
+a)(B, b) = (A B, a + Ad_A b) acts on states by (T, b) -> (T A, Ad_A^-1 (b - a)). The system is equivariant. With the
+origin (I, 0) the equivariant error is (e, z) = (T Th^-1, Ad_Th (b - bh)), in the frame of the map, and
 
     e' = -e z,    z' = ad_W z    with W = Ad_Th (w - bh),
 
-so that the error of the bias is linear, and depends on the estimate through W only. For e = exp(x) a step has
+so the error of the bias has linear dynamics, which depend on the estimate only through W. For e = exp(x) a step has
 
     x <- x - h J(h W) z,    z <- Ad_exp(h W) z.
 
 The output is equivariant, too: T y moves C_i. With c_i = (C_i + Th y_i) / 2, the residual Th y_i - C_i is [c_i]x u - v
-for x = (u, v), up to errors of the third order. After a correction (dx, dz), errors are those from the new estimate:
+for x = (u, v), up to errors of the third order. A correction (dx, dz) changes the errors to those of the new estimate:
 x <- J(dx) x and z <- Ad_exp(dx) z, which keeps the gyro's bias free of a linear part. With C_i in place of c_i, this
 would be the invariant filter below, reset with J(-dx): its advantage is the equivariant output.
 
 **Invariant filter with a bias** ("imperfect" in A. Barrau and S. Bonnabel, "The invariant extended Kalman filter as a
 stable observer", IEEE Trans. Automatic Control 62 (4), 2017). The errors are T = Th exp(x) and z = b - bh, in the frame
 of the camera. Without a bias this is the left-invariant filter `lmd.estimation.fusion.InvariantKalmanFilter`. A step
-has x <- Ad_exp(-h (w - bh)) x - h J(-h (w - bh)) z, which depends on the estimate of the bias. After a correction dx,
-x <- Ad_exp(-dx) x, as GTSAM 4.3 does.
+has x <- Ad_exp(-h (w - bh)) x - h J(-h (w - bh)) z, which depends on the estimate of the bias. After a correction dx, x
+<- Ad_exp(-dx) x, as GTSAM 4.3 does.
 """
 
 from abc import ABC, abstractmethod
@@ -46,19 +46,19 @@ from lmd.geometry.se3 import act, adjoint, adjoint_matrix, exp, inverse, left_ja
 
 
 class State(NamedTuple):
-    """Estimate of a pose and of a bias."""
+    """Estimate of a pose and a bias."""
 
     pose: FloatArray
-    """Th, `(4, 4)`."""
+    """Estimated pose Th, `(4, 4)`."""
     bias: FloatArray
-    """bh, rad/s and m/s, `(6,)`."""
+    """Estimated bias bh, rad/s and m/s, `(6,)`."""
     covariance: FloatArray
     """Covariance of the errors (x, z) in the coordinates of the filter, `(12, 12)`."""
 
 
 @dataclass(frozen=True)
 class BiasFilter(Uncertainty, ABC):
-    """Extended Kalman filter of a pose and of the bias of the gyro, which is as uncertain as the odometry says."""
+    """Extended Kalman filter for a pose and a gyro's bias, whose uncertainty is that of the odometry."""
 
     def errors(self, recording: Recording, start: FloatArray) -> Errors:
         """See `lmd.estimation.estimators.Estimator.errors`."""
@@ -100,12 +100,12 @@ class BiasFilter(Uncertainty, ABC):
         return State(pose, state.bias, transition @ state.covariance @ transition.T + noise)
 
     def _from_body(self, pose: FloatArray, squares: FloatArray) -> FloatArray:
-        """Covariance `(12, 12)` in the coordinates of the filter, from variances in the body's frame `(12,)`."""
+        """Covariance `(12, 12)` in the filter's coordinates, from variances in the body's frame `(12,)`."""
         turn = np.kron(np.eye(2), np.linalg.inv(self.to_body(pose)))
         return np.asarray(turn @ np.diag(squares) @ turn.T)
 
     def corrected(self, state: State, seen: CameraPoints) -> State:
-        """Correct a state by measured positions of landmarks."""
+        """Correct a state with measured positions of landmarks."""
         residual, jacobian, noise = self.residual(state.pose, seen)
         jacobian = np.pad(jacobian, ((0, 0), (0, 6)))
         spread = jacobian @ state.covariance @ jacobian.T + noise
@@ -116,11 +116,11 @@ class BiasFilter(Uncertainty, ABC):
 
     @abstractmethod
     def to_body(self, pose: FloatArray) -> FloatArray:
-        """Matrix from x to the body twist of the same error, `(6, 6)`."""
+        """Matrix from x to the body twist of an equal error, `(6, 6)`."""
 
     @abstractmethod
     def transition(self, pose: FloatArray, moved: FloatArray, step: float) -> FloatArray:
-        """Matrix from (x, z) before a step to that after it, `(12, 12)`.
+        """Matrix from (x, z) before a step to (x, z) after the step, `(12, 12)`.
 
         Args:
             pose: Th before the step.
@@ -130,11 +130,15 @@ class BiasFilter(Uncertainty, ABC):
 
     @abstractmethod
     def residual(self, pose: FloatArray, seen: CameraPoints) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Residual of m landmarks, `(3 m,)`, its Jacobian by x, `(3 m, 6)`, and its covariance, `(3 m, 3 m)`."""
+        """Residual for m landmarks, `(3 m,)`, the Jacobian with respect to x, `(3 m, 6)`, and the covariance, `(3 m, 3
+        m)`.
+        """
 
     @abstractmethod
     def moved(self, state: State, change: FloatArray) -> State:
-        """State at the estimated error (dx, dz), `(12,)`, with the covariance in its coordinates."""
+        """State corrected by the estimated error (dx, dz), `(12,)`, with the covariance in the coordinates of the new
+        state.
+        """
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ from lmd.estimation.recording import Recording
 from lmd.geometry.se3 import act, adjoint, adjoint_matrix, cross, exp, inverse, skew
 
 FORMS = ("right", "left")
-# The correction diverges if the time step times the sum of the gains reaches this value.
+# The correction diverges if the product of the time step and the sum of the gains reaches this value.
 STABILITY_LIMIT = 2.0
 
 
@@ -50,15 +50,15 @@ class Observer(Checked):
     """
 
     form: Annotated[str, partial(choice, options=FORMS)] = "right"
-    """`right`-invariant, or `left`-invariant as printed."""
+    """Form of the observer: `right`-invariant, or `left`-invariant as printed."""
     gain: Positive = 10.0
-    """kappa, 1/s. All k_i of a frame are kappa / sum(1 + |z_i|^2 / l^2), where z is C (right) or y (left). So kappa is
-    the fastest rate of convergence for any number of landmarks.
+    """kappa, 1/s. All k_i of a frame are kappa / sum(1 + |z_i|^2 / l^2), where z is C (right) or y (left). So the
+    fastest rate of convergence is kappa for any number of landmarks.
     """
     damping: NotNegative = 1.0
-    """Damping k_0, 1/s."""
+    """Damping gain k_0, 1/s."""
     length: Positive = 2.0
-    """Length l of the metric, metres: the position error with the weight of one radian."""
+    """Length l of the metric, metres: a position error of l weighs as much as one radian."""
 
     def landmark_gain(self, landmarks: FloatArray, measured: FloatArray, seen: BoolArray) -> FloatArray:
         """Gain k_i, equal for all landmarks of a frame, `(...)`; 0 if no landmark is in view.
@@ -99,11 +99,11 @@ class Observer(Checked):
         return np.concatenate([gain * turning, gain * forces.sum(axis=-2)], axis=-1)
 
     def estimates(self, recording: Recording, start: FloatArray) -> FloatArray:
-        """Xh at every frame, corrected with its landmarks, `(S, T, 4, 4)`.
+        """Xh at every frame, corrected with the landmarks of the frame, `(S, T, 4, 4)`.
 
         Each step is exact for a constant twist and a constant correction: Xh <- Xh exp(h U), then Xh <- Xh exp(h xi)
-        with the landmarks of the new frame. The origin is moved to the centroid of all K landmarks, so the arms C_i of
-        the right-invariant form are short, and this form converges faster.
+        with the landmarks of the new frame. The origin is moved to the centroid of all K landmarks, so that the arms
+        C_i of the right-invariant form are short and the form converges faster.
 
         Args:
             recording: S runs.
@@ -148,7 +148,7 @@ def with_covariances(
 
     Args:
         observer: observer with its gains.
-        assumed: uncertainty of the first estimate, and least noises.
+        assumed: uncertainty of the first estimate, and lower bounds on the noise.
         recording, s, start: as in `lmd.estimation.fusion.InvariantKalmanFilter.run`.
     """
     centroid = recording.landmarks[s].mean(axis=0)

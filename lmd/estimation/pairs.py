@@ -1,4 +1,4 @@
-"""Paired comparison of deployments, flight by flight: equal flights over every deployment."""
+"""Paired comparison of deployments by equal flights over each deployment."""
 
 import numpy as np
 import pandas as pd
@@ -11,15 +11,15 @@ PAIRED_FIGURE = "within_20mm"
 
 
 def paired(figures: pd.DataFrame) -> pd.DataFrame:
-    """Compare every further deployment with the first deployment.
+    """Compare each other deployment with the first deployment.
 
     Args:
         figures: `FlightStudy.figures`, one row for each deployment, estimator and seed.
 
     Returns:
-        A row for each estimator and further deployment, with the columns `estimator`, `deployment`, `against`;
+        A row for each estimator and each other deployment, with the columns `estimator`, `deployment`, `against`;
         `flights`, the number of flights with estimates for both deployments; `position_ratio`, the median over these
-        flights of the ratio of the position errors; `position_better`, the number of flights in which the further
+        flights of the ratio of the position errors; `position_better`, the number of flights in which the other
         deployment has the smaller error; `within_20mm_gain`, the mean difference of the shares of frames within 20 mm;
         `position_p` and `within_20mm_p`, two-sided p-values of the Wilcoxon signed-rank test. NaN without a flight.
     """

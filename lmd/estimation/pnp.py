@@ -1,4 +1,4 @@
-"""Estimator by the Perspective-n-Point problem of each frame."""
+"""Estimator that solves the Perspective-n-Point problem of each frame."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from lmd.geometry.projection import project
 from lmd.geometry.se3 import exp
 
 AMBIGUOUS = ("odometry", "refuse")
-# Least difference of the squared errors of two distinguishable poses, for a likelihood ratio of 100.
+# Minimum difference between the squared errors of two distinguishable poses, for a likelihood ratio of 100.
 TOLD_APART = 2.0 * np.log(100.0)
 # Lower bound on the noise, pixels.
 LEAST_NOISE = 0.01
@@ -22,8 +22,8 @@ LEAST_NOISE = 0.01
 
 @dataclass(frozen=True)
 class PerspectiveNPoint:
-    """Pose of each frame from its images alone (PnP), see `lmd.geometry.pose`; for a rig, from the images of all
-    cameras.
+    """Estimator of each frame's pose from the images of this frame alone (PnP), see `lmd.geometry.pose`; for a rig,
+    from the images of all cameras.
 
     The estimator uses the corners of all tags in view, or the centres of at least four points.
 
@@ -32,8 +32,8 @@ class PerspectiveNPoint:
     """
 
     ambiguous: str = "odometry"
-    """Choice among several poses that fit almost equally well, as for a distant tag: `odometry` takes the pose nearest
-    to the prediction from the last unique pose, `refuse` gives no estimate.
+    """Choice if several poses fit almost equally well, as for a distant tag: `odometry` takes the pose nearest to the
+    prediction from the last unique pose, `refuse` gives no estimate.
     """
 
     def __post_init__(self) -> None:
@@ -79,7 +79,7 @@ def likely(found: list[Solution]) -> list[FloatArray]:
 
 
 def images_of(recording: Recording, s: int, t: int) -> list[PointImage]:
-    """Images of known points in each camera of a frame."""
+    """Image points of known points in each camera of a frame."""
     images, first, count = [], recording.detections(s, t).start, recording.seen_by.shape[-1]
     for c, (camera, mounted) in enumerate(zip(recording.camera.cameras, recording.camera.extrinsics, strict=True)):
         seen = c * count + np.flatnonzero(recording.seen_by[s, t, c])

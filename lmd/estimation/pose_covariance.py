@@ -1,4 +1,4 @@
-"""Covariance of the pose that least squares estimate from one image, with errors of corners and of the map.
+"""Covariance of the least-squares pose from one image, with errors of corners and of the map.
 
 Let J_t (8, 6) be the Jacobian of the corners of tag t by the body twist (w, v), and w_t the weight that the solver
 gives to these corners. With H = sum w_t J_t^T J_t, the error of the pose is to first order
@@ -8,16 +8,15 @@ gives to these corners. With H = sum w_t J_t^T J_t, the error of the pose is to 
 - n_t: noise of corners, of covariance sigma_t^2 Q, independent between tags; Q is the identity, or has the modes of
   `lmd.detection.corner_errors.MeasuredCorners`;
 - b: shift of all edges in the image of a camera, inward or outward, of variance beta^2; s_t is the displacement of the
-  corners by a shift of one pixel (`lmd.detection.corner_errors.inward`). The mean shift mu_t of the detector, which
-  solvers do not correct, counts by its square;
+  corners by a shift of one pixel (`lmd.detection.corner_errors.inward`). Solvers do not correct the mean shift mu_t of
+  the detector, so its square is added;
 - m_t: error of position and rotation of the tag in the map; M_t (8, 6) is its Jacobian. The errors of tags t and u have
   the covariance P_tu, which is 0 for t != u unless a survey states the covariance of all tags together.
 
 The mean of e e^T, called covariance here, is H^-1 N H^-1 with
 
-    N = sum w_t^2 sigma_t^2 J_t^T Q J_t + g g^T + beta^2 sum h_c h_c^T + sum B_t P_tu B_u^T,
-    g = sum w_t mu_t J_t^T s_t over all images,    h_c = sum w_t J_t^T s_t over the tags in camera c,
-    B_t = sum w_t J_t^T M_t over the cameras.
+    N = sum w_t^2 sigma_t^2 J_t^T Q J_t + g g^T + beta^2 sum h_c h_c^T + sum B_t P_tu B_u^T, g = sum w_t mu_t J_t^T s_t
+    over all images,    h_c = sum w_t J_t^T s_t over the tags in camera c, B_t = sum w_t J_t^T M_t over the cameras.
 
 With w_t = 1 / sigma_t^2, Q = I, and without shifts and P this is the Cramer-Rao bound. Solvers such as OpenCV's
 `solvePnP` have w_t = 1; a tag with a large sigma_t or P_tt may then raise the covariance.
@@ -43,7 +42,9 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.tag import Tag
 
 WEIGHTS = ("equal", "noise")
-FRAMES_AT_ONCE = 1000  # frames whose sums over tags are in memory, 288 bytes times the number of tags each
+FRAMES_AT_ONCE = (
+    1000  # number of frames whose sums over tags are in memory together; each needs 288 bytes times the number of tags
+)
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ class TagErrors:
     """Errors of K tags in images and in the map, and the weights of a solver."""
 
     noise: CornerErrors | MeasuredCorners | float
-    """Errors of corners by pitch, or standard deviation of each coordinate of a corner, pixels."""
+    """Errors of corners by pitch; or the standard deviation of each coordinate of a corner, pixels."""
     shift: float
     """beta, standard deviation of the shift of edges that all tags in the image of a camera share, pixels."""
     places: FloatArray
@@ -59,10 +60,10 @@ class TagErrors:
     weights: str = "equal"
     """Weights of corners: `equal`, or `noise` for 1 / sigma^2."""
     joint: FloatArray | None = None
-    """Further covariance P_tu of all tags together, tag by tag, `(6 K, 6 K)`; None for none."""
+    """Additional joint covariance P_tu of all tags, tag by tag, `(6 K, 6 K)`; None for independent tags."""
 
     def at(self, pitches: FloatArray, incidences: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Standard deviation of each coordinate of a corner, and mean shift inward, pixels, `(...)` each.
+        """Standard deviation of a coordinate of a corner, and mean shift inward, pixels, `(...)` each.
 
         Args:
             pitches: pixels per module, `(...)`.
@@ -84,7 +85,7 @@ class TagErrors:
 
 @dataclass(frozen=True)
 class TagImages:
-    """Contributions of P pairs of a frame and a tag in its images, ordered by frame."""
+    """Contributions of P pairs of a frame and a tag in the frame's images, ordered by frame."""
 
     frames: int
     """Number F of frames."""
@@ -124,14 +125,14 @@ class TagImages:
         return _covariances(*self._sums)
 
     def covariances_without(self) -> FloatArray:
-        """Covariance of the body twist (w, v) in the frame of each pair without the tag of the pair, `(P, 6, 6)`."""
+        """For each pair of a frame and a tag, covariance of the body twist (w, v) without the tag, `(P, 6, 6)`."""
         information, errors, shifts = (total[self.frame] for total in self._sums)
         left = errors - self.noise - self.places - self.others
         return _covariances(information - self.information, left, shifts - self.shifts)
 
 
 def _covariances(information: FloatArray, errors: FloatArray, shifts: FloatArray) -> FloatArray:
-    """H^-1 N H^-1 from H and the first and the last sum of N, `(n, 6, 6)`, and g and beta h, `(n, 1 + C, 6)`."""
+    """H^-1 N H^-1 from H, the first and the last sum of N, `(n, 6, 6)` each, and g and beta h, `(n, 1 + C, 6)`."""
     fixed = determines_pose(information)
     found = np.full(information.shape, np.inf)
     solved = np.linalg.inv(information[fixed])
@@ -156,7 +157,7 @@ def tag_images(
         poses: X of the body, `(F, 4, 4)`.
         deployment: K tags at their places in the map.
         tag: family of the tags, and edge of the tags without an edge of their own.
-        seen: mask of the tags in view of each camera, `(C, F, K)`; their corners must be in front of the camera.
+        seen: mask of the tags in view of each camera, `(C, F, K)`; the corners of these tags must be in front of it.
         errors: errors of the K tags.
     """
     edges, count = deployment.edges_of(tag), len(deployment)
@@ -177,7 +178,7 @@ def tag_images(
         points = corners(centres, normals, deployment.ups[which], edges[which])
         y = to_camera(at, points)
         jacobian = image_slopes(camera, mounted, y).reshape(-1, 8, 6)
-        # A corner at the offset q from the centre moves by p - [q]x r with a motion (p, r) of the tag in the world.
+        # A corner at the offset q from the centre moves by p - [q]x r if the tag moves by (p, r) in the world.
         moved_corners = -seen_by_twist(points - centres[:, None])[..., [3, 4, 5, 0, 1, 2]]
         by_place = (slope(camera, y) @ np.swapaxes(at[:, None, :3, :3], -1, -2) @ moved_corners).reshape(-1, 8, 6)
         weighted = np.swapaxes(jacobian, 1, 2) * weight[:, None, None]
@@ -198,7 +199,9 @@ def tag_images(
 def _by_map(
     by_map: FloatArray, frame: IntArray, which: IntArray, frames: int, errors: TagErrors
 ) -> tuple[FloatArray, FloatArray]:
-    """`places` and `others` of `TagImages` from B of each pair `(P, 6, 6)`; the pairs are ordered by frame."""
+    """Fields `places` and `others` of `TagImages`, from the matrices B `(P, 6, 6)` of the pairs, which are ordered by
+    frame.
+    """
     back = np.swapaxes(by_map, 1, 2)
     alone = by_map @ errors.places[which] @ back
     if errors.joint is None:
@@ -216,11 +219,11 @@ def _by_map(
 
 
 def world_covariances(poses: FloatArray, covariances: FloatArray) -> FloatArray:
-    """Covariances of (p, r), position and rotation in the world frame, of body twists (w, v), `(F, 6, 6)`.
+    """Covariances of position and rotation (p, r) in the world frame, from those of body twists (w, v), `(F, 6, 6)`.
 
     Args:
         poses: X, `(F, 4, 4)`.
-        covariances: of the body twist, `(F, 6, 6)`; infinite matrices stay infinite.
+        covariances: covariances of the body twist, `(F, 6, 6)`; infinite matrices stay infinite.
     """
     found, known = np.full(covariances.shape, np.inf), np.isfinite(covariances).all(axis=(1, 2))
     found[known] = in_world(poses[known], covariances[known])

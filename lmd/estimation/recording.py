@@ -1,4 +1,4 @@
-"""Recordings of flights: odometry, and the landmarks detected in each frame, in the camera's frame.
+"""Recordings of flights: odometry, and the positions in the camera's frame of the landmarks detected in each frame.
 
 A rig with C cameras is recorded as one camera, in the frame of the body, with C K landmarks ordered by camera.
 """
@@ -22,9 +22,11 @@ from lmd.sight.views import visible_to_each
 
 @dataclass(frozen=True)
 class Odometry(Checked):
-    """Odometry: twists between frames with independent normal errors, whose integral drifts, and a biased gyro.
+    """Odometry: twists between frames with independent normal errors and with a biased gyro; the integral of the twists
+    drifts.
 
-    The bias of the gyro adds to the measured turn rates. The bias is normal at the first frame and walks at random.
+    The bias of the gyro adds to the measured turn rates. The bias at the first frame is normally distributed, and then
+    follows a random walk.
 
     Raises:
         InputError: a value is negative.
@@ -35,9 +37,9 @@ class Odometry(Checked):
     motion_noise: NotNegative = 0.0
     """Standard deviation along each axis, metres per root second."""
     gyro_bias: NotNegative = 0.0
-    """Standard deviation of the first bias about each axis, rad/s."""
+    """Standard deviation of the bias at the first frame about each axis, rad/s."""
     gyro_walk: NotNegative = 0.0
-    """Standard deviation of the walk of the bias about each axis, rad/s per root second."""
+    """Standard deviation of the bias's random walk about each axis, rad/s per root second."""
 
     def measured(self, twists: FloatArray, steps: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Measure twists, `(T - 1, 6)`, rad/s and m/s.
@@ -66,7 +68,7 @@ class Odometry(Checked):
         return np.asarray(np.cumsum(spread[:, None] * drawn, axis=0))
 
 
-# Map of a function over jobs that keeps their order: the built-in `map`, or a map with processes.
+# Function like the built-in `map`, which keeps the order of jobs; may use processes.
 Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]
 
 
@@ -81,9 +83,9 @@ class Flight:
     trajectory: Trajectory
     """T frames."""
     rng: np.random.Generator
-    """Source of everything random."""
+    """Source of all random numbers."""
     all_visible: bool = False
-    """True if every landmark is in view in all frames, as an observer without a camera model assumes."""
+    """True if every landmark is in view in all frames, as assumed for an observer without a camera model."""
 
     @property
     def camera(self) -> Camera | Rig:
@@ -96,7 +98,7 @@ class Flight:
         return self.trajectory.poses
 
     def looks(self) -> "list[Look]":
-        """Views of the flight by each camera."""
+        """The flight as seen by each camera."""
         scene = self.evaluator.scene
         if self.all_visible:
             seen = np.ones((len(scene.cameras), len(self.poses), len(self.deployment)), dtype=np.bool_)
@@ -107,7 +109,7 @@ class Flight:
 
 
 class Look(NamedTuple):
-    """View of a flight by one camera."""
+    """A flight as seen by one camera."""
 
     camera: Camera
     """Intrinsics."""
@@ -165,7 +167,7 @@ def merged(parts: Sequence[Observation], mounted: FloatArray) -> Observation:
 
 
 class Sensor(Protocol):
-    """Detector of landmarks in the images of a camera."""
+    """Interface of detectors of landmarks in the images of a camera."""
 
     def observed(self, flights: Sequence[Flight], each: Each = map) -> list[Observation]:
         """Observe the landmarks of S flights.
@@ -175,7 +177,7 @@ class Sensor(Protocol):
             each: map that runs slow work, see `Each`.
 
         Raises:
-            InputError: the sensor needs images, but all landmarks are visible.
+            InputError: the sensor measures in images, but the flight has all landmarks in view.
         """
 
     def tags(self, deployment: Deployment) -> FloatArray | None:
@@ -196,7 +198,7 @@ class Recording:
     twists: FloatArray
     """Measured twists U between frames, `(S, T - 1, 6)`, see `Trajectory.twists`."""
     odometry: Odometry
-    """Errors of the twists."""
+    """Errors of the measured twists."""
     landmarks: FloatArray
     """C_i, world frame, metres, `(S, K, 3)`."""
     camera: Camera | Rig
@@ -226,7 +228,7 @@ class Recording:
 
     @cached_property
     def _first(self) -> IntArray:
-        """Index of the first detection of each frame of each run, and M, `(S T + 1,)`."""
+        """Index of the first detection in each frame of each run, followed by M, `(S T + 1,)`."""
         return np.concatenate([[0], np.cumsum(self.seen.sum(axis=-1))])
 
     def detections(self, s: int, first: int = 0, last: int | None = None) -> slice:
@@ -235,7 +237,7 @@ class Recording:
         return slice(self._first[s * frames + first], self._first[s * frames + (frames if last is None else last)])
 
     def share_visible(self, n: int) -> FloatArray:
-        """Share of time with at least n landmarks, `(S,)`; a frame counts for the time until the next frame."""
+        """Share of time with at least n detected landmarks, `(S,)`; a frame counts until the next frame."""
         enough, steps = self.visible_counts[:, :-1] >= n, np.diff(self.time)
         return np.asarray(enough @ steps / steps.sum())
 
@@ -252,7 +254,7 @@ def record(
         each: map that runs slow work, see `Each`.
 
     Raises:
-        InputError: all landmarks are visible, but the detector needs images.
+        InputError: the detector measures in images, but a flight has all landmarks in view.
     """
     odometry, time = odometry or Odometry(), flights[0].trajectory.time
     observations = detector.observed(flights, each)
@@ -268,7 +270,7 @@ def record(
 
 
 def check_images(flights: Sequence[Flight]) -> None:
-    """Raise `InputError` if all landmarks are visible, for sensors that measure in images."""
+    """Raise `InputError` if a flight has all landmarks in view; for sensors that measure in images."""
     if any(flight.all_visible for flight in flights):
         raise InputError(
             "all_visible must be false where measurements are not exact: a landmark behind the camera has no image.",

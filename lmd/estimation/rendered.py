@@ -19,7 +19,7 @@ from lmd.render.renderer import Renderer
 from lmd.scene.deployment import Deployment
 from lmd.scene.tag import Tag
 
-# Number of frames in a job.
+# Number of frames in a job for a process.
 FRAME_BATCH = 10
 
 
@@ -31,16 +31,16 @@ class Frame(NamedTuple):
     motion: FloatArray | None
     """Body twist times the exposure time, `(6,)`; None for no motion."""
     rng: np.random.Generator
-    """Source of the noise."""
+    """Random generator of the noise."""
 
 
 @dataclass(frozen=True)
 class RenderedDetector(Checked):
     """Real detector on rendered frames, with missed and false detections; a `Sensor`.
 
-    The mean shift of the detector's corners, which a calibration finds, is taken out of them. The position of a tag
-    follows from its corners. Every detection with the id of a tag is accepted, the largest if
-    there are several; other ids are ignored.
+    The mean shift of the detector is subtracted from the corners, as a calibration would do. The position of a tag
+    follows from its corners. Every detection with the id of a tag is accepted, the largest if there are several; other
+    ids are ignored.
 
     Raises:
         InputError: the tag is a point, the detector states no errors, the noise is not positive, or the shutter time is
@@ -48,13 +48,13 @@ class RenderedDetector(Checked):
     """
 
     tag: Tag
-    """Tag at every landmark, upright."""
+    """Tag at every landmark; tags hang upright."""
     reader: Detector
     """Detector of the frames."""
     imaging: Imaging
     """Lens, light and noise."""
     pixel_noise: Positive | None = None
-    """Standard deviation of the corners that estimators assume, pixels; None for that of the detector, by pitch."""
+    """Standard deviation of the corners that estimators assume, pixels; None for the detector's own, by pitch."""
     shutter: NotNegative = 0.0
     """Exposure time, seconds; the motion of the camera blurs the frame."""
 
@@ -68,7 +68,7 @@ class RenderedDetector(Checked):
         return corners_of(deployment, self.tag)
 
     def batch(self, look: Look) -> "Batch":
-        """Frames of a camera; a flight with an equal `rng` gives equal frames."""
+        """Frames of a camera; flights with equal `rng` give equal frames."""
         flight = look.flight
         room = tagged_room(flight.evaluator.scene.room, flight.deployment, self.tag)
         twists = adjoint(inverse(look.mounted), flight.trajectory.twists)
@@ -126,7 +126,9 @@ def believed(found: Sequence[Detections], ids: IntArray) -> FloatArray:
     corners, place = np.full((len(found), len(ids), 4, 2), np.nan), {number: k for k, number in enumerate(ids.tolist())}
     for t, detections in enumerate(found):
         edges = detections.corners - np.roll(detections.corners, 1, axis=1)
-        for i in np.argsort((edges**2).sum(axis=(1, 2)), kind="stable"):  # the largest is assigned last and wins
+        for i in np.argsort(
+            (edges**2).sum(axis=(1, 2)), kind="stable"
+        ):  # the largest detection is assigned last and wins
             if (k := place.get(int(detections.ids[i]))) is not None:
                 corners[t, k] = detections.corners[i]
     return corners

@@ -26,7 +26,7 @@ from lmd.scene.tag import Tag
 class PointDetector(Checked):
     """Detector of landmarks that are points; a `lmd.estimation.recording.Sensor`.
 
-    Three measured numbers of each landmark have independent normal errors. These are the two image coordinates of the
+    For each landmark three numbers are measured, with independent normal errors: the two image coordinates of the
     centre, and the apparent length f a / z of the edge, which gives the depth z.
 
     Raises:
@@ -78,7 +78,9 @@ class PointDetector(Checked):
         if camera.lens is not None:
             image = project(camera, np.eye(4), points) + noise[..., :2]
             seen = bearings(camera, image)
-            seen = np.where(np.isfinite(seen), seen, points)  # else the noisy point has no ray
+            seen = np.where(
+                np.isfinite(seen), seen, points
+            )  # a noisy point without a ray is replaced by the exact point
             ray = seen / depth_in_focus(camera, seen)[..., None]
             depth = depth_in_focus(camera, points)[..., None]
         else:
@@ -89,8 +91,8 @@ class PointDetector(Checked):
         return np.asarray(focal[0] * self.edge / width * ray)
 
     def covariance(self, measured: FloatArray, camera: Camera) -> FloatArray:
-        """Covariance of y = z (a, b, 1) for one pixel of noise in the image (a, b) and in the apparent edge, which
-        gives z.
+        """Covariance of y = z (a, b, 1) for one pixel of noise in the image point (a, b) and in the apparent edge,
+        which gives z.
 
         Args:
             measured: y, metres, `(M, 3)`.
@@ -105,7 +107,7 @@ class PointDetector(Checked):
             moved[:, [0, 1], [0, 1]] = depth / focal
             moved[:, :, 2] = measured * depth / (focal[0] * self.edge)
         else:
-            # Jacobian of image and edge by y; the depth grows along the axis, or behind a fisheye along y.
+            # Jacobian of image point and edge with respect to y; the edge gives z, or for a fisheye the distance |y|.
             away = measured / depth if camera.lens.model == EQUIDISTANT else np.array([0.0, 0.0, 1.0])
             edge = np.broadcast_to(-focal[0] * self.edge / depth**2 * away, measured.shape)
             moved = np.linalg.inv(np.concatenate([slope(camera, measured), edge[:, None]], axis=1))
@@ -113,7 +115,7 @@ class PointDetector(Checked):
 
 
 def detected(seen: BoolArray, missed: float, rng: np.random.Generator) -> BoolArray:
-    """Draw a mask of the detected landmarks, shape of `seen`; a visible landmark is missed with the probability
+    """Draw a mask of the detected landmarks, in the shape of `seen`; a visible landmark is missed with probability
     `missed`.
     """
     return seen & (rng.random(seen.shape) >= missed)
@@ -130,9 +132,9 @@ class TagDetector(Checked):
     """
 
     tag: Tag
-    """Tag at every landmark, upright."""
+    """Tag at every landmark; tags hang upright."""
     reader: Annotated[str, partial(choice, options=tuple(CORNER_ERRORS))] = "aruco"
-    """Detector whose errors are drawn, one of `CORNER_ERRORS`."""
+    """Detector, one of `CORNER_ERRORS`, whose errors are drawn."""
     missed: Share = 0.0
     """Probability that a visible tag is not detected."""
 
@@ -162,7 +164,7 @@ class TagDetector(Checked):
 
 
 def noisy_detector(tag: Tag, reader: str, pixel_noise: float, missed: float, edge: float) -> Sensor:
-    """Detector with the noise of a real detector for tags, and with constant noise for points.
+    """Simulated detector: with the noise of a real detector for tags, and with constant noise for points.
 
     Args:
         tag: tag at every landmark.
@@ -196,7 +198,7 @@ def observation(
 
 
 def _places(camera: Camera, edges: FloatArray, found: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Rotation `(M, 3, 3)` from each tag's frame (right, up, normal) to the camera's frame, and the tag's centre `(M,
+    """Rotation `(M, 3, 3)` from each tag's frame (right, up, normal) to the camera's frame, and centre of the tag `(M,
     3)`.
 
     A square has two similar poses (IPPE); the pose with the smaller reprojection error is taken.

@@ -1,4 +1,4 @@
-"""Study of localisation: equal flights over several deployments, with tables of errors."""
+"""Study of localisation: equal flights over several deployments, and tables of the errors."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -20,13 +20,13 @@ from lmd.problem import Problem
 
 # Separates the random numbers of flights from other uses of a seed.
 FLIGHTS_STREAM = 0x666C79
-# Numbers of landmarks in view with a reported share of time, in addition to the n of the objective.
+# Numbers of landmarks in view whose share of time is reported, in addition to the n of the objective.
 SHARES = (1, 2, 3, 4)
-# Position errors with a reported share of frames, metres.
+# Position errors for which the share of frames below is reported, metres.
 ERROR_LIMITS = (0.01, 0.02, 0.05)
-# Largest Er of a settled estimate, relative to the initial Er.
+# Maximum Er of a settled estimate, relative to the initial Er.
 SETTLED_SHARE = 0.01
-# Quantiles over the seeds: lower end of the band, median, upper end of the band.
+# Quantiles over the seeds: lower end of the band, median, and upper end of the band.
 QUANTILES = (0.1, 0.5, 0.9)
 # Maximum number of points of a curve over time.
 CURVE_WINDOWS = 300
@@ -64,7 +64,7 @@ class Flights:
     trajectories: Sequence[Trajectory]
     """S trajectories with equal times."""
     start: FloatArray
-    """First estimate of each flight, `(S, 4, 4)`."""
+    """First estimate of each flight's pose, `(S, 4, 4)`."""
 
     @classmethod
     def draw(cls, problem: Problem, source: TrajectorySource, initial: InitialError, seeds: Sequence[int]) -> "Flights":
@@ -83,7 +83,7 @@ class Flights:
         return cls(seeds, trajectories, np.stack(start))
 
     def over(self, problem: Problem, all_visible: bool = False) -> list[Flight]:
-        """Flights over the start of `problem`; a random start is drawn for each seed."""
+        """Flights over the start deployment of `problem`; a random start is drawn for each seed."""
         flights = []
         for seed, trajectory in zip(self.seeds, self.trajectories, strict=True):
             drawn, rng = problem.draw(np.random.default_rng(seed)), np.random.default_rng([seed, FLIGHTS_STREAM, 1])
@@ -98,9 +98,9 @@ class Outcome:
     counts: IntArray
     """Number of landmarks in each frame, `(S, T)`."""
     shares: Mapping[int, FloatArray]
-    """Share of time with at least n landmarks, by n, `(S,)` each."""
+    """Share of time with at least n landmarks, `(S,)` each, by n."""
     errors: Mapping[str, Errors]
-    """Errors by estimator."""
+    """Errors by name of the estimator."""
 
 
 @dataclass(frozen=True)
@@ -185,7 +185,7 @@ class FlightStudy:
 
     @staticmethod
     def medians(figures: pd.DataFrame) -> dict[str, float]:
-        """Finite medians of `figures` over the seeds by `<figure>/<deployment>/<estimator>`."""
+        """Finite medians of `figures` over the seeds, by `<figure>/<deployment>/<estimator>`."""
         medians = {}
         for (name, estimator), runs in figures.groupby(["deployment", "estimator"], sort=False):
             for key, value in runs.drop(columns="seed").median(numeric_only=True).items():
@@ -195,7 +195,7 @@ class FlightStudy:
 
     @staticmethod
     def over_time(curves: pd.DataFrame) -> dict[str, list[tuple[int, float, float]]]:
-        """Median errors of `curves` as points (time in ms, error, time in s) by `<error>/<deployment>/<estimator>`."""
+        """Median errors of `curves` as points (time in ms, error, time in s), by `<error>/<deployment>/<estimator>`."""
         found = {}
         for (name, estimator), curve in curves.groupby(["deployment", "estimator"], sort=False):
             for quantity in ("error", "position", "attitude"):
@@ -214,15 +214,14 @@ def conduct(
     odometry: Odometry | None = None,
     each: Each = map,
 ) -> FlightStudy:
-    """Fly over each deployment and let each estimator localise the camera.
+    """Simulate flights over each deployment, and let each estimator localise the camera.
 
     Args:
         problems: problems by the name of the deployment; all share one scene.
         flights: flights to localise, equal for all deployments.
         detectors: detectors, with noise and missed detections, by the name of the deployment.
         estimators: estimators by name.
-        all_visible: True to fly over each deployment a second time, as `<name> all visible`, with every landmark in
-            view.
+        all_visible: True to repeat flights over each deployment with all landmarks in view, as `<name> all visible`.
         odometry: errors of the twists; None for exact twists.
         each: map that runs slow work, see `lmd.estimation.recording.Each`.
 
@@ -260,8 +259,8 @@ def to_markdown(figures: pd.DataFrame, n: int) -> str:
 
     Args:
         figures: one row for each deployment, estimator and seed.
-        n: n of the objective; the table has the share of time with n landmarks in view, and with 3, which determine a
-            pose.
+        n: n of the objective; the table has the share of time with n landmarks in view, and with 3 landmarks, which
+            determine a pose.
     """
     head = ["deployment", "estimator", *(f"time with >= {m} in view" for m in sorted({n, 3}))]
     head += ["mean Er (10 to 90 %)", "settled after [s]", "position [mm]", "attitude [mrad]"]
@@ -287,9 +286,7 @@ def to_markdown(figures: pd.DataFrame, n: int) -> str:
 
 
 def within() -> dict[str, float]:
-    """Columns of `FlightStudy.figures` with shares of frames within a position error, and the position error of each,
-    metres.
-    """
+    """Position error, metres, of each column `within_<n>mm` of `FlightStudy.figures`, by the name of the column."""
     return {f"within_{1e3 * limit:g}mm": limit for limit in ERROR_LIMITS}
 
 
