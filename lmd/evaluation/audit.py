@@ -1,4 +1,4 @@
-"""Audit: detections in the frames of a survey compared with the predictions of a visibility model, and
+"""Audit: detections in the frames of a survey compared with the predictions of a visibility model; columns of
 `in_view.csv`.
 """
 
@@ -87,7 +87,7 @@ class Audit:
     def missed_in_a_row(self) -> BoolArray:
         """True for predicted tags that are missed in `IN_A_ROW` or more successive images, `(N, C K)`.
 
-        A tag well within the detector's limits is hardly missed in many successive images unless it is hidden or in
+        A tag well within the detector's limits is rarely missed in many successive images unless it is hidden or in
         glare.
         """
         visible, missed = self.prediction.visible, self.prediction.visible & ~self.seen.detected

@@ -102,8 +102,8 @@ class RigMoments:
         whole, count = self.decided(self.moments, seen).astype(np.float64), seen.shape[2]
 
         def lose(*landmarks: int) -> FloatArray:
-            """Change by the loss of landmarks in the moments that show all these landmarks; 0 in other moments, `(2,
-            N)`.
+            """Change caused by the loss of landmarks, in the moments that show all these landmarks; 0 in other moments,
+            `(2, N)`.
             """
             which: BoolArray = np.asarray(shown[:, landmarks].all(axis=1))
             left = seen[:, which]
@@ -132,7 +132,7 @@ MISSES_STREAM = 0x6D697373  # separates the random numbers of missed landmarks f
 
 @dataclass(frozen=True)
 class Variant:
-    """Variant with another value of an assumption."""
+    """Problem in which an assumption has another value."""
 
     assumption: str
     """Name of the varied setting."""

@@ -105,7 +105,7 @@ TARGET_SHARE = 0.9
 
 @dataclass(frozen=True)
 class Tournament:
-    """Medians over seeds of a figure, and the tests on them."""
+    """Medians of a figure over seeds, and the tests of these medians."""
 
     values: pd.DataFrame
     """Medians: a row for each problem, a column for each optimiser, the best mean rank first; NaN without a run."""
@@ -124,11 +124,11 @@ class Tournament:
     for a single optimiser or seed.
     """
     limit: str
-    """Sentence on the differences that the number of seeds can show by that test."""
+    """Sentence on the least P-value of `leads` that the number of seeds allows."""
 
     @property
     def winners(self) -> Mapping[str, list[str]]:
-        """Optimisers with the greatest median of each problem, several if equal."""
+        """For each problem, the optimisers with the greatest median; several if medians are equal."""
         return {
             str(problem): [str(name) for name in row.index[row == row.max()]] for problem, row in self.values.iterrows()
         }

@@ -26,7 +26,7 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import GivenDeployment
 
 SAMPLE = Sample(groups=16, positions=512, divisions=23)  # smaller than for a single run, as there are many points
-FEWER, MORE = "fewer", "more"  # starts of a search: the deployment of fewer or of more landmarks
+FEWER, MORE = "fewer", "more"  # starts of a search: the deployment with fewer or with more landmarks
 ANEW = "anew"  # start of the problem
 ALONE = "alone"  # origin of a deployment of one size that is better than the mixture found
 Key = TypeVar("Key", int, float)  # place of a point along its curve: number of landmarks, or a limit
@@ -47,7 +47,7 @@ class Found:
 
 
 class Axis(NamedTuple):
-    """Columns of a table of points with the place of each point in a trade-off."""
+    """Names of the columns that hold the place of each point in a trade-off."""
 
     curve: str = "edge"
     """Column that names the curve: the edge of tags, 0 for points, or the sizes that may be mixed."""
@@ -152,7 +152,8 @@ def front(points: pd.DataFrame, figures: list[str], axis: Axis = COUNTS) -> pd.D
 
 
 def mixtures(points: pd.DataFrame, axis: Axis) -> pd.Series | None:
-    """Numbers of tags by edge length, such as `51 of 0.06` (metres), for each point; of several seeds, for the best.
+    """Numbers of tags by edge length, such as `51 of 0.06` (metres), for each point; with several seeds, for the best
+    seed.
 
     Args:
         points, axis: as for `front`.
@@ -193,8 +194,8 @@ def fewest(points: pd.DataFrame, figure: str, wanted: float, axis: Axis = COUNTS
 
 
 def between(points: pd.DataFrame, figure: str, wanted: float, axis: Axis = COUNTS) -> list[tuple[Any, float]]:
-    """Number of landmarks for each curve that halves the gap between the least number that reaches `wanted` and the
-    next smaller number; curves without a gap are left out.
+    """For each curve, find the number of landmarks that halves the gap between the least number that reaches `wanted`
+    and the next smaller number; curves without a gap are left out.
 
     Args:
         points, figure, wanted, axis: as for `fewest`.

@@ -119,8 +119,9 @@ class Uncertainty:
     """
     tags: "pd.DataFrame"
     """A row for each tag: `id`, `views` (number of views of the tag and others), `improves` (share of these views in
-    which the standard deviation of the position is less without the tag), `ratio` (median of that standard deviation
-    without the tag over that with it; infinite where another pose or none is left) and `misleads` (ratio below 1).
+    which the standard deviation of the position is less without the tag), `ratio` (median ratio of the standard
+    deviation without the tag to the standard deviation with the tag; infinite where another pose or none is left) and
+    `misleads` (ratio below 1).
     """
     poses: FloatArray
     """X of the views, `(V, 4, 4)`."""

@@ -31,7 +31,7 @@ class Explained(Protocol):
         """Verdicts `(A, K)` of each criterion by itself, keyed by the name of the criterion; args as in `covered`."""
 
     def limits_for(self, camera: Camera) -> Mapping[str, str]:
-        """Limits of the criteria for a camera, in a few words each, by name."""
+        """Limits of each criterion for a camera, in a few words, keyed by its name."""
 
 
 def verdicts(
@@ -91,11 +91,11 @@ class Causes:
     covered: float
     """Share of the sightings that meet every criterion."""
     met: Mapping[str, float]
-    """Share of the sightings that meet a criterion, by its name."""
+    """Share of the sightings that meet each criterion, keyed by its name."""
     without: Mapping[str, float]
-    """Share of the sightings that meet all other criteria, by the name of the criterion."""
+    """Share of the sightings that meet all criteria but one, keyed by the name of this criterion."""
     limits: Mapping[str, str]
-    """Limits of the criteria in a few words each, by name."""
+    """Limits of each criterion in a few words, keyed by its name."""
 
     def metrics(self) -> dict[str, float]:
         """Figures by names such as `focus_met` and `covered_without_focus`."""

@@ -55,7 +55,7 @@ class OneCamera(NamedTuple):
 
     @property
     def sights(self) -> tuple[Any, ...]:
-        """Models of sight by kind of camera."""
+        """Models of sight, one for each kind of camera."""
         return (self.sight,)
 
     def with_sights(self, change: Any) -> "OneCamera":
@@ -83,7 +83,8 @@ class RigCameras(NamedTuple):
     """The cameras of a rig at Q positions of its body with all orientations."""
 
     groups: tuple[MountGroup, ...]
-    """Mounts by kind of camera; row q G + g of `MountGroup.obstacles` is the camera at place g for position q."""
+    """Mounts, grouped by kind of camera; row q G + g of `MountGroup.obstacles` is the camera at place g for position q.
+    """
 
     @property
     def horizon(self) -> float:
@@ -92,7 +93,7 @@ class RigCameras(NamedTuple):
 
     @property
     def sights(self) -> tuple[Any, ...]:
-        """Models of sight by kind of camera."""
+        """Models of sight, one for each kind of camera."""
         return tuple(group.sight for group in self.groups)
 
     def with_sights(self, change: Any) -> "RigCameras":

@@ -9,8 +9,8 @@ position p without occlusion, else 0, `w_a` the probability of an axis and `r_p`
                sum_j x_j = K,   of each size of tags if there are several,   y and z 0 or 1,
                x_j 0 to n for points; 0 or 1 for tags, and x_i + x_j <= 1 where their papers overlap.
 
-Axes that equal sets of poses cover from a position are combined to one row, with the sum of their weights. Occlusion
-only reduces the numbers of covered landmarks, so a bound on the program also holds with occlusion. The chosen
+Axes that are covered by equal sets of poses from a position are combined into one row, with the sum of their weights.
+Occlusion only reduces the numbers of covered landmarks, so a bound on the program also holds with occlusion. The chosen
 deployment is evaluated with occlusion, after the landmarks of each stack are separated.
 """
 

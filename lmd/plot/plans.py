@@ -233,7 +233,8 @@ MOST_CHANGED = 12  # largest number of changed tags that are named
 
 
 def save_localised_figure(path: str | Path, result: Localisation, room: Space | None, title: str) -> None:
-    """Write a PNG of 1500 x 700 pixels: a localisation from above, and the deviation of the position over time.
+    """Write a PNG of 1500 x 700 pixels: a localisation from above, and the standard deviation of the position over
+    time.
 
     Args:
         path: path of the PNG.

@@ -81,7 +81,7 @@ def covers_alone(f: Integer, pose: Any, mine: Any, clear: Any, ends: Any, field:
 
 @inlined
 def add_landmark(row: FloatArray, sign: float, f: Integer, k: Integer, pose: Any, field: Any, scratch: Any) -> None:
-    """Add the information of landmark k with a `pose` in frame f to a row of `sums`, times `sign`."""
+    """Add to a row of `sums` the information of landmark k with a `pose` in frame f, times `sign`."""
     moment, offset = scratch.moment, offset_of(pose[0], f, field)
     landmark_moments(offset, pose[1], field.precision, k, moment)
     weight = pixel_density(field.sight, offset, field.axes, f)
@@ -100,7 +100,7 @@ def _mark_ahead(field: Any, scratch: Any) -> None:
 
 @inner
 def _flush(role: Integer, count: Integer, k: Integer, normal: Any, field: Any, scratch: Any) -> None:
-    """Add the information of landmark k at the first `count` of the `spots` of a role to the sums of their frames."""
+    """For the first `count` of the `spots` of a role, add the information of landmark k to the sums of their frames."""
     spots, shares, frames, asked = scratch.spots[role], scratch.shares, scratch.spotted[role], field.precision
     right, up = upright_sides(half_of(asked, k), normal)
     for i in range(CHUNK):

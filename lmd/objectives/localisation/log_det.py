@@ -125,7 +125,7 @@ def _gains(
     start: Integer, stop: Integer, points: FloatArray, normals: FloatArray, prices: FloatArray, parts: Any,
     out: FloatArray,
 ) -> None:  # fmt: skip
-    """Write the gains of poses `start` to `stop` to `out` `(N,)`.
+    """Write into `out` `(N,)` the gains of the poses `start` to `stop`.
 
     Args:
         start, stop: range of the poses.
@@ -204,7 +204,7 @@ def _rig_gains(
     every: tuple[GroupCoverage, ...], tags: FloatArray, prices: FloatArray, positions: FloatArray, precision: Precision,
     sums: FloatArray, known: FloatArray, views: BodyViews, out: FloatArray,
 ) -> None:  # fmt: skip
-    """Write the gains of N poses to `out` `(N,)`.
+    """Write into `out` `(N,)` the gains of N poses.
 
     Args:
         every: sets of orientations that cover the poses, by mount group.

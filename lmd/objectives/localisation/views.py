@@ -159,7 +159,7 @@ def seen_twice(was: np.uint64, now: np.uint64, digits: WordArray) -> np.uint64:
 
 @inlined
 def landmark_moments(offset: Vector, normal: Vector, precision: Precision, k: Integer, row: FloatArray) -> None:
-    """Write the moments of landmark k at an offset with a unit normal into `row` `(WIDTH,)`."""
+    """Write into `row` `(WIDTH,)` the moments of landmark k with an offset and a unit normal."""
     right, up = upright_sides(half_of(precision, k), normal)
     (
         row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9], row[10], row[11], row[12],
@@ -235,7 +235,7 @@ def add_to_sums(
     moments: FloatArray, seen: np.uint64, offset: Vector, look: Any, w: Integer, sign: float, first: Integer,
     sums: FloatArray,
 ) -> None:  # fmt: skip
-    """Add a landmark with `moments` `(WIDTH,)` to the rows of `sums` of the orientations `seen` of word w."""
+    """Add a landmark with `moments` `(WIDTH,)` to the rows of `sums` for the orientations `seen` of word w."""
     while seen:
         bit = lowest(seen)
         seen &= seen - ONE
