@@ -205,10 +205,7 @@ def blur_of(image: UInt8Array, found: Detections, modules: int) -> float:
     """
     from scipy.ndimage import map_coordinates
 
-    starts, ends = (
-        found.corners,
-        np.roll(found.corners, -1, axis=1),
-    )  # the corners are clockwise, so the outside is on the left
+    starts, ends = found.corners, np.roll(found.corners, -1, axis=1)  # clockwise, so the outside is on the left
     along = ends - starts
     lengths = np.linalg.norm(along, axis=-1)
     pitch = lengths.min(axis=1) / modules
@@ -228,9 +225,7 @@ def blur_of(image: UInt8Array, found: Detections, modules: int) -> float:
     )
     across = grey.mean(axis=2)
     rises = across[..., -1:] >= across[..., :1]  # in some families the white side is inside
-    profile = np.maximum.accumulate(
-        np.where(rises, across, across[..., ::-1]), axis=-1
-    )  # from black to white, monotonic
+    profile = np.maximum.accumulate(np.where(rises, across, across[..., ::-1]), axis=-1)  # from black to white
     low, high = profile[..., :1], profile[..., -1:]
     step = (profile - low) / np.maximum(high - low, 1.0)
     width = ((step < HIGH) & (step >= LOW)).sum(axis=-1) * (2.0 * reach / (STEPS - 1))[:, None] / 2.0

@@ -176,9 +176,7 @@ class FixedLagSmoother(Uncertainty):
         diagonal, drift = gtsam.noiseModel.Diagonal.Sigmas, self.drift(recording)
         kind: type[CameraPoints | CornerImages] = CameraPoints if recording.corners is None else CornerImages
         parameters = gtsam.ISAM2Params()
-        parameters.setFactorization(
-            "QR"
-        )  # Cholesky factorisation fails if the first estimate is vague and the odometry precise
+        parameters.setFactorization("QR")  # Cholesky fails if the first estimate is vague and the odometry precise
         smoother = gtsam.IncrementalFixedLagSmoother(self.lag, parameters)
         estimate, begun = gtsam.Pose3(start), False
         for t, time in enumerate(recording.time):

@@ -42,9 +42,7 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.tag import Tag
 
 WEIGHTS = ("equal", "noise")
-FRAMES_AT_ONCE = (
-    1000  # number of frames whose sums over tags are in memory together; each needs 288 bytes times the number of tags
-)
+FRAMES_AT_ONCE = 1000  # frames processed together, with sums over tags of 288 bytes times the number of tags each
 
 
 @dataclass(frozen=True)

@@ -126,9 +126,7 @@ def believed(found: Sequence[Detections], ids: IntArray) -> FloatArray:
     corners, place = np.full((len(found), len(ids), 4, 2), np.nan), {number: k for k, number in enumerate(ids.tolist())}
     for t, detections in enumerate(found):
         edges = detections.corners - np.roll(detections.corners, 1, axis=1)
-        for i in np.argsort(
-            (edges**2).sum(axis=(1, 2)), kind="stable"
-        ):  # the largest detection is assigned last and wins
+        for i in np.argsort((edges**2).sum(axis=(1, 2)), kind="stable"):  # the largest is assigned last and wins
             if (k := place.get(int(detections.ids[i]))) is not None:
                 corners[t, k] = detections.corners[i]
     return corners

@@ -78,9 +78,7 @@ class PointDetector(Checked):
         if camera.lens is not None:
             image = project(camera, np.eye(4), points) + noise[..., :2]
             seen = bearings(camera, image)
-            seen = np.where(
-                np.isfinite(seen), seen, points
-            )  # a noisy point without a ray is replaced by the exact point
+            seen = np.where(np.isfinite(seen), seen, points)  # the noisy point may have no ray
             ray = seen / depth_in_focus(camera, seen)[..., None]
             depth = depth_in_focus(camera, points)[..., None]
         else:

@@ -1,1 +1,1 @@
-"""Files of other programs: camera calibrations, trajectories, tag maps, detections, rooms."""
+"""Readers and writers of other programs' files: camera calibrations, trajectories, tag maps, detections, rooms."""

@@ -1,7 +1,7 @@
-"""Bags of ROS 2: a folder with `metadata.yaml`, an MCAP file, or a database (`.db3`), without ROS.
+"""Bags of ROS 2, read without ROS: a folder with `metadata.yaml`, an MCAP file, or a database (`.db3`).
 
-Messages are read by definitions of `lmd`, not by those in the bag, from which the library would generate code. A bag
-whose definition of a type has another hash is refused.
+Messages are read with definitions of their types by `lmd`, as the library would generate code from definitions in the
+bag. A bag is refused if the hash of its definition of a type differs.
 """
 
 import math
@@ -20,36 +20,36 @@ from lmd.core.optional import optional
 from lmd.core.words import few
 
 EXTRA, SUFFIXES = "bags", (".mcap", ".db3")
-METADATA = "metadata.yaml"  # file by which a folder is a bag
+METADATA = "metadata.yaml"  # file that marks a folder as a bag
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO, DETECTIONS = "sensor_msgs/msg/CameraInfo", "apriltag_msgs/msg/AprilTagDetectionArray"
-# Definitions of apriltag_msgs, which ROS itself lacks.
+# Definitions of apriltag_msgs, which are not part of ROS.
 APRILTAG_MSGS = {
     DETECTIONS: "std_msgs/Header header\napriltag_msgs/AprilTagDetection[] detections\n",
     "apriltag_msgs/msg/AprilTagDetection": "string family\nint32 id\nint32 hamming\nfloat32 goodness\n"
     "float32 decision_margin\napriltag_msgs/Point centre\napriltag_msgs/Point[4] corners\nfloat64[9] homography\n",
     "apriltag_msgs/msg/Point": "float64 x\nfloat64 y\n",
 }
-# Greatest size of `metadata.yaml`, where 500 topics have 300 kB; and of a message or a chunk of them when it is
-# expanded, where an image of 8K has 100 MB, bytes.
+# Maximum size of `metadata.yaml`, bytes (500 topics have 300 kB); and maximum size of an expanded message, or chunk of
+# messages, bytes (an image of 8K has 100 MB).
 LARGEST_METADATA, LARGEST_CHUNK = 1 << 19, 1 << 28
-# Greatest size of a file when it is expanded: bytes, and bytes for each byte of the file.
+# Maximum size of an expanded file: bytes, and ratio to the size of the compressed file.
 LARGEST_FILE, LARGEST_RATIO = 1 << 30, 100
-ZSTD = b"\x28\xb5\x2f\xfd"  # first bytes of what is compressed by zstd
-CHUNK, CHUNK_HEAD = 0x06, 37  # operation of a chunk in MCAP, and bytes from its begin to the name of its compression
-MOST_TOPICS = 8  # largest number of topics that a message names
-SHOWN = 120  # largest number of characters of a library's reason that a message shows
+ZSTD = b"\x28\xb5\x2f\xfd"  # first bytes of content that zstd has compressed
+CHUNK, CHUNK_HEAD = 0x06, 37  # operation of a chunk in MCAP, and bytes before the name of its compression
+MOST_TOPICS = 8  # maximum number of topics that a message names
+SHOWN = 120  # maximum number of characters of a library's reason that a message shows
 
 
 class Message(NamedTuple):
     """Message of a bag."""
 
     stamp: str
-    """Time in the header, seconds with nine decimals; time of recording for a header without a time."""
+    """Time in the header, seconds with nine decimals; time of recording if the header has no time."""
     logged: int
     """Time of recording, ns."""
     raw: bytes
-    """Message as it is stored."""
+    """Message in the serialised form in which it is stored."""
 
 
 @cache
@@ -66,7 +66,7 @@ def types() -> Any:
 
 @cache
 def _reader() -> Any:
-    """Class of the library's reader that looks first whether what is compressed expands beyond the limits."""
+    """Class of the library's reader, extended by a check that compressed content does not expand beyond the limits."""
     optional("rosbags", EXTRA)
     library, mcap = (optional(f"rosbags.rosbag2.{name}", EXTRA) for name in ("reader", "storage_mcap"))
     zstd, lz4 = library.zstd, optional("lz4.frame", EXTRA)
@@ -126,7 +126,7 @@ def _reader() -> Any:
 
 
 def is_bag(path: Any) -> bool:
-    """Return True if a path is that of a bag, by its name, or for a folder by its `metadata.yaml`."""
+    """Return True for the path of a bag: a file whose name is that of a bag, or a folder with a `metadata.yaml`."""
     with suppress(OSError, TypeError, ValueError):
         return Path(path).suffix.lower() in SUFFIXES or (Path(path) / METADATA).is_file()
     return False
@@ -143,31 +143,31 @@ class Bag:
     path: str | Path
     """File or folder."""
     argument: str = "path"
-    """Name of the argument with the path, for messages."""
+    """Name of the argument that gave the path, for messages."""
 
     def __post_init__(self) -> None:
         _ = self.topics
 
     @cached_property
     def topics(self) -> dict[str, str]:
-        """Types of the messages by topic."""
+        """Type of the messages of each topic, by topic."""
         with self._opened() as reader:
             return {topic: str(info.msgtype) for topic, info in sorted(reader.topics.items())}
 
     def topics_of(self, *kinds: str) -> list[str]:
-        """Topics with messages of these types, ascending."""
+        """Topics whose messages have one of these types, ascending."""
         return [topic for topic, kind in self.topics.items() if kind in kinds]
 
     def chosen(self, topic: Any, *kinds: str, count: int = 1) -> list[str]:
         """Topics to read.
 
         Args:
-            topic: the user's topic, or a list of topics; None for all that the bag has.
-            kinds: types of their messages.
+            topic: topic or list of topics that the user wants; None for all topics with messages of `kinds`.
+            kinds: types of the topics' messages.
             count: required number of topics.
 
         Raises:
-            InputError: there are fewer, more or others.
+            InputError: the bag lacks a topic, or the number of topics is not `count`.
         """
         found, what = self.topics_of(*kinds), " or ".join(kind.rpartition("/")[2] for kind in kinds)
         asked = [topic] if isinstance(topic, str) else found if topic is None else list(topic)
@@ -190,7 +190,7 @@ class Bag:
             first, last: times of recording of the first and the last message, ns; None for all.
 
         Raises:
-            InputError: the bag is damaged, or defines the type of the messages in another way.
+            InputError: the bag is damaged, or its definition of the messages' type differs.
         """
         with self._opened() as reader:
             own = [connection for connection in reader.connections if connection.topic == topic]
@@ -201,18 +201,18 @@ class Bag:
                 yield Message(_stamp(raw, logged), logged, bytes(raw))
 
     def content(self, raw: bytes, kind: str) -> Any:
-        """Values of a message.
+        """Deserialise a message.
 
         Raises:
             InputError: the message is damaged.
         """
         try:
             return types().deserialize_cdr(raw, kind)
-        except Exception as error:  # a damaged message may raise anything
+        except Exception as error:  # a damaged message may raise any error
             raise self.refused(f"has a damaged message of {kind} ({_reason(error)})") from None
 
     def refused(self, why: str, argument: str | None = None) -> InputError:
-        """Error about this bag: predicate of a sentence."""
+        """Error about this bag; the reason `why` is the predicate of a sentence."""
         return InputError(f"{self.argument}: the bag {str(self.path)!r} {why}.", argument or self.argument)
 
     def _check_type(self, connection: Any) -> None:
@@ -227,7 +227,7 @@ class Bag:
             raise InputError(f"{self.argument}: there is no bag {str(path)!r}.", self.argument)
         for file in path.iterdir() if path.is_dir() else [path]:
             if not file.is_dir():
-                # A pipe is refused, for which the library would wait; other files are not read here.
+                # A pipe is refused here, as the library would wait for its content; other files are not read yet.
                 largest = LARGEST_METADATA if file.name == METADATA else math.inf
                 read_bytes(file, self.argument, largest, None if file.name == METADATA else 0)
         try:
@@ -239,7 +239,7 @@ class Bag:
             raise self.refused(str(error).removeprefix("it ").rstrip(".")) from None
         except GeneratorExit:
             raise
-        except Exception as error:  # a broken file may raise anything
+        except Exception as error:  # a broken file may raise any error
             cut = "; `mcap recover` mends a file that was cut" * (Path(self.path).suffix == ".mcap")
             raise self.refused(f"cannot be read ({_reason(error)}){cut}") from None
 
@@ -250,7 +250,7 @@ def _reason(error: Exception) -> str:
 
 
 def _stamp(raw: bytes, logged: int) -> str:
-    """Time in the header of a message, which begins with it, seconds as a text."""
+    """Time in the header at the beginning of a message, seconds as a text."""
     if len(raw) < 12:
         return _seconds(logged)
     seconds, rest = struct.unpack_from("<iI" if raw[1] & 1 else ">iI", raw, 4)
@@ -262,7 +262,7 @@ def _seconds(nanoseconds: int) -> str:
 
 
 def cameras_in(path: Any, argument: str) -> Mapping[str, Any]:
-    """Cameras of a bag by topic, each as a function that returns the keys of the first `CameraInfo`.
+    """Cameras of a bag, by topic; each is a function that returns the keys of the first `CameraInfo`.
 
     Raises:
         InputError: the bag cannot be read, or has no camera.
@@ -270,7 +270,7 @@ def cameras_in(path: Any, argument: str) -> Mapping[str, Any]:
     bag = Bag(path, argument)
     topics = bag.topics_of(CAMERA_INFO)
     if not topics:
-        bag.chosen(None, CAMERA_INFO)  # refuses
+        bag.chosen(None, CAMERA_INFO)  # raises the error about the missing topic
     return {topic: lambda topic=topic: _camera(bag, topic) for topic in topics}
 
 

@@ -1,7 +1,7 @@
 """Cameras from calibration files; `tables/calibration.yaml` lists the formats.
 
-All readers give pixels that count from the centre of the first pixel. `lmd` counts from the image's border, which adds
-0.5 to the principal point; no other value changes.
+All readers return pixel coordinates that count from the centre of the first pixel. `lmd` counts from the image's
+border, which adds 0.5 to the principal point and changes no other value.
 """
 
 import math
@@ -19,17 +19,17 @@ from lmd.geometry.camera import PIXEL_CENTRE, Camera
 from lmd.geometry.lens import EQUIDISTANT, lens_of
 
 ASKED = ("image_size", "distortion_model")  # settings that a file may lack
-# Models of `lmd.geometry.lens` by their names in files of ROS, Kalibr, EuRoC and OpenCV.
+# Models of `lmd.geometry.lens`, by their names in files of ROS, Kalibr, EuRoC and OpenCV.
 LENS_MODELS = {
     **dict.fromkeys(("plumb_bob", "radtan", "none", "radial_tangential", "brown_conrady"), "plumb_bob"),
     **dict.fromkeys((EQUIDISTANT, "fisheye", "kannala_brandt"), EQUIDISTANT),
     "rational_polynomial": "rational_polynomial",
 }
-# Separator of the messages that ROS's tools print.
+# Separator of the messages that tools of ROS print.
 FIRST_MESSAGE = re.compile(r"(?<=\n)---[ \t]*\n(?=header:)")
-SHORTEST = 0.05  # least focal length, as a share of the image's size; shorter lengths are refused
-LARGEST = 1 << 25  # greatest size of a file, bytes: some files hold every detected point, or the images
-OPTICS = ("focal_length", "aperture", "focus_distance", "image_circle")  # settings that are in no calibration file
+SHORTEST = 0.05  # minimum focal length, as a share of the image's size; shorter lengths are refused
+LARGEST = 1 << 25  # maximum size of a file, bytes: some files contain every detected point, or the images
+OPTICS = ("focal_length", "aperture", "focus_distance", "image_circle")  # settings that no calibration file contains
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Calibration(Checked):
         principal_point: (c_x, c_y), from the centre of the first pixel, as OpenCV counts.
         distortion, distortion_model: coefficients and model of the lens, see `lmd.geometry.lens.Lens`.
         image_circle: diameter of the image circle, pixels; infinite if the file has none.
-        note: remark for the user on the origin of the values.
+        note: remark for the user on how the values were obtained.
 
     Raises:
         InputError: a value is out of range, or the lens model is unknown.
@@ -71,7 +71,7 @@ class Calibration(Checked):
             object.__setattr__(self, "image_circle", math.inf)  # a pinhole has no image circle
 
     def camera(self, focal_length: float | None = None, aperture: float | None = None, **lens: float) -> Camera:
-        """Camera with this calibration; without an aperture a pinhole, whose images are sharp at any depth.
+        """Camera with this calibration; without an aperture, a pinhole camera, whose images are sharp at any depth.
 
         Args:
             focal_length: f, mm; determines the size of a pixel, which matters only for the focus.
@@ -115,7 +115,7 @@ def calibrated_camera(
     focus_distance: float = Camera.focus_distance,
     image_circle: float = Camera.image_circle,
 ) -> Camera:
-    """Camera of a calibration file.
+    """Camera from a calibration file.
 
     Args:
         path, name, image_size, distortion_model: see `read_calibration`.
@@ -130,25 +130,25 @@ def calibrated_camera(
 
 
 class CalibrationFile(File):
-    """File of a calibration; its keys may come from XML, or from arrays."""
+    """File of a calibration, which may also be XML, or an archive of arrays."""
 
     @cached_property
     def arrays(self) -> Keys | None:
-        """Keys of a file of arrays; None for a text."""
+        """Keys of an archive of arrays; None for a text file."""
         arrays = arrays_of(self.path, self.argument, self.largest)
         return None if arrays is None else {name: array.tolist() for name, array in arrays.items()}
 
     @cached_property
     def text(self) -> str:
-        """Text of the file, up to the end of ROS's first message; empty for a file of arrays."""
+        """Text of the file, up to the end of the first message of ROS; empty for an archive of arrays."""
         return FIRST_MESSAGE.split(super().text)[0] if self.arrays is None else ""
 
     @cached_property
     def data(self) -> Keys:
-        """Keys of YAML, JSON, XML or arrays.
+        """Keys and values of YAML, JSON, XML or arrays.
 
         Raises:
-            InputError: the text has another content.
+            InputError: the text is none of these.
         """
         if self.arrays is not None:
             return self.arrays
@@ -159,19 +159,19 @@ class CalibrationFile(File):
 
 
 class ReadCamera(NamedTuple):
-    """Camera of a file, which is read when one of the functions is called."""
+    """Camera in a file; the file is interpreted when one of the functions is called."""
 
     calibration: Callable[[], Calibration]
     """Function that returns the calibration."""
     poses: Callable[[], Mapping[str, FloatArray]] = dict
-    """Function that returns poses of the camera's optical frame by frame, see `lmd.formats.rigs`."""
+    """Function that returns poses of the camera's optical frame, by frame of reference, see `lmd.formats.rigs`."""
 
 
 def lens_model(word: Any, models: Mapping[str, str]) -> str:
-    """Lens model whose pattern matches a word, see `lmd.formats.keyed_cameras.KeyedCameras.models`.
+    """Lens model whose pattern matches `word`, see `lmd.formats.keyed_cameras.KeyedCameras.models`.
 
     Raises:
-        InputError: the model is not known.
+        InputError: no pattern matches.
     """
     spelled = re.sub(r"[ -]+", "_", str(word).strip().lower())
     if found := next((model for pattern, model in models.items() if re.fullmatch(pattern, spelled)), ""):
@@ -185,7 +185,7 @@ def lens_model(word: Any, models: Mapping[str, str]) -> str:
 
 
 def no_size() -> InputError:
-    """Error about a file that lacks the size of the image."""
+    """Error about a file without the size of the image."""
     return InputError(
         "image_size must be given, [width, height] in pixels: image_width or image_height is missing.", "image_size"
     )
@@ -200,11 +200,11 @@ def read_calibration(
     """Read a calibration in one of the formats of `tables/calibration.yaml`.
 
     Args:
-        name: name of the camera in a file with several cameras, such as `cam1` of Kalibr; not needed if there is only
-            one. For names such as `color/1280x720` the part before `/` suffices with `image_size`.
-        image_size: width and height, pixels; needed if the file has none.
-        distortion_model: model of the lens if the file names none, by OpenCV's names: `fisheye` for its fisheye; needed
-            for four coefficients, and for RealSense's "inverse Brown Conrady".
+        name: name of the camera in a file with several cameras, such as Kalibr's `cam1`; not needed for a single
+            camera. With `image_size`, the part before `/` suffices for names such as `color/1280x720`.
+        image_size: width and height, pixels; needed if the file lacks the size.
+        distortion_model: lens model, by OpenCV's names such as `fisheye`, if the file names none; needed for four
+            coefficients, and for RealSense's "inverse Brown Conrady".
 
     Raises:
         InputError: the file cannot be read, a key is missing or wrong, the size or the model contradicts the file, or
@@ -222,7 +222,7 @@ def read_calibration(
 
 
 def _chosen(path: str, names: list[str], name: str | None, size: tuple[float, ...] | None) -> str:
-    """Choose the camera with a name, or with the part of the name before `/` and the size at its end."""
+    """Choose the camera with a name, or with the part of a name before `/` and with the image size in the name."""
     if not names:
         raise InputError(f"path: {path} has no camera in its list.", "path")
     cameras = [key for key in names if key]
@@ -241,12 +241,12 @@ def _chosen(path: str, names: list[str], name: str | None, size: tuple[float, ..
 def read_cameras(
     path: Any, image_size: Any = None, distortion_model: str | None = None, argument: str = "path"
 ) -> dict[str, ReadCamera]:
-    """Read the cameras of a file by name; a camera without a name has the name "".
+    """Read the cameras of a file; the result is by name, and a camera without a name has the name "".
 
     Args:
         path: path of the file, at most `LARGEST` bytes.
         image_size, distortion_model: see `read_calibration`.
-        argument: argument that gave the path, for messages.
+        argument: name of the argument that gave the path, for messages.
 
     Raises:
         InputError: the file cannot be read, or has another format.
@@ -259,13 +259,13 @@ def read_cameras(
 
 @contextmanager
 def _damaged(path: Any) -> Iterator[None]:
-    """Context in which errors of readers become sentences that name the file."""
+    """Context that turns errors of readers into sentences that name the file."""
     try:
         yield
     except InputError as error:
         if error.argument in ("path", "name", "mount"):
             raise
-        if error.argument in ASKED:  # a message begins with its argument
+        if error.argument in ASKED:  # such a message begins with the name of its argument
             what, _, why = str(error).partition(": ")
             raise InputError(f"{what}: {path}: {why}", error.argument) from None
         raise InputError(f"{path}: {error}") from None

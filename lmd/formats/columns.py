@@ -1,8 +1,8 @@
-"""Tables of poses and of tags: one vocabulary of columns and units, and one reader of texts.
+"""Tables of poses and of tags in texts: names and units of columns, and the reader.
 
-A text names its columns in its first line, or in a comment above the values. For other texts the user names them, or
-the program that wrote them, a row of `LAYOUTS`. Without such a word only TUM's format and lines of `ros2 topic echo`
-are read: a wrong reading of these breaks a rule of theirs.
+A text names its columns in the first line, or in a comment above the values. For other texts the user names the
+columns, or the program that wrote the text, a row of `LAYOUTS`. Otherwise only TUM's format and lines of `ros2 topic
+echo` are read, as their values reveal a wrong reading.
 """
 
 import re
@@ -22,16 +22,16 @@ from lmd.scene.labels import EDGE, ID
 POSES, TAGS = "poses", "tags"  # kinds of tables
 TIME, FAMILY, POSITION, QUATERNION, NORMAL = "time", "family", ROW[:3], ROW[3:], COLUMNS[3:]
 EULER = ("roll", "pitch", "yaw")  # angles of a body in ROS's convention: x ahead, y left, z up
-# Angles of a camera, as in `lmd.geometry.frames.rotation`: clockwise from the y axis, up, and to the left.
+# Angles of a camera, as in `lmd.geometry.frames.rotation`: clockwise from the y axis, upwards, and to the left.
 OWN_ANGLES = ("yaw_from_y", "pitch_up", "roll_left")
 VECTOR = ("rx", "ry", "rz")  # rotation vector, whose length is the angle
-LONGEST_NAME = 200  # greatest number of characters of a column's name; a longer name is unknown
+LONGEST_NAME = 200  # maximum number of characters of a column's name; longer names are unknown
 ALONE = (
     "tum",
     "kitti",
-)  # layouts that are known by the number of values: a wrong reading has no rotation of length one
-ONCE = (EDGE, FAMILY)  # quantities of which only the first column counts
-SHOWN = 200  # greatest number of characters of a line that a message shows
+)  # layouts that the number of values determines: a wrong reading gives no valid rotation
+ONCE = (EDGE, FAMILY)  # quantities that several columns may hold; only the first of these columns is read
+SHOWN = 200  # maximum number of characters of a line that a message shows
 _BRACKETS = re.compile(r"[\[(]([^\[(\])]*)[\])]$")
 # Names of a quaternion with w first: qw qx qy qz, (w, x, y, z), wxyz, w i j k.
 _W_FIRST = re.compile(r"(?<![a-z])q?_?w[\W_]*q?_?x[\W_]*q?_?y[\W_]*q?_?z|(?<![a-z])w[\W_]+i[\W_]+j[\W_]+k(?![a-z])")
@@ -45,13 +45,13 @@ class Quantity(NamedTuple):
     name: str
     """Standard name, in which {} stands for the axis."""
     pattern: re.Pattern[str]
-    """Pattern of the names in files, in small letters, with the groups `axis` and `unit`."""
+    """Pattern, with the groups `axis` and `unit`, that matches the names in files in small letters."""
     units: Mapping[str, float]
-    """Sizes of the units in seconds, metres or radians by name; empty for a quantity without a unit."""
+    """Size of each unit in seconds, metres or radians, by the unit's name; empty for a quantity without a unit."""
 
     @classmethod
     def of(cls, name: str, names: str, unit: str = "") -> "Quantity":
-        """Quantity of a row of the table."""
+        """Quantity from a row of the table."""
         units = _units(unit) | (_units(f"bare_{unit}") if unit == TIME else {})
         words = "|".join(sorted(units, key=len, reverse=True))
         return cls(name, re.compile(names.replace("UNIT", f"(?P<unit>{words})")), units)
@@ -69,12 +69,12 @@ VOCABULARY = {
 
 
 class Layout(NamedTuple):
-    """Columns of a text that does not name them."""
+    """Columns of a text that does not name its columns."""
 
     name: str
-    """Word for the program in `columns`; empty for columns of a file or of the user."""
+    """Name of the program, as in the argument `columns`; empty for columns that a file or the user names."""
     of: str
-    """Kind of the table."""
+    """Kind of the table, `POSES` or `TAGS`."""
     columns: tuple[str, ...]
     """Names of the columns, with their units."""
     least: int = 0
@@ -88,15 +88,15 @@ class Layout(NamedTuple):
     axes: Sequence[str] | None = None
     """Directions of x, y and z of a tag's frame, see `lmd.formats.placed_tag.axes_of`."""
     opencv: bool = False
-    """True if the program turns tags as OpenCV does."""
+    """True if the program rotates tags as OpenCV does."""
 
     def takes(self, width: int) -> bool:
-        """True if a line may have `width` values."""
+        """True if a line of the layout may have `width` values."""
         return (self.least or len(self.columns)) <= width and (self.more or width <= len(self.columns))
 
 
 LAYOUTS = tuple(Layout(**row)._replace(columns=tuple(row["columns"].split())) for row in _TABLE["layouts"])
-# Lists of tags: keys of a list, keys of a tag's number or name, and columns of lists of numbers by their keys.
+# For lists of tags: keys of a list, keys of a tag's number or name, and columns of the lists of numbers, by their keys.
 LISTS: list[str] = _TABLE["lists"].split()
 IDS: list[str] = _TABLE["ids"].split()
 PARTS: dict[str, tuple[str, ...]] = {
@@ -113,9 +113,9 @@ class Lines(NamedTuple):
     comments: list[str]
     """Comments before the first line, without #."""
     commas: bool
-    """True if commas separate the values, and not blanks."""
+    """True if commas separate the values; False if blanks do."""
     rows: list[tuple[int, list[str]]]
-    """Number of each line, from 1, and its values."""
+    """Values of each line, with the number of the line, from 1."""
 
     @property
     def width(self) -> int:
@@ -124,10 +124,10 @@ class Lines(NamedTuple):
 
     @classmethod
     def of(cls, path: object, text: str, argument: str = "path") -> "Lines":
-        """Lines of a text.
+        """Split a text into lines of values.
 
         Raises:
-            InputError: the lines have commas and are no CSV.
+            InputError: the lines have commas but are not valid CSV.
         """
         lines = numbered_lines(text)
         first = lines[0][1].strip() if lines else ""
@@ -135,7 +135,7 @@ class Lines(NamedTuple):
         comments = [comment for line in before if (comment := line.strip().lstrip(COMMENT).strip())]
         if commas := any(mark in first for mark in ",;"):
             rows = csv_rows(path, lines, argument)
-            if not any(row[-1] for _, row in rows):  # each line ends with a comma
+            if not any(row[-1] for _, row in rows):  # unless each line ends with a comma
                 rows = [(number, row[:-1]) for number, row in rows]
         else:
             tab = "\t" if "\t" in first and not is_number(first.split()[0]) else None
@@ -145,19 +145,20 @@ class Lines(NamedTuple):
 
 
 class Named(NamedTuple):
-    """Table with the standard names of its columns, metres and radians; unknown columns keep their names."""
+    """Table whose known columns have standard names, in metres and radians; unknown columns keep their names."""
 
     table: Table
     columns: Mapping[str, str]
-    """Names in the file of the known columns, by their standard names."""
+    """Names of the known columns in the file, by standard name."""
     time_unit: float | None
     """Unit of the column `TIME`, seconds; None if the file names no unit."""
     layout: Layout
-    """Columns of the text."""
+    """Layout of the text's columns."""
 
 
 def standard(name: str, of: str) -> tuple[str, float | None] | None:
-    """Standard name of a column, and its unit in seconds, metres or radians, None without one; None if unknown.
+    """Standard name of a column, and unit in seconds, metres or radians, which is None for a quantity without a unit.
+    None for an unknown column.
 
     Raises:
         InputError: the unit is unknown.
@@ -179,17 +180,17 @@ def standard(name: str, of: str) -> tuple[str, float | None] | None:
 
 
 def standardised(table: Table, of: str, layout: Layout | None = None) -> Named:
-    """Table with standard names and units; of several columns of times the first is taken.
+    """Table with standard names and units; of several columns of times, the first is taken.
 
     Raises:
         InputError: two columns may hold one quantity, or a unit is unknown.
     """
     columns, texts, time_unit = dict[str, str](), dict[str, Sequence[str]](), None
-    # Nanoseconds beside seconds are no time of their own.
+    # Nanoseconds beside seconds are not a time of their own.
     for name in sorted(table.texts, key=lambda name: re.search(r"n(ano)?sec\w*$", name) is not None):
         values = table.texts[name]
         own, unit = standard(name, of) or ("", None)
-        literal = own != name and own in table  # another column has the standard name itself
+        literal = own != name and own in table  # another column already has the standard name
         if own == ID or (own == EDGE and not all(map(is_number, filter(None, values)))) or (own in ONCE and literal):
             own = ""
         if own in columns and own not in (TIME, *ONCE):
@@ -210,7 +211,7 @@ def standardised(table: Table, of: str, layout: Layout | None = None) -> Named:
 def named(
     path: object, text: str, of: str, columns: str | Sequence[str] | None = None, argument: str = "path"
 ) -> Named:
-    """Table of a text.
+    """Read the table in a text.
 
     Args:
         path: path of the file, for messages.
@@ -220,7 +221,7 @@ def named(
         argument: name of the argument with the path, for messages.
 
     Raises:
-        InputError: the text is no table, or its columns are not known.
+        InputError: the text is not a table, or its columns are unknown.
     """
     lines = Lines.of(path, text, argument)
     if not lines.rows:
@@ -231,7 +232,7 @@ def named(
         wrong = f"line {number} begins with {first[0][:80]!r}"
         raise InputError(f"{wrong}, which is neither a number nor the name of a column.")
     asked = None if columns is None else _asked(lines, of, columns)
-    if has_names:  # columns of the user replace a line that names no place
+    if has_names:  # the user's columns replace a header that names no position
         has_place = any((standard(name, of) or ("",))[0] == "x" for name in first)
         given = next((one for one in LAYOUTS if re.fullmatch(one.header or "$", ",".join(first))), None)
         layout = given or (Layout("", of, tuple(first)) if asked is None or has_place else asked)
@@ -247,7 +248,7 @@ def named(
 
 
 def _asked(lines: Lines, of: str, columns: str | Sequence[str]) -> Layout:
-    """Columns that the user asked for."""
+    """Columns that the user has given."""
     known = [layout for layout in LAYOUTS if layout.of == of]
     if isinstance(columns, str) and re.fullmatch(r"\w+", columns):
         found = [layout for layout in known if layout.name == columns]
@@ -260,16 +261,16 @@ def _asked(lines: Lines, of: str, columns: str | Sequence[str]) -> Layout:
 
 
 def _commented(lines: Lines, of: str) -> Layout | None:
-    """Columns that the last comment with names has; None without one.
+    """Columns named by the last comment that names columns; None without such a comment.
 
-    A comment names the columns if it has a pose, or as many words as the lines have values, or begins with the number
-    of a tag and its place.
+    A comment names the columns if its words name a pose, are as many as the values of a line, or begin with the number
+    and the position of a tag.
 
     Raises:
         InputError: a comment names more columns than there are.
     """
     for comment in reversed(lines.comments):
-        # In some files units are separated from the names: p_x [m].
+        # In some files, blanks separate units from the names: p_x [m].
         spaced = re.sub(r"(?<!\s)\s+([\[(])", r"\1", comment)
         for words in (comment.split(","), re.split(r"[,\s]+", spaced)) if "," in comment else (spaced.split(),):
             names = [word for one in words if (word := one.strip(" \t:;,")) not in ("", "...")]
@@ -292,10 +293,10 @@ def _commented(lines: Lines, of: str) -> Layout | None:
 
 
 def _by_content(lines: Lines, of: str) -> Layout:
-    """Columns of a text whose values determine them.
+    """Columns of a text, determined from the values.
 
     Raises:
-        InputError: they do not; the message suggests columns.
+        InputError: the values do not determine the columns; the message suggests columns.
     """
     layouts, first = [layout for layout in LAYOUTS if layout.of == of], lines.rows[0][1]
     for layout in layouts:

@@ -1,9 +1,9 @@
-"""Files of detections: tables, bags, and JSON of PhotonVision and Limelight; and lists of the images that were taken.
+"""Files of detections: tables, bags, and JSON of PhotonVision and Limelight; and files that list all images.
 
-PhotonVision's corners are counter-clockwise from the tag's bottom left. The pixels of its AprilTag pipeline count from
-the border of the image, as in AprilTag 3. (The pixels of its ArUco pipeline count from the centre of the first pixel,
-but files do not name the pipeline.) Limelight documents neither order nor origin. Its corners are assumed to have the
-order and the origin of AprilTag 3.
+PhotonVision's corners are counter-clockwise from the tag's bottom left. Its AprilTag pipeline counts pixels from the
+border of the image, as AprilTag 3 does. (Its ArUco pipeline counts from the centre of the first pixel, but files do not
+name the pipeline.) Limelight documents neither order nor origin. Its corners are assumed to have the order and the
+origin of AprilTag 3.
 
 Sources: `PhotonPipelineResult`, `PhotonTrackedTarget` and `TrackedTarget` (PhotonVision/photonvision); "JSON Results
 Specification" of Limelight.
@@ -32,14 +32,14 @@ from lmd.geometry.camera import PIXEL_CENTRE
 from lmd.scene.families import family_named
 
 NAME, IMAGES = "detections", "images"  # names of the arguments with paths
-# Columns of the corners, OpenCV's pixels, clockwise from the top left of the tag's picture.
+# Columns of the corners, in OpenCV's pixels, clockwise from the top left of the tag's own picture.
 CORNER_COLUMNS = tuple(f"{axis}{corner}" for corner in range(4) for axis in "xy")
 TIMES, CAMERAS = ("time", "stamp", "timestamp", "image"), ("camera", "topic", "cam", "camera_id")
 FROM_APRILTAG = [3, 2, 1, 0]
-SHOWN = 80  # greatest number of characters of a file that a message shows
-MOST_LACKING = 4  # greatest number of missing columns that a message names
-LEAST_AREA = 1.0  # least area of a quadrilateral, square pixels; smaller quadrilaterals are left out
-DEEPEST = 3  # greatest number of levels of names and lists around results in JSON
+SHOWN = 80  # maximum number of characters of a file that a message shows
+MOST_LACKING = 4  # maximum number of missing columns that a message names
+LEAST_AREA = 1.0  # minimum area of a quadrilateral, square pixels; smaller ones are left out
+DEEPEST = 3  # maximum number of levels of names and lists around results in JSON
 
 
 class SeenTag(NamedTuple):
@@ -54,15 +54,15 @@ class SeenTag(NamedTuple):
     corners: Sequence[Sequence[float]]
     """Four corners in the order of the file, pixels from the border of the image, (x, y)."""
     family: str = ""
-    """Family as the program writes it; empty if it does not."""
+    """Family as the program writes it; empty if the program writes none."""
 
 
 class DetectionsFile(File):
-    """File of detections, whose first line may name columns."""
+    """File of detections; the first line may name columns."""
 
     @cached_property
     def data(self) -> Mapping[str, Any]:
-        """Values of JSON, of the whole text or of each line; empty for another text.
+        """Values of JSON, from the whole text or from each line; empty for a text that is not JSON.
 
         Raises:
             InputError: the text begins like JSON, but is broken.
@@ -88,7 +88,7 @@ class DetectionsFile(File):
 
     @cached_property
     def lacks(self) -> list[str]:
-        """Columns that the header lacks."""
+        """Columns of detections that the header lacks."""
         lacks = [column for column in ("id", *CORNER_COLUMNS) if column not in self.header]
         return [" or ".join(TIMES)] * (not set(TIMES) & set(self.header)) + lacks
 
@@ -102,7 +102,9 @@ class DetectionsFile(File):
 
 
 def is_table(file: DetectionsFile) -> bool:
-    """True for a table with the columns of detections, or with semicolons, which the reader of tables refuses."""
+    """True for a table with the columns of detections, or with semicolons, about which the reader of tables raises an
+    error.
+    """
     return not file.lacks or (len(file.header) == 1 and ";" in file.first)
 
 
@@ -118,20 +120,20 @@ def has_rows_of_corners(file: DetectionsFile) -> bool:
 
 @dataclass(frozen=True)
 class KeyedDetections:
-    """Results of a program in JSON; a row of `tables/detections.yaml`."""
+    """Description of a program's results in JSON, a row of `tables/detections.yaml`."""
 
     tags: str
-    """Key of the list of tags, which marks a result."""
+    """Key of the list of tags; a mapping with this key is a result."""
     number: str
-    """Key of a tag's number; -1 marks a target without one."""
+    """Key of a tag's number; -1 marks a target that is not a tag."""
     corners: str
     """Key of a tag's four corners: pairs, or mappings with x and y."""
     times: Mapping[str, int]
-    """Keys of the time, in the order in which they are tried, and their units in a second."""
+    """Keys of the time in the order in which they are tried, with the number of units per second."""
     tag_family: str = ""
-    """Key of a tag's family; empty if it has none."""
+    """Key of a tag's family; empty if tags have none."""
     least: float = -np.inf
-    """Least coordinate of a corner; others count from the middle of the image, and are refused."""
+    """Minimum coordinate of a corner; smaller ones count from the middle of the image, and are refused."""
 
     def read(self, file: Any) -> DetectedTags:
         """Detections of all results in a file.
@@ -154,7 +156,7 @@ class KeyedDetections:
         return _detections(file, seen)
 
     def _seen(self, keys: Any) -> Iterator[SeenTag]:
-        """Tags with corners in all results, with the times of capture."""
+        """Tags with corners in all results, with times of capture."""
         for camera, result in _results(keys, self.tags):
             metadata = result.get("metadata")
             keys = {**result, **({f"metadata.{key}": value for key, value in metadata.items()} if metadata else {})}
@@ -162,11 +164,11 @@ class KeyedDetections:
             if not name:
                 raise InputError(f"has a result without {' or '.join(self.times)}, so its time is not known")
             written = keys[name] if isinstance(keys[name], int) else repr(real(name, keys[name]))
-            time = f"{Decimal(written) / self.times[name]:f}"  # exact to the last digit for whole numbers
+            time = f"{Decimal(written) / self.times[name]:f}"  # all digits of whole numbers are kept
             for tag in result[self.tags]:
                 number, given = tag.get(self.number, -1), tag.get(self.corners)
                 if number == -1 or not given:
-                    continue  # a shape, an object, or a tag without corners
+                    continue  # not a tag, or a tag without corners
                 if real(self.number, number, low=0.0) != int(number):
                     raise InputError(f"has the {self.number} {number!r}, which is not a whole number")
                 if not isinstance(given, list) or len(given) != 4:
@@ -180,25 +182,26 @@ class KeyedDetections:
 
 
 def read_detections(path: Any, topic: Any = None) -> DetectedTags:
-    """Read JSON of a program, a bag, or a table with the columns `time,id,x0,y0,...,x3,y3`.
+    """Read detections from JSON of a program, a bag, or a table with the columns `time,id,x0,y0,...,x3,y3`.
 
     The corners of a table are clockwise from the top left in OpenCV's pixels.
 
-    The column of the time may have the name `stamp` or `image`, and hold any text, such as the name of a photograph.
+    The column of the time may also be named `stamp` or `image`, and may hold any text, such as the name of a
+    photograph.
 
-    Column `camera` or `topic` names the camera; without this column there is one camera. Further columns are ignored.
-    If most detections have counter-clockwise corners, the corners are read in the order of the AprilTag library, from
-    the bottom left. Detections with the opposite sense are left out.
+    The column `camera` or `topic` names the camera; without this column there is one camera. Further columns are
+    ignored. If most detections have counter-clockwise corners, the corners are read in the order of the AprilTag
+    library, from the bottom left. Detections with the opposite sense are left out.
 
     Raises:
-        InputError: the file cannot be read, lacks a column, or a value is no number.
+        InputError: the file cannot be read, lacks a column, or a value is not a number.
     """
     found: DetectedTags = read("detections", DetectionsFile(path, NAME, {"topic": topic}))
     return found
 
 
 def read_csv(file: File) -> DetectedTags:
-    """Detections of a table, see `read_detections`."""
+    """Read detections from a table, see `read_detections`."""
     table = read_table(file.path, name=file.argument)
     time, camera = (next((known for known in known_as if known in table), "") for known_as in (TIMES, CAMERAS))
     values = table.numbers(("id", *CORNER_COLUMNS), None)
@@ -215,13 +218,13 @@ def read_csv(file: File) -> DetectedTags:
 
 
 def _detections(file: File, seen: Sequence[SeenTag]) -> DetectedTags:
-    """Detections of tags that were seen, with corners from the tag's top left; quadrilaterals without an area are left
+    """Detections from the `seen` tags, with corners from the tag's top left; quadrilaterals without an area are left
     out.
 
     Raises:
         InputError: no tag has an area, or the tags have several families.
     """
-    # Nanoseconds since 1970 have more digits than a float, so frames are distinguished by the text.
+    # Times are compared as texts: nanoseconds since 1970 have more digits than a float.
     texts = {text for tag in seen for text in (tag.time, tag.camera)}
     shown = {text: printable(text) for text in texts}
     moments = _as_first_written([shown[tag.time] for tag in seen])
@@ -244,7 +247,7 @@ def _detections(file: File, seen: Sequence[SeenTag]) -> DetectedTags:
 
 
 def _results(documents: Any, key: str, camera: str = "", depth: int = DEEPEST) -> Iterator[tuple[str, Any]]:
-    """Results within documents, with the names of their cameras: the mappings that have a given key."""
+    """Results within documents: the mappings that have the key `key`, each with the name of its camera."""
     if isinstance(documents, Mapping):
         if key in documents:
             yield camera, documents
@@ -257,7 +260,7 @@ def _results(documents: Any, key: str, camera: str = "", depth: int = DEEPEST) -
 
 
 def read_bag(file: File) -> DetectedTags:
-    """Detections in a bag, of the `topic` that is asked for, of a list of topics of several cameras, or of all."""
+    """Read detections from a bag: of one topic, or a list of topics of several cameras, or all topics."""
     bag, topic, seen, images = Bag(file.path, file.argument), file.asked.get("topic"), list[SeenTag](), []
     found = bag.topics_of(DETECTIONS) if topic is None else [topic] if isinstance(topic, str) else list(topic)
     topics = bag.chosen(topic, DETECTIONS, count=max(len(found), 1))
@@ -276,7 +279,7 @@ def read_bag(file: File) -> DetectedTags:
 
 
 def _as_first_written(texts: Sequence[str]) -> list[str]:
-    """Texts of times, where equal numbers get the first of their texts: 9.5 and 9.50 are one time."""
+    """Texts of times, of which equal numbers get one text, the first one: 9.5 for 9.5 and 9.50."""
     written: dict[Decimal | str, str] = {}
     return [written.setdefault(time_of(text), text) for text in texts]
 
@@ -293,7 +296,7 @@ def write_detections(path: Path, detected: DetectedTags) -> None:
 
 
 def with_images(detected: DetectedTags, path: Any) -> DetectedTags:
-    """Detections with the list of all images, from a CSV with a row for each image.
+    """Add frames for all images, listed in a CSV with a row for each image, to detections.
 
     The CSV has the columns of `read_detections` for time and camera. Other columns are ignored. Images without a tag
     become frames as well.
@@ -325,7 +328,8 @@ def with_images(detected: DetectedTags, path: Any) -> DetectedTags:
 
 
 def _with_images(detected: DetectedTags, images: Sequence[tuple[str, str]]) -> DetectedTags:
-    """Detections with frames for all images, given the time and the camera of each; those of one camera need no name.
+    """Add frames for all `images`, given as time and camera of each, to detections; the name of a single camera is not
+    needed.
 
     Images of cameras without detections are left out.
     """
@@ -334,7 +338,7 @@ def _with_images(detected: DetectedTags, images: Sequence[tuple[str, str]]) -> D
         (text, 0 if len(number) == 1 else number[name]) for text, name in images if len(number) == 1 or name in number
     ]
     texts = dict.fromkeys((*detected.times, *(text for text, _ in own)))
-    same = {time_of(text): text for text in reversed(texts)}  # the text of the detections counts
+    same = {time_of(text): text for text in reversed(texts)}  # times keep the texts of the detections
     times = in_order([same[time_of(text)] for text in texts])
     place = {time_of(text): index for index, text in enumerate(times)}
     taken = np.zeros((len(times), len(number)), dtype=bool)

@@ -7,7 +7,7 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 
-SAME = 0.01  # greatest difference between the corners of copies, pixels
+SAME = 0.01  # maximum difference between the corners of copies, pixels
 
 
 @dataclass(frozen=True)
@@ -15,17 +15,17 @@ class DetectedTags:
     """N tags in the frames of C cameras.
 
     Args:
-        times: texts of the times or names of the F frames, in ascending order, all different. Images of several cameras
-            at one time are one frame.
+        times: texts of the times, or names, of the F frames, ascending, all different. Simultaneous images of several
+            cameras are one frame.
         cameras: names of the cameras, `(C,)`.
         frame: index of the frame of each detection, `(N,)`.
         camera: index of the camera of each detection, `(N,)`.
         ids: numbers of the tags, `(N,)`.
         corners: pixels from the border, top left, top right, bottom right, bottom left of the tag, `(N, 4, 2)`.
-        blurred: blur, pixels, of the frames whose detections were left out as blurred, by name.
-        copies: originals of the images whose detections were left out as copies, by the name of the copy.
-        in_order: True if corners are known to begin at the top left, as a detector of `lmd.detection` found them.
-        taken: True for frames of which a camera has a valid image, with or without tags, `(F, C)`; None if all cameras
+        blurred: blur, pixels, of the frames whose detections were left out because of blur, by name of the frame.
+        copies: for images whose detections were left out as copies, name of the original by the name of the copy.
+        in_order: True if corners are known to begin at the top left, as a detector of `lmd.detection` ensures.
+        taken: True where a camera has a valid image of a frame, with or without tags, `(F, C)`; None if all cameras
             have images of all frames.
         left_out: frames whose detections were left out as redundant.
         family: family of the tags; None if unknown.
@@ -59,12 +59,12 @@ class DetectedTags:
 
     @property
     def images(self) -> BoolArray:
-        """`taken`, `(F, C)`; all True if `taken` is None."""
+        """Mask `taken`, `(F, C)`; all True if `taken` is None."""
         return np.ones((len(self.times), len(self.cameras)), dtype=bool) if self.taken is None else self.taken
 
     @classmethod
     def in_frames(cls, names: Sequence[str], ids: Sequence[IntArray], corners: Sequence[FloatArray]) -> "DetectedTags":
-        """Detections by a detector in the frames of one camera.
+        """Make the detections of one camera from those in each frame.
 
         Args:
             names: names of the frames, in ascending order.
@@ -82,7 +82,7 @@ class DetectedTags:
 
     @classmethod
     def together(cls, parts: Mapping[str, "DetectedTags"]) -> "DetectedTags":
-        """Merge detections of several cameras, by ascending name; frames with equal names become one frame."""
+        """Merge the detections of several cameras, by ascending name; frames of equal names become one frame."""
         times = sorted({time for part in parts.values() for time in part.times})
         places = [np.searchsorted(times, part.times)[part.frame] for part in parts.values()]
         camera = np.repeat(np.arange(len(parts)), [len(part) for part in parts.values()])
@@ -97,12 +97,12 @@ class DetectedTags:
         )
 
     def of(self, chosen: IntArray) -> "DetectedTags":
-        """Detections that `chosen` selects; frames and cameras are unchanged."""
+        """Detections selected by `chosen`; frames and cameras are unchanged."""
         names = ("frame", "camera", "ids", "corners")
         return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 
     def renumbered(self, ids: IntArray, quarters: IntArray) -> "DetectedTags":
-        """Detections in which the corners of the tags `ids` `(K,)`, ascending, are numbered from another corner.
+        """Detections in which the corners of the tags `ids` `(K,)`, ascending, begin at another corner.
 
         Args:
             quarters: number of corners by which the first corner moves back, `(K,)`.
@@ -113,7 +113,7 @@ class DetectedTags:
         return replace(self, corners=np.take_along_axis(self.corners, order[..., None], axis=1))
 
     def without(self, blurs: Mapping[str, float]) -> "DetectedTags":
-        """Detections in frames that are not blurred; `blurs` has the blur of the blurred frames by name.
+        """Detections without those in the blurred frames; `blurs` is the blur of each blurred frame, by name.
 
         Raises:
             InputError: no detection is left.
@@ -129,11 +129,11 @@ def signed_area(corners: FloatArray) -> FloatArray:
 
 
 def without_copies(detected: DetectedTags) -> DetectedTags:
-    """Detections in images that differ from all earlier images of their camera; `copies` has the names of the other
-    images.
+    """Detections without those in copies, images that equal an earlier image of their camera; `copies` names the
+    copies.
 
-    An image is a copy of an earlier image if both show equal tags, with corners at most `SAME` apart. The errors of
-    corners in two photographs are independent; in a photograph and its copy they are equal.
+    An image is a copy of an earlier image if both show equal tags, with corners at most `SAME` apart. Errors of corners
+    are independent in two photographs, but equal in a photograph and its copy.
     """
     x, y = detected.corners[:, 0, 0], detected.corners[:, 0, 1]
     order = np.lexsort((y, x, detected.ids, detected.frame, detected.camera))

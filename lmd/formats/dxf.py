@@ -18,30 +18,30 @@ from lmd.formats.trees import File
 from lmd.space.parts import UNITS
 from lmd.space.wall_lines import Drawing, ReadPlan, plan_of
 
-# Codes of units in $INSUNITS.
+# Units by their codes in $INSUNITS.
 CODES = {1: "inches", 2: "feet", 4: "millimetres", 5: "centimetres", 6: "metres"}
-# Names of layers and blocks in the languages of drawings.
+# Words for layers and blocks in drawings, in several languages.
 WALL = re.compile(r"wall|wand|waende|wände|mauer|mur|pared|parede|vegg|vägg|стен|墙|壁", re.IGNORECASE)
 DOOR = re.compile(r"door|tür|tuer|porte|puerta|porta(?!l)|двер|门|ドア", re.IGNORECASE)
 WINDOW = re.compile(r"window|wind\b|glaz|fenster|fenêtre|fenetre|ventana|janela|окн|窗|窓", re.IGNORECASE)
 SHAPES = ("LINE", "LWPOLYLINE", "POLYLINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE")
-# Version of DXF that has subclasses.
+# First version of DXF with subclasses.
 NEWER = b"AC1015"
 NESTED = ("INSERT", "MLINE")
 NOT_SHOWN = "what a CAD program does not show (layers that are off or frozen, invisible parts)"
-# Greatest number of entities, with those in blocks, and of vertices of shapes (a plan of a hospital has 50,000); of
-# blocks in each other; and extent of a shape, tolerances.
+# Maximum number of entities, including those in blocks, and of vertices of shapes (a plan of a hospital has 50,000);
+# maximum nesting of blocks; and maximum extent of a shape, in tolerances.
 MOST_ENTITIES, MOST_VERTICES, DEEPEST, LONGEST = 200_000, 500_000, 32, 1e8
 
 
 def read_drawing(file: File) -> ReadPlan:
-    """Read the room in a drawing; the result is in the frame of the drawing.
+    """Read the room in a drawing, in the frame of the drawing.
 
     Args:
         file: drawing; `asked` has `layers`, `unit`, `gap`, `tolerance` and `start` of `read_plan_room`.
 
     Raises:
-        InputError: the file cannot be read, a layer is unknown, the unit is not known, or walls enclose no room.
+        InputError: the file cannot be read, a layer or the unit is unknown, or the walls enclose no room.
     """
     return plan_of(str(file.path), _lines(file), file.asked["gap"], file.asked["start"])
 
@@ -86,7 +86,7 @@ def _lines(file: File) -> Drawing:
     left = Counter({name: number for name, number in drawn.items() if name not in layers})
     note = f"walls are the lines of {', '.join(sorted(layers))}"
     note += f", without those of {_counted(left)}" if left else ""
-    named = file.asked["layers"] is not None or any(map(WALL.search, layers))  # else any other layer might be of walls
+    named = file.asked["layers"] is not None or any(map(WALL.search, layers))  # else other layers might have walls
     unseen = Counter({key: n for key, n in hidden.items() if key in layers or not named or WALL.search(key)})
     note += f", without {NOT_SHOWN}: {_counted(unseen)}" if unseen else ""
     walls, windows = (shapely.MultiLineString(lines) for lines in paths.values())
@@ -94,7 +94,7 @@ def _lines(file: File) -> Drawing:
 
 
 def _with_subclasses(content: bytes) -> bytes:
-    """Content of a drawing, with the marks of subclasses in polylines, which some programs leave out."""
+    """Content of a drawing in which polylines have the marks of subclasses, which some programs omit."""
     lines = content.replace(b"\r\n", b"\n").split(b"\n")
     if b"LWPOLYLINE" not in content or b"AcDbPolyline" in content:
         return content
@@ -113,7 +113,7 @@ def _with_subclasses(content: bytes) -> bytes:
 
 
 def _counted(layers: Counter[str]) -> str:
-    """Names of layers, each with its number of shapes."""
+    """Names of the layers, each with the number of its shapes."""
     return few([f"{name} ({number})" for name, number in layers.most_common()], most=8)
 
 
@@ -127,10 +127,10 @@ def _shapes(
     shown: bool = True,
     depth: int = 0,
 ) -> Iterator[tuple[str, str, Any]]:
-    """Kind (`line`, `door`, `window`, or `hidden` if a CAD program does not show it), layer and entity of each shape of
-    a drawing, including shapes in blocks; `number` counts the entities.
+    """Kind, layer and entity of each shape of a drawing, including shapes in blocks; `number` counts the entities. The
+    kind is `line`, `door` or `window`, or `hidden` for a shape that CAD programs do not show.
 
-    A block on a frozen layer is hidden as a whole; of a block on a layer that is off, its shapes on layer 0 are hidden.
+    A block on a frozen layer is hidden as a whole. If the layer of a block is off, its shapes on layer 0 are hidden.
     """
     bounded("blocks in each other", depth, DEEPEST, source, "path")
     for entity in entities:
@@ -170,7 +170,7 @@ def _flattened(entity: Any, tolerance: float, source: str, number: Iterator[int]
 
 
 def _layers(file: File, drawn: Counter[str], hidden: Counter[str]) -> set[str]:
-    """Names of the layers with walls, among those with shapes that are `drawn` and not `hidden`."""
+    """Names of the layers with walls, among layers with `drawn` shapes; layers with `hidden` shapes are refused."""
     asked = file.asked["layers"]
     if asked is not None:
         if isinstance(asked, str) or not all(isinstance(name, str) for name in asked):

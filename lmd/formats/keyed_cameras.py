@@ -1,4 +1,4 @@
-"""Cameras of keyed files, as rows of `tables/calibration.yaml` describe them.
+"""Cameras from keyed files, described by rows of `tables/calibration.yaml`.
 
 Sources of the rows: `sensor_msgs/CameraInfo`, "YAML formats" of Kalibr and its `CameraUtils.py`, the calibration
 samples of OpenCV, `CameraCalibrationCoefficients` of PhotonVision, `cameracalibration.cpp` of WPIcal, "Cameras" of
@@ -9,7 +9,7 @@ librealsense, `PinholeCameraIntrinsic` of Open3D, `cameraIntrinsicsToOpenCV` of 
 `nerf_loader.cu` of instant-ngp, `CameraUtilities.cpp` of visual_marker_mapping.
 
 The model "inverse Brown Conrady" has two meanings in librealsense: by `rs_types.h` the polynomial undistorts an image,
-while `rs2_project_point_to_pixel` distorts by it (its issues 6382, 7335, 7734 leave the question open).
+but in `rs2_project_point_to_pixel` it distorts (librealsense's issues 6382, 7335, 7734 leave the question open).
 """
 
 import math
@@ -40,8 +40,8 @@ from lmd.geometry.se3 import inverse, poses_from_rows
 
 BROWN_CONRADY = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4")
 INVERSE, MODIFIED = "inverse_brown_conrady", "modified_brown_conrady"
-# Coefficients of each lens model in the order of lists in files. The model `none` has no distortion, `unsaid` is not
-# known from the file.
+# Coefficients of each lens model, in the order of lists in files. `none` has no distortion; the file does not tell the
+# model `unsaid`.
 COEFFICIENTS = {
     **dict.fromkeys(("plumb_bob", "rational_polynomial", "unsaid"), BROWN_CONRADY),
     **dict.fromkeys(("none", "ds", "eucm"), ()),
@@ -49,13 +49,13 @@ COEFFICIENTS = {
     EQUIDISTANT: ("k1", "k2", "k3", "k4"),
     "omni": BROWN_CONRADY[:4],
 }
-DISTORTION = (*BROWN_CONRADY, "radial_4")  # `radial_4` is in no model
-QUANTITIES = ("f", *PINHOLE, "skew", "xi", "alpha", "beta", *DISTORTION)  # `f` is both focal lengths
+DISTORTION = (*BROWN_CONRADY, "radial_4")  # no model has `radial_4`
+QUANTITIES = ("f", *PINHOLE, "skew", "xi", "alpha", "beta", *DISTORTION)  # `f` stands for both focal lengths
 SIDES, POSES = ("width", "height"), ("body_inverse", "body", "step")
 KNOWN = {*QUANTITIES, *SIDES, "size", "matrix", "columns", "lens", *POSES}
 POSE = ("px", "py", "pz", "qx", "qy", "qz", "qw")
-UNCLEAR = 4  # number of coefficients that both a pinhole and a fisheye may have
-MOST_CAMERAS = 64  # greatest number of different cameras among the images of a file
+UNCLEAR = 4  # a pinhole and a fisheye may both have this number of coefficients
+MOST_CAMERAS = 64  # maximum number of different cameras among the images of a file
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,24 +68,24 @@ class KeyedCameras(Keyed):
     """
 
     called: str = ""
-    """Name of a camera, with `{key}`, `{index}` from 0, `{number}` from 1, and keys of the entry; the second of a name
-    gets `/2`."""
+    """Name of a camera, with `{key}`, `{index}` from 0, `{number}` from 1, and keys of the entry; the second camera
+    with a name gets `/2`."""
     named: str = ""
-    """Quantities that have their own names in the entry."""
+    """Quantities that the entry holds under their own names."""
     values: Sequence[str] = ()
-    """Paths of lists with the quantities that `models` names, or of mappings with quantities by name; a path that ends
-    in a dot stands for the keys that begin with it."""
+    """Paths of lists with the quantities that `models` names, or of mappings with quantities by name. A path that ends
+    in a dot stands for all keys that begin with the path."""
     model: Sequence[str] = ()
-    """Paths of the words of the lens model, which are joined by `_`."""
+    """Paths of the words that name the lens model; the words are joined by `_`."""
     models: Mapping[str, str] = field(default_factory=lambda: LENS_MODELS)
-    """Model of `COEFFICIENTS` for each pattern of words in small letters, empty for a model that is not known. After a
-    colon the names of the quantities in `values`, as `ours` or `ours=theirs`."""
+    """Model in `COEFFICIENTS` for each pattern of words in small letters; empty for an unknown model. The names of the
+    quantities in `values` follow after a colon, as `ours` or `ours=theirs`."""
     origin: float = 0.0
     """Pixel coordinate of the centre of the first pixel."""
     loose: bool = False
-    """True if keys are compared in small letters without `_`; only the outermost keys of an entry are."""
+    """True if keys are compared in small letters and without `_`; this applies to the outermost keys of an entry."""
     distinct: bool = False
-    """True if equal cameras, as of the images of one camera, count once."""
+    """True if equal cameras count once, such as the camera of several images."""
 
     def __post_init__(self) -> None:
         models = {words.partition(":")[0] for words in self.models.values() if words}
@@ -97,7 +97,7 @@ class KeyedCameras(Keyed):
         """Cameras by name.
 
         Raises:
-            InputError: the tree cannot be made, or has more than `MOST_CAMERAS` different cameras.
+            InputError: the file is no such tree, or has more than `MOST_CAMERAS` different cameras.
         """
         found: dict[str, ReadCamera] = {}
         owns: dict[str, Any] = {}
@@ -114,13 +114,13 @@ class KeyedCameras(Keyed):
         return found
 
     def compared(self, entry: Keys) -> Keys:
-        """Entry with keys as they are compared."""
+        """Entry with its keys in the form in which they are compared."""
         return {plain(name): value for name, value in entry.items()} if self.loose else entry
 
 
 @dataclass(frozen=True)
 class _Camera:
-    """Entry of a camera, with its key, and what the user asked for."""
+    """Entry of a camera, with the entry's key, and the user's settings."""
 
     form: KeyedCameras
     entry: Keys
@@ -128,12 +128,12 @@ class _Camera:
     asked: Keys
 
     def path(self, path: str) -> str:
-        """Path in the entry."""
+        """Path in the entry, without `?` and with `{key}` replaced."""
         path = path.rstrip("?").replace("{key}", self.key)
         return plain(path) if self.form.loose else path
 
     def value(self, path: str) -> Any:
-        """Value at a path; `MISSING` without one."""
+        """Value at a path of the entry; `MISSING` if there is none."""
         return find(self.entry, self.path(path))
 
     def numbers(self, path: str, size: int | None = 1) -> tuple[float, ...]:
@@ -142,7 +142,7 @@ class _Camera:
         return vector_at(self.entry, self.path(path), size, called)
 
     def name(self, index: int) -> str:
-        """Name of the camera with the index from 0."""
+        """Name of the camera with an index, from 0."""
         sides = {name: f"{self._side(name, i) or 0.0:.0f}" for i, name in enumerate(SIDES) if name in self.form.called}
         return self.form.called.format_map(
             {**self.entry, "key": self.key, "index": index, "number": index + 1, **sides}
@@ -152,7 +152,7 @@ class _Camera:
         """Calibration of the camera.
 
         Raises:
-            InputError: a key is missing or wrong, the lens model is not known or not clear, or the size is missing.
+            InputError: a key is missing or wrong, the lens model is unknown or ambiguous, or the size is missing.
         """
         if callable(message := self.entry.get("value")):  # a camera of a bag is read when it is chosen
             return replace(self, entry=self.form.compared(message())).calibration()
@@ -183,14 +183,14 @@ class _Camera:
         return Calibration(width, height, *pinhole, found.coefficients, found.model, note=note)  # type: ignore[arg-type]
 
     def _lens(self, model: str) -> list[float]:
-        """List of coefficients; empty if the row names none, or if the model needs none."""
+        """List of the lens's coefficients; empty if the row of the table names none, or if the model needs none."""
         path = self.form.at.get("lens", "")
         value = self.value(path) if path else []
         optional = path.endswith("?") or model in ("none", *MODELS)
         return [] if value == [] or (value is MISSING and optional) else list(self.numbers(path, None))
 
     def _side(self, name: str, index: int) -> float | None:
-        """Width or height of the image, pixels; None if neither the file nor the user says it."""
+        """Width or height of the image, pixels; None if neither the file nor the user gives it."""
         if name in self.form.at and self.value(self.form.at[name]) is not MISSING:
             return self.numbers(self.form.at[name])[0]
         if "size" in self.form.at and self.value(self.form.at["size"]) is not MISSING:
@@ -199,7 +199,7 @@ class _Camera:
         return None if size is None else float(size[index])
 
     def _model(self) -> tuple[str, str, list[str]]:
-        """Words of the lens model, the model, and names of the quantities in lists."""
+        """Words that name the lens model, the model, and names of the quantities in the lists."""
         said = [self.value(path) for path in self.form.model]
         needed = [path for path, word in zip(self.form.model, said, strict=True) if word is MISSING and path[-1] != "?"]
         if len(said) > 1 and needed:
@@ -211,7 +211,7 @@ class _Camera:
         return words, name, names.split()
 
     def _chosen(self, model: str, lens: Sequence[float], word: str) -> str:
-        """Model of the lens, which the user has to name if the file does not determine it."""
+        """Lens model; the user must name the model if the file does not determine it."""
         asked = self.asked.get("distortion_model")
         if model == INVERSE and any(lens) and asked is None:
             raise InputError(
@@ -231,7 +231,7 @@ class _Camera:
         return model if model != "unsaid" else "plumb_bob" if asked is None else lens_model(asked, LENS_MODELS)
 
     def _quantities(self, names: Sequence[str]) -> dict[str, float]:
-        """Quantities by name; `names` are those in the lists at `values`."""
+        """Quantities by name; `names` are the quantities in the lists at `values`."""
         found: dict[str, float] = {}
         pairs = [(ours, theirs or ours) for ours, _, theirs in (name.partition("=") for name in names)]
         for path in map(self.path, self.form.values):
@@ -270,10 +270,11 @@ class _Camera:
         return {name: found[name] - (self.form.origin if name[0] == "c" else 0.0) for name in PINHOLE}
 
     def poses(self) -> dict[str, FloatArray]:
-        """Pose `(4, 4)` of the camera's optical frame on the `body`, and of the previous camera in it as `step`.
+        """Poses `(4, 4)` by frame of reference: `body`, of the camera's optical frame on the body; `step`, of the
+        previous camera in this camera's optical frame.
 
         Raises:
-            InputError: a pose is no rigid motion.
+            InputError: a pose is not a rigid motion.
         """
         found: dict[str, FloatArray] = {}
         for name in POSES:
@@ -284,7 +285,7 @@ class _Camera:
 
 
 def _nearest(model: str, lens: Sequence[float], values: Mapping[str, float], size: Sequence[Any]) -> Restated:
-    """Lens and intrinsics, fitted if the lens is of a model that `lmd.geometry.lens` lacks."""
+    """Lens and intrinsics; they are fitted if `lmd.geometry.lens` lacks the lens model."""
     focal, centre = (values["fx"], values["fy"]), (values["cx"], values["cy"])
     if model in MODELS:
         return restated(model, values, size)

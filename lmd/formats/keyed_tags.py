@@ -1,4 +1,4 @@
-"""Tags of keyed files, as rows of `tables/tag_map.yaml` describe them.
+"""Tags from keyed files, described by rows of `tables/tag_map.yaml`.
 
 Sources of the rows: `AprilTagFieldLayout` of WPILib; `Marker::corners_f_map` of ptrmu/fiducial_vlam; `MarkerMap` of
 ArUco 3; `SE2Transform` of duckietown-world; `target_map.fbs` of frc971; "AprilTag Map Specification" of Limelight;
@@ -43,31 +43,33 @@ KNOWN = ("id", "position", "corners", "edge", "family", *TURNS)
 class KeyedTags(Keyed):
     """Description of the tags in a keyed file.
 
-    Quantities of a tag: `id`, a number or a name such as `tag36h11:7`; `edge`; `family`; the place as `position`; the
-    rotation as `quaternion`, as `rpy`, roll, pitch and yaw, or as `yaw`, rad, or `yaw_degrees` about the vertical;
-    place and rotation as `transform`, 16 numbers row by row, or as `pose`, x, y, z, qx, qy, qz, qw; all as four
-    `corners`, clockwise from the top left. The first rotation that the entry has counts. A path with spaces is one of
-    numbers by themselves; a position of two numbers is on the floor.
+    Quantities of a tag: `id`, a number or a name such as `tag36h11:7`; `edge`; `family`; the `position`; the rotation
+    as `quaternion`, as `rpy` (roll, pitch, yaw), or as `yaw` (rad) or `yaw_degrees` about the vertical; position and
+    rotation as `transform`, 16 numbers row by row, or as `pose`, x, y, z, qx, qy, qz, qw; edge and pose as four
+    `corners`, clockwise from the top left. The first rotation that the entry has is taken. A path with spaces stands
+    for several paths, one for each number; a position of two numbers is on the floor.
     """
 
     axes: Sequence[str] = RIGHT_UP_OUT
     """Directions of the axes x, y, z of a tag's frame, see `lmd.formats.placed_tag.axes_of`."""
     order: str = "xyzw"
-    """Order of a quaternion that is a list."""
+    """Order of the components of a quaternion that is a list."""
     unit: float = METRE
-    """Unit of edges, metres."""
+    """Unit of edges in metres."""
     any_edge: bool = False
-    """True if implausible edges are taken, too."""
+    """True if implausible edges are accepted."""
     opencv: bool = False
     """True if the programs that read such files detect tags with OpenCV."""
     where: Mapping[str, Any] = field(default_factory=dict)
-    """Values at paths that an entry must have to be a tag."""
+    """Values that an entry must have at paths to be a tag."""
     first: str = ""
-    """Path of the number of entries that count, in the order of their keys."""
+    """Path of a number n; only the first n entries, in the order of their keys, are read."""
     corner: Sequence[str] = ()
-    """Paths of length and width of a field, from whose middle the file counts; the map counts from its corner."""
+    """Paths of length and width of a field. Positions in the file count from the field's middle, in the map from its
+    corner.
+    """
     notes: Mapping[str, str] = field(default_factory=dict)
-    """Sentences for the user, by paths that lead to a value which is not 0."""
+    """Sentences for the user, by path; a sentence is shown if the value at the path is not 0."""
 
     def __post_init__(self) -> None:
         axes_of(list(self.axes))
@@ -111,14 +113,14 @@ class KeyedTags(Keyed):
         return PlacedTag(number, shifted, turn @ axes_of(list(self.axes)).T, edge, family)
 
     def _value(self, tag: Keys, path: str) -> Any:
-        """Value at a path; `MISSING` if it may be missing, and is."""
+        """Value at a path; `MISSING` for a missing value that is optional."""
         value = find(tag, path.rstrip("?")) if " " not in path else path
         if value is MISSING and not path.endswith("?"):
             raise InputError(f"the key {path.split('|')[0]} is missing.")
         return value
 
     def _pose(self, tag: Keys, at: Mapping[str, str], number: int) -> tuple[FloatArray, FloatArray]:
-        """Position, metres, and rotation matrix of the tag's own frame."""
+        """Position, metres, and rotation matrix of the tag's frame as the file defines it."""
         turns = {name: at[name].rstrip("?") for name in TURNS if name in at}
         name = next((name for name, path in turns.items() if find(tag, path) is not MISSING), list(turns)[-1])
         if (value := self._value(tag, at[name])) is not MISSING and name == "transform":
@@ -138,7 +140,7 @@ class KeyedTags(Keyed):
 
 
 def _numbers(tag: Keys, path: str, names: str, order: str = "") -> FloatArray:
-    """Numbers of a mapping by names, with or without a `q`, or of a list in an order; sorted as `names`."""
+    """Numbers from a mapping by names, with or without a `q`, or from a list in an order; sorted as `names`."""
     if " " in path:
         return np.array([*(number_at(tag, part) for part in path.split()), 0.0][: len(names)])
     value = find(tag, path)
@@ -149,9 +151,9 @@ def _numbers(tag: Keys, path: str, names: str, order: str = "") -> FloatArray:
     return np.array([numbers[name] for name in names])
 
 
-NODE = "ros__parameters"  # key above the parameters of a node of ROS 2
-NODE_DEPTH = 4  # greatest number of namespaces above that key
-# Keys of known maps, which identify the node with the tags among the nodes of a file.
+NODE = "ros__parameters"  # key above the parameters of a ROS 2 node
+NODE_DEPTH = 4  # maximum number of namespaces above that key
+# Keys of known maps, by which the node with tags is found among the nodes of a file.
 MARKS = frozenset(
     {
         *("tags", "field-tags", "fiducials", "target_poses", "tag_bundles", "standalone_tags", "bodies", "markers"),
@@ -159,10 +161,10 @@ MARKS = frozenset(
     }
 )
 PLACE, QUATERNION = ("x", "y", "z"), ("qx", "qy", "qz", "qw")
-# Default values of a layout, as in TagDetector.
+# Default values of a bundle's layout, as in TagDetector.
 DEFAULTS = {**dict.fromkeys((*PLACE, *QUATERNION), 0.0), "qw": 1.0}
 TRANSFORM = "transform"
-MOST_ROWS = 200  # greatest number of rows, and of columns, of a board of TagSLAM
+MOST_ROWS = 200  # maximum number of rows, and of columns, of a TagSLAM board
 
 
 def parameters_of(keys: Keys) -> Keys:
@@ -188,15 +190,15 @@ def _nodes(keys: Keys, depth: int) -> Iterable[Keys]:
 
 
 def apriltag_ros(keys: Keys) -> Keys:
-    """Tags of the bundle, whose frame is the world; or standalone tags with positions in the world.
+    """Tags of the bundle, whose frame is the world frame; or standalone tags with positions in the world frame.
 
     Raises:
-        InputError: no tag has a place, or several bundles have tags.
+        InputError: no tag has a pose, or several bundles have tags.
     """
     listed = keys.get("tag_bundles") or ()
     bundles = dict(_named(listed) if isinstance(listed, dict) else _listed(listed))
     alone = keys.get("standalone_tags") or ()
-    if isinstance(alone, dict):  # in the port to ROS 2, standalone tags are by name
+    if isinstance(alone, dict):  # in the ROS 2 port, standalone tags are a mapping by name
         alone = [tag for tag in alone.values() if isinstance(tag, dict)]
     alone = mappings("standalone_tags", alone)
     placed = [tag for tag in alone if not tag.keys().isdisjoint(PLACE)]
@@ -217,7 +219,7 @@ def apriltag_ros(keys: Keys) -> Keys:
 
 
 def _placed(tag: Keys) -> Keys:
-    """Tag whose place is by the keys of ROS 1, or by roll, pitch and yaw."""
+    """Tag with its pose from the keys of ROS 1, or from roll, pitch and yaw."""
     if TRANSFORM not in tag:
         return tag
     values = vector(TRANSFORM, tag[TRANSFORM], None)
@@ -232,14 +234,14 @@ def _placed(tag: Keys) -> Keys:
 
 
 def _listed(listed: Any) -> Iterator[tuple[str, list[Keys]]]:
-    """Bundles of ROS 1 with their tags, by name, from a list whose entries have a name and a layout."""
+    """Bundles of ROS 1 by name, with their tags, from a list of entries with a name and a layout."""
     for i, bundle in enumerate(mappings("tag_bundles", listed)):
         if bundle.get("layout"):
             yield str(bundle.get("name", f"without a name, number {i}")), mappings("layout", bundle["layout"])
 
 
 def _named(bundles: Keys) -> Iterator[tuple[str, list[Keys]]]:
-    """Bundles of ROS 2 with their tags, by name. Parameters have no lists of mappings, so tags are keys, too."""
+    """Bundles of ROS 2 by name, with their tags. Parameters cannot be lists of mappings, so tags are keys, too."""
     for name in bundles.get("bundle_names") or [name for name in bundles if isinstance(bundles[name], dict)]:
         bundle = mapping(str(name), bundles[name])
         tags = {str(key): value for key, value in mapping("layout", bundle.get("layout", bundle)).items()}
@@ -251,7 +253,7 @@ def tagslam(keys: Keys) -> list[Keys]:
     """Tags of the static bodies of TagSLAM; TagSLAM estimates the other bodies.
 
     Raises:
-        InputError: no body with tags is static, or one has no pose.
+        InputError: no body with tags is static, or a static body has no pose.
     """
     named = [
         (name, mapping(str(name), body)) for entry in mappings("bodies", keys["bodies"]) for name, body in entry.items()
@@ -270,7 +272,7 @@ def tagslam(keys: Keys) -> list[Keys]:
 
 
 def _on_body(body: Keys) -> Iterator[Keys]:
-    """Tags of a body in the body's frame: listed tags, or tags of a board, row by row from its corner."""
+    """Tags of a body in the body's frame: listed tags, or tags of a board, row by row from the board's corner."""
     for tag in mappings("tags", body.get("tags") or ()):
         pose = _tagslam_pose(mapping("pose", tag.get("pose") or {}))
         yield {"id": tag["id"], "size": tag.get("size", body.get("default_tag_size")), TRANSFORM: pose}
@@ -285,7 +287,7 @@ def _on_body(body: Keys) -> Iterator[Keys]:
 
 
 def _tagslam_pose(pose: Keys) -> FloatArray:
-    """Transform `(4, 4)` of a position and a rotation vector; missing ones are zero."""
+    """Transform `(4, 4)` from a position and a rotation vector; missing values are zero."""
     parts = [pose.get(name) or dict.fromkeys("xyz", 0.0) for name in ("position", "rotation")]
     position, rotation = (np.array([number_at(mapping("pose", part), axis) for axis in "xyz"]) for part in parts)
     return pose_of(turn_by_vector("pose", rotation), position)

@@ -1,6 +1,7 @@
 """Meshes of rooms from files, read by trimesh: glTF, OBJ, STL and PLY.
 
-trimesh cuts polygons into fans, which is wrong for concave faces, so that polygons of an OBJ are cut before.
+trimesh cuts polygons into fans of triangles, which is wrong for concave faces. So polygons of an OBJ are cut before
+trimesh reads it.
 """
 
 import io
@@ -26,12 +27,12 @@ from lmd.space.scan import Scan
 from lmd.space.triangles import THINNEST_M
 
 TEXT = ".gltf"
-# Greatest number of levels of nodes; of nodes and of pieces, where a building has 10,000; and numbers in a value of
-# each type.
+# Maximum number of levels of nodes; of nodes and of pieces (a building has 10,000); and number of components in a value
+# of each type.
 DEEPEST_LEVEL, MOST_NODES = 32, 50_000
 NUMBERS_OF_TYPE = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
-FAN = 6  # mode of triangles that share their first corner
-# Extensions that a file may require without effect on the places of triangles.
+FAN = 6  # code of the mode in which triangles share their first corner
+# Extensions that a file may require, as they do not affect the positions of triangles.
 HARMLESS = (
     "KHR_mesh_quantization",
     *("KHR_materials_", "KHR_texture_", "KHR_lights_", "KHR_xmp", "KHR_animation_", "EXT_texture_", "EXT_lights_"),
@@ -41,12 +42,12 @@ HARMLESS = (
 def check_gltf(file: Path, content: bytes, most: int) -> None:
     """Raise `InputError` for a glTF that trimesh would read wrongly, that needs other files, or that is too large.
 
-    All data must be in the named file, as a later run identifies the room by the content of that file.
+    All data must be in the file itself, as a later run identifies the room by the content of the file.
 
     Args:
         file: path of the file, for its suffix and messages.
         content: content of the file.
-        most: greatest number of triangles.
+        most: maximum number of triangles.
 
     Raises:
         ValueError, TypeError, KeyError, IndexError, AttributeError: the file is damaged.
@@ -74,12 +75,12 @@ def check_gltf(file: Path, content: bytes, most: int) -> None:
     read = [[i for part in mesh for i in (part["attributes"]["POSITION"], part.get("indices"))] for mesh in meshes]
     corners = [sum(counts[i] for i in mesh if i is not None) for mesh in read]
     placed = sum(corners[node["mesh"]] for node in nodes if "mesh" in node)
-    # trimesh also makes meshes that no node places.
+    # trimesh would also read meshes that no node refers to
     bounded("triangles", float(max(placed, sum(corners)) / 3), most, source, "path")
 
 
 def _unread(header: dict[str, Any], pieces: list[dict[str, Any]]) -> str:
-    """Feature of a glTF that trimesh does not read; empty without one."""
+    """Feature of a glTF that trimesh does not read; empty if there is none."""
     instanced = "EXT_mesh_gpu_instancing"
     needed = [str(name) for name in header.get("extensionsRequired", [])]
     needed += [instanced for node in header.get("nodes", []) if instanced in node.get("extensions", {})]
@@ -96,7 +97,7 @@ def _unread(header: dict[str, Any], pieces: list[dict[str, Any]]) -> str:
 
 
 def _check_tree(children: list[list[int]]) -> None:
-    """Raise `ValueError` if the nodes form no tree, or a tree with too many levels."""
+    """Raise `ValueError` if the nodes do not form a tree, or if the tree has too many levels."""
     parents = {child: node for node, theirs in enumerate(children) for child in theirs}
     if len(parents) < sum(map(len, children)):
         raise ValueError("a node has two parents")
@@ -111,21 +112,21 @@ def _check_tree(children: list[list[int]]) -> None:
 UP_AXES = ("z", "y")
 Y_UP = (".gltf", ".glb")  # formats whose standard has y up
 SUFFIXES = (*Y_UP, ".obj", ".stl", ".ply")
-# Decimals of a metre to which corners are rounded before they are compared: files have 32 bits for a number.
+# Decimals of a metre to which corners are rounded before they are compared, as files store numbers with 32 bits.
 CORNER_DIGITS = 6
-# Longest side of a room for which a message suggests a unit, metres.
+# Maximum longest side of a room, metres, above which a message suggests another unit.
 LIKELY = (2.0, 100.0)
-# Greatest number of triangles; data of more triangles would take gigabytes and minutes.
+# Maximum number of triangles; more triangles would take gigabytes and minutes.
 MOST_TRIANGLES = 5_000_000
-# Greatest number of corners of a face of an OBJ, where a floor has some hundred; and of names in an OBJ, where a
-# building has 10,000.
+# Maximum number of corners of a face in an OBJ (a floor has a few hundred), and of names in an OBJ (a building has
+# 10,000).
 MOST_CORNERS, MOST_PARTS = 2000, 30_000
 _CORNER = re.compile(r"(-?\d+)")
 _PLY_FACES = re.compile(rb"^element\s+face\s+(\d+)\s*$", re.MULTILINE)
 
 
 class RoomFile(File):
-    """File of a room; `asked` has its axis `up`."""
+    """File of a room; `asked` has `up`, the axis of the file that points up."""
 
     @cached_property
     def content(self) -> bytes:
@@ -133,7 +134,7 @@ class RoomFile(File):
         return read_bytes(self.path, self.argument)
 
     def refused(self, reason: str) -> InputError:
-        """Error about a refused room; the message lists the supported suffixes."""
+        """Error about a refused room file; the message lists the supported suffixes."""
         return InputError(f"path = {str(self.path)!r} must end in one of {', '.join(SUFFIXES)}; {reason}.", "path")
 
 
@@ -142,10 +143,11 @@ def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None
 
     Args:
         scale: metres per unit of the file.
-        up: axis of the file that points up, `z` or `y`; None for the format's standard: `y` for glTF, `z` for others.
+        up: axis of the file that points up, `z` or `y`; None for the standard of the format: `y` for glTF, `z` for
+            others.
 
     Raises:
-        InputError: the file is missing, holds no triangles or cannot be read, or its size is implausible for a room.
+        InputError: the file is missing, cannot be read or has no triangles, or its size is implausible for a room.
     """
     if path is None:
         raise InputError("path is missing: a file with a mesh of the room is needed.", "path")
@@ -195,7 +197,7 @@ def read_mesh_room(
 
 
 def _hint(size: FloatArray) -> str:
-    """Advice about the unit of a file whose extents along x, y and z are `size` `(3,)`, in the unit of the file."""
+    """Advice about the unit of a file, from the extents along x, y and z in the unit of the file, `size` `(3,)`."""
     told = [
         f"a file in {unit} takes {per:g}, which makes {box_text(per * size)}"
         for unit, per in UNITS.items()
@@ -205,12 +207,12 @@ def _hint(size: FloatArray) -> str:
 
 
 def _turned(points: FloatArray, up: str) -> FloatArray:
-    """Points of a file with z up."""
+    """Points of a file, rotated so that z points up."""
     return (points if up == "z" else points[:, [0, 2, 1]] * [1.0, -1.0, 1.0]) + 0.0
 
 
 def triangles(room: RoomFile) -> dict[str, Any]:
-    """Objects of a file that have triangles, as meshes in the scene's frame, by name, z up."""
+    """Objects of a file that have triangles, by name, as meshes in the scene's frame with z up."""
     file, up = Path(room.path), room.asked["up"]
     trimesh = optional("trimesh", "mesh")
     logging.getLogger("trimesh").setLevel(logging.WARNING)  # trimesh would warn about quads in every object
@@ -221,8 +223,8 @@ def triangles(room: RoomFile) -> dict[str, Any]:
             check_gltf(file, content, MOST_TRIANGLES)
         if kind == "obj":
             content = _with_triangles(content, f"path: {str(file)!r}")
-        # Bytes have no path, so no other files, such as materials or textures, are searched. Processing is off, as it
-        # would drop triangles with corners that are no numbers.
+        # Bytes have no path, so trimesh cannot read other files, such as materials or textures. Processing is off, as
+        # it would drop triangles with corners that are not numbers.
         with np.errstate(all="ignore"):  # the check below refuses invalid numbers
             scene = trimesh.load_scene(io.BytesIO(content), kind, skip_materials=True, process=False, **options)
         parts = {}
@@ -238,14 +240,14 @@ def triangles(room: RoomFile) -> dict[str, Any]:
             _check_ply(str(file), content, sum(len(part.faces) for part in parts.values()))
     except InputError:
         raise
-    except Exception as error:  # readers of broken files raise errors of any kind
+    except Exception as error:  # readers may raise any error for a broken file
         raise InputError(f"path: {str(file)!r} cannot be read as a mesh ({error}).", "path") from None
     named = len(parts) > 1 or not any(name.startswith("geometry") for name in parts)
     return parts if named else {"": next(iter(parts.values()))}
 
 
 def _check_corners(file: Path, name: str, vertices: FloatArray, faces: IntArray) -> None:
-    """Raise `InputError` if a face has a corner that is not finite, `ValueError` if its index has no vertex."""
+    """Raise `InputError` if a corner of a face is not finite, `ValueError` if a face refers to a missing vertex."""
     if not ((faces >= 0) & (faces < len(vertices))).all():
         raise ValueError("a triangle has a corner that is not there")
     corners = vertices[faces].reshape(-1, 3)
@@ -255,7 +257,7 @@ def _check_corners(file: Path, name: str, vertices: FloatArray, faces: IntArray)
 
 
 def _with_triangles(content: bytes, source: str) -> bytes:
-    """Content of an OBJ with triangles in place of faces with more than three corners; faces that cannot be cut
+    """Content of an OBJ in which faces with more than three corners are cut into triangles; faces that cannot be cut
     stay.
     """
     lines = content.decode("utf-8", "surrogateescape").splitlines()
@@ -280,11 +282,11 @@ def _place(word: str) -> float:
     try:
         return float(word)
     except ValueError:
-        return np.nan  # the reader of the file refuses NaN
+        return np.nan  # the reader of the file then refuses NaN
 
 
 def _cut_face(line: str, words: list[str], places: list[list[float]]) -> list[str]:
-    """Lines of the triangles of a face; the line of the face itself if it is bent, crosses itself, or has no area."""
+    """Lines of the triangles of a face; the line of the face if it is bent, crosses itself, or has no area."""
     import shapely
 
     found = [_CORNER.match(word) for word in words]
@@ -310,8 +312,8 @@ def _cut_face(line: str, words: list[str], places: list[list[float]]) -> list[st
 
 
 def _check_ply(name: str, content: bytes, triangles: int) -> None:
-    """Raise `InputError` for a PLY with faces of more than three corners; the reader made `triangles` from all
-    faces.
+    """Raise `InputError` for a PLY with faces of more than three corners, from the `triangles` that the reader made of
+    all faces.
     """
     found = _PLY_FACES.search(content[: content.find(b"end_header")])
     if found is not None and triangles > int(found[1]):

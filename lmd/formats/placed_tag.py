@@ -1,6 +1,7 @@
-"""Tag of a map, its family and number by the names of other programs, and checks of the values that place the tag.
+"""Tag of a map: its family and number from names of other programs, and checks of the values of its pose.
 
-All readers give the poses of tags in one frame: x to the right of the tag, y up, z along the normal towards the viewer.
+All readers return tag poses with one convention: x to the right of the tag, y up, z along the normal towards the
+viewer.
 """
 
 import re
@@ -17,9 +18,9 @@ from lmd.geometry.se3 import QUATERNION_TOLERANCE, are_rotations, exp, nearest_r
 from lmd.scene.families import FAMILIES, family_named
 
 METRE = 1.0  # unit, metres
-SMALLEST_EDGE, LARGEST_EDGE = 0.005, 2.0  # plausible edges of a tag of a map, metres; other edges are refused
+SMALLEST_EDGE, LARGEST_EDGE = 0.005, 2.0  # plausible edges of a tag in a map, metres; other edges are refused
 SQUARE_TOLERANCE = 0.05  # tolerance of the sides of a measured square, relative to the longest side
-# OpenCV rotates the pictures of AprilTag by half a turn, so its detections have the opposite up.
+# OpenCV rotates the pictures of AprilTag by half a turn, so the up of its detections is opposite.
 HALF_TURN = np.diag([-1.0, -1.0, 1.0])
 LAST_ROW = (0.0, 0.0, 0.0, 1.0)  # last row of a transform
 LAST_ROW_TOLERANCE = 1e-6
@@ -40,7 +41,7 @@ NUMBERS = dict(enumerate([*_SQUARE, "aruco_original", "16h5", "25h9", "36h10", "
 APRILTAG = re.compile(r"(?<!\d)(16|21|25|36|41|48|49|52)(?:[_-]?h[_-]?|[_-])(0?\d|1[0-3])(?!\d)", re.I)
 ARUCO = re.compile(r"(?<!\d)(?:(50|100|250|1000)[_-])?([4-7]x[4-7])(?:[_-](50|100|250|1000)(?=[_/ :-]))?", re.I)
 ORIGINAL = re.compile(r"original", re.I)
-# Words for a tag and its number, from which names of tags and of columns are made.
+# Words for a tag and its number, of which the names of tags and of columns consist.
 TAG_WORDS = (
     r"(?:(?:april|aruco|ar|tags?|markers?|fiducials?|landmarks?|dict|mip|family|standard|custom|circle|original|child|frame|names?"
     r"|labels?|ids?|number|num|nr|no)[\s_:.#=-]*)+"
@@ -54,9 +55,9 @@ class PlacedTag(NamedTuple):
     Args:
         number: id of the tag.
         position: position of the centre, `(3,)`, metres.
-        axes: rotation from the tag's frame (x right, y up, z out) to the map's frame, `(3, 3)`.
-        edge: edge of the black square, metres; None if the map has none.
-        family: name of the family, see `lmd.scene.families.family_named`; None if the map has none.
+        axes: rotation matrix from the tag's frame (x right, y up, z out) to the map's frame, `(3, 3)`.
+        edge: edge of the black square, metres; None if the map does not state it.
+        family: name of the family, see `lmd.scene.families.family_named`; None if the map does not name it.
     """
 
     number: int
@@ -67,7 +68,7 @@ class PlacedTag(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Tags of a file.
+    """Tags found in a file.
 
     Args:
         tags: tags of another program's map.
@@ -89,7 +90,7 @@ def axes_of(words: Sequence[str] | None) -> FloatArray:
         words: three of `DIRECTIONS`; None for right, up, out.
 
     Raises:
-        InputError: the directions form no right-handed frame.
+        InputError: the directions do not form a right-handed frame.
     """
     given = RIGHT_UP_OUT if words is None else words
     if isinstance(given, list | tuple) and len(given) == 3 and all(isinstance(word, str) for word in given):
@@ -104,12 +105,12 @@ def axes_of(words: Sequence[str] | None) -> FloatArray:
 
 
 def number_of(value: Any) -> int:
-    """Id of a tag; raises `InputError` if `value` is no integer >= 0."""
+    """Id of a tag; raises `InputError` if `value` is not an integer >= 0."""
     return integer("id", value, low=0)
 
 
 def family_and_rest(text: str) -> tuple[str | None, str]:
-    """Family in the name of a tag, None without one, and the name with the word `tag` in place of the family."""
+    """Family in the name of a tag, or None, and the name with the word `tag` in place of the family."""
     for found in APRILTAG.finditer(text):
         names = [family_named(f"{kind}{found[1]}h{int(found[2])}") for kind in ("", "circle", "aruco_mip_")]
         known = [name for name in names if name in FAMILIES]
@@ -123,8 +124,8 @@ def family_and_rest(text: str) -> tuple[str | None, str]:
 
 
 def tag_named(value: Any) -> tuple[str | None, int] | None:
-    """Family, None if unknown, and number of a tag, from the number or from a name such as `tag36h11:7`; None for
-    another value, and a name that does not determine the number.
+    """Family (None if unknown) and number of a tag, from the number or from a name such as `tag36h11:7`. None for other
+    values, and for names that do not determine the number.
     """
     text = str(value).strip().removesuffix(".0").rpartition("/")[2]
     family, rest = family_and_rest(text)
@@ -162,7 +163,7 @@ def edge_of(name: str, value: Any, unit: float = METRE) -> float:
         unit: unit of the value, metres.
 
     Raises:
-        InputError: the value is no number, or an implausible edge.
+        InputError: the value is not a number, or is an implausible edge.
     """
     edge = unit * real(name, value, above=0.0)
     if not SMALLEST_EDGE <= edge <= LARGEST_EDGE:
@@ -175,12 +176,12 @@ def edge_of(name: str, value: Any, unit: float = METRE) -> float:
 
 
 def turn_by_quaternion(x: float, y: float, z: float, w: float) -> FloatArray:
-    """Matrix of a unit quaternion.
+    """Rotation matrix of a unit quaternion.
 
     Raises:
         InputError: the length of the quaternion is not 1.
     """
-    from scipy.spatial.transform import Rotation  # slow to load
+    from scipy.spatial.transform import Rotation  # importing it is slow
 
     length = float(np.linalg.norm([x, y, z, w]))
     if not abs(length - 1.0) <= QUATERNION_TOLERANCE:
@@ -191,7 +192,7 @@ def turn_by_quaternion(x: float, y: float, z: float, w: float) -> FloatArray:
 
 
 def turn_by_angles(number: int, roll: float, pitch: float, yaw: float) -> FloatArray:
-    """Matrix of ROS's roll, pitch and yaw of a tag, rad.
+    """Rotation matrix from ROS's roll, pitch and yaw of a tag, rad.
 
     Raises:
         InputError: the angles look like degrees.
@@ -201,7 +202,7 @@ def turn_by_angles(number: int, roll: float, pitch: float, yaw: float) -> FloatA
 
 
 def turn_by_vector(source: str, rotation: FloatArray) -> FloatArray:
-    """Matrix of a rotation vector `(3,)`, whose length is the angle, rad; `source` is for messages.
+    """Rotation matrix of a rotation vector `(3,)`, whose length is the angle, rad; `source` is for messages.
 
     Raises:
         InputError: the vector looks like degrees.
@@ -211,14 +212,14 @@ def turn_by_vector(source: str, rotation: FloatArray) -> FloatArray:
 
 
 def transform_of(values: Any, called: str, source: str = "") -> FloatArray:
-    """Rigid motion `(4, 4)` of the 16 numbers of a matrix, row by row; its rotation is made orthonormal.
+    """Rigid motion `(4, 4)` from the 16 numbers of a matrix, row by row; the rotation is made orthonormal.
 
     Args:
         called: name of the matrix, for messages.
-        source: words before a message, such as `tag 7: `.
+        source: prefix of messages, such as `tag 7: `.
 
     Raises:
-        InputError: the numbers are no rigid motion, or are written column by column.
+        InputError: the numbers are not a rigid motion, or are written column by column.
     """
     pose = np.array(vector(called, values, 16)).reshape(4, 4)
     if np.abs(pose[3] - LAST_ROW).max() > LAST_ROW_TOLERANCE:
@@ -235,7 +236,7 @@ def tag_of_corners(number: int, corners: FloatArray, family: str | None) -> Plac
     """Tag with four corners `(4, 3)`, metres, clockwise from the top left.
 
     Raises:
-        InputError: there are not four corners, they form no square, or their order is not around the square.
+        InputError: there are not four corners, they do not form a square, or their order is not around the square.
     """
     if corners.shape != (4, 3):
         raise InputError(f"the marker {number} must have four corners, it has {len(corners)}.")
@@ -255,7 +256,7 @@ def tag_of_corners(number: int, corners: FloatArray, family: str | None) -> Plac
 
 
 def one_family(named: Iterable[str | None]) -> str | None:
-    """Family of the tags of a map, each of which may name a family; None if no tag names a family.
+    """Family of a map's tags, from the families that the tags name; None if no tag names a family.
 
     Raises:
         InputError: the tags have several families.
@@ -270,8 +271,8 @@ def one_family(named: Iterable[str | None]) -> str | None:
 
 
 def check_family(path: Any, told: str | None, wanted: str | None) -> None:
-    """Raise `InputError` if the family `told` by the map at `path` differs from the family `wanted`; None if
-    unknown.
+    """Raise `InputError` if the family `told` by the map at `path` differs from the family `wanted`; an unknown family
+    is None.
     """
     if told is None or wanted is None or told == wanted:
         return

@@ -1,4 +1,4 @@
-"""Rooms over floor plans from files: formats, and what a file leaves open."""
+"""Rooms over floor plans from files: readers of the formats, and settings that files leave open."""
 
 import io
 from collections.abc import Sequence
@@ -38,9 +38,9 @@ from lmd.space.wall_lines import ReadPlan
 KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 MODES = ("trinary", "scale", "raw")
 OCCUPIED, FREE, UNKNOWN = 100, 0, -1
-# Greatest number of cells, where a warehouse of 300 m x 200 m at 5 cm has 24 million; and memory of a cell, bytes.
+# Maximum number of cells (a warehouse of 300 m x 200 m at 5 cm has 24 million), and memory of a cell, bytes.
 MOST_CELLS, CELL_BYTES = 36_000_000, 80.0
-# Formats of pictures, by Pillow's names; of others some start a program, such as Ghostscript.
+# Accepted formats of pictures, by Pillow's names; some other formats would start a program, such as Ghostscript.
 FORMATS = ("PNG", "PPM", "BMP")
 # Grey values that map_saver writes for unknown and for free cells.
 SAVED_UNKNOWN, SAVED_FREE = 205, 254
@@ -60,7 +60,7 @@ def read_map(file: File) -> ReadPlan:
 
 
 def read_occupancy_grid(path: str | Path) -> OccupancyGrid:
-    """Read the map of a YAML file and its picture.
+    """Read an occupancy grid: a YAML file and its picture.
 
     In the modes `trinary` and `scale`, cells between the thresholds are neither free nor occupied, as in AMCL. In the
     mode `raw` the thresholds apply to the occupancy, as in map_saver.
@@ -125,8 +125,8 @@ def occupancy(
 
 
 def _beside(file: Path, image: Any) -> Path:
-    """Path of a picture, relative to the YAML file. If an absolute path does not exist, the picture is searched beside
-    the YAML file.
+    """Path of a picture, relative to the YAML file. A picture with an absolute path that does not exist is searched in
+    the folder of the YAML file.
     """
     if not isinstance(image, str) or not image.strip():
         raise InputError(f"image must be the path of the picture, got {image!r}.")
@@ -147,7 +147,7 @@ def _picture(path: Path) -> tuple[FloatArray, BoolArray]:
             cells = picture.width * picture.height
             bounded("cells", cells, MOST_CELLS, f"image: {str(path)!r}")
             check_memory(CELL_BYTES * cells, f"image: {str(path)!r}")
-            if picture.mode.startswith("I"):  # 16 bits
+            if picture.mode.startswith("I"):  # 16 bits per pixel
                 grey = np.round(np.asarray(picture, dtype=np.float64) / 257.0)
                 return grey.astype(np.uint8), np.ones(grey.shape, dtype=np.bool_)
             if picture.mode == "P":
@@ -158,14 +158,14 @@ def _picture(path: Path) -> tuple[FloatArray, BoolArray]:
             return np.asarray(picture.convert("L")), is_opaque
     except InputError:
         raise
-    except Exception as error:  # a decoder of a broken file may raise anything
+    except Exception as error:  # a decoder may raise any error for a broken file
         reason = (
             f"its kind is none of {', '.join(FORMATS)}" if type(error).__name__ == "UnidentifiedImageError" else error
         )
         raise InputError(f"image: {str(path)!r} cannot be read as a picture ({reason}).") from None
 
 
-# Values of `conf/room/floor_plan.yaml`, which a file replaces.
+# Values of `conf/room/floor_plan.yaml`, which a plan from a file replaces.
 EXAMPLE = {
     "outline": [[0, 0], [6, 0], [6, 2], [3, 2], [3, 4], [0, 4]],
     "holes": [[[1.3, 1.3], [1.7, 1.3], [1.7, 1.7], [1.3, 1.7]]],
@@ -173,7 +173,7 @@ EXAMPLE = {
 }
 
 
-# Tolerance of the comparison of lengths, metres.
+# Tolerance in the comparison of lengths, metres.
 ROUNDING_M = 1e-9
 
 
@@ -187,30 +187,30 @@ class PlanFile(File):
 
 @dataclass(frozen=True)
 class Reading(Checked):
-    """Settings of a floor plan's file.
+    """Settings for reading a floor plan.
 
     Raises:
         InputError: a setting is refused.
     """
 
     start: Pair | None = None
-    """Point (x, y) of the file's frame in the room, metres; None for the largest region."""
+    """Point (x, y) in the room, in the frame of the file, metres; None for the largest region."""
     tolerance: Positive = 0.1
-    """Greatest distance of a wall from the contour in the file, metres."""
+    """Maximum distance of a wall from the contour in the file, metres."""
     speck: NotNegative = 0.2
-    """A group of cells of an occupancy grid that are not free counts as free if both its sides are shorter than this,
+    """Cells of an occupancy grid that are not free count as free if both sides of their group are shorter than this,
     metres.
     """
     passage: NotNegative = 0.3
-    """Least width of the parts of an occupancy grid's free region, metres; narrower parts are left out."""
+    """Minimum width of parts of an occupancy grid's free region, metres; narrower parts are left out."""
     layers: Sequence[str] | None = None
-    """Names of the layers of a drawing with walls; None for the layers whose names mean walls."""
+    """Names of a drawing's layers with walls; None for the layers whose names mean walls."""
     unit: str | None = None
-    """Unit of a drawing, one of `lmd.space.parts.UNITS`; None for the unit that the drawing names."""
+    """Unit of a drawing, one of `lmd.space.parts.UNITS`; None for the unit that the drawing states."""
     gap: NotNegative = 1.3
-    """Widest gap between walls of a drawing that is closed, such as a door, metres."""
+    """Maximum width of a gap between walls of a drawing, such as a door, that is closed, metres."""
     least_width: NotNegative = 0.4
-    """Least free width of a wall that carries landmarks by default, metres."""
+    """Minimum free width of walls that carry landmarks by default, metres."""
 
 
 def read_plan_room(
@@ -230,8 +230,9 @@ def read_plan_room(
     Args:
         path: file of a format of this module; None for a plan from the other arguments.
         outline, holes: see `FloorPlan`; with a `path`, None or the values of `EXAMPLE`.
-        keep_out: see `FloorPlan`; with a `path`, in addition to those of the file; those of `EXAMPLE` are ignored.
-        surfaces: see `FloorPlan`; with a `path`, None for all walls with a free width of `least_width`.
+        keep_out: see `FloorPlan`; with a `path`, additional to the keep-outs of the file; those of `EXAMPLE` are
+            ignored.
+        surfaces: see `FloorPlan`; with a `path`, None for all walls with at least the free width `least_width`.
         height, margin, reachable, spacing: see `FloorPlan` and `Prism`.
         more: fields of `Reading`, and further arguments of `from_floor_plan`.
 
@@ -262,7 +263,7 @@ def read_plan_room(
 
 
 def _walls(found: ReadPlan, height: float, margin: float, least_width: float) -> tuple[list[str], list[dict[str, Any]]]:
-    """Names of the walls with the least free width, and keep-outs as mappings of their arguments."""
+    """Names of the walls with at least the free width `least_width`, and keep-outs as mappings of their arguments."""
     walls: list[str] = []
     parts: list[dict[str, Any]] = []
     for i, ring in enumerate(found.rings):
@@ -276,7 +277,7 @@ def _walls(found: ReadPlan, height: float, margin: float, least_width: float) ->
             if free > ROUNDING_M and free >= least_width - ROUNDING_M:
                 walls.append(name)
             for start, stop, label in spans:
-                # The left end of a wall, as seen from the room, is the end of an edge of the outline.
+                # The left end of a wall, as seen from the room, is the second corner of an edge of the outline.
                 left = [start, stop] if i else [length - stop, length - start]
                 parts.append({"surface": name, "from_left": left, "from_below": [0.0, height], "name": label})
     return walls, parts

@@ -1,4 +1,4 @@
-"""Files of poses: tables, and formats without times, which are KITTI's matrices and COLMAP's images."""
+"""Files of poses: tables, and two formats without times, KITTI's matrices and COLMAP's images."""
 
 import re
 from collections.abc import Sequence
@@ -17,26 +17,26 @@ from lmd.geometry.frames import roll_pitch_yaw
 from lmd.geometry.se3 import are_rotations, camera_pose, inverse, nearest_rotations, pose_of, poses_from_rows
 from lmd.geometry.trajectory import check_order
 
-NANOSECONDS = 1e16  # a greater time is in nanoseconds, as it would be 300 million years in seconds
-# Times between `UNCLEAR` and `NANOSECONDS` are no seconds: milliseconds or microseconds since 1970, or nanoseconds
-# since the start of the machine.
+NANOSECONDS = 1e16  # a larger time is in nanoseconds, as it would be 300 million years in seconds
+# Times between `UNCLEAR` and `NANOSECONDS` are not seconds: milliseconds or microseconds since 1970, or nanoseconds
+# since the machine started.
 UNCLEAR = 1e11
-FASTEST = 1e-6  # least time between poses, seconds; a shorter time means a wrong unit
-EPOCH = 1e8  # stamps of 0 are missing values if other stamps exceed this, seconds since 1970
-# Least sine of the pitch of views that look up or down, and least share of such views that raises a question.
+FASTEST = 1e-6  # minimum time between poses, seconds; a shorter time implies a wrong unit
+EPOCH = 1e8  # stamps of 0 are missing values if other stamps are later than this, seconds since 1970
+# Minimum sine of the pitch of views that look up or down, and minimum share of such views for a question to the user.
 STEEP, NEARLY_ALL = np.cos(np.radians(30.0)), 0.9
-OWN_HEADER = (TIME, *POSITION, "yaw", "pitch")  # header with the old names of a camera's angles
+OWN_HEADER = (TIME, *POSITION, "yaw", "pitch")  # former header of a file with a camera's angles
 ROS_BODIES = re.compile(r"/?(.*/)?(base_link|base_footprint|base|body|robot)")
 ROS_OPTICAL = re.compile(r".*optical(_frame|_link)?")
 _NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
-# Line of an image of COLMAP: IMAGE_ID, quaternion with w first, translation, CAMERA_ID, NAME; a line of 2-D points has
+# Line of a COLMAP image: IMAGE_ID, quaternion with w first, translation, CAMERA_ID, NAME. A line of 2-D points has
 # only numbers.
 _IMAGE = re.compile(rf"\s*(\d+)((?:\s+{_NUMBER}){{7}})\s+(\d+)\s+(?!{_NUMBER}(?:\s|$))(\S(?:.*\S)?)\s*")
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Rows of a file.
+    """Rows of a pose file.
 
     Args:
         path: the file, for messages.
@@ -44,7 +44,7 @@ class Rows:
         time: times, seconds, `(T,)`; increasing after `read_rows`.
         poses: poses of the recorded body, in the frame of the recording, `(T, 4, 4)`.
         frame: frame of the orientations, `optical` or `body`; None if the file does not define it.
-        angles: True for angles of a camera, which with a mount are the angles of the body's x axis.
+        angles: True if orientations are angles of a camera; with a mount these are the angles of the body's x axis.
         notes: omissions and assumptions, sentences without a full stop.
     """
 
@@ -57,7 +57,7 @@ class Rows:
     notes: tuple[str, ...] = ()
 
     def kept(self, chosen: BoolArray, reason: str) -> "Rows":
-        """Rows selected by `chosen`, with a note about the others; the rows themselves if all are selected."""
+        """Rows selected by `chosen`, with a note about the others; the same object if all rows are selected."""
         if chosen.all():
             return self
         lines = [line for line, keep in zip(self.lines, chosen, strict=True) if keep]
@@ -66,7 +66,7 @@ class Rows:
 
 
 def read_rows(path: str, **asked: Any) -> Rows:
-    """Read poses in any known format; rows that repeat the previous time, as of a coarse clock, are left out.
+    """Read poses in any known format; rows that repeat the previous time, as with a coarse clock, are left out.
 
     Args:
         asked: `times`, `rate`, `frame` and `columns` of `lmd.formats.trajectories.TrajectoryFile`.
@@ -121,7 +121,7 @@ def checked_seconds(source: str, time: FloatArray, unit: float | None, positions
 
 
 def given_times(count: int, what: str, times: str | None, rate: float | None) -> FloatArray | None:
-    """Times `(count,)`, seconds, of poses whose own file has no times; None for times from a `rate`.
+    """Times `(count,)`, seconds, for poses from a file without times; None if the times follow from a `rate`.
 
     Args:
         what: name of the format without times, for messages.
@@ -151,7 +151,7 @@ def given_times(count: int, what: str, times: str | None, rate: float | None) ->
 
 
 def steep(sines: FloatArray, path: object) -> str:
-    """Question if nearly all views look up or down, as they do if body poses are read as camera poses.
+    """Question to the user if nearly all views look up or down, as happens if body poses are read as camera poses.
 
     Args:
         sines: sine of the pitch of each view, `(T,)`.
@@ -165,7 +165,7 @@ def steep(sines: FloatArray, path: object) -> str:
 
 
 def of_table(file: File) -> Rows:
-    """Rows of a table with a time in each line, or of KITTI's matrices."""
+    """Rows from a table with a time in each line, or from KITTI's matrices."""
     found = named(file.path, file.text, POSES, file.asked["columns"], file.argument)
     table, unit = found.table, found.time_unit
     if found.layout.name == "kitti":
@@ -175,7 +175,7 @@ def of_table(file: File) -> Rows:
     if not {TIME, *POSITION} <= found.columns.keys():
         raise _lacking(found)
     time, place = table.numbers([TIME], None)[:, 0], table.numbers(POSITION, None)
-    if whole := re.fullmatch(r"(.*?)(secs?|seconds)", found.columns[TIME]):  # with nanoseconds in another column
+    if whole := re.fullmatch(r"(.*?)(secs?|seconds)", found.columns[TIME]):  # nanoseconds are in another column
         names = [f"{whole[1]}{name}" for name in ("nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds")]
         rest = [table.numbers([name], None)[:, 0] for name in names if name in table]
         if rest and ((rest[0] >= 0.0) & (rest[0] < 1e9)).all():
@@ -193,8 +193,8 @@ def of_table(file: File) -> Rows:
 
 
 def _oriented(found: Named, place: FloatArray, frame: str) -> tuple[FloatArray, str | None, bool, str]:
-    """Make poses from the columns; return the poses, the frame of the orientations, True for angles of a camera, and a
-    note.
+    """Make poses from the columns; return the poses, the frame of the orientations, True if these are angles of a
+    camera, and a note.
     """
     table, columns, path = found.table, found.columns, found.table.path
     if set(QUATERNION) <= columns.keys():
@@ -225,7 +225,7 @@ def _oriented(found: Named, place: FloatArray, frame: str) -> tuple[FloatArray, 
 
 
 def _frame_of_ros(table: Table, frame: str) -> tuple[str | None, str]:
-    """Frame that the column `child_frame_id` of ROS names by REP 103 and REP 105, if any, and a note."""
+    """Frame of the orientations that ROS's column `child_frame_id` names by REP 103 and REP 105, if any, and a note."""
     found = {text for name in table.texts if name.lower().endswith("child_frame_id") for text in table.texts[name]}
     name = found.pop() if len(found) == 1 else ""
     if ROS_OPTICAL.fullmatch(name):
@@ -238,7 +238,7 @@ def _frame_of_ros(table: Table, frame: str) -> tuple[str | None, str]:
 
 
 def _lacking(found: Named) -> InputError:
-    """Error about a table that is no trajectory; the message names the missing columns."""
+    """Error about a table that is not a trajectory; the message names the missing columns."""
     turns = EULER if any(name in found.columns for name in EULER) and "qw" not in found.columns else QUATERNION
     missing = [name for name in (TIME, *POSITION, *turns) if name not in found.columns]
     hint = ""
@@ -259,7 +259,7 @@ def _of_matrices(file: File, table: Table) -> Rows:
     """Poses from matrices [R p], row by row; rotations are made orthonormal.
 
     Raises:
-        InputError: a matrix is no rigid motion, or the times are missing.
+        InputError: a matrix is not a rigid motion, or the times are missing.
     """
     numbers, rate = table.numbers(list(table.texts)).reshape(-1, 3, 4), file.asked["rate"]
     turns = numbers[:, :, :3]
@@ -287,10 +287,10 @@ class Image(NamedTuple):
 
 
 def images_of(file: File) -> list[Image]:
-    """Images of COLMAP's `images.txt`, by number; empty for another file.
+    """Images in COLMAP's `images.txt`, by number; empty for any other file.
 
     Raises:
-        InputError: a line is no image.
+        InputError: a line is not an image.
     """
     lines = [(i, line) for i, line in enumerate(file.text.splitlines(), 1) if not line.lstrip().startswith(COMMENT)]
     first = next((i for i, (_, line) in enumerate(lines) if line.strip()), None)
@@ -301,7 +301,7 @@ def images_of(file: File) -> list[Image]:
         if (found := _IMAGE.fullmatch(said)) is not None:
             camera = f"{found[3]} {found[4].rpartition('/')[0]}".strip()
             images.append(Image(int(found[1]), line, [float(text) for text in found[2].split()], camera, found[4]))
-        elif said.strip() and not after_image:  # the line after an image has its points, or is empty
+        elif said.strip() and not after_image:  # the line after an image lists its points, or is empty
             raise InputError(f"line {line} is not an image of COLMAP: IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME.")
         after_image = found is not None
     return sorted(images)
@@ -342,5 +342,5 @@ def of_images(file: File) -> Rows:
 
 
 def _in_words(name: str) -> list[tuple[int, str]]:
-    """Sort key for names with numbers: img9 before img10."""
+    """Sort key for names with numbers: img9 comes before img10."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d{1,18})", name)]

@@ -1,9 +1,9 @@
-"""Registry of the file formats that are read and written, including formats of other packages and of the user.
+"""Registry of file formats for reading and writing, including formats of other packages and of the user.
 
-A format is a `Format`, or a row of YAML, see `described`. A package adds formats by an entry point of the group
-`lmd.formats`: a `Format` or a row, or a list of these. A user adds rows by YAML files in a folder that the environment
-variable `LMD_FORMATS` lists; commands list the folder `file_formats` of each folder on `hydra.searchpath`. Added
-formats are tried before the formats of `lmd`.
+A format is a `Format`, or a row of YAML, see `described`. A package adds formats with an entry point of the group
+`lmd.formats`: a `Format` or a row, or a list of these. A user adds rows in YAML files, in folders that the environment
+variable `LMD_FORMATS` lists; commands add the folder `file_formats` of each folder on `hydra.searchpath`. Added formats
+are tried before the formats of `lmd`.
 """
 
 import os
@@ -25,16 +25,16 @@ from lmd.formats.trees import MISSING, File, entries, find, matches, plain
 from lmd.scene.families import FAMILIES as TAG_FAMILIES
 
 GROUP = "lmd.formats"
-ADDED = "LMD_FORMATS"  # environment variable with folders of rows of the user
-# Families, each with a table of formats that are tried in their order; the last format accepts every file.
+ADDED = "LMD_FORMATS"  # environment variable that lists the user's folders of rows
+# Families, each with a table of formats that are tried in the table's order; the last format accepts every file.
 FAMILIES = ("calibration", "trajectory", "tag map", "room", "floor plan", "detections")
-# Class of each family whose fields describe how a keyed file is read, see `described`.
+# For each family with keyed files, class whose fields describe how such a file is read, see `described`.
 KEYED = {
     "calibration": "lmd.formats.keyed_cameras.KeyedCameras",
     "tag map": "lmd.formats.keyed_tags.KeyedTags",
     "detections": "lmd.formats.detection_formats.KeyedDetections",
 }
-HEAD = 2000  # number of characters that `begins` searches
+HEAD = 2000  # number of characters at the beginning of a file that `begins` searches
 CALL = re.compile(r"(?P<module>[\w.]+)\.(?P<name>\w+)\((?P<arguments>[\w, ]*)\)")
 
 
@@ -48,7 +48,7 @@ class Writer(NamedTuple):
         only_apriltag: True if readers of the format support only the families of AprilTag.
         only_opencv: True if readers of the format support only families that OpenCV has.
         on_paper: True if the file is to be printed.
-        edges: tag sizes in the file: `OWN`, a size for each tag; `ONE`, one size for all tags; `NONE`, no size.
+        edges: tag sizes that the file holds: `OWN`, a size for each tag; `ONE`, one size for all tags; `NONE`, no size.
     """
 
     file: str
@@ -73,12 +73,12 @@ OWN, ONE, NONE = "own", "one", "none"  # values of `Writer.edges`
 
 @dataclass(frozen=True)
 class Format(Checked):
-    """Format that is read, written, or recognised and refused."""
+    """Format that is read or written, or recognised and refused."""
 
     family: Annotated[str, partial(choice, options=FAMILIES)]
     """One of `FAMILIES`."""
     name: str
-    """Name of the program or the standard; for a written format, its name in `formats`."""
+    """Name of the program or the standard; the name in `formats` if the format is written."""
     recognises: Callable[[Any], bool]
     """Function that returns True for a `File` of this format; called only for files that no earlier format
     recognises.
@@ -96,22 +96,22 @@ class Format(Checked):
     | detections | `lmd.formats.detections.DetectedTags` |
     """
     why_not: str | Callable[[Any], str] = ""
-    """Reason for the refusal and advice on a supported format, without the full stop; may be a function of a `File`.
+    """Reason for the refusal, with advice on a supported format, without the full stop; may be a function of a `File`.
     """
     row: str = ""
-    """Row of the table in the documentation, with ` | ` between cells; the row names arguments, as in `name=cam1`.
+    """Row of the documentation's table, with ` | ` between cells; the row names arguments, as in `name=cam1`.
 
-    Several kinds of file have a line each; empty for a format that shares the row of another format.
+    There is a line for each kind of file; empty for a format that shares the row of another format.
     """
     writer: Writer | None = None
-    """Output of the format; None if the format is only read."""
+    """Writer of the format; None if the format is only read."""
     written: str = ""
-    """Name of the output in `formats`; empty for `name`."""
+    """Name of the writer in `formats`; empty for `name`."""
 
 
 def begins(mark: str) -> Callable[[File], bool]:
-    """Make a test for files whose first characters match a regular expression, in which `^` matches at the beginning of
-    each line.
+    """Make a test for files whose beginning matches a regular expression, in which `^` matches at the beginning of each
+    line.
     """
     return lambda file: re.search(mark, file.text[:HEAD], re.MULTILINE) is not None
 
@@ -127,10 +127,11 @@ def anything(_: File) -> bool:
 
 
 def function_of(text: str) -> Callable[[File], Any]:
-    """Function of a `File` that calls `module.function(a, b)` with attributes of the file, or what was `asked`.
+    """Make a function of a `File` that calls `module.function(a, b)` with attributes of the file or settings in
+    `asked`.
 
     Raises:
-        InputError: the text is no such call; and, when it is called, there is no such function.
+        InputError: the text is not such a call. A missing function raises the error when it is called.
     """
     if not isinstance(text, str) or (parts := CALL.fullmatch(text)) is None:
         raise InputError(f"a call of code must be module.function(argument), got {text!r}.")
@@ -150,20 +151,20 @@ def function_of(text: str) -> Callable[[File], Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class Keyed:
-    """Description of a keyed file with several entries; paths are those of `lmd.formats.trees`."""
+    """Description of a keyed file with several entries; for paths see `lmd.formats.trees`."""
 
     at: Mapping[str, str]
-    """Paths of quantities in an entry, in which `{key}` stands for the key of the entry; a path with `?` at its end may
-    lead to nothing."""
+    """Paths of quantities in an entry, in which `{key}` stands for the key of the entry; the value at a path with `?`
+    at the end may be missing."""
     each: str = ""
-    """Alternative paths to the entries; empty for a file of one entry."""
+    """Alternative paths to the entries; empty for a file that is itself the only entry."""
     patterns: Mapping[str, str] = field(default_factory=dict)
-    """Regular expressions whose matches in a text are the tree, see `lmd.formats.trees.matches`."""
+    """Regular expressions whose matches in a text form the tree, see `lmd.formats.trees.matches`."""
     source: str = ""
-    """Call that returns the tree, which is otherwise that of the file's keys."""
+    """Call that returns the tree; by default the tree is that of the file's keys."""
 
     def entries(self, file: File) -> tuple[Any, list[tuple[str, Mapping[str, Any]]]]:
-        """Tree of a file, and its entries with their keys."""
+        """Tree of a file, and entries of the tree with their keys."""
         tree: Any = function_of(self.source)(file) if self.source else {}
         if not self.source:
             tree = matches(file.text, self.patterns) if self.patterns else file.data
@@ -172,18 +173,18 @@ class Keyed:
 
 
 def described(row: Mapping[str, Any], family: str, advice: str = "") -> Format:
-    """Format of a row of a table.
+    """Make a format from a row of a table.
 
-    A row has `name`, and `row` of the documentation. All of the following that it has must hold for its files: `marks`,
-    paths that lead to a value, which a regular expression after a `=` must match, or, after a `!`, to none; `text`, a
-    regular expression that is in the text; `when`, a call that is true; `any`. A row without these is only written.
-    `refuse` is the reason for a refusal, in which `{keys}` stands for the keys of the file, `{known}` for the names of
-    formats that are read, and `{advice}` for the family's advice. `writes` has the fields of a `Writer` and its `name`
-    in `formats`. `read` is a call that reads a file; without one, the other keys are the fields of the class of the
-    family in `KEYED`.
+    A row has `name`, and `row` for the documentation. Its other keys decide which files are of the format, and must all
+    hold: `marks`, paths that lead to a value, which a regular expression after a `=` must match, or, after a `!`, to
+    none; `text`, a regular expression that matches in the text; `when`, a call that returns True; `any`. A row without
+    these keys is only written. `refuse` is the reason for a refusal, in which `{keys}` stands for the keys of the file,
+    `{known}` for the names of the formats that are read, and `{advice}` for the family's advice. `writes` has the
+    fields of a `Writer` and its `name` in `formats`. `read` is a call that reads a file; without `read`, the other keys
+    are the fields of the family's class in `KEYED`.
 
     Raises:
-        InputError: the row lacks its name, or has a key or a value that is not known.
+        InputError: the row lacks its name, or has an unknown key or value.
     """
     rest = {key: value for key, value in row.items() if key != "family"}
     name, why_not, read, written = (rest.pop(key, "") for key in ("name", "refuse", "read", "writes"))
@@ -217,7 +218,7 @@ def described(row: Mapping[str, Any], family: str, advice: str = "") -> Format:
 
 
 def _tests(row: dict[str, Any]) -> list[Callable[[Any], bool]]:
-    """Tests of a row's files, whose keys are taken out of the row."""
+    """Tests of a row for its files; the keys of the tests are removed from the row."""
     tests: list[Callable[[Any], bool]] = [anything] if row.pop("any", False) else []
     if call := row.pop("when", None):
         tests.append(function_of(call))
@@ -246,15 +247,15 @@ def _has(keys: Mapping[str, Any], mark: str, loose: bool) -> bool:
 
 
 def _writer(name: str, write: str, **options: Any) -> tuple[str, Writer]:
-    """Name and writer of a row, whose function `module.function` is imported when it is called."""
+    """Name and writer of a row; the function `module.function` is imported when it is called."""
     module, _, function = write.rpartition(".")
     return name, Writer(write=lambda *args, **tags: getattr(import_module(module), function)(*args, **tags), **options)
 
 
 def _table(text: str, family: str | None, source: str) -> tuple[Format, ...]:
-    """Formats of a YAML table with `rows` and `advice`, or of a list of rows, each of which has its family."""
+    """Formats of a YAML table with `rows` and `advice`, or of a list of rows, each of which names its family."""
     try:
-        table = yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))  # the file of the user, or of `lmd`
+        table = yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))  # the user's file, or lmd's own
         advice, listed = (table["advice"], table["rows"]) if isinstance(table, dict) else ("", table)
         rows = [dict(row) for row in listed]
     except (yaml.YAMLError, KeyError, TypeError, ValueError) as error:
@@ -288,8 +289,8 @@ def outside() -> tuple[Format, ...]:
 
 
 def _takes(form: Format, file: File) -> bool:
-    """True if a format of another package recognises a file; False if its test fails because the file is neither YAML
-    nor JSON.
+    """True if a format of another package recognises a file; False if the test of the format fails because the file is
+    neither YAML nor JSON.
     """
     try:
         return form.recognises(file)
@@ -298,14 +299,14 @@ def _takes(form: Format, file: File) -> bool:
 
 
 def format_of(family: str, file: File) -> Format:
-    """First format of a family that recognises a file."""
+    """First format in a family that recognises a file."""
     theirs = (form for form in outside() if form.family == family and _takes(form, file))
     ours = (form for form in formats(family) if form.recognises(file))
     return next(chain(theirs, ours))
 
 
 def read(family: str, file: File) -> Any:
-    """Read a file by its format, see `Format.read`.
+    """Read a file with the first format that recognises it, see `Format.read`.
 
     Raises:
         InputError: the format is refused or unknown, or the file is damaged.
@@ -318,18 +319,18 @@ def read(family: str, file: File) -> Any:
 
 @cache
 def formats(family: str) -> tuple[Format, ...]:
-    """Formats of a family in `lmd`, in the order in which they are tried."""
+    """Formats of a family that are part of `lmd`, in the order in which they are tried."""
     path = Path(__file__).with_name("tables") / f"{family.replace(' ', '_')}.yaml"
     return _table(path.read_text(encoding="utf-8"), family, str(path))
 
 
 def writers() -> dict[str, Writer]:
-    """Outputs of all formats of tag maps by their names in `formats`."""
+    """Writers of tag maps, plans and print sheets, by their names in `formats`."""
     forms = chain(formats("tag map"), outside())
     return {form.written or form.name: form.writer for form in forms if form.writer is not None}
 
 
 def rows(family: str) -> list[str]:
-    """Rows of the table of a family in the documentation, in alphabetical order."""
+    """Rows of a family's table in the documentation, in alphabetical order."""
     found = (row for form in formats(family) for row in form.row.splitlines())
     return sorted(found, key=lambda row: row.strip("`").lower())

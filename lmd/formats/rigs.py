@@ -1,4 +1,4 @@
-"""Rigs: cameras on a body, from rig files, calibrations with poses of cameras, and configurations."""
+"""Rigs, cameras on a body: from rig files, calibrations with poses of cameras, and configurations."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -17,12 +17,12 @@ KEYS = ("translation", *ANGLES, "quaternion", "camera")
 CAMERA_KEYS = ("path", "name", "image_size", "distortion_model", *OPTICS)
 SHARED_KEYS = ("image_size", "distortion_model")
 CHAIN_KEYS = ("path", *KEYS[:-1], "names", *SHARED_KEYS)
-BODY, STEP = "body", "step"  # the poses of `ReadCamera.poses`
+BODY, STEP = "body", "step"  # frames of reference in `ReadCamera.poses`
 NO_BODY = "no T_cam_imu (Kalibr), T_BS (EuRoC), T_imu_cam (OpenVINS, Basalt) or T_SC (OKVIS)"
 
 
 def read_mount(path: Any, name: str | None = None) -> FloatArray:
-    """Pose of a camera on the body that carries it, from the camera's optical frame to the body's frame, `(4, 4)`.
+    """Read the pose of a camera on its body, from the camera's optical frame to the body's frame, `(4, 4)`.
 
     Args:
         path: a calibration with `T_cam_imu` (Kalibr), `T_imu_cam` (OpenVINS) or `T_SC` (OKVIS) in each camera, with
@@ -30,8 +30,8 @@ def read_mount(path: Any, name: str | None = None) -> FloatArray:
         name: name of the camera, such as `cam0`, if there are several.
 
     Raises:
-        InputError: the file cannot be read, has no such entry, has no camera `name`, or has several cameras and `name`
-            is None.
+        InputError: the file cannot be read, lacks the pose or the camera `name`, or has several cameras and `name` is
+            None.
     """
     found = {camera or "cam0": poses[BODY] for camera, poses in _poses("mount", path).items() if BODY in poses}
     if not found:
@@ -46,8 +46,8 @@ def read_mount(path: Any, name: str | None = None) -> FloatArray:
 
 
 def read_chain(path: Any, names: Any = None, **shared: Any) -> dict[str, FloatArray]:
-    """Poses of several cameras, each from its optical frame to the optical frame of the first camera, `(4, 4)`, by
-    name.
+    """Read the poses of several cameras, by name: from the camera's optical frame to the first camera's optical frame,
+    `(4, 4)`.
 
     Args:
         path: a file as in `read_mount`; a file of Kalibr with `T_cn_cnm1` in each camera but the first.
@@ -75,7 +75,7 @@ def read_chain(path: Any, names: Any = None, **shared: Any) -> dict[str, FloatAr
 
 
 def _poses(argument: str, path: Any, **shared: Any) -> dict[str, dict[str, FloatArray]]:
-    """Poses of the cameras of a calibration, by camera and frame."""
+    """Poses of the cameras in a calibration, by camera, then by frame of reference."""
 
     def poses(camera: ReadCamera) -> dict[str, FloatArray]:
         try:
@@ -91,7 +91,7 @@ def _poses(argument: str, path: Any, **shared: Any) -> dict[str, dict[str, Float
     except InputError as error:
         if error.argument is not None:
             raise
-        cameras = {}  # a file of another kind has no poses
+        cameras = {}  # another kind of file has no poses
     return {name: poses(camera) for name, camera in cameras.items()}
 
 
@@ -100,11 +100,11 @@ def rig_of(mounts: Any, camera: Camera | None = None) -> Rig:
 
     Args:
         mounts: list of mappings with the arguments of `Mount`, in which `camera` is a calibration file or a mapping
-            with the arguments of `calibrated_camera`. Or a mapping whose `path` is a calibration file with poses, see
-            `read_chain`, with `names`, `image_size` and `distortion_model` if needed. The other arguments of `Mount`
-            give the pose of the first camera on the body, by default at the body's origin, looking along the body's x
-            axis.
-        camera: camera of the mounts without a camera.
+            with the arguments of `calibrated_camera`. Or one mapping: its `path` is a calibration file with poses, see
+            `read_chain`, with `names`, `image_size` and `distortion_model` if needed; its other keys are arguments of
+            `Mount`, the pose of the first camera on the body, by default at the body's origin, looking along the body's
+            x axis.
+        camera: camera for mounts without a camera of their own.
 
     Raises:
         InputError: `mounts` is neither a list nor such a mapping, or a value is refused.
@@ -122,10 +122,10 @@ def rig_of(mounts: Any, camera: Camera | None = None) -> Rig:
 def read_mounts(path: Any) -> Any:
     """Read the mounts for `rig_of` from a file: a list with the key `rig`, or a calibration of several cameras.
 
-    Calibrations beside the file may be named relative to it.
+    Paths of calibrations may be relative to the file.
 
     Raises:
-        InputError: the file cannot be read, or `rig` is no list.
+        InputError: the file cannot be read, or `rig` is not a list.
     """
     keys = read_keys(path, "rig")
     if "rig" not in keys:
@@ -179,10 +179,10 @@ def write_rig(path: Path, rig: Rig, sources: Mapping[Camera, Any]) -> None:
 
 
 def rig_text(rig: Rig, sources: Mapping[Camera, Any]) -> str:
-    """Text of a rig file, see `read_mounts`; numbers equal the rig's numbers to the bit.
+    """Text of a rig file, see `read_mounts`; numbers are bit-identical to those of the rig.
 
     Args:
-        sources: calibration by camera, as in `rig_of`; the default camera of the rig has none.
+        sources: calibration of each camera, as in `rig_of`; the default camera of the rig has none.
     """
     import yaml
 
@@ -210,11 +210,11 @@ def _mount(name: str, entry: Any, camera: Camera | None) -> Mount:
 
 
 def camera_from(source: Any) -> Camera | None:
-    """Camera of a mount, from a calibration file or from the arguments of `calibrated_camera`; None if `source` is
-    None.
+    """Make the camera of a mount, from a calibration file or from the arguments of `calibrated_camera`; None if
+    `source` is None.
 
     Raises:
-        InputError: `source` is neither a file nor such arguments, or the file is refused.
+        InputError: `source` is neither a file nor a mapping of arguments, or the file is refused.
     """
     if source is None:
         return None

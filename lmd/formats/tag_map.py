@@ -1,4 +1,4 @@
-"""Poses of the tags of a deployment, from which every format is written."""
+"""Tag map of a deployment, from which all formats are written."""
 
 import warnings
 from dataclasses import dataclass
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
 QUATERNION = ("qw", "qx", "qy", "qz")
-# Number of decimals in files: picometres, as smaller digits are rounding errors.
+# Number of decimals in files: picometres, as further digits are rounding errors.
 DECIMALS = 12
 
 
 @dataclass(frozen=True)
 class TagMap:
-    """K tags in a room. World frame, metres.
+    """Map of K tags in a room; world frame, metres.
 
     Args:
         room: room of the tags.
@@ -51,7 +51,7 @@ class TagMap:
 
     @property
     def ids(self) -> list[int]:
-        """Number of each tag in the family."""
+        """Number of each tag in its family."""
         return [int(number) for number in self.deployment.ids]
 
     @cached_property
@@ -83,9 +83,10 @@ class TagMap:
 
     @cached_property
     def route(self) -> list[int]:
-        """Surfaces with tags in the order of a walk through the room; -1, for tags that stand free, is last.
+        """Indices of the surfaces with tags in the order of a walk through the room; -1, for tags that stand free, is
+        last.
 
-        The order is from left to right around the middle of the room, then horizontal surfaces.
+        Walls are ordered from left to right around the middle of the room; horizontal surfaces follow.
         """
         surfaces, (low, high) = self.room.surfaces(), self.room.bounds()
         middles = np.array([surface.point(*np.divide(surface.extent, 2.0)) for surface in surfaces])
@@ -107,7 +108,7 @@ class TagMap:
 
     @cached_property
     def tags_by_surface(self) -> dict[int, IntArray]:
-        """Positions in `order`, from 0, of the tags of each surface of `route`."""
+        """For each surface of `route`, positions of its tags in `order`, from 0."""
         return {index: np.flatnonzero(self.surfaces[self.order] == index) for index in self.route}
 
     @cached_property
@@ -116,29 +117,31 @@ class TagMap:
         return [surface.name for surface in self.room.surfaces()]
 
     def place_of(self, k: int) -> str:
-        """Name of the surface of tag k."""
+        """Name of the surface that carries tag k."""
         surface = self.surfaces[k]
         return "free in the room" if surface < 0 else self.names[surface]
 
     @cached_property
     def sizes(self) -> FloatArray:
-        """Edge of each tag, `(K,)`: its own edge, or the edge of `tag`."""
+        """Edge of each tag, `(K,)`: the tag's own edge, or the edge of `tag`."""
         return self.deployment.edges_of(self.tag)
 
     @property
     def papers(self) -> FloatArray:
-        """Edge of the paper of each tag, `(K,)`."""
+        """Edge of each tag's paper, `(K,)`."""
         return self.tag.paper_share * self.sizes
 
     @cached_property
     def by_size(self) -> list[tuple[Tag, IntArray]]:
-        """Tag of each size, the smallest first, with the indices of the tags of that size in the order of hanging."""
+        """For each size, smallest first: the tag of that size, and indices of the tags of that size in the order of
+        hanging.
+        """
         own = self.sizes[self.order]
         return [(self.tag.of_size(edge), self.order[own == edge]) for edge in np.unique(own).tolist()]
 
     @property
     def edges_in_words(self) -> str:
-        """Text of the edges that occur, mm, with the square that they are of."""
+        """Text of the edges that occur, mm, and of the square to which they belong."""
         return f"{', '.join(f'{MM_PER_M * tag.size:.4g}' for tag, _ in self.by_size)} mm ({self.tag.square})"
 
     @property
@@ -156,18 +159,18 @@ class TagMap:
 
     @property
     def roll_pitch_yaw(self) -> FloatArray:
-        """`turns` as roll, pitch, yaw of ROS's `setRPY`, `(K, 3)`, rad, with the up of OpenCV's pictures."""
+        """Rotations `turns` as roll, pitch, yaw of ROS's `setRPY`, `(K, 3)`, rad, with the up of OpenCV's pictures."""
         from scipy.spatial.transform import Rotation
 
         half = FAMILIES[self.tag.family].apriltag is not None
         turns = self.turns * Rotation.from_matrix(HALF_TURN) if half else self.turns
-        with warnings.catch_warnings():  # if yaw and roll have one axis, only their sum is determined
+        with warnings.catch_warnings():  # if yaw and roll have a common axis, only their sum is determined
             warnings.filterwarnings("ignore", message="Gimbal lock")
             return rounded_values(turns.as_euler("xyz"))
 
     @property
     def quaternions(self) -> FloatArray:
-        """`turns` as quaternions w, x, y, z with w >= 0, `(K, 4)`."""
+        """Rotations `turns` as quaternions w, x, y, z with w >= 0, `(K, 4)`."""
         return rounded_values(self.turns.as_quat(canonical=True, scalar_first=True))
 
     @property
@@ -189,6 +192,6 @@ def axes(values: FloatArray) -> dict[str, float]:
 
 
 def write_yaml(path: Path, keys: dict[str, Any], *header: str) -> None:
-    """Write YAML: the lines of a header, then keys in their order, with innermost lists and mappings on one line."""
+    """Write YAML: a header, then keys in their order, with innermost lists and mappings on one line."""
     text = yaml.safe_dump(keys, sort_keys=False, default_flow_style=None, width=1000)
     path.write_text("".join(f"{line}\n" for line in header) + text, encoding="utf-8")

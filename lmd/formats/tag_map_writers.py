@@ -1,6 +1,6 @@
-"""Writers of tag maps for several ecosystems, and of the table and the JSON document of this project.
+"""Writers of tag maps: in the formats of several ecosystems, and as this project's table and JSON document.
 
-The frame of a tag has x to the right, y up, z along the normal, unless a writer says otherwise.
+Unless a writer states another convention, the frame of a tag has x to the right, y up and z along the normal.
 """
 
 import json
@@ -21,11 +21,11 @@ from lmd.scene.families import FAMILIES
 from lmd.scene.labels import EDGE, ID
 
 OUT_RIGHT_UP = axes_of(("out", "right", "up"))  # axes of WPILib and Limelight, as columns
-METRES = 1  # aruco_bc_mInfoType of a map in metres
+METRES = 1  # code for metres in aruco_bc_mInfoType of a map
 CORNER_NAMES = ("top_left", "top_right", "bottom_right", "bottom_left")
 FRAME = "metres; z up; of a tag x is right, y up, z out of it; its quaternion turns this frame to the world"
-ROOM = "room"  # name of the body, or the bundle, with the tags
-# Standard deviations of known poses in TagSLAM's example, for tags that do not move, m and rad.
+ROOM = "room"  # name of the body, or of the bundle, that has the tags
+# Standard deviations of known poses in TagSLAM's example, m and rad; small values fix the tags.
 FIXED = {"position_noise": 1e-4, "rotation_noise": 1e-5}
 
 
@@ -61,8 +61,8 @@ def write_aruco(path: Path, tags: TagMap) -> None:
     """Write `tags.aruco.yaml`, the marker map of the ArUco library.
 
     Corners are in the order in which the library finds them, clockwise from the top left of the tag's own picture. The
-    library reads the code of an AprilTag from the top left on, so its up is AprilTag's. A family that only OpenCV has
-    gets OpenCV's name. The lines have the indentation of OpenCV's `FileStorage`, which reads no other indentation.
+    library reads the code of an AprilTag from the top left, so its up is AprilTag's up. A family that only OpenCV has
+    gets OpenCV's name. Lines are indented as by OpenCV's `FileStorage`, which reads no other indentation.
 
     Source: ArUco 3, `MarkerMap::saveToFile`, `Dictionary` and `DictionaryBased::touulong`.
     """
@@ -83,7 +83,7 @@ def write_aruco(path: Path, tags: TagMap) -> None:
 def write_clover(path: Path, tags: TagMap) -> None:
     """Write `tags.clover.txt`: a line `id length x y z yaw pitch roll` for each tag, metres and radians.
 
-    Clover detects by OpenCV, so a tag's up is OpenCV's. Rotations are ROS's `setRPY`: Rz(yaw) Ry(pitch) Rx(roll).
+    Clover detects with OpenCV, so a tag's up is OpenCV's up. Rotations are ROS's `setRPY`: Rz(yaw) Ry(pitch) Rx(roll).
 
     Source: CopterExpress/clover, `ArucoMap::addMarker`.
     """
@@ -93,9 +93,9 @@ def write_clover(path: Path, tags: TagMap) -> None:
 
 
 def write_fiducial_vlam(path: Path, tags: TagMap) -> None:
-    """Write `tags.fiducial_vlam.yaml`: one edge for all tags, and for each a position and roll, pitch, yaw.
+    """Write `tags.fiducial_vlam.yaml`: one edge for all tags, and for each tag a position and roll, pitch, yaw.
 
-    fiducial_vlam detects by OpenCV, so a tag's up is OpenCV's. A tag with `f: 1` is fixed.
+    fiducial_vlam detects with OpenCV, so a tag's up is OpenCV's up. A tag with `f: 1` is fixed.
 
     Source: ptrmu/fiducial_vlam, `Map` and `Marker::corners_f_map`.
     """
@@ -105,7 +105,7 @@ def write_fiducial_vlam(path: Path, tags: TagMap) -> None:
 
 
 def write_limelight(path: Path, tags: TagMap) -> None:
-    """Write `tags.fmap`: a matrix for each tag, with the origin in the middle of the field, and its edge in
+    """Write `tags.fmap`: for each tag a matrix, with the origin in the middle of the field, and the edge in
     millimetres.
 
     The axes of a tag are WPILib's: x out of the tag, y to the right, z up. The field is the floor of the room.
@@ -128,8 +128,8 @@ def write_limelight(path: Path, tags: TagMap) -> None:
 def write_rtabmap(path: Path, tags: TagMap) -> None:
     """Write `tags.rtabmap.txt`, the value of the parameter `Marker/Priors`.
 
-    The value is `id x y z roll pitch yaw` for each tag, with `|` between tags. RTAB-Map detects by OpenCV, so a tag's
-    up is OpenCV's. The edge is another parameter, `Marker/Length`.
+    The value is `id x y z roll pitch yaw` for each tag, with `|` between tags. RTAB-Map detects with OpenCV, so a tag's
+    up is OpenCV's up. The edge is another parameter, `Marker/Length`.
 
     Source: introlab/rtabmap, `Parameters` and `MarkerDetector::detect`.
     """
@@ -138,9 +138,9 @@ def write_rtabmap(path: Path, tags: TagMap) -> None:
 
 
 def write_tagslam(path: Path, tags: TagMap) -> None:
-    """Write `tags.tagslam.yaml`, to which the camera's body and the parameters of TagSLAM are added.
+    """Write `tags.tagslam.yaml`; users must add the camera's body and the parameters of TagSLAM.
 
-    The room is a static body with the tags at their planned poses; a rotation is a rotation vector.
+    The room is a static body with the tags at their planned poses; rotations are rotation vectors.
 
     Source: berndpfrommer/tagslam, `example/tagslam.yaml` and `Tag::get_object_corners`.
     """
@@ -156,7 +156,7 @@ def write_tagslam(path: Path, tags: TagMap) -> None:
 
 
 def write_wpilib(path: Path, tags: TagMap) -> None:
-    """Write `tags.wpilib.json`, the field layout of WPILib, which PhotonVision reads, too.
+    """Write `tags.wpilib.json`, the field layout of WPILib, which PhotonVision also reads.
 
     The x axis of a tag points out of the tag, and the z axis up; the field is the floor of the room. The file has no
     tag size: the size is a setting of the detector.
@@ -202,7 +202,7 @@ def _fixed(position: FloatArray, rotation: FloatArray) -> dict[str, Any]:
 
 
 def write_csv(path: Path, tags: TagMap) -> None:
-    """Write `tags.csv`: the columns of `Deployment.to_csv`, then quaternion, corners and family."""
+    """Write `tags.csv`: the columns of `Deployment.to_csv`, followed by quaternion, corners and family."""
     deployment = tags.deployment
     placed = np.hstack([deployment.places, deployment.normals, deployment.ups])
     turned = np.hstack([tags.quaternions, tags.corners.reshape(-1, 12)])
@@ -240,7 +240,7 @@ def write_json(path: Path, tags: TagMap) -> None:
 
 
 def write_document(path: Path, keys: dict[str, Any]) -> None:
-    """Write keys as JSON."""
+    """Write a mapping as JSON."""
     path.write_text(f"{json.dumps(keys, indent=1)}\n", encoding="utf-8")
 
 
@@ -287,7 +287,9 @@ def generate_launch_description():
 
 
 def write_ros2_tf(path: Path, tags: TagMap) -> None:
-    """Write `tags.ros2_tf.launch.py`, which `ros2 launch` runs; its argument `frame` is the frame of the map."""
+    """Write `tags.ros2_tf.launch.py` for `ros2 launch`; the argument `frame` of the launch file is the frame of the
+    map.
+    """
     family = FAMILIES[tags.tag.family].apriltag or tags.tag.family
     poses = np.hstack([tags.positions, rounded_values(tags.turns.as_quat(canonical=True))]).tolist()
     rows = "\n".join(

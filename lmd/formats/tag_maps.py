@@ -1,8 +1,8 @@
-"""Tag maps of several ecosystems, read as deployments; and the joint covariance of a surveyed map.
+"""Reader of tag maps of several ecosystems as deployments; and the joint covariance of a surveyed map.
 
 `tables/tag_map.yaml` lists the formats; `lmd.export` writes tag maps. Errors of neighbouring tags in a surveyed map are
-alike, so the covariance of each tag by itself, as its `map.csv` has it, misjudges the effect of the map on a pose.
-The covariance is in `map.npz` beside it.
+alike, so the covariances of single tags in `map.csv` misjudge the effect of the map on a pose. The joint covariance of
+all tags is in `map.npz` beside `map.csv`.
 
 Source: `convert_apriltag_layouts.py` of WPILib.
 """
@@ -30,22 +30,22 @@ from lmd.scene.tag import Tag
 from lmd.space.space import Space
 
 FILE = "map.npz"
-LARGEST_COVARIANCE = 1 << 30  # greatest size of a file of a covariance, bytes
-LARGEST_MAP = 1 << 22  # greatest number of characters of YAML or JSON; a tag has some hundred
-EDGE_DIGITS = 12  # decimals of an edge, metres; further digits are rounding errors of conversions
-IS_JSON = re.compile(r"(?:\s++|//[^\n]*\n|/\*(?>.*?\*/))*+{", re.DOTALL)  # comments may come first
+LARGEST_COVARIANCE = 1 << 30  # maximum size of a file of a covariance, bytes
+LARGEST_MAP = 1 << 22  # maximum number of characters of YAML or JSON; a tag has a few hundred
+EDGE_DIGITS = 12  # number of decimals of an edge, metres; further digits are rounding errors of conversions
+IS_JSON = re.compile(r"(?:\s++|//[^\n]*\n|/\*(?>.*?\*/))*+{", re.DOTALL)  # comments may precede the mapping
 IS_YAML = re.compile(r"%YAML|---|(?!Unnamed: )\s*['\"]?[\w/*:]+['\"]?\s*:(?:\s|$)")
 
 
 class TagMapFile(File):
-    """File of a tag map; a text that is neither YAML nor JSON has no keys."""
+    """File of a tag map; the keys are empty for a text that is neither YAML nor JSON."""
 
     @cached_property
     def data(self) -> Keys:
         """Keys of the map; for a node of ROS 2, the keys below its parameters.
 
         Raises:
-            InputError: the text begins like YAML or JSON but is broken, or is too long.
+            InputError: the text begins like YAML or JSON but is broken or too long.
         """
         if not (IS_JSON.match(self.text) or IS_YAML.match(self.first)):
             return {}
@@ -66,12 +66,12 @@ def read_deployment(
     Tag sizes in the file become `Deployment.edges`.
 
     Args:
-        name: name of the argument with the path, for messages.
-        family: family of the tags, which the file must not contradict, and on which OpenCV's up depends; None for
+        name: name of the argument that gave the path, for messages.
+        family: family of the tags, which determines OpenCV's up, and which the file must not contradict; None for
             points.
-        axes: directions of the axes of a tag's frame, for a file that does not define them, such as a table, see
+        axes: directions of the axes of a tag's frame for a file that does not define this frame, such as a table, see
             `lmd.formats.placed_tag.axes_of`.
-        columns: names of the columns of a text that does not name them, or of the program that wrote it.
+        columns: for a text that does not name its columns, names of the columns, or name of the program that wrote it.
 
     Raises:
         InputError: the file cannot be read, is not a map with poses of tags, or has tags of another family.
@@ -113,7 +113,7 @@ def write_map_covariance(path: Path, ids: IntArray, covariance: FloatArray) -> N
     Args:
         path: file.
         ids: `(K,)` ids of the tags, ascending.
-        covariance: `(6 K, 6 K)`, of which the upper triangle is written, row by row.
+        covariance: `(6 K, 6 K)`; the upper triangle is written, row by row.
     """
     upper = covariance[np.triu_indices(len(covariance))]
     with path.open("wb") as file:
@@ -121,7 +121,7 @@ def write_map_covariance(path: Path, ids: IntArray, covariance: FloatArray) -> N
 
 
 def read_map_covariance(path: Any, name: str) -> tuple[IntArray, FloatArray]:
-    """Read ids `(K,)`, ascending, and covariance `(6 K, 6 K)`.
+    """Read the joint covariance of a map: ids `(K,)`, ascending, and covariance `(6 K, 6 K)`.
 
     Raises:
         InputError: the file cannot be read, or is not a covariance of a map.
@@ -150,15 +150,15 @@ class FileDeployment(Checked, ExistingDeployment):
     Args:
         path: path of the file, see `lmd.formats.tag_maps.read_deployment`.
         count: K; if given, the file must have that many rows.
-        free: True if the placement is not checked: landmarks may be on no surface, outside the room or the allowed
+        free: True to skip the checks of the placement: landmarks may be on no surface, outside the room or the allowed
             regions, or face into their surface, and papers may overlap.
         family: family of the tags, instead of the family of the scene's tag.
         axes: directions of x, y and z of a tag's frame in a table, see `lmd.formats.placed_tag.axes_of`.
-        columns: names of the columns of a text that does not name them, or the name of a program, see
+        columns: for a text that does not name its columns, names of the columns, or name of a program, see
             `lmd.formats.columns.LAYOUTS`.
 
     Raises:
-        InputError: `free` is neither true nor false, or the axes are no frame.
+        InputError: `free` is neither true nor false, or the axes do not form a frame.
     """
 
     path: str | None

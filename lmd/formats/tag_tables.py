@@ -1,8 +1,8 @@
-"""Tag maps that are tables: texts, and lists of tags in YAML or JSON, whose keys are columns.
+"""Tag maps as tables: texts, and lists of tags in YAML or JSON, whose keys correspond to columns.
 
 A row has id, x, y, z, and one of: a normal nx, ny, nz (and an up ux, uy, uz), a unit quaternion qx, qy, qz, qw, ROS's
-roll, pitch, yaw, or a rotation vector rx, ry, rz, radians; and, if known, edge and family. A rotation takes the
-tag's frame to the map's; `lmd.formats.placed_tag.axes_of` has the axes of a tag's frame.
+roll, pitch, yaw, or a rotation vector rx, ry, rz, radians; and, if known, edge and family. A rotation is from the tag's
+frame to the map's frame; for the axes of a tag's frame see `lmd.formats.placed_tag.axes_of`.
 
 Sources: `ArucoMap::addMarker` of CopterExpress/clover; `Map::saveMap` of UbiquityRobotics/fiducials; `Marker/Priors` of
 RTAB-Map, and the poses that it exports.
@@ -53,16 +53,16 @@ from lmd.scene.families import family_named
 from lmd.scene.labels import EDGE, ID, Labels, edge_column
 
 PRIORS = re.compile(r"^[ \t]*Marker[\\/]Priors\s*=(.*)$", re.MULTILINE)
-SETTING = r"^[ \t]*Marker[\\/]{}\s*=\s*\"?(\S+?)\"?\s*$"  # line of RTAB-Map's configuration
+SETTING = r"^[ \t]*Marker[\\/]{}\s*=\s*\"?(\S+?)\"?\s*$"  # line of a setting in RTAB-Map's configuration
 NAMELESS = re.compile(r"(?:unnamed:[_ ]?\d+)?", re.I)  # column of pandas that may have the numbers of lines
-LIMELIGHT, PYTAGMAPPER = "fiducials", "tag_locations"  # lists that other formats have, too
+LIMELIGHT, PYTAGMAPPER = "fiducials", "tag_locations"  # keys of lists that other formats also have
 
 
 def read_tag_text(file: File) -> Found:
-    """Tags of a text; `asked` may have the `columns` of `lmd.formats.columns.named`.
+    """Read tags from a text; `asked` may have the `columns` of `lmd.formats.columns.named`.
 
     Raises:
-        InputError: the text is not a table of tags, or its columns are not known.
+        InputError: the text is not a table of tags, or its columns are unknown.
     """
     if PRIORS.search(file.text) is not None or "|" in file.first:
         return _priors(file.path, file.text)
@@ -77,7 +77,7 @@ def read_tag_text(file: File) -> Found:
 
 
 def _landmarks(table: Table) -> list[PlacedTag]:
-    """Landmarks among the poses that RTAB-Map exports: those with a negative id."""
+    """Landmarks among the poses that RTAB-Map exports: the poses with a negative id."""
     numbers = table.numbers([ID], None)[:, 0].tolist()
     chosen = [i for i, number in enumerate(numbers) if number < 0.0]
     if not chosen:
@@ -88,7 +88,7 @@ def _landmarks(table: Table) -> list[PlacedTag]:
 
 
 def _priors(path: object, text: str) -> Found:
-    """Tags of RTAB-Map's `Marker/Priors`, alone or in its configuration, separated by `|`."""
+    """Tags of RTAB-Map's parameter `Marker/Priors`, from its value or from a configuration file; `|` separates tags."""
     found = PRIORS.search(text)
     entries = (entry.strip(" \t\r\n\"'") for entry in (text if found is None else found[1]).split("|"))
     rows = [(1, entry.split()) for entry in entries if entry]
@@ -98,7 +98,7 @@ def _priors(path: object, text: str) -> Found:
     edge = family = None
     if found is not None:
         length, number = (re.search(SETTING.format(name), text, re.MULTILINE) for name in ("Length", "Dictionary"))
-        if length is not None and float(length[1]) > 0.0:  # else RTAB-Map measures the edge
+        if length is not None and float(length[1]) > 0.0:  # otherwise RTAB-Map measures the edge
             edge = edge_of("Marker/Length", float(length[1]))
         if number is not None and number[1].isdecimal():
             family = family_named(NUMBERS.get(int(number[1]), f"{number[1]} of OpenCV"))
@@ -164,10 +164,10 @@ def deployment_of(table: Table, axes: Sequence[str] | None) -> tuple[Deployment,
 
 
 def _numbered(table: Table) -> tuple[Table, list[str]]:
-    """Table with the numbers of tags as ids, and the families that it names.
+    """Table with the numbers of tags as ids, and the families that the table names.
 
     Raises:
-        InputError: a table of places has no column with the numbers of its tags, or a second such column differs.
+        InputError: a table of poses lacks a column with the numbers of the tags, or has two such columns that differ.
     """
     read = dict[str, list[tuple[str | None, int]]]()
     for column in sorted(table.texts, key=lambda name: (name != ID, NAMELESS.fullmatch(name) is not None)):
@@ -198,7 +198,7 @@ def _numbered(table: Table) -> tuple[Table, list[str]]:
 
 
 def is_list(keys: Keys) -> bool:
-    """True for keys with a list of tags, each with an id, or a mapping of tags by their numbers."""
+    """True if keys hold a list of tags with ids, or a mapping of tags by their numbers."""
     return _list_of(keys) is not None
 
 
@@ -217,10 +217,10 @@ def _list_of(keys: Keys) -> str | None:
 
 
 def listed(file: File) -> Found:
-    """Tags of a list, see `is_list`: entries are rows, and keys are columns.
+    """Read tags from a list, see `is_list`: entries are rows, and keys are columns.
 
     Raises:
-        InputError: a tag lacks a value that another has, or a value is refused.
+        InputError: a tag lacks a value that another tag has, or a value is refused.
     """
     name = str(_list_of(file.data))
     tags, rows = file.data[name], list[dict[str, str]]()
@@ -247,7 +247,7 @@ def listed(file: File) -> Found:
 
 
 def _cells(at: str, keys: Keys, prefix: str = "") -> Iterator[tuple[str, str]]:
-    """Columns of an entry with their texts: keys in each other are joined by dots, lists of numbers are taken apart."""
+    """Columns of an entry with their texts: dots join nested keys, and each number of a list gets its own column."""
     for key, value in keys.items():
         if isinstance(value, Mapping):
             yield from _cells(at, value, f"{prefix}{key}.")

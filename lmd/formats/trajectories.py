@@ -1,4 +1,4 @@
-"""Recorded trajectories: from a recorder's file to poses of the camera in the frame of the room."""
+"""Recorded trajectories: conversion of a recorder's file to poses of the camera in the frame of the room."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -19,8 +19,8 @@ from lmd.space.space import Space, check_file_inside, check_positions
 
 # Rotations from the frame of the camera (x right, y down, z the optical axis) to the frame of the orientations.
 FRAMES = {"optical": np.eye(3), "body": OPTICAL}
-FEWEST = 3  # least number of points that determine the pose of a frame
-# Largest distance between aligned points of two frames, relative to their extent; least relative width of their
+FEWEST = 3  # minimum number of points that determine the pose of a frame
+# Maximum distance between aligned points of two frames, relative to their extent; minimum relative width of their
 # triangle.
 MISS, THIN = 0.05, 0.02
 
@@ -36,13 +36,13 @@ class TrajectoryFile(Checked):
         frame: frame of the orientations: `optical` (x right, y down, z the optical axis) or `body` (x along the optical
             axis, y left, z up; yaw, pitch and roll are then ROS's). Not used with a `mount`.
         times: file with the time of each pose, one per line, for a trajectory without times (KITTI, COLMAP).
-        rate: poses per second, instead of `times`.
+        rate: number of poses per second, instead of `times`.
         align: pose of the recording's frame in the room: [x, y, z, yaw] for a frame with z up, yaw counter-clockwise
-            seen from above; [x, y, z, qx, qy, qz, qw]; or at least three points, each as [x, y, z] in the recording's
-            frame and then in the room's frame.
+            seen from above; [x, y, z, qx, qy, qz, qw]; or at least three points, each given by its coordinates in the
+            recording's frame and then in the room's frame.
         mount: pose of the camera on the recorded body: a calibration with extrinsics or {path, name}, see
             `lmd.formats.rigs`; or [x, y, z, yaw, pitch, roll] as in a rig (`lmd.scene.rig`).
-        columns: names of the columns of a text that does not name them, or the name of a program, see
+        columns: for a text that does not name its columns, names of the columns, or name of a program, see
             `lmd.formats.columns.LAYOUTS`.
 
     Raises:
@@ -59,7 +59,7 @@ class TrajectoryFile(Checked):
 
     @cached_property
     def _read(self) -> tuple[Trajectory, Rows]:
-        """Poses of the camera in the room, and the rows from which they were read."""
+        """Poses of the camera in the room, and the rows of the file with the recorded poses."""
         if self.path is None:
             raise InputError("path is missing: a file of poses is needed.", "path")
         asked = {name: getattr(self, name) for name in ("times", "rate", "frame", "columns")}
@@ -91,16 +91,16 @@ class TrajectoryFile(Checked):
 
     @property
     def note(self) -> str:
-        """Omitted rows, assumptions and open questions of the file, as a note; empty without any."""
+        """Note on omitted rows, assumptions and open questions about the file; empty if there are none."""
         return self.note_of("")
 
     def note_of(self, group: str) -> str:
-        """Note about the file; keys of the configuration are written with the prefix `group`."""
+        """Note about the file; keys of the configuration get the prefix `group`."""
         notes = (*self._read[1].notes, self._doubt(group))
         return "; ".join(filter(None, notes))
 
     def _doubt(self, group: str) -> str:
-        """Question if nearly all views look up or down, with the keys that answer it."""
+        """Question to the user if nearly all views look up or down, with the keys that answer the question."""
         trajectory, rows = self._read
         if rows.angles or not (said := steep(trajectory.poses[:, 2, 2], self.path)):
             return ""
@@ -133,7 +133,7 @@ def read_recorded_poses(path: str | None, group: str = "", **more: Any) -> Recor
         more: other arguments of `TrajectoryFile` and of `RecordedPoses`.
 
     Raises:
-        InputError: a value is refused, or the file is no trajectory.
+        InputError: a value is refused, or the file is not a trajectory.
     """
     own = {field.name for field in fields(TrajectoryFile)}
     file = TrajectoryFile(path, **{name: value for name, value in more.items() if name in own})
@@ -145,7 +145,7 @@ def alignment(align: Sequence[Any]) -> FloatArray:
     """Transform from the frame of a recording to the frame of a room, `(4, 4)`; see `TrajectoryFile`.
 
     Raises:
-        InputError: `align` has another form, or its points do not fit each other or lie on a line.
+        InputError: `align` has another form, or its points do not fit each other or are collinear.
     """
     if isinstance(align, str | Mapping) or not hasattr(align, "__len__"):
         raise InputError(f"align must be a list, got {align!r}.", "align")
@@ -169,7 +169,9 @@ def alignment(align: Sequence[Any]) -> FloatArray:
 
 
 def _fitted(points: FloatArray) -> FloatArray:
-    """Rigid motion between paired points `(N, 6)`, if the points determine it and fit each other."""
+    """Rigid motion between paired points `(N, 6)`, after a check that the points determine the motion and fit each
+    other.
+    """
     if len(points) < FEWEST:
         raise InputError(f"align must have at least {FEWEST} points, got {len(points)}.", "align")
     own, room = points[:, :3], points[:, 3:]

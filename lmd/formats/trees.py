@@ -1,8 +1,9 @@
-"""Files as trees of keys and values: paths to the values; texts, XML, arrays and Python literals as trees.
+"""Files as trees of keys and values, also texts, XML, arrays and Python literals; and paths to the values.
 
-A path is a text of keys with dots between them, such as `pose.translation`; a key of a file may have dots, too. A
-number is an index of a list, or of the numbers in a text. A list of one entry stands for this entry, as XML does not
-tell one child from several. Alternatives have `|` between them, and the first that leads to a value counts.
+A path is a text of keys with dots between them, such as `pose.translation`; a key of a file may also contain dots. A
+number is an index into a list, or into the numbers in a text. A list of one entry stands for the entry, as XML does not
+distinguish one child from a list of children. Alternatives are separated by `|`, and the first alternative that leads
+to a value is taken.
 """
 
 import ast
@@ -26,16 +27,16 @@ from lmd.core.tables import COMMENT
 Keys = Mapping[str, Any]
 MISSING: Final = object()  # stands for a value that a tree lacks
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?[fF]?")
-NESTED = 4  # greatest depth of lists and matrices around numbers
-DEEPEST = 64  # greatest number of elements of XML in each other; searches of deeper ones would take hours
-LONGEST, LEVELS = 64, 4  # greatest length of a list or mapping, and depth, of a search at any place
-LARGEST_ARRAY = 256  # greatest number of entries of an array of a calibration; files also hold images and points
-LARGEST_LITERAL = 1 << 20  # greatest length of a Python literal, characters; literals take more memory than JSON
-ANYWHERE = "**"  # begins a path to mappings at any place that have the key which follows
+NESTED = 4  # maximum depth of lists and matrices around numbers
+DEEPEST = 64  # maximum nesting of XML elements; searches of deeper nestings would take hours
+LONGEST, LEVELS = 64, 4  # maximum length of a list or mapping, and maximum depth, of a search at any depth
+LARGEST_ARRAY = 256  # maximum number of entries of an array of a calibration; files may also hold images and points
+LARGEST_LITERAL = 1 << 20  # maximum number of characters of a Python literal; literals take more memory than JSON
+ANYWHERE = "**"  # begins a path to the mappings, at any depth, that have the key that follows
 
 
 def find(tree: Any, paths: str) -> Any:
-    """Value at the first of several paths that leads to one; `MISSING` if none does, or its value is null."""
+    """Value at the first of several paths that leads to a value; `MISSING` if no path does, or if the value is null."""
     values = (_at(tree, path) for path in paths.split("|"))
     return next((value for value in values if value is not MISSING and value is not None), MISSING)
 
@@ -58,10 +59,10 @@ def _at(tree: Any, path: str) -> Any:
 
 
 def entries(tree: Any, path: str, around: Keys | None = None, key: str = "") -> Iterator[tuple[str, Keys]]:
-    """Entries at a path, each with its key, and with the keys of the mappings around it that it lacks.
+    """Entries at a path, each with its key. An entry also gets the keys that it lacks from the mappings around it.
 
     A step `*` stands for each entry of a list or a mapping, `/PATTERN/` for each key that matches a regular expression.
-    Entries of one mapping are not around each other. An entry without keys is the value of the key `value`.
+    Entries of one mapping get no keys from each other. An entry without keys becomes the value of the key `value`.
     """
     step, _, rest = path.partition(".")
     own, outer = dict(tree) if isinstance(tree, Mapping) else {}, around or {}
@@ -81,7 +82,7 @@ def entries(tree: Any, path: str, around: Keys | None = None, key: str = "") -> 
 
 
 def _anywhere(tree: Any, wanted: str, name: str = "", levels: int = LEVELS) -> Iterator[tuple[str, Keys]]:
-    """Mappings with a key at any place, by the keys above them with `/` between; long lists are not searched."""
+    """Mappings with a wanted key at any depth, by the keys above them, joined by `/`; long lists are not searched."""
     if isinstance(tree, Mapping) and wanted in tree:
         yield name, tree
     elif levels and isinstance(tree, Mapping | list) and len(tree) <= LONGEST:
@@ -90,12 +91,14 @@ def _anywhere(tree: Any, wanted: str, name: str = "", levels: int = LEVELS) -> I
 
 
 def plain(text: str) -> str:
-    """Key or path in small letters without `_`, for the comparison of keys that users write in several ways."""
+    """Key or path in small letters and without `_`, to compare keys that users write in several ways."""
     return text.lower().replace("_", "")
 
 
 def numbers_of(value: Any, nested: int = NESTED) -> list[Any]:
-    """Numbers in a value: a number, a text of numbers, a matrix with `data`, or lists of these; another value stays."""
+    """Numbers in a value: a number, a text of numbers, a matrix with `data`, or lists of these; other values are
+    unchanged.
+    """
     if isinstance(value, Mapping) and "data" in value and nested:
         return numbers_of(value["data"], nested - 1)
     if isinstance(value, list | tuple) and value and nested:
@@ -107,10 +110,10 @@ def numbers_of(value: Any, nested: int = NESTED) -> list[Any]:
 
 
 def vector_at(tree: Keys, paths: str, size: int | None, called: str = "") -> tuple[float, ...]:
-    """Numbers at a path, in the order of the file; `size` None allows any number of them, `called` is for messages.
+    """Numbers at a path, in the order of the file; `size` None allows any count, and `called` is a name for messages.
 
     Raises:
-        InputError: the value is missing, or has other numbers.
+        InputError: the value is missing, or does not consist of `size` numbers.
     """
     name = called or paths.split("|")[0]
     if (value := find(tree, paths)) is MISSING:
@@ -123,19 +126,20 @@ def number_at(tree: Keys, paths: str) -> float:
     """Number at a path.
 
     Raises:
-        InputError: the value is missing, or no number.
+        InputError: the value is missing, or is not a number.
     """
     return vector_at(tree, paths, 1)[0]
 
 
 def matches(text: str, patterns: Mapping[str, str]) -> dict[str, Any]:
-    """Groups of the matches of each regular expression in a text, by the names of expressions and groups."""
+    """Groups of all matches of regular expressions in a text, by the name of the expression and of the group."""
     found = {name: re.finditer(pattern, text, re.MULTILINE) for name, pattern in patterns.items()}
     return {name: [match.groupdict() for match in each] for name, each in found.items()}
 
 
 def xml_of(text: str) -> ElementTree.Element | None:
-    """Outermost element of XML, None for another text; entities are refused, as they could expand to gigabytes.
+    """Outermost element of XML, None for a text that is not XML; entities are refused, as they could expand to
+    gigabytes.
 
     Raises:
         InputError: the text has entities, or is broken.
@@ -156,8 +160,8 @@ def xml_of(text: str) -> ElementTree.Element | None:
 
 
 def tree_of(element: ElementTree.Element) -> Any:
-    """Attributes of an element of XML, and its children as a list for each name, or the text of a single one that has
-    only that. The text of the element if it has neither.
+    """Tree of an XML element: attributes, and children as a list for each name; a single child with nothing but a text
+    becomes this text. An element without attributes and children becomes its text.
     """
     if not element.attrib and not len(element):
         return (element.text or "").strip().strip('"')
@@ -177,19 +181,19 @@ def literal(text: str) -> Any:
     bounded("characters", len(text), LARGEST_LITERAL, "it")
     try:
         return ast.literal_eval(text.strip())
-    except Exception as error:  # Python's parser raises errors of many kinds for a broken file
+    except Exception as error:  # Python's parser raises many kinds of errors for a broken file
         reason = " ".join(str(error).partition(": <ast.")[0].split())  # without the address of a node in memory
         raise InputError(f"it is not a literal of Python ({reason or type(error).__name__}).") from None
 
 
 def arrays_of(path: Any, name: str, largest: float, most: float = LARGEST_ARRAY) -> dict[str, Any] | None:
-    """Arrays of an archive by NumPy (`.npz`) by name; None for a file of another kind.
+    """Arrays in a NumPy archive (`.npz`), by name; None for a file of another kind.
 
     Args:
         path: path of the file.
-        name: argument that gave the path, for messages.
-        largest: greatest size of the file, and of its expanded content, bytes.
-        most: greatest number of entries of an array that is kept.
+        name: name of the argument that gave the path, for messages.
+        largest: maximum size of the file, and of its expanded content, bytes.
+        most: maximum number of entries of an array that is kept.
 
     Raises:
         InputError: the file cannot be read, is too large, or holds only objects or large arrays.
@@ -207,11 +211,11 @@ def arrays_of(path: Any, name: str, largest: float, most: float = LARGEST_ARRAY)
                     if (array := arrays[key]).size <= most:
                         found[key] = array
                 except ValueError as error:
-                    if "pickle" not in str(error):  # objects of Python are passed over
+                    if "pickle" not in str(error):  # Python objects are skipped
                         raise
     except InputError:
         raise
-    except Exception as error:  # a broken file may raise anything
+    except Exception as error:  # a broken file may raise any error
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{where} cannot be read as arrays ({reason}).", name) from None
     if not found:
@@ -223,14 +227,14 @@ def arrays_of(path: Any, name: str, largest: float, most: float = LARGEST_ARRAY)
 
 @dataclass(frozen=True)
 class File:
-    """File whose format is to be found; the file is read when its content is first used."""
+    """File of an unknown format; the file is read when its content is first used."""
 
     path: Any
     """Path of the file."""
     argument: str = "path"
-    """Name of the argument with the path, for messages."""
+    """Name of the argument that gave the path, for messages."""
     asked: Mapping[str, Any] = field(default_factory=dict)
-    """User's settings that formats of the family need, by name."""
+    """User's settings for the formats of the family, by name."""
     largest: float = math.inf
     """Maximum size, bytes; a larger file is refused."""
 
@@ -239,7 +243,7 @@ class File:
         """Text of the file.
 
         Raises:
-            InputError: the file cannot be read, or holds no text.
+            InputError: the file cannot be read, or is not a text.
         """
         return read_text(self.path, self.argument, self.largest)
 
@@ -254,7 +258,7 @@ class File:
 
     @cached_property
     def root(self) -> ElementTree.Element | None:
-        """Outermost element of XML; None for another text.
+        """Outermost element of XML; None for a text that is not XML.
 
         Raises:
             InputError: the text begins like XML but is broken, or has entities.
@@ -268,7 +272,7 @@ class File:
 
     @property
     def first(self) -> str:
-        """First of `lines`; empty without one."""
+        """First of `lines`; empty if there are none."""
         return self.lines[0] if self.lines else ""
 
     @property
@@ -277,5 +281,5 @@ class File:
         return Path(self.path).suffix.lower()
 
     def refused(self, reason: str) -> InputError:
-        """Error about a file that is refused for a reason."""
+        """Error about a file that is refused, with the reason."""
         return InputError(f"{reason}.")

@@ -21,10 +21,7 @@ from lmd.core.checks import BoolArray, FloatArray
 from lmd.geometry.se3 import angle_between
 
 FRAME_CHUNK = 256  # frames whose proposals are refined at once
-ANOTHER_RAD, ANOTHER_SHARE = (
-    0.05,
-    0.02,
-)  # minimum rotation, rad, or shift, relative to the distance of the tags, between two poses that differ
+ANOTHER_RAD, ANOTHER_SHARE = 0.05, 0.02  # minimum rotation, rad, or shift, in distances to the tags, of another pose
 TOLD_APART = float(np.log(100.0))  # minimum log-likelihood ratio of the best pose to another pose
 SIGMAS = 3.0  # standard deviations of the map by which a sighting of an unmoved tag may be off
 # A tag contradicts the map if the share `CONTRADICTS` of its sightings together with other tags does. All tags with at

@@ -167,9 +167,7 @@ class Placing:
         while begun or self._seed():
             begun, adjusted = False, 0
             while self._grow() or (not self.is_linked and self._risk()):
-                if (
-                    self._count() > GROWN * adjusted
-                ):  # an adjustment after each placement would take time quadratic in the number of frames
+                if self._count() > GROWN * adjusted:  # adjusting each time would be quadratic in the number of frames
                     self._adjust(STEPS)
                     adjusted = self._count()
             for _ in range(2):
