@@ -64,7 +64,7 @@ def _prefetch(array, index):  # type: ignore[no-untyped-def] # noqa: ARG001
 
 @inlined
 def add_digit(digit: np.uint64, carry: np.uint64, decrement: np.uint64) -> tuple[np.uint64, np.uint64]:
-    """Add `carry` to one binary digit of the counts, or subtract it at the axes in `decrement`.
+    """Add `carry` to one binary digit of the counts, or subtract `carry` at the axes in `decrement`.
 
     Sets of axes are words. Returns the new digit and the carry (or borrow) for the next digit.
     """

@@ -21,7 +21,7 @@ Item = TypeVar("Item")
 
 LARGEST = 1e12  # greatest magnitude of a number in input; products of greater numbers may overflow
 LARGEST_SEED = 2**128 - 1  # greatest seed, as numpy uses 128 bits
-ONE_TURN = 2.0 * math.pi + 0.01  # greatest angle, rad, with a margin for rounding; greater angles are taken for degrees
+ONE_TURN = 2.0 * math.pi + 0.01  # greatest angle, rad, with a margin for rounding; greater angles are probably degrees
 # Greatest length of a message, characters; the middle of a longer message is cut out.
 LONGEST = 2000
 
@@ -42,7 +42,7 @@ class InputError(ValueError):
     """Error in the user's input.
 
     Args:
-        message: one sentence for the user; it is made `printable`.
+        message: one sentence for the user, converted by `printable`.
         argument: name of the wrong argument, with which the message begins; None without one.
     """
 
@@ -251,7 +251,7 @@ def check_members(name: str, part: Any, protocol: type, page: str) -> None:
         page: page of the documentation that describes the members.
     """
     wanted = [member for member in vars(protocol) if not member.startswith("_")]
-    # A property may take long or raise, so only members that a static look-up does not find are evaluated.
+    # A property may be slow or raise an error, so only members that a static look-up does not find are evaluated.
     absent = [member for member in wanted if inspect.getattr_static(part, member, wanted) is wanted]
     lacking = [member for member in absent if not hasattr(part, member)]
     if lacking:

@@ -70,9 +70,9 @@ def is_compiling() -> bool:
 
 
 def kernel(function: F) -> F:
-    """Compile a function at its first call and cache the result on disk; it runs without the GIL.
+    """Compile a function at its first call and cache the result on disk; the kernel runs without the GIL.
 
-    A kernel may return an array, but no tuple with an array, see `inner`.
+    A kernel may return an array, but not a tuple with an array, see `inner`.
     """
     return _made_kernel(function, _OPTIONS)
 
@@ -97,7 +97,7 @@ def _made_kernel(function: F, options: Any) -> F:
 
 
 def inner(function: F) -> F:
-    """Mark a function that kernels call; it is compiled as a part of each kernel. Python calls it as plain Python.
+    """Mark a function that kernels call; it is compiled as a part of each kernel. In Python it is a plain function.
 
     numba's own compiler has LLVM optimise a function by itself and again within each caller, at every level of nesting,
     which takes most of the compilation time for nested calls. Here LLVM optimises a function within the kernel only.

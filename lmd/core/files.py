@@ -79,7 +79,7 @@ def read_bytes(path: Any, name: str, largest: float = math.inf, first: int | Non
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a file atomically: after a crash it has the old or the new content."""
+    """Write a file atomically: after a crash the file has either the old or the new content."""
     partial = path.with_name(f"{path.name}.partial")  # overwrites a file that a killed process left
     try:
         with partial.open("wb") as file:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from lmd.core.checks import ONE_TURN, FloatArray, InputError, printable
 from lmd.core.files import read_text
 
-LATEST = 1e11  # greatest time, seconds since 1970; later times are taken for milliseconds or nanoseconds
+LATEST = 1e11  # greatest time, seconds since 1970; later times are probably milliseconds or nanoseconds
 # Least median difference of times that may be milliseconds: 5 ms between frames is a rate of 200 frames per second.
 APART = 5.0
 CREEPING = 5e-3  # median speed, m/s; with slower motion, times `APART` or more apart are taken for milliseconds
@@ -124,8 +124,8 @@ def read_table(path: Any, *, name: str) -> Table:
         name: argument that gave the path, for messages.
 
     Raises:
-        InputError: the file is missing or no CSV, has semicolons instead of commas, too many columns, two columns with
-            one name, or rows of different lengths.
+        InputError: the file is missing, is not a CSV, or has semicolons instead of commas, too many columns, two
+            columns with one name, or rows of different lengths.
     """
     rows = csv_rows(path, numbered_lines(read_text(path, name)), name)
     if not rows:
@@ -141,7 +141,7 @@ def csv_rows(path: Any, lines: Sequence[tuple[int, str]], name: str) -> list[tup
     """Rows of a CSV from its numbered lines; each row has the number of its last line.
 
     Raises:
-        InputError: the lines are no CSV, have semicolons instead of commas, or too many columns.
+        InputError: the lines are not a CSV, have semicolons instead of commas, or too many columns.
     """
     try:
         reader = csv.reader((line for _, line in lines), skipinitialspace=True, strict=True)
@@ -188,7 +188,7 @@ def read_numbers(path: Any, columns: Sequence[str], *, name: str) -> FloatArray:
         `(rows, len(columns))` finite float64.
 
     Raises:
-        InputError: the file cannot be read, a column is missing or unknown, a value is no finite number.
+        InputError: the file cannot be read, a column is missing or unknown, or a value is not a finite number.
     """
     return read_table(path, name=name).numbers(columns)
 

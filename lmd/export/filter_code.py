@@ -1,6 +1,6 @@
 """Code that gives filters the standard deviations of poses: WPILib in Java and Python.
 
-WPILib's pose estimators take the standard deviations of x [m], y [m] and heading [rad] of a measurement by
+WPILib's pose estimators receive the standard deviations of a measurement's x [m], y [m] and heading [rad] by
 `setVisionMeasurementStdDevs`, or with each `addVisionMeasurement`. PhotonVision has no such setting: its examples pass
 constants in the robot's code, and AdvantageKit's template scales a baseline by d^2 / n. The written code has these
 constants. Limelight publishes standard deviations (`stddevs`) and accepts none.

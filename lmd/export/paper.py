@@ -187,7 +187,7 @@ def layout(tag: Tag, paper: str) -> Whole | Pieces:
     """Layout, portrait or landscape, with the most tags on a sheet, or, for a large tag, with the fewest sheets.
 
     Raises:
-        InputError: a tag would take more than `MOST_PIECES` sheets.
+        InputError: a tag would need more than `MOST_PIECES` sheets.
     """
     whole = _fullest(tag, paper)
     if whole.per_sheet:

@@ -145,7 +145,7 @@ class View:
 
 
 def write_plan(path: Path, tags: TagMap, paper: str, north: float | None = None) -> None:
-    """Write `plan.pdf`; tags that stand free in the room are in a table at the end.
+    """Write `plan.pdf`; tags that are on no surface are in a table at the end.
 
     Args:
         paper: one of `lmd.export.paper.PAPERS`, in landscape orientation.

@@ -44,7 +44,7 @@ CROSS, LINE, HALO = 4.0, 0.2, 0.8  # arm of a registration cross, width of its l
 
 
 def check_sheets(tag: Tag, paper: str) -> None:
-    """Raise `InputError` if a tag takes too many sheets, or the package that draws its picture is missing."""
+    """Raise `InputError` if a tag needs too many sheets, or the package that draws its picture is missing."""
     optional("cv2", "export")
     layout(tag, paper)
 
@@ -75,7 +75,7 @@ def write_sheets(path: Path, tags: TagMap, paper: str) -> None:
         paper: one of `lmd.export.paper.PAPERS`.
 
     Raises:
-        InputError: a tag takes too many sheets.
+        InputError: a tag needs too many sheets.
     """
     sizes = [(tag, layout(tag, paper), own.tolist()) for tag, own in tags.by_size]
     with document(path, f"{len(tags.order)} tags of {tags.tag.family}") as canvas:

@@ -152,8 +152,8 @@ def restated(name: str, values: Mapping[str, Any], size: Any) -> Restated:
         size: width and height of the image, pixels.
 
     Raises:
-        InputError: a parameter is no number, the model has no image near the axis, or all fitted lenses differ from the
-            model by more than `MOST_PIXELS`.
+        InputError: a parameter is not a number, the model has no image near the axis, or all fitted lenses differ from
+            the model by more than `MOST_PIXELS`.
         KeyError: a parameter is missing.
     """
     make, own = MODELS[name]

@@ -22,7 +22,7 @@ SAME_POSE = 1e-3
 # Largest angle of a ray from the axis of a distorting lens's virtual pinhole, rad; rays at larger angles are used in
 # the refinement only.
 NEAR_MIDDLE_RAD = np.radians(75.0)
-# Gauss-Newton: maximum number of steps, and relative decrease of the sum of squares below which it stops.
+# Gauss-Newton: maximum number of steps, and relative decrease of the sum of squares below which steps end.
 ROUNDS, GAIN = 10, 1e-9
 
 

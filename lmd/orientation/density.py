@@ -228,8 +228,8 @@ def independence_test(samples: Samples, significance: float, rng: np.random.Gene
 
     Bins are categories, so the seam of the yaw needs no special treatment, and nonlinear dependence is detected. Bins
     have equal numbers of samples. The p value is the share of random tables with equal margins whose statistic is at
-    least the statistic of the data, so it is valid for few samples, too. The test assumes independent samples, which
-    random intervals provide; for samples closer in time than the correlation time it would reject too often.
+    least the statistic of the data, so the p value is valid for few samples, too. The test assumes independent samples,
+    which random intervals provide. For samples closer in time than the correlation time, it would reject too often.
 
     Args:
         samples: samples of yaw and pitch, neither of them fixed.

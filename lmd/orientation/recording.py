@@ -152,7 +152,7 @@ class SimulatedRecording(Checked):
     """Simulated smooth random motion; at any time the yaw is von Mises distributed, the pitch truncated normal.
 
     z_1 and z_2 are stationary Gaussian processes with the autocorrelation exp(-t^2 / (2 tau^2)). The phase phi has a
-    uniform start and the rate z_1 / tau, so it is uniform at any time. The yaw is the von Mises quantile of
+    uniform start and the rate z_1 / tau, so phi is uniform at any time. The yaw is the von Mises quantile of
     phi / (2 pi) + 1/2 with phi wrapped to [-pi, pi), so the seam is not special. The pitch is the truncated normal
     quantile with the normal score c g + sqrt(1 - c^2) z_2, where g is the normal quantile of |phi| / pi.
 

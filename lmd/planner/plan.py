@@ -181,7 +181,7 @@ def _nearest_free(
     `edge` is the edge of the landmark's tag, metres; NaN for the edge of the scene's tag.
 
     Raises:
-        InputError: `at` is no place on the surface, or no surface has room for the paper.
+        InputError: `at` is not a place on the surface, or no surface has room for the paper.
     """
     surfaces, on = SurfaceArrays.of(footprints.hanging.surfaces()), np.array([surface])
     if not (np.abs(at) <= LARGEST).all():  # also refuses NaN

@@ -103,7 +103,7 @@ class Planner:
             self._session.end_search()
 
     def close(self) -> None:
-        """End the background work, which may take a while, and the server."""
+        """End the background work and the server; the work may take a while to end."""
         self._background.close()
         with contextlib.redirect_stdout(io.StringIO()):
             self._server.stop()

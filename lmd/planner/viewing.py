@@ -25,7 +25,7 @@ IMAGE_WIDTH = 320.0  # width of the image of a camera in the panel, pixels
 FILLED_SHARE = 0.92  # share of the window's width or height that the room fills
 ASPECT = 1.6  # ratio of width to height of a window before the browser reports it
 SAME_PLACE = 1e-3  # maximum distance of two equal viewpoints, in diagonals of the room
-EDGE_ON = 1e-6  # minimum cosine between a ray and the normal of a surface that it meets
+EDGE_ON = 1e-6  # minimum cosine of the angle between a ray and the normal of a surface that the ray meets
 ON_SURFACE_M = 1e-6  # tolerance of the borders of a surface, metres
 
 
@@ -145,7 +145,7 @@ def pointed_at(surfaces: SurfaceArrays, eye: FloatArray, way: FloatArray, own: i
 
 
 def seen_by(problem: Problem, deployment: Deployment, camera: Camera, pose: FloatArray) -> UInt8Array | None:
-    """Small image that a camera takes of the room and its tags.
+    """Small rendered image of the room and its tags, from a camera.
 
     Args:
         problem: problem with the scene.

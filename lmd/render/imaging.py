@@ -95,7 +95,7 @@ def _grain_row(size: int) -> Float32Array:
     return np.random.default_rng(0x6E6F697365).standard_normal(size, dtype=np.float32)
 
 
-# Number of start indices of the noise of an image in the cached array.
+# Number of indices in the cached array at which an image's noise may start.
 SPARE_GRAIN = 2**20
 # Relative brightness per component of the normal. Adjacent walls differ in brightness, so that edges are visible.
 LIGHT = np.array([0.03, 0.05, 0.08])

@@ -281,7 +281,7 @@ class Deployment:
             name: name of the argument with the path, for messages.
 
         Raises:
-            InputError: the file cannot be read or is no deployment, or an up vector is not in its tag's plane.
+            InputError: the file cannot be read or is not a deployment, or an up vector is not in its tag's plane.
         """
         return cls.from_table(read_table(path, name=name))
 

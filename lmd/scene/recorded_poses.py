@@ -151,7 +151,7 @@ class Records:
     Args:
         poses: X, camera to world, `(R, 4, 4)`.
         seconds: duration of each pose, seconds, `(R,)`.
-        block: index of the block of time of each pose, `(R,)`.
+        block: index of each pose's block of time, `(R,)`.
     """
 
     poses: FloatArray

@@ -24,14 +24,14 @@ OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
 def angle(name: str, value: Any) -> float:
-    """Return `value` as an angle in radians; raise `InputError` if it exceeds one turn, as degrees do."""
+    """Return `value` as an angle in radians; raise `InputError` if it exceeds one turn and is probably in degrees."""
     if abs(number := real(name, value)) > ONE_TURN:
         raise InputError(f"{name} must be in radians, at most one turn from zero, got {number:g}.", name)
     return number
 
 
 def quaternion_of(name: str, value: Any) -> tuple[float, ...]:
-    """Return `value` as a unit quaternion x, y, z, w; raise `InputError` if it has another length."""
+    """Return `value` as a unit quaternion x, y, z, w; raise `InputError` if its norm is not 1."""
     quaternion = vector(name, value, 4)
     if abs((length := float(np.linalg.norm(quaternion))) - 1.0) > QUATERNION_TOLERANCE:
         raise InputError(f"{name} must have length 1, {list(quaternion)} has {length:g}.", name)
@@ -157,7 +157,7 @@ class Rig:
 
 
 def rig_of(camera: Camera | Rig) -> Rig | None:
-    """Return the argument if it is a rig; None for a single camera."""
+    """Return `camera` if it is a rig; None for a single camera."""
     return camera if isinstance(camera, Rig) else None
 
 

@@ -37,7 +37,7 @@ class Scene:
         visibility: criteria for the coverage of a landmark.
         tag: tag at each landmark; by default the tag of the visibility model, or a point.
         recorded: recording from which room and PDF are derived, with its held-out poses; None without a recording.
-        edges: edge of each landmark by its index, or one edge for all, metres, see `sized`; None for the edge of `tag`.
+        edges: edge of each landmark in order, or one edge for all, metres, see `sized`; None for the edge of `tag`.
         crowd: states of people and other robots that hide landmarks; None without a crowd.
 
     Raises:

@@ -81,7 +81,7 @@ def polygons(name: str, value: Any) -> tuple[Any, ...]:
 
 @dataclass(frozen=True)
 class Crowd(Checked):
-    """Cylinders that walk in a room.
+    """Settings of a crowd: cylinders on the floor of a room.
 
     Raises:
         InputError: a value is out of range.
@@ -230,7 +230,7 @@ def _ground(crowd: Crowd, room: Space) -> Any:
 
 
 def stands(room: Space, cylinders: FloatArray) -> BoolArray:
-    """Mask of the cylinders `(M, 5)` that stand free in a room, tested in `DIRECTIONS` and at `HEIGHTS`.
+    """Mask of the cylinders `(M, 5)` that are in free space of a room, tested in `DIRECTIONS` and at `HEIGHTS`.
 
     A cylinder taller than the room ends at its ceiling.
     """

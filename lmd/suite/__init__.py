@@ -8,7 +8,7 @@
     >>> bool(problem(start) == problem(start[None])[0])
     True
 
-`lmd.suite.BlackBox(problem)` makes such a function of any `lmd.Problem`.
+`lmd.suite.BlackBox(problem)` converts any `lmd.Problem` to such a function.
 """
 
 from lmd.suite.adapters import ioh_problem, nevergrad_function, optuna_objective, pymoo_problem, scipy_function
