@@ -13,11 +13,11 @@ try:
     import os
     import sys
 
-    # The process of an application handles signals from here on; under -m its name is not in sys.argv yet.
+    # The process of an application handles signals from here on. With -m, its name is not in sys.argv yet.
     if sys.argv[:1] == ["-m"] or os.path.basename("".join(sys.argv[:1])).startswith("lmd-"):
         _signal.signal(_signal.SIGINT, _signal.SIG_DFL)  # no traceback while the handler is imported
         gc.set_threshold(GARBAGE)
-        os.environ["MPLBACKEND"] = "agg"  # pictures are files, and IPython's backend may not be installed here
+        os.environ["MPLBACKEND"] = "agg"  # pictures go to files, and the backend of IPython may not be installed
 
         from .operations.signals import stop
 
@@ -25,7 +25,7 @@ try:
 
     from importlib.util import find_spec
 
-    if find_spec("hydra") is None:  # `pip install lmd` alone installs the library
+    if find_spec("hydra") is None:  # `pip install lmd` installs only the library
         from lmd.core.optional import missing
 
         raise SystemExit(f"error: {missing('hydra-core', 'pipelines')}")

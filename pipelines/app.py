@@ -1,4 +1,4 @@
-"""Running application: package, configuration, command line and folder, and one sentence for bad input."""
+"""Context of a running application: package, configuration, command line and folder; and errors in one sentence."""
 
 import errno
 import os
@@ -19,11 +19,11 @@ from .operations.signals import stop
 PACKAGE = str(__package__)  # `pipelines` in a checkout, `lmd.pipelines` where lmd is installed
 IN_CHECKOUT = PACKAGE == "pipelines"
 LOCK = ".lock"  # file in a folder, locked by the process that works there
-EXPERIMENT = "lmd"  # mlflow experiment of the commands in `SHARING`: they find or score a deployment, or read its runs
+EXPERIMENT = "lmd"  # mlflow experiment of the commands in `SHARING`, which find or score a deployment or read such runs
 SHARING = ("optimise", "evaluate", "report", "runs")
-CONF = str(Path(__file__).resolve().parents[1] / "conf")  # beside this package in a checkout and if installed
+CONF = str(Path(__file__).resolve().parents[1] / "conf")  # beside this package, in a checkout and when installed
 COUNT = "deployment.count="
-# Keys that change no result of a run: its place, its speed, its record and its further outputs.
+# Keys that change no result of a run: its folder, speed, record and further outputs.
 WITHOUT_EFFECT = (
     "tracking", "trust", "resume", "threads", "workers", "checkpoint_seconds", "picture", "pictures",
     "export", "paper_size", "north", "kept",
@@ -31,13 +31,13 @@ WITHOUT_EFFECT = (
 
 
 def lmd_experiment(*, _root_: DictConfig) -> str:
-    """mlflow experiment of the command that is composed: `EXPERIMENT`, or one of its own such as `lmd compare`."""
+    """mlflow experiment of the composed command: `EXPERIMENT`, or the command's own, such as `lmd compare`."""
     studies = list(_root_.get("studies") or {})
     if studies and "score" not in studies:
         name = " ".join(studies)
     elif "hydra" in _root_:
         name = _root_.hydra.job.name
-    else:  # the configuration of a job has no part of Hydra's; composed from Python, there is no job
+    else:  # the configuration of a job lacks Hydra's part; a configuration composed from Python has no job
         name = HydraConfig.get().job.name if HydraConfig.initialized() else SHARING[0]
     return EXPERIMENT if name in SHARING else f"{EXPERIMENT} {name}"
 
@@ -49,12 +49,12 @@ OmegaConf.register_new_resolver("lmd.conf", lambda name: str(Path(CONF, name)), 
 
 
 def command_of(pipeline: str) -> str:
-    """Command of a pipeline for messages, in the form in which this process was called."""
+    """Command of a pipeline for messages, in the form in which the user called this process."""
     return f"python -m pipelines.{pipeline}" if IN_CHECKOUT else f"lmd-{pipeline.replace('_', '-')}"
 
 
 def flat_settings(cfg: DictConfig, *keys: str) -> dict[str, Any]:
-    """Resolved settings below `keys` (all by default), such as `{"room.spacing": 0.5, ...}`."""
+    """Resolved settings below `keys` (by default all), such as `{"room.spacing": 0.5, ...}`."""
     resolved: Any = OmegaConf.to_container(cfg, resolve=True)
     return {name: value for key in keys or resolved for name, value in _leaves(key, resolved[key])}
 
@@ -78,18 +78,18 @@ def choices() -> dict[str, str]:
 
 
 def chosen(picked: Mapping[Any, Any]) -> dict[str, str]:
-    """Hydra's `choices` without Hydra's own groups; a group in another place, such as `odometry@objective.odometry`, is
-    called by its place, as mlflow's names have no @.
+    """Hydra's `choices` without Hydra's own groups. A group in another place, such as `odometry@objective.odometry`,
+    gets the name of this place, as mlflow allows no @ in names.
     """
     return {k.rpartition("@")[2]: str(v) for k, v in picked.items() if v is not None and not k.startswith("hydra/")}
 
 
 @contextmanager
 def ends_reported() -> Iterator[None]:
-    """Context in which bad input, a full disk or a folder in a file's place ends with one sentence and exit code 1.
+    """Context that ends with one sentence and exit code 1 on bad input, a full disk, or a folder in a file's place.
 
-    Bad input leaves no folder. Refused memory counts as bad input, as only the largest arrays are estimated beforehand
-    (`lmd.core.memory`).
+    Bad input leaves no folder. A failed allocation of memory counts as bad input, as only the largest arrays are
+    checked beforehand (`lmd.core.memory`).
     """
     from lmd.core.checks import InputError
 
@@ -109,7 +109,7 @@ def ends_reported() -> Iterator[None]:
 
 
 def say(text: str) -> None:
-    """Print text; where the reader of stdout, such as `head`, has ended, the command goes on in silence."""
+    """Print text; if the reader of stdout, such as `head`, has ended, the text is dropped silently."""
     try:
         print(text, flush=True)
     except BrokenPipeError:
@@ -117,7 +117,7 @@ def say(text: str) -> None:
 
 
 def discard_empty(directory: Path) -> None:
-    """Remove the directory of a run if it holds no files of the run and is not the working directory."""
+    """Remove the directory of a run, unless it holds files of the run or is the working directory."""
     if not directory.is_dir() or directory.samefile(Path.cwd()):
         return
     if {path.name for path in directory.iterdir()} <= {".hydra", LOCK}:
@@ -125,12 +125,12 @@ def discard_empty(directory: Path) -> None:
 
 
 def spelled(override: str) -> str:
-    """Override with `deployment.count=+5` in quotes, as Hydra reads `+5` as the number 5."""
+    """Quote the value of an override such as `deployment.count=+5`, as Hydra would read `+5` as the number 5."""
     return re.sub(r"(?<=[=,])\+(\d+)(?=,|$)", r"'+\1'", override) if override.startswith(COUNT) else override
 
 
 def at(key: str, path: Path) -> str:
-    """Override with a path as its value, in quotes if Hydra needs them."""
+    """Override of a key with a path, in quotes if Hydra needs them."""
     return f"{key}={path}" if re.fullmatch(r"[\w./-]+", str(path)) else f"{key}={quoted(path)}"
 
 
@@ -147,28 +147,28 @@ def key_and_value(override: str) -> tuple[str, str]:
 
 
 def changes_results(key: str) -> bool:
-    """False for a key, or group, that changes no result of a run."""
+    """False for a key, or a group, that changes no result of a run."""
     return re.split("[./@]", key)[0] not in WITHOUT_EFFECT
 
 
 def search_path() -> list[str]:
-    """Overrides that add folders of configuration, on which other overrides depend."""
+    """Overrides that add folders of configuration; other overrides depend on these."""
     own = HydraConfig.get().overrides.hydra if HydraConfig.initialized() else []
     return [override for override in own if override.startswith("hydra.searchpath=")]
 
 
 def config_dir() -> list[str]:
-    """Option `--config-dir` of this application, for another process; empty without such an option."""
+    """Option `--config-dir` of this application, to be passed to another process; empty without such an option."""
     sources = HydraConfig.get().runtime.config_sources
     return [word for source in sources if source.provider == "command-line" for word in ("--config-dir", source.path)]
 
 
 def task_overrides() -> list[tuple[str, str]]:
-    """Overrides of this job, as pairs of key (or group) and override."""
+    """Overrides of this job: pairs of a key (or group) and the override."""
     return keyed_overrides(HydraConfig.get().overrides.task)
 
 
 def keyed_overrides(overrides: Iterable[str]) -> list[tuple[str, str]]:
-    """Overrides as pairs of key (or group) and override."""
+    """Pairs of a key (or group) and the override."""
     parsed = OverridesParser.create().parse_overrides(list(overrides))
     return [(str(override.key_or_group), str(override.input_line)) for override in parsed]

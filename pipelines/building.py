@@ -26,15 +26,15 @@ if TYPE_CHECKING:
     from lmd.space.crowd import Crowd
     from lmd.space.space import Space
 
-GROUPS = ("room", "camera", "tag", "visibility", "objective", "encoding", "deployment")  # of every problem
+GROUPS = ("room", "camera", "tag", "visibility", "objective", "encoding", "deployment")  # groups of every problem
 SWITCHES = ("encoding.flush", "validate", "picture", "localisation", "losses", "sensitivity", "all_visible")
-RUN_BYTES = 1000  # least memory of one of several runs, bytes
-MENTIONED = 8  # greatest number of tags that a note lists
-SAME_EDGE = 1e-6  # greatest difference of equal edges, metres
+RUN_BYTES = 1000  # minimum memory of one of several runs, bytes
+MENTIONED = 8  # maximum number of tags that a note lists
+SAME_EDGE = 1e-6  # maximum difference between edges that count as equal, metres
 
 
 class Parts(NamedTuple):
-    """Arguments of `lmd.problem.Problem`; the objective need not fit the landmarks."""
+    """Arguments of `lmd.problem.Problem`; the objective may not fit the landmarks."""
 
     scene: "Scene"
     objective: "Objective"
@@ -54,7 +54,7 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
 
     Args:
         cfg: the configuration.
-        count: key with the number of landmarks, for messages.
+        count: key of the number of landmarks, for messages.
 
     Raises:
         InputError: the parts of the problem do not fit together.
@@ -76,15 +76,15 @@ def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
     from lmd.objectives.base import Objective
 
     _check_settings(cfg)
-    cfg = editable(cfg)  # sizes and counts that files, lists or limits decide are written to it
+    cfg = editable(cfg)  # sizes and counts that follow from files, lists or limits are written into it
     spell_counts(cfg.deployment, cfg.tag)
-    if "tag" in cfg.visibility:  # a model of tags, not of points
+    if "tag" in cfg.visibility:  # the model is for tags, not for points
         with keyed("deployment"):
             take_sizes(cfg.deployment, cfg.tag)
     scene = _scene(cfg)
     threads = None if cfg.threads is None else integer("threads", cfg.threads, low=1, high=MOST_THREADS)
     objective = instantiate(cfg.objective)
-    if not hasattr(objective, "n") and callable(objective):  # an objective along drives through the scene
+    if not hasattr(objective, "n") and callable(objective):  # an objective along drives is built for the scene
         with keyed("objective"):
             objective, scene = objective(scene)
     check_members("objective", objective, Objective, "docs/extend.md")
@@ -104,7 +104,7 @@ def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
     with names():
         if fixed is not None:
             fixed = scene.footprints.checked_fixed(fixed, start)
-        if isinstance(start, partial):  # a source that depends on the objective
+        if isinstance(start, partial):  # the source depends on the objective
             extra = {} if fixed is None else {"fixed": fixed}
             start = start(scene=scene, objective=objective, threads=threads, **extra)
         parts = Parts(scene, objective, start, threads, fixed)
@@ -120,7 +120,7 @@ def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
 
 
 def _check_settings(cfg: DictConfig) -> None:
-    """Check the settings that are no arguments of the objects of a problem.
+    """Check the settings that are not arguments of the objects of a problem.
 
     Raises:
         InputError: a setting is refused.
@@ -175,7 +175,7 @@ def _scene(cfg: DictConfig) -> "Scene":
 
 def camera_of(node: DictConfig) -> "Camera | Rig":
     """Build the camera or the rig of the group `camera`; for a rig, the group's camera is built only if a mount has no
-    camera.
+    camera of its own.
 
     Raises:
         InputError: a camera or the rig is refused.
@@ -216,7 +216,7 @@ def visibility_of(node: DictConfig) -> "tuple[Criteria, Crowd | None]":
 
 
 def refuse_crowd(problem: "Problem", command: str) -> None:
-    """Raise `InputError` if somebody is in the way, which a command ignores."""
+    """Raise `InputError` if the problem has a crowd, which `command` does not support."""
     from lmd.core.checks import InputError
 
     if problem.scene.crowd is not None:
@@ -224,7 +224,7 @@ def refuse_crowd(problem: "Problem", command: str) -> None:
 
 
 def _note_unusual(room: "Space", tag: "Tag", deployment: "Deployment") -> None:
-    """Print the number of tags with an edge from their file, by edge, and the tags with a corner behind a face."""
+    """Print the number of tags whose edges are from their file, by edge, and the tags with a corner behind a face."""
     from lmd.core.words import few
     from lmd.geometry.squares import corners
 
@@ -243,7 +243,7 @@ def build_optimiser(cfg: DictConfig, seed: int) -> "Optimiser":
     """Build the optimiser of a configuration.
 
     Raises:
-        InputError: the object cannot be built, or is no `Optimiser`.
+        InputError: the object cannot be built, or is not an `Optimiser`.
     """
     from lmd.core.checks import InputError
     from lmd.optimisers.base import AskTell, Optimiser
@@ -275,7 +275,7 @@ def seeds_of(cfg: DictConfig) -> range:
     """Seeds of several runs: `seed`, `seed + 1`, ...; their number is `seeds`.
 
     Raises:
-        InputError: `seed` or `seeds` is refused, or memory is too small for the runs.
+        InputError: `seed` or `seeds` is refused, or the memory is too small for the runs.
     """
     from lmd.core.checks import integer, seed_number
     from lmd.core.memory import check_memory

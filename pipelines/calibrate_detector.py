@@ -14,11 +14,11 @@ from .study import Report, Study
 if TYPE_CHECKING:
     pass
 
-VIEWS_STREAM = 0x7669657773  # separates the random numbers of views from other uses of the seed
+VIEWS_STREAM = 0x7669657773  # key that separates the random numbers of views from other uses of the seed
 
 
 def calibrate(cfg: DictConfig) -> Study:
-    """Prepare limits of each of the configured detectors."""
+    """Prepare the fit of the limits of each configured detector."""
     from lmd.core.checks import integer, real, seed_number
     from lmd.core.optional import optional
     from lmd.detection.tag_views import SurveyedViews
@@ -52,7 +52,7 @@ def calibrate(cfg: DictConfig) -> Study:
         seen = sightings({"room": subject}, seed, partial(in_batches, cfg.workers))["room"] if count else {}
         found, text = dict[str, DetectorCalibration](), ""
         for name, detector in subject.detectors.items():
-            rng = np.random.default_rng([seed, VIEWS_STREAM])  # equal views for every detector
+            rng = np.random.default_rng([seed, VIEWS_STREAM])  # each detector gets equal views
             with keyed(key):
                 views = source.views(subject.problem.scene.cameras, renderer.room.tag, detector, renderer.imaging, rng)
                 limits = fit(views, rng, margin)
@@ -83,7 +83,7 @@ def calibrate(cfg: DictConfig) -> Study:
 
 
 def _source_key(cfg: DictConfig) -> str:
-    """Key of the views that are read: a survey, photographs of a board, or else rendered mosaics."""
+    """Key of the source of views: a survey, photographs of a board, or otherwise rendered mosaics."""
     if cfg.survey is not None:
         return "survey"
     board = settings_of(cfg, "board")

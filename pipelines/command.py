@@ -1,4 +1,4 @@
-"""Command: a function of a configuration that Hydra composes; it stops on a signal, and may sweep."""
+"""Command: runs a function of a configuration that Hydra composes. A command stops on a signal, and can run a sweep."""
 
 import atexit
 import gc
@@ -25,7 +25,7 @@ from .study import Study, conduct
 from .trust import Trust
 
 HELP = ("--help", "-h")
-# Launchers that are plugins of Hydra, and their packages.
+# Launchers that are plugins of Hydra, with their packages.
 LAUNCHERS = {
     "joblib": "hydra_plugins.hydra_joblib_launcher",
     **dict.fromkeys(("submitit_local", "submitit_slurm"), "hydra_plugins.hydra_submitit_launcher"),
@@ -35,25 +35,25 @@ PRINTED = {*HELP, "--hydra-help", "--cfg", "-c", "--info", "-i"}  # options with
 
 @dataclass(frozen=True)
 class Command:
-    """Command that is called without arguments."""
+    """Command: a callable without arguments."""
 
     name: str
-    """Name of the command, of its module and of its configuration, such as `optimise`."""
+    """Name of the command, the module and the configuration, such as `optimise`."""
     task: Callable[[DictConfig], Study | float | None]
-    """Function of the configuration; a study that it returns is conducted."""
+    """Function of the configuration; if it returns a study, the study is conducted."""
     like: str = ""
-    """Command whose configuration it has, beside `settings`; for commands outside of this package."""
+    """Command whose configuration this command shares, beside `settings`; for commands outside of this package."""
     settings: Mapping[str, Any] = field(default_factory=dict)
-    """Further keys of its configuration, with their defaults."""
+    """Further keys of the configuration, with their defaults."""
 
     def __call__(self) -> None:
-        """Run the command line of this process."""
+        """Run the command with the command line of this process."""
         if self.like:
             stop.listen()
             node = {"defaults": [self.like, "_self_"], **self.settings, "hydra": {"job": {"name": self.name}}}
             ConfigStore.instance().store(self.name, node)
         if PRINTED.intersection(argument.partition("=")[0] for argument in sys.argv):
-            signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # ends quietly if the reader, such as `head`, has ended
+            signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # end quietly if the reader, such as `head`, has ended
         if len(options := [word for word in sys.argv[1:] if word.startswith("-")]) == 1 and options[0] in HELP:
             print(help_of(self.name, [word for word in sys.argv[1:] if word not in HELP]))
             return
@@ -69,9 +69,9 @@ class Command:
             offer_file_formats()
             return run(cfg, settle_and_do)
 
-        run_composed.__module__ = f"{PACKAGE}.{self.name}"  # Hydra names the job after this module
+        run_composed.__module__ = f"{PACKAGE}.{self.name}"  # Hydra names the job after the module of this function
         compose = hydra.main(version_base="1.3", config_path=CONF, config_name=self.name)
-        atexit.register(gc.freeze)  # otherwise the last garbage collection takes a second with mlflow
+        atexit.register(gc.freeze)  # otherwise the last garbage collection takes a second if mlflow is imported
         try:
             with stop.raising(), closing(locks):
                 compose(run_composed)()
@@ -80,7 +80,7 @@ class Command:
 
 
 def _check_launcher() -> None:
-    """Exit if the package of a launcher is missing, with a sentence in place of Hydra's lines."""
+    """Exit with a sentence if the package of a launcher is missing, instead of Hydra's messages."""
     from lmd.core.checks import InputError
     from lmd.core.optional import optional
 
@@ -93,7 +93,7 @@ def _check_launcher() -> None:
 
 
 def help_of(command: str, overrides: Iterable[str]) -> str:
-    """Text of `--help`: a line for each group that a command composes, with its options."""
+    """Text of `--help`: a line for each group of a command, with the options of the group."""
     from hydra import compose as by_hydra
     from hydra import initialize_config_dir
 
@@ -109,7 +109,9 @@ def help_of(command: str, overrides: Iterable[str]) -> str:
 
 
 def offer_file_formats() -> None:
-    """Name the folders `file_formats` on the search path to `lmd.formats.registry`, here and in processes to come."""
+    """Add the folders `file_formats` on the search path to those of `lmd.formats.registry`, here and in later
+    processes.
+    """
     sources = HydraConfig.get().runtime.config_sources
     folders = [os.path.join(source.path, "file_formats") for source in sources if source.schema == "file"]
     known = filter(None, os.environ.get("LMD_FORMATS", "").split(os.pathsep))

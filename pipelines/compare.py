@@ -1,6 +1,6 @@
 """Compare optimisers: `python -m pipelines.compare optimisers=[annealing,ega] seeds=10 [overrides]`.
 
-With `suite=small` they are compared over the problems of the suite, and `leaderboard.md` ranks them.
+With `suite=small` the optimisers are compared on the problems of the suite, and `leaderboard.md` ranks them.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
     from lmd.evaluation.comparison import OptimiserRun
     from lmd.suite import BlackBox
 
-# Settings of the comparison itself; every other override is passed on to its runs.
+# Settings of the comparison itself; all other overrides are passed on to its runs.
 OWN_KEYS = ("optimisers", "reference", "seeds", "budget", "seed")
-CAMERAS = {"annealing": "camera_annealing"}  # optimiser of the same method for problems that place cameras
-BUDGETS = ("1", "2", "3")  # places in the list of budgets of a problem of the suite
+CAMERAS = {"annealing": "camera_annealing"}  # for problems that place cameras: optimiser that uses the same method
+BUDGETS = ("1", "2", "3")  # positions in the list of budgets of a suite problem
 
 
 def compare(cfg: DictConfig) -> Study:
-    """Prepare the configured comparison on one problem, or over problems of the suite."""
+    """Prepare the configured comparison, on one problem or on problems of the suite."""
     from lmd.core.checks import InputError
 
     entries = cfg.optimisers
@@ -50,14 +50,14 @@ def _on_one_problem(cfg: DictConfig) -> Study:
     def composed(entry: str) -> DictConfig:
         own = _composed(entry, entry, lambda key: key.split(".")[0] not in OWN_KEYS and changes_results(key))
         own.budget, own.threads = cfg.budget, 1
-        build_optimiser(own, cfg.seed).check(problem)  # before any search begins
+        build_optimiser(own, cfg.seed).check(problem)  # checked before any search begins
         return own
 
     configs = {entry: composed(entry) for entry in map(str, cfg.optimisers)}
     reference = None if cfg.reference is None else choice("reference", cfg.reference, list(configs))
     directory, dataset = run_directory(), dataset_of(cfg, problem)
     axis, title = "evaluations" if budget.evaluations else "wall_time", title_of(problem, f"{len(seeds)} seeds,")
-    # So that tables of runs have the same columns as those of optimise.
+    # Tables of these runs then have the columns of tables of `optimise`.
     shared = parameters(cfg, choices()) | derived(problem)
 
     def log(job: Contender, run: "OptimiserRun", parent: str | None) -> None:
@@ -70,7 +70,7 @@ def _on_one_problem(cfg: DictConfig) -> Study:
         from lmd.objectives.base import figure_of
         from lmd.plot.charts import save_comparison_figure
 
-        runs, fitness = list(done.values()), figure_of("fitness")  # which is maximised
+        runs, fitness = list(done.values()), figure_of("fitness")  # fitness is maximised
         comparison = compared(runs, fitness.key, reference)
         markdown = comparison_markdown(comparison, fitness)
         files = {
@@ -87,7 +87,7 @@ def _on_one_problem(cfg: DictConfig) -> Study:
 
 
 def _over_suite(cfg: DictConfig) -> Study:
-    """Study of the optimisers over problems of the suite, which writes the leaderboard.
+    """Study of the optimisers on problems of the suite; it writes the leaderboard.
 
     Raises:
         InputError: a setting is refused.
@@ -113,10 +113,11 @@ def _over_suite(cfg: DictConfig) -> Study:
 
 
 def problems_of(cfg: DictConfig) -> "Mapping[str, BlackBox]":
-    """The problems of `suite`: a set, a name or a list of names; those with several objectives are left out of a set.
+    """Problems of `suite`: a set, a name or a list of names; a set is taken without the problems with several
+    objectives.
 
     Raises:
-        InputError: there is no such problem, or the configuration chooses parts of a problem besides.
+        InputError: there is no such problem, or the configuration also chooses parts of a problem.
     """
     from lmd.core.checks import InputError, integer
     from lmd.suite import names, problem
@@ -138,10 +139,10 @@ def problems_of(cfg: DictConfig) -> "Mapping[str, BlackBox]":
 
 
 def _jobs(cfg: DictConfig, boxes: "Mapping[str, BlackBox]", budgets: Mapping[str, list[int]]) -> Iterator[Contender]:
-    """The runs, all problems with the first seed before any with the second.
+    """List the runs: first all problems with the first seed, then with the second, and so on.
 
     Raises:
-        InputError: an optimiser is refused, or takes none of the problems.
+        InputError: an optimiser is refused, or supports none of the problems.
     """
     from lmd.core.checks import InputError, choice
 
@@ -155,7 +156,7 @@ def _jobs(cfg: DictConfig, boxes: "Mapping[str, BlackBox]", budgets: Mapping[str
 
 
 def _taken(entry: str, cfg: DictConfig, boxes: "Mapping[str, BlackBox]") -> dict[str, DictConfig]:
-    """Configurations of an entry of `optimisers` for the problems that it takes."""
+    """Configurations of an entry of `optimisers`, for the problems that it supports."""
     from lmd.core.checks import InputError
 
     taken, refused = dict[str, DictConfig](), ""
@@ -174,7 +175,7 @@ def _taken(entry: str, cfg: DictConfig, boxes: "Mapping[str, BlackBox]") -> dict
 
 
 def _composed(entry: str, words: str, is_shared: Callable[[str], bool]) -> DictConfig:
-    """The configuration of `optimise` for an entry of `optimisers`: a name, then its own overrides."""
+    """Configuration of `optimise` for an entry of `optimisers`, which is a name followed by overrides."""
     shared = [override for key, override in task_overrides() if is_shared(key)]
     name, *own = words.split()
     return editable(recompose("optimise", [*shared, f"optimiser={name}", *own], "optimisers", entry))

@@ -1,11 +1,12 @@
-"""Configuration of a command: composed by Hydra, and once more inside the job with the options that it names itself.
+"""Configuration of a command: composed by Hydra, and again within the job with the options that the configuration
+names.
 
-`run=DIR`, `suite=NAME`, `survey=DIR`, `map=DIR`, `varies=cameras` and `deployment.path=FILE` alone are keys like all
-others when Hydra composes. `settled` reads them, puts the options that they choose into Hydra's config store, and
-composes once more with these in front of the command line, which keeps its precedence.
+When Hydra composes first, `run=DIR`, `suite=NAME`, `survey=DIR`, `map=DIR`, `varies=cameras` and a lone
+`deployment.path=FILE` are ordinary keys. `settled` reads these keys, puts the options that they choose into Hydra's
+config store, and composes again with these options in front of the command line, which keeps its precedence.
 
 Groups whose nodes describe objects are open: a key that no file has is passed on to the class of the object, which
-refuses it if it does not know it.
+refuses unknown keys.
 """
 
 import re
@@ -29,14 +30,14 @@ if TYPE_CHECKING:
 GROUPS = ("room", "camera", "pdf", "poses", "tag", "visibility", "objective")  # groups of the problem of a run
 FROZEN = ("room", "camera", "pdf", "tag", "visibility", "objective")  # groups of a problem of the suite
 PROBLEM_ONLY = ("compare", "tradeoff")  # commands that take no landmarks from an earlier run
-NODES = ("body", "tag")  # nodes of these commands that are no groups of options
-OPTION = "run"  # option of `GROUPS` and of deployment
+NODES = ("body", "tag")  # nodes of these commands that are not groups of options
+OPTION = "run"  # name of the option of `GROUPS` and of `deployment`
 COUNTED = ("random", "uniform", "greedy")  # options of deployment that need a number of landmarks
 RIG = "rig.yaml"  # file of a run that placed cameras
 FILES = (".hydra/config.yaml", "landmarks.csv")  # files that an earlier run must have
 PATH = "deployment.path"
 CAMERA_KEYS = ("cameras", "body", "rounds", "tag_evaluations")  # keys of `optimise` with varies=cameras
-CAMERA_EVALUATIONS = 2000  # budget of these
+CAMERA_EVALUATIONS = 2000  # budget of `optimise` with varies=cameras
 OPEN = {
     "problem": (*GROUPS, "deployment"),
     "flight": ("trajectory", "sensor", "estimator", "odometry", "start"),
@@ -54,17 +55,17 @@ for _name, _groups in OPEN.items():
 
 
 def compose(command: str, *overrides: str) -> DictConfig:
-    """Configuration of a command, as its command line composes it, without running the command.
+    """Compose the configuration of a command as its command line would, without running the command.
 
-    `building.build_problem` and `building.build_optimiser` make objects of it.
+    `building.build_problem` and `building.build_optimiser` make objects from the configuration.
 
     Args:
         command: name of the command, such as `optimise`.
         overrides: its overrides, such as `experiment=lab` or `suite=tiny_mean`.
 
     Raises:
-        InputError: a frozen problem or an earlier run is refused.
-        hydra.errors.HydraException: Hydra refuses the overrides, or another configuration is being composed.
+        InputError: a frozen problem or an earlier run is refused. hydra.errors.HydraException: Hydra refuses the
+        overrides, or another configuration is being composed.
     """
     from hydra import compose as by_hydra
     from hydra import initialize_config_dir
@@ -76,9 +77,9 @@ def compose(command: str, *overrides: str) -> DictConfig:
 
 
 def settled(cfg: DictConfig) -> DictConfig:
-    """Configuration of this job as it is used: with the options that its keys choose, and read-only.
+    """Final configuration of this job, read-only: with the options that its keys choose.
 
-    Hydra's record of the job, and its file in the folder of the job, have the same options.
+    Hydra's record of the job, and the record's file in the folder of the job, get these options, too.
 
     Raises:
         InputError: a run, a frozen problem, a survey or a map is refused.
@@ -95,7 +96,7 @@ def settled(cfg: DictConfig) -> DictConfig:
 
 
 def editable(node: DictConfig) -> DictConfig:
-    """Copy of a node, in which keys may be changed and added."""
+    """Copy of a node whose keys may be changed and extended."""
     copied = deepcopy(node)
     for part in (copied, *(inner for inner in copied.values() if OmegaConf.is_config(inner))):
         part._set_flag(["readonly", "struct"], [False, False])
@@ -108,7 +109,7 @@ def recompose(config_name: str, overrides: Sequence[str], setting: str, entry: s
     Args:
         config_name: name of the configuration.
         overrides: its overrides.
-        setting: key that asks for it, for messages.
+        setting: key that asks for this configuration, for messages.
         entry: value of the key.
 
     Raises:
@@ -137,7 +138,7 @@ def _without_hydra(composed: DictConfig) -> DictConfig:
 
 
 def _final(cfg: DictConfig) -> DictConfig:
-    """Read-only configuration without the keys that its other keys rule out."""
+    """Read-only configuration without the keys that other keys rule out."""
     left_out = CAMERA_KEYS if cfg.get("varies") == "tags" else ()
     final = OmegaConf.masked_copy(cfg, [str(key) for key in cfg if key not in left_out])
     OmegaConf.set_readonly(final, True)
@@ -145,7 +146,8 @@ def _final(cfg: DictConfig) -> DictConfig:
 
 
 def _overrides(cfg: DictConfig, command: str, given: Sequence[str], runtime: Any) -> list[str] | None:
-    """Overrides with those that the keys of a configuration choose in front; None if it chooses none.
+    """Overrides of the command line, preceded by the overrides that keys of the configuration choose; None without such
+    overrides.
 
     Args:
         cfg: configuration.
@@ -155,7 +157,7 @@ def _overrides(cfg: DictConfig, command: str, given: Sequence[str], runtime: Any
     """
     from lmd.core.checks import InputError
 
-    named = dict.fromkeys(key for key, _ in keyed_overrides(given))  # in their order
+    named = dict.fromkeys(key for key, _ in keyed_overrides(given))  # keyed in the order of the overrides
     options, trust = chosen(runtime.choices), Trust.of(cfg, runtime)
     found: dict[str, str] = {}
     if isinstance(cfg.get("suite"), str) and command != "compare":
@@ -178,21 +180,21 @@ def _overrides(cfg: DictConfig, command: str, given: Sequence[str], runtime: Any
         found = {group: ours[group][1] for group in ours if options[group] == ours[group][0]} | found
         found.setdefault("budget.evaluations", str(CAMERA_EVALUATIONS))
     if "poses" in named:
-        named["pdf"] = None  # an option of the group poses sets its own pdf
+        named["pdf"] = None  # an option of the group `poses` sets its own pdf
     front = [f"{key}={value}" for key, value in found.items() if key not in named]
     every = [*front, *map(spelled, given)]
     return None if every == list(given) else every
 
 
 def _stored(parts: Mapping[str, Any], option: str) -> dict[str, str]:
-    """Put nodes of groups into Hydra's config store, and return the overrides that choose them."""
+    """Put nodes of groups into Hydra's config store, and return the overrides that choose these nodes."""
     for group, part in parts.items():
         ConfigStore.instance().store(option, part, group)
     return {f"+{group}" if group in NODES else group: option for group in parts}
 
 
 def _of_suite(cfg: DictConfig, named: Iterable[str]) -> dict[str, str]:
-    """Choices for a frozen problem of the suite.
+    """Nodes and overrides for a frozen problem of the suite.
 
     Raises:
         InputError: the problem is unknown or for another command, or the command line chooses a part of it.
@@ -222,7 +224,7 @@ def _of_suite(cfg: DictConfig, named: Iterable[str]) -> dict[str, str]:
 
 
 def _of_survey(directory: Path, trust: Trust) -> dict[str, str]:
-    """Choices for the views of a survey, with its run, cameras, tags and detector."""
+    """Nodes and overrides for the views of a survey: its run, cameras, tags and detector."""
     before, parts = _parts_of(directory, "survey", trust, ("camera", "tag"))
     found = {"frames": "0", "margin": "0", "detectors": f"[{','.join(before.get('detectors') or {})}]"}
     return {**_stored(parts, "survey"), **found, **({"run": quoted(before["run"])} if before.get("run") else {})}
@@ -231,9 +233,9 @@ def _of_survey(directory: Path, trust: Trust) -> dict[str, str]:
 def _of_run(
     cfg: DictConfig, directory: Path, named: Iterable[str], command: str, options: Mapping[str, str], trust: Trust
 ) -> dict[str, str]:
-    """Choices for the problem and the landmarks of an earlier run.
+    """Nodes and overrides for the problem and the landmarks of an earlier run.
 
-    The fixed landmarks and the number of landmarks of that run are defaults for other sources of landmarks, too.
+    The fixed landmarks and the number of landmarks of that run are also defaults for other sources of landmarks.
 
     Raises:
         InputError: the run names code that the user does not trust, or lacks a file.
@@ -250,10 +252,10 @@ def _of_run(
     found["deployment"] = start
     if (options.get("deployment") if "deployment" in named else start) in COUNTED:
         found["deployment.count"] = str(count_of(directory))
-    if hung.get("fixed") is not None and "deployment.fixed" not in named:  # that file may have changed
+    if hung.get("fixed") is not None and "deployment.fixed" not in named:  # the fixed file may have changed
         found |= {"deployment.fixed": quoted(path), "deployment.marked": "true"}
-    if "detectors" in cfg:  # that which read its images, or that it was planned for
-        planned = (before.get("visibility") or {}).get("detector")  # limits have the file <family>_<detector>.yaml
+    if "detectors" in cfg:  # the detector that read the run's images, or for which the run was planned
+        planned = (before.get("visibility") or {}).get("detector")  # file of limits: <family>_<detector>.yaml
         own = list(before.get("detectors") or [Path(str(planned)).stem])
         known = [option.stem for option in Path(CONF, "detectors").glob("*.yaml")]
         if len(own) == 1 and (same := [name for name in known if f"_{own[0]}".endswith(f"_{name}")]):
@@ -274,7 +276,7 @@ def _parts_of(
         files: files that the folder must have.
 
     Raises:
-        InputError: they name code that the user does not trust, or a file is missing.
+        InputError: the nodes name code that the user does not trust, or a file is missing.
     """
     from lmd.core.checks import InputError
 
@@ -286,17 +288,18 @@ def _parts_of(
 
 
 def count_of(run: str | Path) -> int:
-    """Number of landmarks of the run in a directory."""
+    """Number of landmarks of the run in a folder."""
     from lmd.core.tables import read_table
 
     return len(read_table(Path(run) / FILES[1], name="run").lines)
 
 
 def compared(cfg: DictConfig) -> dict[str, DictConfig]:
-    """Configuration for each entry of `deployments`, by the name of the entry; without any, that of the command line.
+    """Configuration for each entry of `deployments`, by the name of the entry; without entries, that of the command
+    line.
 
-    An entry is an option of `conf/deployment`, or a name, an option and overrides of its own. `deployment.path` of the
-    command line goes to files, `deployment.count` to all others.
+    An entry is an option of `conf/deployment`, or a name, an option and overrides. From the command line,
+    `deployment.path` applies to entries with files, and `deployment.count` to all other entries.
 
     Raises:
         InputError: an entry is refused.

@@ -1,4 +1,4 @@
-"""Contenders of a comparison: an optimiser, a seed and a problem, whose result has a folder of its own."""
+"""Contenders of a comparison: runs of an optimiser with a seed on a problem, each with a folder for the result."""
 
 import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -28,12 +28,12 @@ if TYPE_CHECKING:
     from .operations.tracking import Tracker
 
 GOING_ON = "the same command goes on with what is in {}"
-LONGEST = 120  # characters of the name of a folder, with a digest behind them if the name of the run is longer
+LONGEST = 120  # maximum number of characters of a folder's name; a longer name is cut and ends in a digest
 
 
 @dataclass(frozen=True, eq=False)
 class Contender:
-    """An optimiser with a seed on a problem: a run that is compared with others."""
+    """Run of a comparison: an optimiser with a seed on a problem."""
 
     optimiser: str
     """Entry of `optimisers`."""
@@ -48,18 +48,18 @@ class Contender:
 
     @property
     def name(self) -> str:
-        """Name of the run."""
+        """Name of the run in tables and messages."""
         of_suite = f"{self.problem} {self.evaluations} " if self.problem else ""
         return f"{of_suite}{self.optimiser} seed={self.seed}"
 
     @property
     def tags(self) -> dict[str, str]:
-        """Tags of its tracked run."""
+        """Tags of the tracked run."""
         return {"job": digest(self.name)[:DIGEST_LENGTH], "choice.optimiser": self.optimiser.split()[0]}
 
     @property
     def parts(self) -> tuple[Any, ...]:
-        """Settings that decide the result."""
+        """Settings that determine the result."""
         if not self.problem:
             return flat_settings(self.cfg, *SAME_WHEN_RESUMED, "budget", "validate"), self.seed
         from lmd.suite import document
@@ -68,7 +68,7 @@ class Contender:
         return flat_settings(self.cfg, "optimiser", "encoding", "validate"), self.seed, *frozen
 
     def folder(self, comparison: Path) -> Path:
-        """The folder of the run below the folder of its comparison; a long name ends in a digest."""
+        """Folder of the run within the folder of the comparison; a long name ends in a digest."""
         name, ending = self.name.replace("/", "_"), f" {digest(self.name)[:DIGEST_LENGTH]}"
         return comparison / "runs" / self.problem / (name if len(name) <= LONGEST else name[:LONGEST] + ending)
 
@@ -78,13 +78,13 @@ Log = Callable[[Contender, "OptimiserRun", str | None], None]
 
 
 def contend(cfg: DictConfig, jobs: Sequence[Contender], report: Told, log: Log | None = None, **about: Any) -> Study:
-    """Study of the runs of a comparison, which does those that no comparison with these settings has done.
+    """Study that does the runs of a comparison; results that an equal comparison has stored are reused.
 
     Args:
         cfg: configuration of `compare`.
         jobs: the runs.
         report: function that reports on the finished runs.
-        log: function that records a finished run below the tracked run; None to record none.
+        log: function that records a finished run as a child of the tracked run; None for no records.
         about: description or problem of the tracked run, see `Study`.
     """
     from lmd.core.checks import file_path
@@ -102,7 +102,7 @@ def contend(cfg: DictConfig, jobs: Sequence[Contender], report: Told, log: Log |
                     if log is not None:
                         log(job, done, tracker.run_id)
                     yield Report(text=f"{len(results)}/{len(jobs)} {name}: fitness {done.metrics['fitness']:.2%}")
-        except KeyboardInterrupt:  # an interrupted comparison, too, has the files about its finished runs
+        except KeyboardInterrupt:  # files about the finished runs are written after an interruption, too
             if results:
                 yield report(results)
             raise
@@ -112,13 +112,13 @@ def contend(cfg: DictConfig, jobs: Sequence[Contender], report: Told, log: Log |
 
 
 def _done(directory: Path, folder: str, job: Contender) -> "tuple[str, OptimiserRun]":
-    """Name and result of a run, which is done unless its result is kept, and whose files are written."""
+    """Name and result of a run; the run is done unless its result is stored, and its files are written."""
     from lmd.core.files import write_whole
     from lmd.evaluation.comparison import OptimiserRun
     from lmd.scene.deployment import Deployment
 
     document, own = kept(folder, job.parts, partial(_searched, job), dict), job.folder(directory)
-    own.mkdir(parents=True, exist_ok=True)  # there already where a sweep repeats a lost job
+    own.mkdir(parents=True, exist_ok=True)  # exists if a sweep repeats a lost job
     for name, text in document["files"].items():
         write_whole(own / name, text.encode())
     found = document["metrics"], read_history(own / HISTORY_FILE), Deployment.from_csv(own / LANDMARKS)
@@ -126,14 +126,14 @@ def _done(directory: Path, folder: str, job: Contender) -> "tuple[str, Optimiser
 
 
 def _searched(job: Contender) -> dict[str, Any]:
-    """Figures of a run, done on one thread, and the texts of its files."""
+    """Do a run on one thread; return its figures, and the texts of its files."""
     from lmd.core.tables import write_table
     from lmd.evaluation.tradeoff import SAMPLE
     from lmd.evaluation.validation import Sample, headline_off_grid, validation_metrics
     from lmd.formats.rigs import rig_text
     from lmd.optimisers.ledger import Budget
 
-    if job.problem:  # of a suite there are thousands of runs
+    if job.problem:  # a suite has thousands of runs
         from lmd.suite import problem as of_suite
 
         problem, budget, sample = of_suite(job.problem).problem, Budget(job.evaluations), SAMPLE

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def build_export(cfg: DictConfig, key: str, tag: "Tag") -> "Export":
-    """Export of the formats that the key `key` of a configuration lists.
+    """Build the export of the formats that a configuration lists at `key`.
 
     Null means all formats except those that cannot be printed, which a note names.
 
@@ -40,7 +40,7 @@ def build_export(cfg: DictConfig, key: str, tag: "Tag") -> "Export":
 
 
 def export(cfg: DictConfig) -> Study:
-    """Prepare the configured deployment for the configured formats."""
+    """Prepare the export of the configured deployment."""
     from lmd.core.checks import InputError
     from lmd.export.exports import all_formats
     from lmd.export.sheets import describe_sheets

@@ -1,4 +1,4 @@
-"""Landmarks of the groups `deployment` and `tag`: fixed landmarks, number and sizes."""
+"""Landmarks from the groups `deployment` and `tag`: fixed landmarks, numbers and sizes."""
 
 import re
 from copy import deepcopy
@@ -14,13 +14,13 @@ if TYPE_CHECKING:
     from lmd.scene.deployment import Deployment
     from lmd.scene.scene import Scene
 
-NO_SOURCE = ("fixed", "marked", "measured", "mounting_error")  # keys of `deployment` that are no arguments of a source
-TABLE = ("axes", "columns")  # keys of `deployment` for every table of tags, including the table of a source
-MORE = re.compile(r"\+(\d+)")  # a count in addition to the fixed landmarks
+NO_SOURCE = ("fixed", "marked", "measured", "mounting_error")  # keys of `deployment` that are not arguments of a source
+TABLE = ("axes", "columns")  # keys of `deployment` that apply to every table of tags, including that of a source
+MORE = re.compile(r"\+(\d+)")  # a count of landmarks in addition to the fixed ones
 
 
 def fixed_of(node: DictConfig, family: str | None) -> "Deployment | None":
-    """Landmarks that keep their places; None if no landmark is fixed.
+    """Landmarks that keep their poses; None if no landmark is fixed.
 
     With `marked`, only landmarks that the file marks as fixed are fixed; the file of a run also has movable landmarks.
 
@@ -46,18 +46,18 @@ def fixed_of(node: DictConfig, family: str | None) -> "Deployment | None":
 
 
 def table_in(node: DictConfig) -> dict[str, Any]:
-    """Arguments of `read_deployment` for the tables that a group `deployment` names, as far as they are given."""
+    """Arguments of `read_deployment` for tables, if given, from a group `deployment`."""
     return {key: plain(node[key]) for key in TABLE if node.get(key) is not None}
 
 
 def others_of(node: DictConfig, fixed: "Deployment | None") -> tuple[int | None, DictConfig]:
-    """Number of landmarks, fixed ones included, and the node for the source of all others.
+    """Number of landmarks, including fixed ones, and node of the source of the other landmarks.
 
-    The number is None if no landmark is fixed or no count is given. A file may also contain the fixed landmarks, so its
-    number of landmarks is checked after fixed landmarks are joined.
+    The number is None if no landmark is fixed or no count is given. A file may also contain the fixed landmarks, so the
+    number of landmarks in a file is checked after the fixed landmarks are added.
 
     Raises:
-        InputError: the count is in addition to fixed landmarks but there are none, or leaves no landmark to place.
+        InputError: the count is additional to fixed landmarks but none is fixed, or it leaves no landmark to place.
     """
     from lmd.core.checks import InputError, integer
 
@@ -79,7 +79,7 @@ def others_of(node: DictConfig, fixed: "Deployment | None") -> tuple[int | None,
 
 
 def take_sizes(node: DictConfig, tag: DictConfig) -> None:
-    """Set `tag.edges` to the sizes in the files of the tags, if the user gives no sizes.
+    """Set `tag.edges` to the sizes in the files of the tags if the user gives no sizes.
 
     Args:
         node: group `deployment`.
@@ -101,7 +101,8 @@ def take_sizes(node: DictConfig, tag: DictConfig) -> None:
 
 
 def spell_counts(node: DictConfig, tag: DictConfig) -> None:
-    """Read a list `deployment.count` as `tag.counts`, the count of each size that is placed; their sum is the count.
+    """Read a list `deployment.count` as `tag.counts`, the number of placed tags of each size; `deployment.count`
+    becomes the sum.
 
     Fixed landmarks are not counted.
 
@@ -128,7 +129,8 @@ def spell_counts(node: DictConfig, tag: DictConfig) -> None:
 def divide_paper(
     cfg: DictConfig, scene: "Scene", objective: "Objective", threads: int | None, fixed: "Deployment | None"
 ) -> "Scene":
-    """Scene with a count of each size that is chosen for `tag.paper` or `tag.budget`, unless counts are given.
+    """Choose the count of each size within `tag.paper` or `tag.budget`, unless counts are given; return the scene with
+    them.
 
     The counts are written to the groups `deployment` and `tag`, and are printed in a note.
 

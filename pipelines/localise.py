@@ -26,7 +26,7 @@ SURVEYED = "map.csv"  # map in the folder of a survey
 
 
 def localise(cfg: DictConfig) -> Study:
-    """Localise the configured photographs or detections."""
+    """Prepare the localisation of the configured photographs or detections."""
     from lmd.core.checks import InputError, boolean, seed_number
     from lmd.formats.detection_formats import write_detections
     from lmd.localise import results
@@ -73,7 +73,7 @@ def localise(cfg: DictConfig) -> Study:
 
 
 def _cameras(cfg: DictConfig) -> "Camera | Rig":
-    """Cameras of the configuration, or of the survey whose folder is the map, if no other ones are given."""
+    """Cameras of the configuration; if it has none, those of the survey whose folder is the map."""
     from lmd.formats.calibrations import calibrated_camera
     from lmd.formats.rigs import read_mounts, rig_of
 
@@ -89,10 +89,10 @@ def _cameras(cfg: DictConfig) -> "Camera | Rig":
 
 
 def _map(cfg: DictConfig, tag: "Tag") -> "FixedMap":
-    """Map of the tags.
+    """Read the map of the tags.
 
     Raises:
-        InputError: there is no map, there are two, or the file is refused.
+        InputError: there is no map, there are two maps, or the file is refused.
     """
     from lmd.adjust.prior import Hanging
     from lmd.core.checks import InputError

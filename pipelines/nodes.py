@@ -1,4 +1,4 @@
-"""Objects built from nodes of the configuration, with error messages that name the keys."""
+"""Construction of objects from nodes of the configuration, with error messages that name the keys."""
 
 import difflib
 import inspect
@@ -17,12 +17,12 @@ from omegaconf import DictConfig, OmegaConf
 if TYPE_CHECKING:
     from lmd.detection.detectors import Detector
 
-LIKENESS = 0.8  # least similarity, by `difflib`, of a suggested key, such as a missing letter in a word
+LIKENESS = 0.8  # minimum similarity, by `difflib`, of a suggested key; a missing letter in a word is similar enough
 
 
 @cache
 def note(text: str) -> None:
-    """Print a note on stderr unless it is empty; a process prints each note once."""
+    """Print a note on stderr unless it is empty; each process prints a note only once."""
     from lmd.core.checks import printable
 
     if text:
@@ -31,7 +31,7 @@ def note(text: str) -> None:
 
 @contextmanager
 def keyed(group: str = "", /, **keys: str) -> Iterator[None]:
-    """Context in which an `InputError` that names an argument names the config key of that argument.
+    """Context that makes an `InputError` name the config key of an argument in place of the argument.
 
     Args:
         group: key of the node whose keys are the arguments; empty for top-level keys.
@@ -76,11 +76,11 @@ def instantiate(node: Any, **extra: Any) -> Any:
 
 
 def _refusal(error: Exception, extra: Mapping[str, Any]) -> str:
-    """Say what is wrong with a node in place of Hydra, and what its class or module has.
+    """Error about a node that replaces Hydra's error: the fault, and the arguments or names that exist.
 
     Args:
         error: Hydra's error.
-        extra: arguments that the node does not have.
+        extra: arguments that are not keys of the node.
     """
     from lmd.core.checks import failure
     from lmd.core.optional import lack_of
@@ -105,15 +105,15 @@ def _refusal(error: Exception, extra: Mapping[str, Any]) -> str:
 
 
 def plain(node: Any) -> Any:
-    """Resolved values of a node of the configuration; any other value as it is."""
+    """Resolved values of a configuration node; other values are returned unchanged."""
     return OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node
 
 
 def settings_of(cfg: DictConfig, key: str) -> DictConfig:
-    """Node at a key.
+    """Settings at a key, after a check that the value is a node and not a name.
 
     Raises:
-        InputError: the key has no node.
+        InputError: the value at the key is not a node.
     """
     from lmd.core.checks import InputError
 
@@ -127,6 +127,6 @@ def detectors_of(cfg: DictConfig) -> "dict[str, Detector]":
     """Build the detectors of a configuration.
 
     Raises:
-        InputError: one refuses its arguments, or does not read the family of the tags.
+        InputError: a detector refuses its arguments, or does not read the family of the tags.
     """
     return {name: instantiate(settings_of(cfg, f"detectors.{name}")) for name in cfg.get("detectors") or {}}

@@ -1,6 +1,6 @@
 """Find a deployment: `python -m pipelines.optimise [overrides]`.
 
-With `varies=cameras` the tags are given, and the places of a robot's cameras are sought.
+With `varies=cameras` the tags are given, and the poses of a robot's cameras are optimised.
 """
 
 from collections.abc import Iterator, Mapping
@@ -34,14 +34,14 @@ if TYPE_CHECKING:
 
     from .operations.tracking import Tracker
 
-# Settings that a resumed run shares with the run that it continues; files named in them must have equal contents.
+# Settings that must equal those of the run that is resumed; files named in them must have equal contents.
 SAME_WHEN_RESUMED = (*GROUPS, "encoding", "deployment", "optimiser", "seed")
 IN_TURN = ("rounds", "tag_evaluations")
 DRAWING = "body.png"
 
 
 def optimise(cfg: DictConfig) -> Study:
-    """Prepare the search for landmarks, or for the places of cameras."""
+    """Prepare the search for landmarks, or for the poses of cameras."""
     from lmd.core.checks import choice
 
     is_rig = choice("varies", cfg.varies, ("tags", "cameras")) == "cameras"
@@ -86,7 +86,7 @@ def optimise(cfg: DictConfig) -> Study:
 
 
 def _accuracy(cfg: DictConfig, problem: "Problem", found: "Result") -> Mapping[str, float]:
-    """Figures of the accuracy of single images, which only an objective of localisation asks for."""
+    """Figures of the accuracy of single images; empty unless the objective is one of localisation."""
     from lmd.evaluation.accuracy import accuracy_metrics
     from lmd.objectives.localisation import Localisation
 
@@ -95,7 +95,7 @@ def _accuracy(cfg: DictConfig, problem: "Problem", found: "Result") -> Mapping[s
 
 
 def _checkpoint_of(cfg: DictConfig, optimiser: "Optimiser", problem: "Problem") -> "Checkpoint":
-    """Make the checkpoint of a run, from that of the run that is resumed, if any.
+    """Make the checkpoint of a run; if a run is resumed, from the checkpoint of that run.
 
     Raises:
         InputError: the run to resume has other settings, or cannot be read.
@@ -145,7 +145,7 @@ def _run(
 
 
 def _how_to_go_on() -> str:
-    """Command that resumes this run; empty if it left no checkpoint."""
+    """Command that resumes this run; empty if there is no checkpoint."""
     from lmd.optimisers.checkpoint import CHECKPOINT_FILE
 
     left = (run_directory() / CHECKPOINT_FILE).exists()
@@ -165,7 +165,7 @@ def build_optimiser_of(cfg: DictConfig) -> "Optimiser":
 
 
 def build_camera_problem(cfg: DictConfig) -> "tuple[CameraProblem, dict[Camera, Any]]":
-    """Build the problem of a configuration; also return the calibration of each kind of camera.
+    """Build the problem of placing cameras; also return the calibration of each kind of camera.
 
     Raises:
         InputError: the parts of the problem do not fit together.

@@ -1,4 +1,4 @@
-"""Directory of a run and its files, each written whole or not at all."""
+"""Directory of a run and its files; each file is written completely or not at all."""
 
 import atexit
 import errno
@@ -20,18 +20,18 @@ from .app import LOCK, discard_empty
 if TYPE_CHECKING:
     from lmd.optimisers.ledger import Record
 
-LEAST_FREE = 1 << 20  # least free disk space for a run to begin, bytes
-JOB_VARIABLE = "LMD_JOB"  # environment variable with the folder of the job that a process of a sweep does
-# Commands that search or score, each with a file that it writes last.
+LEAST_FREE = 1 << 20  # minimum free disk space at the beginning of a run, bytes
+JOB_VARIABLE = "LMD_JOB"  # environment variable with the folder of the job, in a process of a sweep
+# Commands that search or score, each with the file that it writes last.
 RESULTS = {
     **dict.fromkeys(("optimise", "evaluate"), "metrics.json"),
     "compare": "comparison.csv",
     "tradeoff": "tradeoff.json",
     "survey": "survey.json",
 }
-PARTIAL = ".partial_"  # prefix of folders whose files are moved once all files are written
+PARTIAL = ".partial_"  # prefix of folders from which files are moved once all are written
 HISTORY_FILE = "history.csv"
-RESERVED_BYTES = 1 << 16  # reserved disk space, bytes: more than landmarks and figures of a thousand tags
+RESERVED_BYTES = 1 << 16  # reserved disk space, bytes: enough for landmarks and figures of a thousand tags
 
 Content = TypeVar("Content")
 locks = ExitStack()
@@ -44,7 +44,7 @@ class RunDirectory(HydraCallback):
     """
 
     def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Check the disk, lock the directories, and register the removal of an empty directory."""
+        """Check the disk, lock the directories, and arrange the removal of an empty directory."""
         directory, resume = Path(config.hydra.run.dir).resolve(), config.get("resume")
         resumed = directory if resume is None else Path(str(resume)).resolve()
         self._check(directory)
@@ -55,11 +55,11 @@ class RunDirectory(HydraCallback):
             sys.exit(f"error: {text}: name another folder, or delete this one{go_on}.")
         directory.mkdir(parents=True, exist_ok=True)
         atexit.register(discard_empty, directory)
-        # The process that watches a job has locked the job's directory.
+        # The process that supervises a job has already locked the job's directory.
         places = {} if JOB_VARIABLE in os.environ else {resumed: "resume", directory: "hydra.run.dir"}
         for place, key in places.items():
             lock: int | None = 0
-            with suppress(ImportError, OSError):  # a system without locks, or the directory of another user
+            with suppress(ImportError, OSError):  # a system without locks, or a directory of another user
                 lock = locks.enter_context(held(place, wait=False))
             if lock is None:
                 sys.exit(f"error: {key}: another process is at work in {str(place)!r}.")
@@ -72,7 +72,7 @@ class RunDirectory(HydraCallback):
 
     @staticmethod
     def _check(directory: Path) -> None:
-        """Exit if the folder that a directory lies in, or will lie in, cannot take its files."""
+        """Exit if the existing folder in or above a directory cannot take the directory's files."""
         directory = directory.resolve()
         there = next(place for place in (directory, *directory.parents) if place.exists())
         usage = shutil.disk_usage(there)
@@ -87,8 +87,8 @@ class RunDirectory(HydraCallback):
 
 @contextmanager
 def held(directory: Path, wait: bool = True) -> Iterator[int | None]:
-    """Lock a directory for this process and all processes that inherit the descriptor; None if another process has
-    locked it.
+    """Lock a directory for this process and for processes that inherit the descriptor; None if another one has the
+    lock.
 
     Args:
         directory: the directory.
@@ -112,7 +112,7 @@ def held(directory: Path, wait: bool = True) -> Iterator[int | None]:
 
 
 def all_or_none(directory: Path, write: Callable[[Path], object]) -> list[Path]:
-    """Call `write` with a folder, then move the files in the folder to `directory`; after an error, no file is left.
+    """Call `write` with a temporary folder, then move its files to `directory`; after an error, no file is left.
 
     Returns:
         the files in `directory`, sorted.
@@ -120,7 +120,7 @@ def all_or_none(directory: Path, write: Callable[[Path], object]) -> list[Path]:
     Raises:
         OSError: a file cannot be written, or has the name of a folder in `directory`.
     """
-    for left in directory.glob(f"{PARTIAL}*"):  # left by a process that was killed
+    for left in directory.glob(f"{PARTIAL}*"):  # left by a killed process
         shutil.rmtree(left, ignore_errors=True)
     with tempfile.TemporaryDirectory(dir=directory, prefix=PARTIAL) as name:
         write(Path(name))
@@ -134,7 +134,7 @@ def all_or_none(directory: Path, write: Callable[[Path], object]) -> list[Path]:
 
 
 def write_all(directory: Path, writers: Mapping[str, Callable[[Path], object]]) -> list[Path]:
-    """Write the files of `writers`, functions by file name, all or none; see `all_or_none`."""
+    """Write files, given as functions by file name, all or none; see `all_or_none`."""
     from .progress import doing
 
     def fill(folder: Path) -> None:
@@ -148,7 +148,7 @@ def write_all(directory: Path, writers: Mapping[str, Callable[[Path], object]]) 
 
 @contextmanager
 def space_reserved(directory: Path) -> Iterator[None]:
-    """Context in which disk space for the results is reserved, in case that the disk fills up meanwhile.
+    """Context that reserves disk space for the results, in case the disk fills up meanwhile.
 
     Raises:
         OSError: the disk is already full.
@@ -163,7 +163,7 @@ def space_reserved(directory: Path) -> Iterator[None]:
 
 
 def read_history(path: Path) -> "list[Record]":
-    """Best fitness over a run, from its file."""
+    """Read the best fitness over a run from the file of its history."""
     from lmd.core.tables import read_numbers
     from lmd.optimisers.ledger import Record, columns_of
 
@@ -191,7 +191,7 @@ def read_document(path: Path, content_of: Callable[[dict[str, Any]], Content]) -
 
 
 def write_document(path: Path, document: Mapping[str, Any]) -> None:
-    """Write a JSON document, whole or not at all, also if the process is killed or the power fails."""
+    """Write a JSON document completely or not at all, even if the process is killed or the power fails."""
     from lmd.core.files import write_whole
 
     write_whole(path, (json.dumps(document, indent=2) + "\n").encode())

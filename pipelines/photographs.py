@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector", tag: "Tag") -> "DetectedTags":
-    """Detections of tags of the family of `tag`, without copies of images.
+    """Get the detections of tags of the family of `tag`; copies of images are left out.
 
     Raises:
         InputError: photographs and detections are both given or both missing, or a file cannot be read or has another
@@ -56,7 +56,7 @@ def detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector",
 
 
 def with_camera_of_bag(cfg: DictConfig) -> DictConfig:
-    """Configuration whose calibration is that of the bag in `photographs`, if no other one is given."""
+    """Configuration with the calibration in the bag `photographs`, if no other calibration is given."""
     from lmd.formats.bags import CAMERA_INFO, Bag, is_bag
 
     if cfg.photographs is None or "path" not in cfg.camera or cfg.camera.path is not None or cfg.camera.get("rig"):
@@ -73,7 +73,7 @@ def reader_of(cfg: DictConfig) -> "tuple[str, Detector]":
     """Name of the detector, and the detector.
 
     Raises:
-        InputError: there is no detector, there are several, or the corner errors of the detector are unknown.
+        InputError: there is no detector, there are several, or the detector's corner errors are unknown.
     """
     from lmd.core.checks import InputError
 
@@ -93,7 +93,7 @@ def odometry_of(given: Any, key: str) -> "Trajectory | None":
         key: key of the configuration.
 
     Raises:
-        InputError: the file cannot be read, or is no trajectory.
+        InputError: the file cannot be read, or is not a trajectory.
     """
     from lmd.core.checks import InputError
     from lmd.formats.trajectories import TrajectoryFile

@@ -1,4 +1,4 @@
-"""Points of a trade-off: parallel searches along curves, with results stored on disk."""
+"""Points of a trade-off: parallel searches at points along curves; results are stored on disk."""
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -26,14 +26,14 @@ if TYPE_CHECKING:
     from lmd.scene.tag import Tag
 
 
-NO_SHARE = re.compile("cost|predicted_error_.*|.*_(seconds|standard_error)")  # figures that are no fractions
+NO_SHARE = re.compile("cost|predicted_error_.*|.*_(seconds|standard_error)")  # figures that are not fractions
 ARRAYS = ("positions", "normals", "surfaces")  # arrays of a deployment that are stored
 PAPER, BUDGET = "paper", "budget"  # keys of `tag` that limit tags of several sizes
 
 
 @dataclass(frozen=True)
 class Ladder:
-    """Points of one curve for one seed."""
+    """Points along one curve for one seed."""
 
     cfg: DictConfig
     """Configuration of the pipeline."""
@@ -59,7 +59,7 @@ class Ladder:
             cfg.deployment.count, cfg.tag.edge = at, self.edges[0] or None
             return cfg
         tag = cfg.tag
-        tag.edge, tag.counts = tag.edge or max(tag.edges), None  # fixed tags keep their edge on all curves
+        tag.edge, tag.counts = tag.edge or max(tag.edges), None  # fixed tags keep their edge on every curve
         if self.limited == BUDGET:
             tag.costs = [cost for edge, cost in zip(tag.edges, tag.costs, strict=True) if edge in self.edges]
         tag.edges, tag.paper, tag.budget = list(self.edges), None, None
@@ -89,7 +89,7 @@ class Ladder:
         return self._search(at, self.problem(at), ANEW)
 
     def improved(self, known: "Mapping[float, Found]", chosen: Iterable[float]) -> "dict[float, Found]":
-        """Results of searches from the results of neighbours, see `lmd.evaluation.tradeoff.improved`."""
+        """Results of searches that start from the results of neighbours, see `lmd.evaluation.tradeoff.improved`."""
         from lmd.evaluation.tradeoff import improved
 
         return improved(known, chosen, self.problem, self._search)
@@ -102,7 +102,7 @@ class Ladder:
         return self._kept(at, f"figures of {SAMPLE}", found.deployment, score)  # type: ignore[no-any-return]
 
     def _search(self, at: float, problem: "Problem", way: str) -> "Found":
-        """Search from the start of the problem of a point, with a budget of its own."""
+        """Search from the start of a point's problem, with the budget for a point."""
         from lmd.evaluation.tradeoff import Found
         from lmd.scene.deployment import Deployment
         from lmd.scene.deployment_sources import GivenDeployment
@@ -122,7 +122,7 @@ class Ladder:
     def _kept(
         self, at: float, what: str, given: "Deployment | None", compute: Computed, read: Callable[[Any], Any] = dict
     ) -> Any:
-        """Result of a kind at a place along the curve that depends on a deployment, see `kept`."""
+        """Result of the kind `what` at a point, computed from a deployment or read from disk, see `kept`."""
         settings = flat_settings(self.point(at), *SAME_WHEN_RESUMED, "budget")
         arrays = None if given is None else [getattr(given, name).tolist() for name in ARRAYS]
         if arrays and given and given.has_own_edges:
@@ -146,7 +146,7 @@ def shares_among(figures: Iterable[str]) -> list[str]:
 
 
 class Points:
-    """Results at all points. A point is the number of a curve, and a place along that curve.
+    """Results at all points. A point is given by the number of a ladder, and a place along its curve.
 
     Args:
         ladders: ladders of every curve and seed.
@@ -159,7 +159,9 @@ class Points:
         self._figures: dict[tuple[int, float], dict[str, float]] = {}
 
     def look(self, chosen: Sequence[tuple[int, float]]) -> None:
-        """Search at points from the start and from neighbours' results, and score the best result at each point."""
+        """Search at points, from the configured start and from neighbours' results, and score the best result at each
+        point.
+        """
         anew = {(n, at): partial(self.ladders[n].anew, at) for n, at in chosen}
         for (n, at), found in self._done("searched anew", anew):
             self._found[n][at] = found
@@ -185,14 +187,16 @@ class Points:
         return best
 
     def _done(self, what: str, jobs: Mapping[Any, Callable[[], Any]]) -> Iterator[tuple[Any, Any]]:
-        """Keys of jobs, a number of a ladder and places along it, with their results in the order in which they end."""
+        """Do jobs in processes; yield keys, a ladder's number and places along it, with results in the order of
+        completion.
+        """
         results = in_processes(_do, list(jobs.items()), self._workers, lambda job: self.name(*job[0]))
         for i, (key, result) in enumerate(results, 1):
             say(f"{i}/{len(jobs)} {what}: {self.name(*key)}")
             yield key, result
 
     def name(self, number: int, *places: float) -> str:
-        """Name of a point, or of several points of one curve."""
+        """Name of a point, or of several points of one ladder."""
         ladder, listed = self.ladders[number], ",".join(f"{at:.10g}" for at in places)
         size = [f"{self.axis.curve}={ladder.curve}"] if ladder.edges[0] else []
         return " ".join([f"{self.limited or 'K'}={listed}", *size, f"seed={ladder.seed}"])
@@ -203,7 +207,7 @@ class Points:
 
     @cached_property
     def axis(self) -> "Axis":
-        """Axis of the points."""
+        """Quantity that varies along the curves, as an axis for tables and plots."""
         from lmd.evaluation.tradeoff import COUNTS, Axis
 
         if self.limited is None:
@@ -213,7 +217,7 @@ class Points:
         return Axis("edges", self.limited, min(costs or ((tag.paper_share * min(tag.sizes)) ** 2,)))
 
     def __iter__(self) -> "Iterator[tuple[int, float, Found, dict[str, float]]]":
-        """Iterate over the points: number of the curve, place along the curve, result, and figures."""
+        """Iterate over the points: number of the ladder, place along the curve, result, and figures."""
         for n, at in sorted(self._figures):
             yield n, at, self._found[n][at], self._figures[n, at]
 
@@ -232,7 +236,7 @@ class Points:
         return pd.DataFrame([row(*point) for point in self])
 
     def counts(self, found: "Found") -> dict[str, int]:
-        """Number of landmarks, and of the landmarks of each edge, for points along limits; else empty."""
+        """Number of landmarks, in total and of each edge, for points along limits; otherwise empty."""
         edges = found.deployment.edges
         if self.limited is None or not found.deployment.has_own_edges:
             return {}
@@ -243,5 +247,5 @@ class Points:
 
 
 def _do(job: tuple[Any, Callable[[], Any]]) -> tuple[Any, Any]:
-    """Do a job, and return its key and its result."""
+    """Do a job; return the job's key and result."""
     return job[0], job[1]()

@@ -22,22 +22,22 @@ from .operations.tracking import Tracker
 if TYPE_CHECKING:
     from lmd.survey.survey import SurveyStage
 
-LOG_SECONDS = 15.0  # time between two lines of progress in a file, seconds
-SHOWN_AFTER = 2.0  # time after which a step is shown, seconds
+LOG_SECONDS = 15.0  # time between lines of progress in a file, seconds
+SHOWN_AFTER = 2.0  # time after which a step's name is printed, seconds
 
 tqdm.set_lock(threading.RLock())  # tqdm's own lock has a semaphore, which a process that is killed would leave behind
 
 
 def bar(total: int | None, unit: str, initial: int = 0) -> "tqdm[Any]":
-    """A progress bar, live on a terminal, every `LOG_SECONDS` in a file."""
+    """Progress bar: live on a terminal, a line every `LOG_SECONDS` in a file."""
     interval = 0.1 if sys.stderr.isatty() else LOG_SECONDS
     return tqdm(total=total, initial=initial, unit=f" {unit}", mininterval=interval, leave=False)
 
 
 class Progress:
-    """The callback of a run: shows the best fitness, logs the curve and saves checkpoints.
+    """Callback of a run: shows the best fitness, logs the curve and saves checkpoints.
 
-    An optimiser that cannot be checkpointed gets a warning at once.
+    A warning is printed at the beginning if the optimiser cannot be checkpointed.
 
     Args:
         budget: budget of the run, the end of the bar.
@@ -45,7 +45,7 @@ class Progress:
         checkpoint: checkpoint of the optimiser.
         directory: folder of the checkpoint.
         every: time between checkpoints, seconds.
-        logged: the tracked run has the history in the optimiser's ledger already.
+        logged: True if the tracked run already has the history in the optimiser's ledger.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class Progress:
         self.bar = bar(budget.evaluations, "evaluations", int(ledger.evaluations))
 
     def __call__(self, optimiser: Optimiser) -> bool:
-        """Show progress, and return whether the run is to stop; see `lmd.optimisers.base.Callback`."""
+        """Show progress; return True if the run is to stop, see `lmd.optimisers.base.Callback`."""
         ledger = optimiser.ledger
         with suppress(OSError):  # the terminal may be closed
             self.bar.set_postfix_str(f"best fitness {ledger.best_fitness:.2%}", refresh=False)
@@ -77,12 +77,12 @@ class Progress:
         self.saved = time.monotonic()
 
     def _curve(self, ledger: Ledger) -> list[tuple[int, float, float]]:
-        """The curve up to what is spent."""
+        """Curve of the best fitness up to the budget spent."""
         spent = ledger.seconds if self.budget.evaluations is None else ledger.evaluations
         return curve(ledger.history, self.budget, spent + ROUNDING)
 
     def _warning_of(self, save: Callable[[], None]) -> None:
-        """Call a function, and warn once if it fails: the run goes on without checkpoints."""
+        """Call a function that saves; if it fails, warn once, and the run continues without checkpoints."""
         try:
             save()
         except (OSError, InputError) as error:
@@ -110,7 +110,7 @@ def doing(step: str) -> Iterator[None]:
 
 
 class Stages:
-    """Shows the stages of a survey; a `lmd.survey.survey.Observer`."""
+    """Progress of the stages of a survey; a `lmd.survey.survey.Observer`."""
 
     def __init__(self) -> None:
         self.interrupted: SurveyStage | None = None
@@ -118,7 +118,7 @@ class Stages:
         self._bar: tqdm[Any] | None = None
 
     def __call__(self, stage: "SurveyStage", done: int = 0, most: int = 0) -> bool:
-        """Show the stage, and return whether the survey is to stop; see `lmd.survey.survey.Observer`."""
+        """Show the stage; return True if the survey is to stop, see `lmd.survey.survey.Observer`."""
         if stop.requested and self.interrupted is None:
             self.interrupted = self._stage
         if self._bar is None or stage != self._stage:
@@ -142,5 +142,5 @@ class Stages:
 
     @property
     def has_map(self) -> bool:
-        """True when a map is worth writing."""
+        """True if there is a map that is worth writing."""
         return self._stage is not None and self._stage.has_map

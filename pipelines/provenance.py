@@ -1,4 +1,6 @@
-"""Provenance of a run: parameters, command, version of the code, contents of files; results kept by these."""
+"""Provenance of a run: parameters, command, version of the code, contents of files; and results stored by
+provenance.
+"""
 
 import getpass
 import hashlib
@@ -23,16 +25,16 @@ from .outputs import Content, read_document, write_document
 # Characters around a path in an override, such as `deployments=['mine: file deployment.path=a.csv',uniform]`; the first
 # pattern leaves a path with a space whole.
 SEPARATORS = (r"[,=\[\]{}'\"]+", r"[\s,=\[\]{}'\"]+")
-RECORD = ".hydra/config.yaml"  # settings of the run whose files are in a folder
+RECORD = ".hydra/config.yaml"  # file in a folder with the settings of the run whose files are there
 PACKAGES_FILE = "packages.txt"
-DIRTY = "uncommitted changes"  # tag of a run
+DIRTY = "uncommitted changes"  # tag of a run from a checkout with changes
 Computed = Callable[[], dict[str, Any]]
-SHORT_COMMIT = 9  # characters of a commit in a description
-LARGEST_READ = 1 << 32  # largest file whose contents are read, bytes; for larger files only the size counts
+SHORT_COMMIT = 9  # number of characters of a commit in a description
+LARGEST_READ = 1 << 32  # files up to this size are read, bytes; for larger files only the size counts
 
 
 def command_line(pipeline: str, overrides: Sequence[str]) -> str:
-    """Command of this project, for a shell."""
+    """Command of this project in the form for a shell."""
     return " ".join([command_of(pipeline), shlex.join(overrides)]).strip()
 
 
@@ -43,10 +45,10 @@ def resuming(pipeline: str, folder: Path) -> str:
 
 
 def source_tags(pipeline: str) -> dict[str, str]:
-    """Tags of a run with its user, command, version and commit, most under mlflow's own names."""
+    """Tags of a run with user, command, version and commit, mostly under mlflow's own names."""
     tags = {"mlflow.source.name": command_of(pipeline), "mlflow.source.type": "LOCAL", "mlflow.user": _user()}
     given = sys.argv[1:]
-    if current_job() is not None:  # a command that is repeated by hand must not write to the folder of the sweep
+    if current_job() is not None:  # when repeated by hand, a command must not write to the folder of the sweep
         given = [word for word in given if not word.startswith(("hydra.run.dir=", "resume="))]
     return tags | {"command": command_line(pipeline, given)} | _version()
 
@@ -54,7 +56,7 @@ def source_tags(pipeline: str) -> dict[str, str]:
 def _user() -> str:
     try:
         return getpass.getuser()
-    except (KeyError, OSError):  # a container may have no name for its user
+    except (KeyError, OSError):  # in a container, the user may have no name
         return "unknown"
 
 
@@ -71,7 +73,7 @@ def _version() -> dict[str, str]:
 
 
 def repeating(tags: Mapping[str, str]) -> str:
-    """The command in the `source_tags` of a run, and the commit to repeat it at, in Markdown."""
+    """Text in Markdown: the command in a run's `source_tags`, and the commit at which to repeat the command."""
     from lmd.core.words import as_code
 
     commit = tags.get("mlflow.source.git.commit", "")[:SHORT_COMMIT]
@@ -80,7 +82,7 @@ def repeating(tags: Mapping[str, str]) -> str:
 
 
 def write_sources(directory: Path) -> None:
-    """Write the installed packages, unless the disk is full."""
+    """Write the list of installed packages, unless the disk is full."""
     try:
         directory.mkdir(parents=True, exist_ok=True)
         (directory / PACKAGES_FILE).write_text(_packages())
@@ -107,9 +109,9 @@ def _git(*arguments: str) -> str:
 
 
 def parameters(cfg: DictConfig, choices: Mapping[str, str]) -> dict[str, Any]:
-    """Choices of groups, and the settings below the groups that have a value."""
+    """Choices of groups, and the settings that have a value below the groups."""
     settings = {key: value for key, value in flat_settings(cfg).items() if value not in (None, [])}
-    left_out = ("run", "_target_", "_partial_")  # the settings of an earlier run are parameters themselves
+    left_out = ("run", "_target_", "_partial_")  # the settings of an earlier run are themselves parameters
     return {
         key: value
         for key, value in {**choices, **settings}.items()
@@ -118,7 +120,7 @@ def parameters(cfg: DictConfig, choices: Mapping[str, str]) -> dict[str, Any]:
 
 
 def digest(*parts: Any) -> str:
-    """Digest that is equal for equal parts if the files named in the parts have equal contents."""
+    """Digest of parts: equal for equal parts if the files that the parts name have equal contents."""
     text = json.dumps([*parts, contents_of(parts)], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -126,8 +128,8 @@ def digest(*parts: Any) -> str:
 def contents_of(settings: Any) -> dict[str, str]:
     """Digest of every file named in `settings`, such as `{"contents of flight.csv": "9f86d081884c7d65"}`.
 
-    Every text at any key counts if it is the path of a file, or of a folder with files. A word that happens to be such
-    a path does no harm.
+    A text at any key is used if it is the path of a file, or of a folder with files. A word that happens to be such a
+    path does no harm.
 
     Args:
         settings: resolved settings, nested in any way, or overrides.
@@ -159,11 +161,11 @@ def _digest_of(file: Path) -> str:
 
 
 def kept(folder: str, parts: tuple[Any, ...], compute: Computed, content_of: Callable[[Any], Content]) -> Content:
-    """Result from the disk, or computed now and stored under a digest of all that decides it.
+    """Read a result from the disk, or compute and store it, under a digest of everything that determines the result.
 
     Args:
         folder: folder of the results.
-        parts: settings and deployments that decide the result, as `digest` takes them; the code of `lmd` does, too.
+        parts: settings and deployments that determine the result, see `digest`; the digest includes the code of `lmd`.
         compute: function that computes the result as a document.
         content_of: function that converts a document, see `read_document`.
     """

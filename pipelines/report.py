@@ -24,7 +24,7 @@ TITLE = "The paper's tables and figures, reproduced"
 
 
 def report(cfg: DictConfig) -> None:
-    """Write report.md and its pictures, on the newest sweep of each name, to the run directory."""
+    """Write report.md on the newest sweep of each name, with pictures, to the run directory."""
     from lmd.core.checks import InputError
 
     from .operations.tracking import MlflowReader
@@ -54,7 +54,7 @@ def _load(reader: "MlflowReader", run_id: str, trust: Trust) -> "tuple[Problem, 
     found = read_yaml(reader.artifact(run_id, "config.yaml"), source)
     parts = trust.parts(found, f"{source}: config.yaml", (*GROUPS, "encoding"))
     landmarks = str(reader.artifact(run_id, "landmarks.csv"))
-    # The result replaces the start; it is `free` of checks, as the run accepted it.
+    # The result replaces the start; the source is `free` of checks, as the run has accepted the result.
     deployment = {"_target_": "lmd.formats.tag_maps.FileDeployment", "path": landmarks, "free": True}
     try:
         problem = build_problem(OmegaConf.create({**parts, "deployment": deployment, "seed": 0, "threads": None}))

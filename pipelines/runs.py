@@ -1,7 +1,7 @@
-"""List the newest runs, or hand in what runs could not record: `python -m pipelines.runs [last=20] [sync=FOLDER]`.
+"""List the newest runs, or send entries that could not be recorded: `python -m pipelines.runs [last=20] [sync=FOLDER]`.
 
-Runs whose process has ended are marked first. A run whose tracking store stops answering continues, and keeps its
-record in a journal in its folder; `sync` sends the journals below a folder to `tracking.uri`.
+First, unfinished runs whose process has ended are marked. If the tracking store stops answering, a run continues with a
+journal in its folder; `sync` sends the journals below a folder to `tracking.uri`.
 """
 
 import socket
@@ -27,11 +27,11 @@ COLUMNS = {
     "metrics.off_grid": "off the grid",
     "metrics.evaluations": "evaluations",
 }
-SHARES = ("metrics.fitness", "metrics.off_grid")  # columns in per cent
+SHARES = ("metrics.fitness", "metrics.off_grid")  # columns shown in per cent
 
 
 def runs(cfg: DictConfig) -> None:
-    """List the newest runs of the configured store, or hand in the journals below a folder.
+    """List the newest runs of the configured store, or send the journals below a folder.
 
     Raises:
         InputError: a setting is refused, or the store cannot be used.
@@ -67,8 +67,8 @@ def runs(cfg: DictConfig) -> None:
 
 
 def going_on(run: "pd.Series") -> str:
-    """Command that goes on with a run, as its record has it. Empty if the run has finished, has left no checkpoint, or
-    is the job of a sweep, which goes on with the command of the sweep.
+    """Command that resumes a run, from the record of the run. Empty if the run has finished, has left no checkpoint, or
+    is the job of a sweep, which the command of the sweep resumes.
 
     Args:
         run: row of `MlflowReader.runs`.
@@ -89,7 +89,7 @@ def going_on(run: "pd.Series") -> str:
 def hand_in_below(folder: Path, uri: str) -> bool:
     """Send all journals below a folder to a store; False if a journal could not be sent.
 
-    A journal of a run with another store is sent only if the command line names `tracking.uri`.
+    The journal of a run with another store is sent only if the command line gives `tracking.uri`.
 
     Raises:
         InputError: there is no such folder.

@@ -1,4 +1,4 @@
-"""The score of a deployment: landmarks and figures first, then everything that can be computed again."""
+"""Score of a deployment: first landmarks and figures are written, then everything that can be computed again."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -25,13 +25,13 @@ if TYPE_CHECKING:
     from lmd.scene.deployment import Deployment
 
 MEASURED, MOUNTING = "deployment.measured", "deployment.mounting_error"
-# Figures that the terminal shows of deployments side by side.
+# Figures of deployments that the terminal shows side by side.
 COMPARED = ("fitness", "off_grid", "qualified_ratio", "average_coverage_probability", "localised_share_20mm")
-FEW_QUALIFIED = 0.1  # share of qualified positions; below it a run prints the criteria that exclude the others
+FEW_QUALIFIED = 0.1  # below this share of qualified positions, the criteria that exclude positions are printed
 
 
 def room_report(cfg: DictConfig, problem: "Problem") -> Report:
-    """The room as it was understood, and where people are in the way, before anything is computed."""
+    """Report on the room as it was interpreted, and on where people are in the way, before anything is computed."""
     if not cfg.picture:
         return Report()
     room, crowd = problem.scene.room, problem.scene.crowd
@@ -56,7 +56,7 @@ def scored(
 ) -> Iterator[Report]:
     """Reports on a deployment.
 
-    Landmarks, figures and history cannot be computed again: they are written before all else, and they stay.
+    Landmarks, figures and history cannot be computed again, so they are written first, and are kept.
 
     Args:
         cfg: configuration of the run.
@@ -67,7 +67,7 @@ def scored(
         summary: more entries of metrics.json; with `stopped` = "interrupted" the run was cut short.
         further: more entries that take seconds to compute.
         export: further files.
-        in_haste: leave out outputs that take seconds: validation, pictures, exports and `further` entries.
+        in_haste: True to leave out outputs that take seconds: validation, pictures, exports and `further` entries.
 
     Yields:
         reports with the figures, among them `fitness` and, unless validation is left out, `off_grid`.
@@ -101,7 +101,7 @@ def scored(
         figures["off_grid"] = validation[headline_off_grid(problem)]
     groups = {"validation": validation, "criteria": why.metrics() if why else {}}
     document |= figures | {group: found for group, found in groups.items() if found} | settings
-    # Standard errors would only clutter the charts.
+    # standard errors would clutter the charts
     charted = {f"validation/{key}": v for key, v in validation.items() if not key.endswith("standard_error")}
     lines = labelled_figures({key: value for key, value in figures.items() if key != "off_grid"})
     if all(camera.is_pinhole for camera in problem.scene.cameras):
@@ -130,7 +130,7 @@ def scored(
 
 
 def in_words(problem: "Problem", subject: str) -> str:
-    """Title with the placed objects, objective, visibility and room in words."""
+    """Title with placed objects, objective, visibility and room, in words."""
     scene, of = problem.scene, getattr(problem.scene.visibility, "detector", None)
     visibility = f"visibility {choices().get('visibility', '')}{f' ({of})' if of else ''}"
     placed = f"{subject}, {problem.count} landmarks: {problem.objective.value_label}"
@@ -168,13 +168,13 @@ def score(cfg: DictConfig, own: Mapping[str, DictConfig]) -> Study:
 
 
 class _Subject(NamedTuple):
-    """A deployment that is scored."""
+    """Deployment to be scored."""
 
     problem: "Problem"
     plan: "Deployment"
-    """Planned places of the tags."""
+    """Planned poses of the tags."""
     deployment: "Deployment"
-    """Measured places of the tags; `plan` if nothing was measured."""
+    """Measured poses of the tags; equal to `plan` if nothing was measured."""
     error: "MountingError"
     history: "Sequence[Record]"
 
@@ -201,7 +201,7 @@ class _Subject(NamedTuple):
 
 
 def mounting_of(cfg: DictConfig) -> "MountingError":
-    """Mounting error of a configuration; a number is short for the error of position.
+    """Mounting error of a configuration; a single number is the error of position.
 
     Raises:
         InputError: the error is refused.
@@ -214,7 +214,7 @@ def mounting_of(cfg: DictConfig) -> "MountingError":
 
 
 def _studied(cfg: DictConfig, subject: _Subject, name: str) -> Iterator[Report]:
-    """Reports on the score and the studies of a deployment."""
+    """Reports on the score and on the studies of a deployment."""
     from .progress import doing
 
     texts, summary = list[str](), dict[str, Any]()
@@ -289,7 +289,7 @@ def _studies(cfg: DictConfig, subject: _Subject) -> Iterator[Studied]:
 
 
 def _side_by_side(rows: Mapping[str, Mapping[str, float]]) -> Report:
-    """Table of the figures of several deployments, and those that all have on the terminal."""
+    """Table of the figures of several deployments; the terminal shows the figures that all deployments have."""
     import pandas as pd
 
     from lmd.evaluation.maps import figures_text

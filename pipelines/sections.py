@@ -1,4 +1,4 @@
-"""Sections of the reproduction report in Markdown: results of the stored sweeps and of the paper."""
+"""Sections of the reproduction report, in Markdown: results of stored sweeps beside results of the paper."""
 
 from collections.abc import Callable
 
@@ -15,21 +15,21 @@ from lmd.plot.scenes import save_deployments_figure
 from .app import command_of
 from .stored_runs import BUDGET, COUNT, GRID_FREE, INDICES, PAIR, PARENT, RATIO, TABLE_2, TABLE_3, Printed, Source
 
-# Commands of the sweeps of a report, with what follows `experiment=` and the name.
+# Sweeps of a report: for each, the part of the command that follows `experiment=`, and the name.
 COMMANDS = {
     **dict.fromkeys(("table2", "table3_reoptimised", "landmark_count", "optimisers"), ("optimise", "")),
     "table2_baselines": ("evaluate", ""),
     "table3": ("evaluate", " deployment.path=RUN/landmarks.csv"),
 }
-# Rows of Table II: sweep, tag and value of their runs.
+# Rows of Table II: for each, the sweep, and tag and value of the runs.
 TABLE_2_RUNS = {
     "EGA": ("table2", "tags.choice.optimiser", "ega"),
     "SGA": ("table2", "tags.choice.optimiser", "sga"),
     "uniform": ("table2_baselines", "tags.choice.deployment", "uniform"),
     "initial": ("table2_baselines", "tags.choice.deployment", "random"),
 }
-PANELS = ("initial", "EGA", "SGA", "uniform")  # the order of the paper's figure
-NO_VALUE = "–"  # cell without runs
+PANELS = ("initial", "EGA", "SGA", "uniform")  # in the order of the paper's figure
+NO_VALUE = "–"  # text of a cell without runs
 
 
 def sections(source: Source) -> str:
@@ -127,7 +127,7 @@ def _curves(source: Source, name: str, jobs: pd.DataFrame, title: str) -> list[s
 
 
 def _origin(source: Source, sweep: str, jobs: pd.DataFrame) -> str:
-    """Origin of the runs of a sweep; without runs the command that makes them."""
+    """Text on the origin of a sweep's runs; if there are no runs, the command that makes them."""
     if jobs.empty:
         command, more = COMMANDS[sweep]
         made_by = as_code(f"{command_of(command)} experiment={sweep}{more}")
@@ -162,7 +162,7 @@ def _beside_head() -> list[str]:
 
 
 def _beside(printed: Printed, jobs: pd.DataFrame) -> list[str]:
-    """Cells of a row: printed figures and medians of runs, per cent."""
+    """Cells of a row, per cent: printed figures beside medians of runs."""
     cells = [f"{len(jobs)}"]
     for index in INDICES:
         paper, values = getattr(printed, index), jobs[f"metrics.{index}"]

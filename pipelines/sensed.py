@@ -1,4 +1,4 @@
-"""Studies of `evaluate` that look at deployments: flights over them, and detectors in rendered images of them."""
+"""Studies of `evaluate` that simulate cameras: flights over deployments, and detectors in rendered images."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -20,7 +20,7 @@ Own = Mapping[str, DictConfig]
 
 
 def observe(cfg: DictConfig, own: Own) -> Study:
-    """Localise a flying camera over deployments, with equal flights over each."""
+    """Study of flights: localise a flying camera over deployments, with equal flights over each deployment."""
     from lmd.estimation.study import Flights
 
     seeds = seeds_of(cfg)
@@ -65,15 +65,15 @@ def observe(cfg: DictConfig, own: Own) -> Study:
 
 
 def _any_tag(cfg: DictConfig) -> DictConfig:
-    """Configuration in which tags are points if the visibility model is for points.
+    """Replace tags by points in a configuration if the visibility model is for points.
 
-    Overlapping papers are then not refused; pictures still show the papers.
+    Overlapping papers are then accepted; pictures still show the papers.
     """
     return cfg if "tag" in cfg.visibility else OmegaConf.merge(cfg, {"tag": {"edge": None}})  # type: ignore[return-value]
 
 
 def in_batches(workers: int | None, function: Callable[[Any], Any], jobs: Sequence[Any]) -> Iterator[Any]:
-    """Results of a function for each job, in processes of their own; see `lmd.estimation.recording.Each`."""
+    """Apply a function to jobs in several processes, and return the results; see `lmd.estimation.recording.Each`."""
     from lmd.core.workers import in_processes
 
     from .progress import bar
@@ -96,7 +96,7 @@ def _on_one_thread(function: Callable[[Any], Any], job: Any) -> Any:
 
 
 def detect(cfg: DictConfig, own: Own) -> Study:
-    """Let real detectors read rendered images of deployments, from equal random poses."""
+    """Study of detection: real detectors read rendered images of deployments, from equal random poses."""
     from lmd.core.checks import integer, vector
     from lmd.core.optional import optional
 
@@ -132,7 +132,7 @@ def detect(cfg: DictConfig, own: Own) -> Study:
 
 
 def rendered(cfg: DictConfig, count: int) -> "Rendered":
-    """Deployment of a configuration, with its prediction in random poses, and detectors.
+    """Deployment of a configuration, prediction for random poses, and detectors.
 
     Raises:
         InputError: the deployment, the tag or a detector is refused.
@@ -150,7 +150,7 @@ def rendered(cfg: DictConfig, count: int) -> "Rendered":
 
 
 def _frames(study: "DetectionStudy", count: int, seed: int) -> dict[str, Callable[[Path], object]]:
-    """Pictures of the first frames of each deployment with the detections of its first detector, for every camera."""
+    """Pictures of the first frames of each deployment, with detections of the first detector, for every camera."""
     import numpy as np
 
     from lmd.detection.frames import rendered_frame

@@ -1,4 +1,4 @@
-"""Sources of a reproduction report: the tables of the paper, and the runs of a tracking store."""
+"""Sources of a reproduction report: tables of the paper, and runs in a tracking store."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -37,7 +37,7 @@ COUNT = "params.deployment.count"
 
 @dataclass(frozen=True)
 class Printed:
-    """Three indices of a row, fractions in [0, 1], with the names of `Problem.metrics`."""
+    """Row of a table: three indices, fractions in [0, 1], with the names of `Problem.metrics`."""
 
     qualified_ratio: float
     average_coverage_probability: float
@@ -65,18 +65,18 @@ TABLE_3 = {
     (4, 0.80): Printed(0.0000, 0.4676, 0.7385),
 }
 
-# Columns that a report reads; a store may lack some.
+# Columns that a report reads; a store may lack some columns.
 COLUMNS = [
     *("status", "started", "tags.sweep", "tags.job", PARENT, OPTIMISER, "tags.choice.deployment"),
     *(SEED, BUDGET, COUNT, *PAIR, *(f"metrics.{index}" for index in INDICES), GRID_FREE),
 ]
 
-# Parameters that a section reads as numbers, by sweep; in a store, parameters are texts of any origin.
+# Parameters that a section reads as numbers, by sweep; a store holds parameters as texts, of any origin.
 NUMBERS = {
     **{"table2": [SEED], "optimisers": [SEED], "landmark_count": [COUNT]},
     **{"table3": PAIR, "table3_reoptimised": PAIR},
 }
-# Function that returns the problem and the deployment of a run, by the id of the run.
+# Function that loads the problem and the deployment of a run, given the id of the run.
 Load = Callable[[str], tuple[Problem, Deployment]]
 
 
@@ -87,7 +87,7 @@ class Source:
     reader: MlflowReader
     """Reader of the tracking store."""
     runs: pd.DataFrame
-    """Runs of `MlflowReader.runs`."""
+    """Table of the runs, see `MlflowReader.runs`."""
     load: Load
     """Function that loads the problem and the deployment of a run."""
     folder: Path
@@ -96,7 +96,7 @@ class Source:
     def jobs(self, sweep: str) -> pd.DataFrame:
         """Finished runs of the newest sweep with a name, one for each job, the oldest first.
 
-        A run whose parameter is no number is left out, with a note.
+        A run is left out, with a note, if a parameter is not a number.
         """
         runs = self.runs.reindex(columns=COLUMNS)
         jobs: pd.DataFrame = runs[(runs["tags.sweep"] == sweep) & (runs["status"] == "FINISHED") & runs[PARENT].notna()]
@@ -127,7 +127,7 @@ class Source:
         return found
 
     def picture(self, name: str, caption: str, draw: Callable[..., None], *arguments: Any) -> str:
-        """Picture, in Markdown, that `draw` writes into the folder when called with a path and `arguments`."""
+        """Draw a picture: call `draw` with a path in the folder and `arguments`; return the picture in Markdown."""
         path = self.folder / f"{name}.png"
         draw(path, *arguments)
         shrink(path)

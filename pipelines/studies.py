@@ -1,7 +1,7 @@
-"""Studies that `evaluate` conducts of one or several deployments, beside their score.
+"""Studies of one or several deployments that `evaluate` conducts, in addition to the score.
 
-Each is a function of the configuration of the command and of those of the deployments, by their names, that checks its
-settings and returns the study.
+Each study has a function that checks the settings and returns the study. Arguments are the configuration of the
+command, and the configurations of the deployments by name.
 """
 
 import sys
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 
 Own = Mapping[str, DictConfig]
 HEADLINE = "localised_share_20mm"  # figure in the headings of panels
-EVERY = 10.0  # least time between two lines of progress, seconds
+EVERY = 10.0  # minimum time between lines of progress, seconds
 
 
 def accuracy(cfg: DictConfig, own: Own) -> Study:
-    """Predict the accuracy of single images."""
+    """Study of accuracy: predict the accuracy of single images."""
     import numpy as np
 
     problems = {name: build_problem(each) for name, each in own.items()}
@@ -53,7 +53,9 @@ def accuracy(cfg: DictConfig, own: Own) -> Study:
 
 
 def bound(cfg: DictConfig, own: Own) -> Study:
-    """Bound the results of all deployments of a problem, and the share of the bounds that a greedy choice reaches."""
+    """Study of bounds: bound the results of all deployments of a problem, and the share of the bounds that a greedy
+    choice reaches.
+    """
     from lmd.core.checks import real
     from lmd.evaluation.bounds import (
         Search,
@@ -131,7 +133,7 @@ def bound(cfg: DictConfig, own: Own) -> Study:
 
 
 def uncertainty(cfg: DictConfig, own: Own) -> Study:
-    """Describe the uncertainty of the pose from one image, as tables, laws and code."""
+    """Study of uncertainty: describe the uncertainty of the pose from one image, as tables, laws and code."""
     import numpy as np
 
     from lmd.core.checks import InputError

@@ -1,4 +1,4 @@
-"""Spine of the commands: here a study is tracked, written whole or not at all, kept, printed, stopped and resumed."""
+"""Execution of studies, common to all commands: tracking, complete writing, printing, stopping and resuming."""
 
 import sys
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
@@ -28,17 +28,17 @@ if TYPE_CHECKING:
 
 LANDMARKS = "landmarks.csv"
 DECIDED = ("fixed", "measured")  # settings of `deployment` that decide the problem, beside the number of landmarks
-DATASET_DIGITS = 16  # characters of the digest of a problem; mlflow takes 36
+DATASET_DIGITS = 16  # number of characters of the digest of a problem; mlflow accepts 36
 Curve = Iterable[tuple[int, float, float]]
 
 
 @dataclass(frozen=True)
 class Report:
-    """Part of the results of a study, which is written and printed as soon as the study gives it."""
+    """Part of a study's results, which is written and printed as soon as the study yields it."""
 
     files: Mapping[str, Any] = field(default_factory=dict)
-    """Contents by the names of files: a table, columns of a table, keys of a JSON document, text, or a function that
-    writes to a path."""
+    """Contents by file name: a table, columns of a table, keys of a JSON document, text, or a function that writes to a
+    path."""
     figures: Mapping[str, float] = field(default_factory=dict)
     """Figures for the tracked run."""
     curves: Mapping[str, Curve] = field(default_factory=dict)
@@ -48,35 +48,35 @@ class Report:
     lines: Mapping[str, str] = field(default_factory=dict)
     """Labelled lines for the end of the terminal's text."""
     is_whole: bool = False
-    """The results are complete: a signal from here on only leaves out further reports."""
+    """True if the results are complete: from here on, a signal only leaves out further reports."""
     is_extra: bool = False
-    """Files that do not fit on the disk are left out, and a signal interrupts their writing."""
+    """True if files that do not fit on the disk are left out, and if a signal may interrupt the writing."""
     is_cut: bool = False
-    """A signal has ended the study early; the process exits with the signal's code."""
+    """True if a signal has ended the study early; the process exits with the signal's code."""
 
     def below(self, folder: str) -> "Report":
-        """The report with its files in a folder."""
+        """This report, with its files in a folder."""
         return replace(self, files={f"{folder}/{name}": content for name, content in self.files.items()})
 
 
 @dataclass(frozen=True)
 class Study:
-    """A study whose settings are checked and whose subjects are built."""
+    """Study with checked settings and built objects, ready to be conducted."""
 
     subject: str
     """Subject of the run, in a word."""
     run: Callable[[Tracker], Report | Iterable[Report]]
-    """Function that conducts it, and returns its report or gives one after the other."""
+    """Function that conducts the study, and returns a report or yields several."""
     about: str = ""
     """Description of the run; by default the title of its problem."""
     problem: "Problem | None" = None
-    """Problem, or None."""
+    """Problem of the study, or None."""
     earlier: tuple[str | None, Path] = (None, Path())
-    """The tracked run that it continues, if any, and the folder of that run."""
+    """Tracked run that this study continues, if any, and the folder of that run."""
     hint: Callable[[], str] = str
-    """Function that returns how to go on after an interruption."""
+    """Function that returns a text on how to continue after an interruption."""
     returned: str = ""
-    """Figure that a sweep gets; empty for none."""
+    """Name of the figure that a sweep gets; empty for none."""
 
 
 def conduct(cfg: DictConfig, study: Study) -> float | None:
@@ -112,7 +112,7 @@ def conduct(cfg: DictConfig, study: Study) -> float | None:
                             if report.text:
                                 say(report.text)
                             report = next(reports, None)
-                        except Stopped as told:  # the study may have a last report
+                        except Stopped as told:  # the study may yield a last report
                             report = reports.throw(told)
             except Stopped:
                 if not is_whole:
@@ -142,7 +142,7 @@ def _reports(study: Study, tracker: Tracker) -> Generator[Report, None, None]:
 
 
 def _written(directory: Path, report: Report) -> tuple[list[Path], list[str]]:
-    """Write the files of a report; returns the files, and a text for each one that does not fit on the disk."""
+    """Write the files of a report; return the files, and a text about each file that does not fit on the disk."""
     writers = {name: _writer(name, content) for name, content in report.files.items()}
     if not report.is_extra:
         with stop.shielded():
@@ -157,7 +157,7 @@ def _written(directory: Path, report: Report) -> tuple[list[Path], list[str]]:
 
 
 def _writer(name: str, content: Any) -> Callable[[Path], object]:
-    """Function that writes a content to a path."""
+    """Make a function that writes a content to a path."""
     if callable(content):
         return content  # type: ignore[no-any-return]
     if isinstance(content, str):
@@ -179,11 +179,12 @@ def _print_hint(study: Study) -> None:
 
 @contextmanager
 def tracked(cfg: DictConfig, study: Study) -> Iterator[Tracker]:
-    """A started run of the configured tracker; an exception marks it FAILED, Ctrl-C KILLED, bad input removes it.
+    """Context with a started run of the configured tracker. Exceptions mark the run FAILED, and Ctrl-C KILLED; bad
+    input removes it.
 
     Args:
         cfg: configuration, logged as parameters.
-        study: study of the run. A new run is linked to the one that it continues if their records differ.
+        study: study of the run. A new run is linked to the run that it continues if the records differ.
     """
     tracker: Tracker = instantiate(cfg.tracking)
     directory, pipeline, job = run_directory(), HydraConfig.get().job.name, current_job()
@@ -221,15 +222,15 @@ def tracked(cfg: DictConfig, study: Study) -> Iterator[Tracker]:
 
 
 def title_of(problem: "Problem", subject: str) -> str:
-    """Title of the pictures of a run: its subject and the main settings."""
+    """Title for pictures of a run: the subject and the main settings."""
     return f"{subject} {problem.objective.name} K={problem.count}"
 
 
 def dataset_of(cfg: DictConfig, problem: "Problem") -> Dataset:
-    """The problem of a configuration as mlflow's filter of datasets shows it.
+    """Problem of a configuration in the form in which mlflow filters datasets.
 
-    Equal problems have equal digests, whichever options they are composed of. A frozen problem of the suite has its own
-    name and digest.
+    Equal problems have equal digests, whichever options compose them. A frozen problem of the suite has its own name
+    and digest.
     """
     if isinstance(suite := cfg.get("suite"), str):
         from lmd.suite import document
@@ -245,7 +246,7 @@ def dataset_of(cfg: DictConfig, problem: "Problem") -> Dataset:
 
 
 def derived(problem: "Problem") -> dict[str, Any]:
-    """Parameters of a run that its configuration leaves to be found: the counts of landmarks."""
+    """Parameters of a run that the configuration does not state: the counts of landmarks."""
     counts = problem.scene.tag.counts
     return {"deployment.count": problem.count, **({} if counts is None else {"tag.counts": list(counts)})}
 
@@ -253,12 +254,12 @@ def derived(problem: "Problem") -> dict[str, Any]:
 def log_child(
     tracking: DictConfig, run: RunStart, parent: str | None, metrics: Mapping[str, float], curve: Curve = ()
 ) -> None:
-    """Record a finished run below another one, with the landmarks in its folder.
+    """Record a finished run as the child of another run, with the landmarks in its folder.
 
     Args:
         tracking: group `tracking`.
         run: the run.
-        parent: run that it is shown below, if any.
+        parent: parent run, if any.
         metrics: its figures.
         curve: its best fitness, see `Tracker.log_curve`.
     """

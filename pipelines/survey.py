@@ -34,12 +34,12 @@ if TYPE_CHECKING:
     from .progress import Stages
 
 DOCUMENT, MEASURED, DETECTED = "survey.json", "measured.csv", "detections.csv"
-NO_HANGING = ("calibrate", "every", "odometry")  # keys of `survey` that do not describe the tags
+NO_HANGING = ("calibrate", "every", "odometry")  # keys of `survey` that are not about the tags
 KNOWN = ("origin", "points", "floor", "boards", "printed", "mounted", "motion", "edges")
 
 
 def survey(cfg: DictConfig) -> Study:
-    """Estimate the map of the tags in the configured photographs or detections."""
+    """Prepare the survey: estimate the map of the tags in the configured photographs or detections."""
     from lmd.core.checks import InputError, boolean, integer, seed_number
     from lmd.evaluation.audit import audited, in_the_open
     from lmd.evaluation.verdicts import verdicts
@@ -102,7 +102,7 @@ def _map_or_nothing(stages: "Stages") -> Iterator[None]:
 
 
 def _scene(cfg: DictConfig, room: "Space | None", camera: "Camera | Rig", tag: "Tag") -> "Scene":
-    """Scene of the audit; an unknown room is replaced by a placeholder.
+    """Scene for the audit of the map; a placeholder replaces an unknown room.
 
     Raises:
         InputError: the visibility model is for points, not for tags.
@@ -114,13 +114,13 @@ def _scene(cfg: DictConfig, room: "Space | None", camera: "Camera | Rig", tag: "
 
     if "tag" not in cfg.visibility:
         raise InputError("audit needs a visibility model of tags: visibility=fiducial.")
-    visibility, _ = visibility_of(cfg.visibility)  # a crowd of the plan is not that of the photographs
+    visibility, _ = visibility_of(cfg.visibility)  # the crowd of the plan is not in the photographs
     anywhere = Cuboid((1.0, 1.0, 1.0), reachable_size=(1.0, 1.0, 1.0), spacing=1.0) if room is None else room
-    return Scene(anywhere, camera, solid_angle(1), visibility, tag)  # the audit uses the orientations of the frames
+    return Scene(anywhere, camera, solid_angle(1), visibility, tag)  # the audit takes orientations from the frames
 
 
 def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "PriorKnowledge":
-    """Prior knowledge of the tags.
+    """Read the prior knowledge about the tags.
 
     Raises:
         InputError: a file cannot be read, or a number is refused.

@@ -3,8 +3,8 @@
 With a limit on paper or cost in place of counts: `python -m pipelines.tradeoff tag.edges=[0.06,0.1] papers=[0.2,0.4]
 [overrides]`.
 
-This is one run and not a sweep because the search at each point also starts from the results of its neighbours.
-Searches run in parallel, and their results are stored on disk.
+The trade-off is one run and not a sweep, as the search at each point also starts from the results of neighbouring
+points. Searches run in parallel, and results are stored on disk.
 """
 
 from functools import partial
@@ -38,7 +38,7 @@ MLFLOW_STEPS = 1e4  # steps of mlflow, which are whole numbers, per unit of a li
 def tradeoff(cfg: DictConfig) -> Study:
     """Prepare searches for every number of landmarks, edge and seed, or for every limit, mixture of edges and seed.
 
-    With `size` the range of the tags is told in their place.
+    With `size`, the study of the tags' range takes the place of searches.
     """
     if cfg.size:
         return size(cfg)
@@ -61,7 +61,7 @@ def tradeoff(cfg: DictConfig) -> Study:
         if limited is None:
             problem.scene.check_one_size("a trade-off of numbers of landmarks")
         optimiser.check(problem)
-        selectable(problem.objective)  # deployments of one point grow from those of another
+        selectable(problem.objective)  # deployments of one point grow from those of another point
     if cfg.figure is not None:
         known = figures_of(problem, problem.draw(np.random.default_rng(seeds[0])), seeds[0])
         choice("figure", cfg.figure, shares_among(known))
@@ -79,7 +79,7 @@ def tradeoff(cfg: DictConfig) -> Study:
 
 
 def size(cfg: DictConfig) -> Study:
-    """Study of the range of each size of the configured tag for the configured camera."""
+    """Study of the range at which each size of the configured tag is detected by the configured camera."""
     import math
 
     from lmd.core.checks import InputError
@@ -103,7 +103,7 @@ def size(cfg: DictConfig) -> Study:
 
 
 def _curves(cfg: DictConfig) -> "tuple[str | None, list[float], list[tuple[float, ...]]]":
-    """Limit of tags of several sizes (None without a limit); points along the limit, or counts; edges of each curve.
+    """Limit on tags of several sizes, or None; points along the limit, or counts; edges of each curve.
 
     Raises:
         InputError: the lists of the configuration are refused, or contradict each other.
@@ -153,7 +153,7 @@ def _report(cfg: DictConfig, points: Points, problem: "Problem", figure: str, wa
     off_grid, beside = headline_off_grid(problem), COVERED if isinstance(problem.objective, Localisation) else LOCALISED
     shown = dict.fromkeys([off_grid, *(name for name in (beside, figure) if name in table)])
     panels = {name: Panel(figure_of(name).label, name) for name in shown}
-    if problem.scene.recorded is None:  # else the grid cannot give the figure, a fraction of recorded time
+    if problem.scene.recorded is None:  # otherwise the grid cannot give the figure, a fraction of recorded time
         panels[off_grid] = Panel(f"{headline.label}, off the grid", off_grid, headline.key)
     panels[figure] = panels[figure]._replace(wanted=wanted)
     curves = front(table, list(dict.fromkeys([figure, headline.key, *panels])), axis)
@@ -188,12 +188,12 @@ def _report(cfg: DictConfig, points: Points, problem: "Problem", figure: str, wa
 
 
 def _slug(curve: Any) -> str:
-    """Name of a curve within the name of a metric."""
+    """Name of a curve for use in the name of a metric."""
     return f"{curve:g}" if isinstance(curve, float) else slug(curve)
 
 
 def _told(reached: "pd.DataFrame") -> str:
-    """Text for the result of `lmd.evaluation.tradeoff.fewest`, with a line for each curve."""
+    """Text about the result of `lmd.evaluation.tradeoff.fewest`, with a line for each curve."""
     from lmd.plot.charts import curve_name
 
     lines = []
@@ -205,7 +205,7 @@ def _told(reached: "pd.DataFrame") -> str:
 
 
 def _log_points(tracking: DictConfig, points: Points, parent: str | None) -> None:
-    """Record a run for each point below the run `parent`, with its landmarks in a folder of the parent."""
+    """Record a run for each point as a child of the run `parent`, with the landmarks in a folder of the parent."""
     from .operations.tracking import RunStart
 
     for n, at, found, figures in points:

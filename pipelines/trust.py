@@ -1,8 +1,8 @@
-"""Checks of the code that a configuration of other origin names, as Hydra imports and calls every `_target_`.
+"""Checks of code named in configurations of other origin, as Hydra would import and call every `_target_`.
 
-A configuration that is neither part of this project nor on the command line is read as plain data and checked before
-any import: the configuration of `run=DIR`, configurations in a tracking store, and the overrides of a resumed
-run. docs/trust.md lists the rights of each kind of file.
+A configuration is of other origin if it is neither part of this project nor on the command line: the configuration of
+`run=DIR`, configurations in a tracking store, and the overrides of a resumed run. Such a configuration is read as plain
+data, and checked before any import. docs/trust.md lists the rights of each kind of file.
 """
 
 import re
@@ -20,29 +20,29 @@ from .app import CONF
 PAGE = "docs/trust.md"
 TARGET = "_target_"
 NAMED = re.compile(rf"{TARGET}:\s*['\"]?([\w.]+)")  # target in a file of configuration
-NESTED = re.compile(r"^[ \t]*- /(\w+)@", re.MULTILINE)  # group whose option a file puts below a key of its own
-REFERENCE = re.compile(r"\$\{\.*\w+(\.\w+|\[\w+\])*\}")  # interpolation of another value, without a resolver
+NESTED = re.compile(r"^[ \t]*- /(\w+)@", re.MULTILINE)  # group from which a file takes an option for a key of its own
+REFERENCE = re.compile(r"\$\{\.*\w+(\.\w+|\[\w+\])*\}")  # interpolation of another value that uses no resolver
 PLAIN = (str, int, float, bool, type(None))
 SPECIAL = re.compile(r"_[a-z]+_")  # key that Hydra's instantiate reads
 NAME = re.compile(r"\w+(\.\w+)+")
-LARGEST = 1 << 17  # greatest size of a configuration, bytes; a larger file takes seconds to parse and is refused
-# Greatest number of characters of a group with its interpolations replaced, where a run has 10,000.
+LARGEST = 1 << 17  # maximum size of a configuration, bytes; larger files would take seconds to parse and are refused
+# Maximum number of characters of a group with its interpolations replaced; a run has 10,000.
 MOST_CHARACTERS = 1_000_000
-SHOWN = 100  # greatest number of characters of a value in a message; longer values are cut
+SHOWN = 100  # maximum number of characters of a value in a message; longer values are cut
 
 
 @dataclass(frozen=True)
 class Trust:
-    """Names that are trusted in a configuration of other origin."""
+    """Names that the user trusts in configurations of other origin."""
 
     names: tuple[str, ...] = ()
     """Packages and single targets that the user trusts."""
     folders: tuple[Path, ...] = (Path(CONF),)
-    """Folders of configuration; a target in their files is trusted in the group of the file."""
+    """Folders of configuration; a target in a file there is trusted in the group of the file."""
 
     @classmethod
     def of(cls, cfg: DictConfig, runtime: Any) -> "Trust":
-        """Trust that the user gives: `trust=[...]`, and the folders and packages of the search path.
+        """Trust from the user's settings: `trust=[...]`, and the folders and packages on the search path.
 
         Args:
             cfg: configuration of the command.
@@ -69,7 +69,7 @@ class Trust:
             source: name of the source, for messages.
 
         Raises:
-            InputError: a node names code that is not trusted, or is no node.
+            InputError: a node names code that is not trusted, or is not a node.
         """
         from lmd.core.checks import InputError, bounded
 
@@ -82,7 +82,7 @@ class Trust:
             for where, leaf in _leaves(source, group, part, set()):
                 for each in REFERENCE.finditer(str(leaf)):
                     there = str(_place(found, where, each[0][2:-1]))
-                    if "${" in there:  # lengths could double with each step
+                    if "${" in there:  # lengths could double with each replacement
                         raise InputError(f"{source}: {where} leads to a value that leads on ({PAGE}).")
                     length += len(there)
             bounded(f"characters in {group} after interpolation", length, MOST_CHARACTERS, source)
@@ -97,7 +97,7 @@ class Trust:
             value: plain data, nested in any way.
 
         Raises:
-            InputError: the value names code that is not trusted, or is no plain data.
+            InputError: the value names code that is not trusted, or is not plain data.
         """
         from hydra.utils import get_object
 
@@ -126,13 +126,13 @@ class Trust:
         for place, leaf in trusted:  # all values are checked before the first import
             try:
                 target = get_object(leaf)
-            except Exception:  # any error of the package is reported when the object is built
+            except Exception:  # an error of the package is reported when the object is built
                 continue
             if not self._trusts(f"{getattr(target, '__module__', '')}.{getattr(target, '__qualname__', '')}"):
                 raise InputError(f"{place} is not defined in what you trust, which only imports it ({PAGE}).")
 
     def _texts_of(self, group: str) -> list[str]:
-        """Contents of the files of a group, and of commands, whose files have nodes that are no groups."""
+        """Contents of the files of a group, and of command files, which have nodes that are not groups."""
         files = (file for at in self.folders for file in (*(at / group).rglob("*.yaml"), *at.glob("*.yaml")))
         return [file.read_text(encoding="utf-8", errors="replace") for file in files]
 
@@ -144,7 +144,7 @@ def read_yaml(file: Path, source: str) -> dict[Any, Any]:
     """Read a configuration file as plain data, with interpolations unresolved.
 
     Raises:
-        InputError: the file cannot be read, or is no configuration.
+        InputError: the file cannot be read, or is not a configuration.
     """
     from lmd.core.checks import InputError
     from lmd.core.files import check_aliases, read_text
@@ -153,7 +153,7 @@ def read_yaml(file: Path, source: str) -> dict[Any, Any]:
     try:
         check_aliases(text)
         found = yaml.load(text, Loader=get_yaml_loader())
-    except Exception as error:  # any error of the parser
+    except Exception as error:  # the parser may raise any error
         raise InputError(f"{source}: '{file}' cannot be read ({' '.join(str(error).split())}).") from None
     if not isinstance(found, dict):
         raise InputError(f"{source}: '{file}' is no configuration.")
@@ -161,7 +161,7 @@ def read_yaml(file: Path, source: str) -> dict[Any, Any]:
 
 
 def _place(found: Any, key: str, name: str) -> Any:
-    """Value to which the interpolation `${name}` of the value at `key` leads; None without one."""
+    """Value to which the interpolation `${name}` in the value at `key` leads; None if there is none."""
     plain = name.lstrip(".")
     up = len(name) - len(plain)
     for word in [*(key.split(".")[:-up] if up else []), *re.findall(r"\w+", plain)]:
@@ -171,10 +171,10 @@ def _place(found: Any, key: str, name: str) -> Any:
 
 
 def _leaves(source: str, key: str, value: Any, seen: set[int]) -> Iterator[tuple[str, Any]]:
-    """Values below a key that are no containers, and all values of `_target_`, with their keys.
+    """Values below a key that are not containers, and all values of `_target_`, with their keys.
 
     Raises:
-        InputError: a container occurs twice, for example by an alias of YAML, or a key or a value is no plain data.
+        InputError: a container occurs twice, for example by an alias of YAML, or a key or a value is not plain data.
     """
     from lmd.core.checks import InputError
 

@@ -1,4 +1,4 @@
-"""Plan in the browser: `python -m pipelines.view [run=DIR] [overrides]`."""
+"""Planner in the browser: `python -m pipelines.view [run=DIR] [overrides]`."""
 
 import os
 import sys
@@ -37,7 +37,7 @@ def view(cfg: DictConfig) -> None:
     refuse_crowd(problem, "view")
     budget, directory, tag = budget_of(cfg), run_directory(), problem.scene.tag
     build_optimiser(cfg, cfg.seed).check(problem)  # checked before the first search
-    unmapped = tag.is_point and cfg.export is None  # points have no map
+    unmapped = tag.is_point and cfg.export is None  # points cannot be exported as a map
     export = None if unmapped else build_export(cfg, "export", tag)
     session = PlanningSession(problem, problem.draw(np.random.default_rng(cfg.seed)))
     session.warm_up()
@@ -68,7 +68,7 @@ def view(cfg: DictConfig) -> None:
 
 
 def _keep_unsaved(directory: Path, plan: "Plan", ups: bool) -> None:
-    """Write unsaved tags to the directory, else to a temporary one."""
+    """Write unsaved tags to the directory or, if that fails, to a temporary directory."""
     for place in (directory.resolve, partial(tempfile.mkdtemp, prefix="lmd_")):
         try:
             (written,) = write_all(Path(place()), {f"{UNSAVED}.csv": partial(plan.deployment.to_csv, ups=ups)})
@@ -83,11 +83,11 @@ command = Command("view", view)
 
 
 def main() -> None:
-    """Run the command; end at once after a signal."""
+    """Run the command; end immediately after a signal."""
     try:
         command()
     except SystemExit as ended:
-        if ended.code in CODES:  # otherwise Python would wait for threads that compile
+        if ended.code in CODES:  # otherwise Python would wait for threads that are compiling
             sys.stdout.flush()
             sys.stderr.flush()
             os._exit(int(ended.code))

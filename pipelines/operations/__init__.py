@@ -1,1 +1,1 @@
-"""Operations: signals that stop a run, the jobs of sweeps, and experiment tracking."""
+"""Operations: signals that stop a run, jobs of sweeps, and experiment tracking."""

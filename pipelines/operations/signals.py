@@ -13,7 +13,7 @@ CODES = tuple(128 + number for number in SIGNALS)  # exit codes after these sign
 
 
 class Stopped(KeyboardInterrupt):
-    """Raised when a signal has stopped the process.
+    """Exception raised when a signal stops the process.
 
     Args:
         number: number of the signal.
@@ -28,19 +28,19 @@ class Stopped(KeyboardInterrupt):
 class Stop:
     """Effect of SIGINT, SIGTERM and SIGHUP, which depends on the current block.
 
-    Outside all blocks the process ends at once, as it has no results yet. Within `raising`, the first signal raises
+    Outside all blocks the process ends immediately, as it has no results yet. Within `raising`, the first signal raises
     `Stopped`, and later signals are ignored while the process cleans up. Within `deferred`, the first signal sets
     `requested` and the second signal raises `Stopped`. Within `shielded`, a signal only sets `requested`. Within
     `postponed`, signals wait.
 
-    A library, or the clean-up, may fail with an error of its own when a signal interrupts it. Such an error is printed
-    in a line, and `Stopped` is raised in its place.
+    A library, or the clean-up, may fail with another error when a signal interrupts it. This error is printed in one
+    line, and `Stopped` is raised in its place.
     """
 
     def __init__(self) -> None:
         self.why = ""  # reason of the signal, if this process sent it
         self._number = 0  # number of the signal that was received
-        self._is_under_way = False  # `Stopped` was raised, and has not left the innermost block
+        self._is_under_way = False  # True from raising `Stopped` until the innermost block is left
         self._terminals: tuple[int, ...] = ()
         self._act: Callable[[int], None] = _leave
 
@@ -55,7 +55,7 @@ class Stop:
         return 128 + self._number
 
     def listen(self) -> None:
-        """Begin to handle the signals, except a hang-up that is ignored already, as under `nohup`."""
+        """Begin to handle the signals, except a hang-up that the process already ignores, as with `nohup`."""
         for number in SIGNALS:
             if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
                 signal.signal(number, self._handle)
@@ -123,13 +123,13 @@ class Stop:
 
     def _raise(self, number: int) -> None:
         self._number, self._act, self._is_under_way = number, _ignore, True
-        os.environ["HYDRA_FULL_ERROR"] = "1"  # otherwise Hydra would print a library's error and exit with 1
+        os.environ["HYDRA_FULL_ERROR"] = "1"  # otherwise Hydra would print the library's error and exit with 1
         tell("stopping")
         raise Stopped(number, self.why)
 
 
 def tell(text: str) -> None:
-    """Write a line to stderr past Python's buffers, which the signal may have interrupted."""
+    """Write a line to stderr, bypassing Python's buffers, which the signal may have interrupted."""
     with suppress(OSError):  # the reader may have ended
         os.write(2, f"\n{text}\n".encode())
 
@@ -143,7 +143,7 @@ def _ignore(number: int) -> None:
 
 
 def _unless_stopped(unraisable: "sys.UnraisableHookArgs") -> None:
-    """Drop a `Stopped` that was raised where exceptions are not propagated; `requested` is set nevertheless."""
+    """Ignore a `Stopped` that was raised where exceptions do not propagate; `requested` is set nevertheless."""
     if not isinstance(unraisable.exc_value, Stopped):
         sys.__unraisablehook__(unraisable)
 

@@ -1,1 +1,1 @@
-"""Sweeps: each job in a process of its own, one parent run, a table, and continuation of an interrupted sweep."""
+"""Sweeps: each job in its own process, one parent run, a table, and continuation of an interrupted sweep."""

@@ -1,4 +1,4 @@
-"""Hydra callback that begins and ends a sweep: its tracked run, and its table."""
+"""Hydra callback that begins and ends a sweep, with the tracked run and the table of the sweep."""
 
 import atexit
 import os
@@ -22,13 +22,13 @@ from .supervisor import STOPPED, SWEEP_VARIABLE, lost, settle
 
 
 class SweepRecord(Callback):
-    """Hydra callback that gives a sweep its parent run and, at its end, its table."""
+    """Hydra callback that starts the parent run of a sweep and, at the end, writes the sweep's table."""
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Start the parent run, or continue the parent run of the sweep that this command extends."""
         folder = SweepFolder(pin_sweep_folder(config))
         folder.path.mkdir(parents=True, exist_ok=True)
-        with held(folder.path):  # an equal command may begin at this moment
+        with held(folder.path):  # another process may begin an equal command
             before = _begin(config, folder)
         os.environ[SWEEP_VARIABLE] = str(os.getpid())
         atexit.register(_cut_short, config)
@@ -47,7 +47,7 @@ class SweepRecord(Callback):
 
 
 def _begin(config: DictConfig, folder: SweepFolder) -> Sweep | None:
-    """Start the parent run, or continue the parent run of the sweep before in this folder, which is returned."""
+    """Start the parent run, or continue that of the previous sweep in this folder; return this previous sweep."""
     from lmd.core.checks import InputError
 
     before, overrides = folder.load(), swept(config)
@@ -69,7 +69,7 @@ def _begin(config: DictConfig, folder: SweepFolder) -> Sweep | None:
 
 
 def _cut_short(config: DictConfig) -> None:
-    """Close a sweep that ended before all its jobs had ended."""
+    """Close a sweep that ended before all jobs had ended."""
     folder = SweepFolder(config.hydra.sweep.dir)
     sweep = folder.load()
     if sweep is not None and sweep.round == 0 and not folder.jobs():  # the first job was refused
@@ -102,7 +102,7 @@ def _close(config: DictConfig, reason: str = "") -> bool:
                     settle(config.tracking, its_folder, ended)
     found = outcomes(folder.jobs())
     failed = [each for each in found if each.job.status not in ("finished", "running")]
-    finished = sum(each.job.status == "finished" for each in found)  # others may run for an equal command
+    finished = sum(each.job.status == "finished" for each in found)  # jobs of an equal command may still run
     write_jobs(folder.table, sweep, found)
     folder.groups.write_text(f"{(groups := by_group(sweep, found))}\n")
     say(f"{(done := f'{finished} of {len(found)} jobs finished')}: {folder.table}")

@@ -1,4 +1,4 @@
-"""Records of a sweep and its jobs on disk, shared by processes and machines, and continued by later commands."""
+"""Records of a sweep and its jobs on disk, which processes and machines share, and which later commands continue."""
 
 import os
 import shutil
@@ -13,21 +13,21 @@ from ...outputs import JOB_VARIABLE, read_document, write_document
 
 @dataclass(frozen=True)
 class Sweep:
-    """Sweep, the content of `sweep.json`."""
+    """Record of a sweep, the content of `sweep.json`."""
 
     name: str
-    """Experiment of the sweep, or the varied keys."""
+    """Name: the experiment of the sweep, or the varied keys."""
     varied: tuple[str, ...]
     """Config keys that differ between the jobs, keys of earlier commands first."""
     run_id: str | None = None
-    """Tracked run of the sweep, the parent of its jobs' runs; None if nothing is tracked."""
+    """Tracked run of the sweep, the parent of the runs of the jobs; None if nothing is tracked."""
     round: int = 0
-    """Number of commands that extended the sweep before the last command."""
+    """Number of commands that have extended the sweep, before the last command."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """Job of a sweep, the content of `job.json`."""
+    """Record of a job of a sweep, the content of `job.json`."""
 
     sweep: str
     """Name of the sweep."""
@@ -46,9 +46,9 @@ class Job:
     reason: str = ""
     """Reason for which the job did not finish."""
     seconds: float = 0.0
-    """Wall time of all attempts of the job that it continues, seconds."""
+    """Wall time of the job, including all earlier attempts that it continues, seconds."""
     round: int = 0
-    """`Sweep.round` of the last command with this job."""
+    """Value of `Sweep.round` in the last command that contains this job."""
 
     @property
     def label(self) -> str:
@@ -56,7 +56,7 @@ class Job:
         return " ".join(f"{key}={value}" for key, value in self.varied.items()) or " ".join(self.overrides)
 
     def tags(self, name: str) -> dict[str, str]:
-        """Tags of the job's tracked run that name the sweep and the job's folder `name`."""
+        """Tags of the tracked run that name the sweep and the folder `name` of the job."""
         from ..tracking import PARENT_TAG
 
         return {"sweep": self.sweep, "job": name} | ({PARENT_TAG: self.parent} if self.parent else {})
@@ -76,21 +76,21 @@ class JobFolder:
         self.checkpoint = self.path / "checkpoint.npz"  # as in lmd.optimisers.checkpoint, which is slow to import
 
     def load(self) -> Job | None:
-        """Read the job; None if there is no record."""
+        """Read the record of the job; None if there is none."""
         return read_document(self.record, lambda values: Job(**values | {"overrides": tuple(values["overrides"])}))
 
     def finished(self) -> Job | None:
-        """Read the job if it has finished and its figures are complete; else None."""
+        """Read the record of the job if the job has finished and its figures are complete; else None."""
         job = self.load()
         is_lost = self.metrics.exists() and not self.figures()
         return None if job is None or job.status != "finished" or is_lost else job
 
     def save(self, job: Job) -> None:
-        """Write the job."""
+        """Write the record of the job."""
         write_document(self.record, asdict(job))
 
     def figures(self) -> dict[str, Any]:
-        """Figures in metrics.json; empty without that file."""
+        """Figures in metrics.json; empty if there is no such file."""
         return read_document(self.metrics, dict) or {}
 
 
@@ -107,20 +107,22 @@ class SweepFolder:
         self.picture = self.path / "groups.png"
 
     def load(self) -> Sweep | None:
-        """Read the sweep; None if there is no record."""
+        """Read the record of the sweep; None if there is none."""
         return read_document(self.record, lambda values: Sweep(**values | {"varied": tuple(values["varied"])}))
 
     def save(self, sweep: Sweep) -> None:
-        """Write the sweep."""
+        """Write the record of the sweep."""
         self.path.mkdir(parents=True, exist_ok=True)
         write_document(self.record, asdict(sweep))
 
     def job_of(self, digest: str) -> JobFolder | None:
-        """Folder of the job whose configuration has this digest, with which the name ends; None without such a job."""
+        """Folder of the job whose configuration has this digest, with which the folder's name ends; None if there is
+        none.
+        """
         return next((JobFolder(path) for path in self.path.glob(f"*{digest}")), None)
 
     def jobs(self) -> list[tuple[JobFolder, Job]]:
-        """Jobs with their folders: the jobs of the last command in its order, then finished jobs of earlier
+        """Jobs with their folders: jobs of the last command, in the order of the command, then finished jobs of earlier
         commands.
         """
         last = 0 if (sweep := self.load()) is None else sweep.round
@@ -129,14 +131,14 @@ class SweepFolder:
         return sorted(kept, key=lambda entry: (-entry[1].round, entry[1].number))
 
     def discard(self) -> None:
-        """Remove the record of a sweep that has begun no job, and the folder unless it holds other files."""
+        """Remove the record of a sweep that has no job yet, and the folder unless it holds other files."""
         self.record.unlink(missing_ok=True)
         if {path.name for path in self.path.iterdir()} <= {"multirun.yaml", LOCK}:  # the first is Hydra's own file
             shutil.rmtree(self.path)
 
 
 def current_job() -> tuple[JobFolder, Job] | None:
-    """Job of this process, and its folder; None outside a sweep."""
+    """Job of this process, and its folder; None outside of a sweep."""
     path = os.environ.get(JOB_VARIABLE)
     job = (folder := JobFolder(path)).load() if path else None
     return (folder, job) if job else None

@@ -1,4 +1,4 @@
-"""Jobs as processes of Python's fork server, which has imported the jobs' modules (`ready`)."""
+"""Jobs as processes forked from Python's fork server, which has already imported the modules of jobs (`ready`)."""
 
 import importlib
 import multiprocessing
@@ -19,7 +19,7 @@ context = multiprocessing.get_context("forkserver")
 
 
 class Descriptor:
-    """Descriptor that is passed to a process of the server."""
+    """File descriptor that is passed to a process of the server."""
 
     def __init__(self, number: int) -> None:
         self._number = number
@@ -35,7 +35,7 @@ def _handed_on(descriptor: Any) -> int:
 def process(
     pipeline: str, arguments: list[str], environment: dict[str, str], streams: Mapping[int, int], kept: Iterable[int]
 ) -> ForkServerProcess:
-    """Process of a job in a session of its own; the first one that starts waits until the server has imported `ready`.
+    """Make the process of a job, in its own session; the first process waits until the server has imported `ready`.
 
     Args:
         pipeline: module whose `main` is called.
@@ -53,7 +53,7 @@ def process(
 def _do(
     pipeline: str, arguments: list[str], environment: dict[str, str], streams: dict[int, int], _kept: list[int]
 ) -> None:
-    """Run a job in the process of the server."""
+    """Run a job within a process of the server."""
     ready = sys.modules.get(READY_MODULE)
     for number, handler in (ready.BEFORE if ready else {}).items():
         signal.signal(number, handler)

@@ -1,4 +1,4 @@
-"""Names of sweeps, of jobs, of their runs and of their folders."""
+"""Names of sweeps and jobs, of their runs and of their folders."""
 
 import re
 from collections.abc import Sequence
@@ -11,22 +11,22 @@ from ...app import changes_results, key_and_value, quoted, spelled
 from ...provenance import digest
 from .folder import SweepFolder
 
-SLUG_LENGTH = 100  # greatest number of characters of a slug
-NAME_LENGTH = 80  # greatest number of characters of a run's name; what varies is cut at its end
-SEED = "seed"  # jobs that differ only in this key are one group
-SHORT = {"thold_p": "p"}  # keys that are shorter in names
-DIGEST_LENGTH = 8  # characters of a digest in the name of a folder
+SLUG_LENGTH = 100  # maximum number of characters of a slug
+NAME_LENGTH = 80  # maximum number of characters of a run's name; the list of varied keys is cut
+SEED = "seed"  # jobs that differ only in this key form a group
+SHORT = {"thold_p": "p"}  # abbreviations of keys in names
+DIGEST_LENGTH = 8  # number of characters of a digest in a folder's name
 NOT_IN_NAME = ("hydra", "validate")  # keys that change neither the problem nor the search of a run
 
 
 def override_tags(overrides: Sequence[str]) -> dict[str, str]:
-    """Tags of a tracked run: all overrides in one tag, and each override in its own tag."""
+    """Tags of a tracked run: one tag for all overrides, and one for each override."""
     each = {f"override.{key}": value for key, value in map(key_and_value, overrides)}
     return {"overrides": " ".join(overrides)} | each
 
 
 def short_name(subject: str, overrides: Sequence[str], given: Sequence[str] = ()) -> str:
-    """Name of a run, which begins with what varies, as tables cut its end: `ega n=4 p=0.7 s1`, `n=4 ega room=hall`.
+    """Name of a run: varied values come first, as tables cut the end: `ega n=4 p=0.7 s1`, `n=4 ega room=hall`.
 
     Args:
         subject: subject of the run, in a word.
@@ -41,8 +41,8 @@ def short_name(subject: str, overrides: Sequence[str], given: Sequence[str] = ()
 
 
 def in_name(overrides: Sequence[str], *left_out: str) -> str:
-    """Overrides as in names, `n=4`, `s1` for the seed, of a path the file's name, without those that change no result
-    and those with a value of `left_out`.
+    """Overrides in the form used in names: `n=4`, `s1` for the seed, and the file's name for a path. Overrides that
+    change no result, or that have a value of `left_out`, are omitted.
     """
     words = []
     for key, text in map(key_and_value, overrides):
@@ -59,14 +59,14 @@ def slug(text: str) -> str:
 
 
 def _settings(root: DictConfig) -> Any:
-    """Resolved configuration without Hydra's part and the keys that change no result."""
+    """Resolved configuration without Hydra's part and without keys that change no result."""
     task = OmegaConf.masked_copy(root, [str(key) for key in root if key != "hydra"])
     resolved: Any = OmegaConf.to_container(task, resolve=True)
     return {key: value for key, value in resolved.items() if changes_results(key)}
 
 
 def swept(root: DictConfig) -> list[str]:
-    """Overrides of a sweep: stored overrides, then overrides of the command line."""
+    """Overrides of a sweep: the stored overrides, then those of the command line."""
     stored = root.hydra.sweeper.get("params") or {}
     return [*(f"{key}={value}" for key, value in stored.items()), *root.hydra.overrides.task]
 
@@ -80,13 +80,13 @@ def varied_keys(overrides: Sequence[str]) -> tuple[str, ...]:
 
 
 def sweep_name(root: DictConfig) -> str:
-    """Name of a sweep: its experiment or search, or else the varied keys."""
+    """Name of a sweep: the experiment or search or, if neither is given, the varied keys."""
     stored = root.hydra.runtime.choices.get("experiment")
     return slug(stored or "_".join(varied_keys(swept(root)))) or "sweep"
 
 
 def sweep_title(root: DictConfig) -> str:
-    """Name of a sweep's run: the keys that it varies, then what else is given: `n x thold_p x optimiser room=hall`."""
+    """Name of a sweep's run: the varied keys, then the other overrides: `n x thold_p x optimiser room=hall`."""
     varied = varied_keys(swept(root))
     given = [o for o in root.hydra.overrides.task if key_and_value(o)[0] not in varied]
     keys = [key.split(".")[-1] for key in varied if key != SEED] or [SEED]
@@ -94,16 +94,16 @@ def sweep_title(root: DictConfig) -> str:
 
 
 def sweep_folder(*, _root_: DictConfig) -> str:
-    """Name of a sweep's folder: equal for equal varied keys and other settings that change results, for any values of
-    the varied keys.
+    """Name of a sweep's folder: equal names for equal varied keys and equal other settings that change results, for any
+    values of the varied keys.
     """
     varied = sorted(varied_keys(swept(_root_)))
     return f"{slug(sweep_name(_root_))}-{digest(_settings(_root_), varied)[:DIGEST_LENGTH]}"
 
 
 def job_folder(*, _root_: DictConfig) -> str:
-    """Name of a job's folder below the sweep's folder: equal for equal settings that change results, contents of files,
-    and values of varied keys, such as `threads`.
+    """Name of a job's folder within the sweep's folder: equal names for equal settings that change results, contents of
+    files, and values of varied keys, such as `threads`.
     """
     folder = SweepFolder(_root_.hydra.sweep.dir)
     sweep, values = folder.load(), map(key_and_value, _root_.hydra.overrides.task)
@@ -117,7 +117,8 @@ def job_folder(*, _root_: DictConfig) -> str:
 
 
 def pin_sweep_folder(config: DictConfig) -> Path:
-    """Write the folder of a sweep to the configuration of its jobs, which cannot derive the folder, and return it.
+    """Write the folder of a sweep into the configuration of the jobs, which cannot derive the folder; return the
+    folder.
 
     Counts such as +5 are quoted, as Hydra would read them as numbers.
     """

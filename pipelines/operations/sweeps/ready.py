@@ -1,4 +1,4 @@
-"""Imports of a sweep's fork server before it forks the first job; only that server imports this module.
+"""Modules that a sweep's fork server imports before the first job; only this server imports the module.
 
 Importing takes longer than a small job. The server runs no job itself, so that jobs share no state.
 """
@@ -13,7 +13,7 @@ from ... import GARBAGE
 from ...app import PACKAGE
 from ..signals import SIGNALS
 
-# A terminal signals all its processes; only the process that started this server handles the signals.
+# A terminal signals all processes; only the process that started this server handles the signals.
 BEFORE = {number: signal.signal(number, signal.SIG_IGN) for number in SIGNALS}
 
 gc.set_threshold(GARBAGE)
@@ -24,4 +24,4 @@ for module in (
 ):  # fmt: skip
     importlib.import_module(module)
 load_compiler()
-gc.freeze()  # garbage collection would copy the memory that jobs share
+gc.freeze()  # garbage collection would copy the memory shared by the jobs

@@ -1,7 +1,7 @@
-"""Results of the jobs of a sweep: a table of jobs, and figures by group for its tracked run.
+"""Results of a sweep: a table of jobs, and figures of groups of jobs for the tracked run.
 
-A group is the jobs that differ in their seed alone. Figures are over one group, never over several: groups are of
-different problems or methods.
+A group consists of jobs that differ only in the seed. Figures are never over several groups, as groups have different
+problems or methods.
 """
 
 import csv
@@ -15,25 +15,25 @@ from ...outputs import HISTORY_FILE, read_history
 from .folder import Job, JobFolder, Sweep
 from .names import SEED
 
-# Figures of jobs that are columns of the table, if any job has them.
+# Figures of jobs that become columns of the table if any job has them.
 FIGURES = (
     *("fitness", "off_grid", "qualified_ratio", "average_coverage_probability", "maximum_coverage_probability"),
     *("localised_share", "weighted_share"),
 )
 DESCRIBED = {"fitness": "fitness", "off_grid": "off the grid"}  # figures of groups, with their labels
-# Keys of the problem: jobs that differ in one of them have different problems.
+# Keys of the problem: jobs that differ in a key of these have different problems.
 PROBLEM = (*GROUPS, "experiment", "run", *(f"deployment.{key}" for key in ("count", "fixed", "free", "measured")))
-MOST_COLUMNS = 12  # values of a key beyond which it cannot head a table of groups
+MOST_COLUMNS = 12  # maximum number of values of a key for columns of a table of groups
 Group = tuple[str, ...]  # values of the grouping keys
 
 
 class Outcome(NamedTuple):
-    """A job with its figures."""
+    """Job with its figures."""
 
     folder: JobFolder
-    """Its folder."""
+    """Folder of the job."""
     job: Job
-    """Its record."""
+    """Record of the job."""
     figures: Mapping[str, Any]
     """Content of metrics.json; empty for an unfinished job."""
 
@@ -44,7 +44,7 @@ def outcomes(jobs: Iterable[tuple[JobFolder, Job]]) -> list[Outcome]:
 
 
 def write_jobs(path: Path, sweep: Sweep, found: list[Outcome]) -> None:
-    """Write a row for each job: folder, varied keys, status, figures, seconds, reason of a failure."""
+    """Write a table with a row for each job: folder, varied keys, status, figures, seconds, reason of a failure."""
     known = [key for key in FIGURES if _values(found, key)]
     with path.open("w", newline="") as file:
         writer = csv.DictWriter(file, ["folder", *sweep.varied, "status", *known, "seconds", "reason"], restval="")
@@ -55,7 +55,7 @@ def write_jobs(path: Path, sweep: Sweep, found: list[Outcome]) -> None:
 
 
 def draw_groups(path: Path, sweep: Sweep, found: list[Outcome]) -> list[Path]:
-    """Draw the groups of finished searches; returns the pictures, of which there is none without a search."""
+    """Draw the groups of finished searches; return the paths of the pictures, empty without a search."""
     from lmd.plot.charts import Searched, save_groups_figure
 
     def searched(members: list[Outcome]) -> list[Searched]:
@@ -71,8 +71,8 @@ def draw_groups(path: Path, sweep: Sweep, found: list[Outcome]) -> list[Path]:
 
 
 def by_group(sweep: Sweep, found: list[Outcome]) -> str:
-    """The best and the median of every group of jobs, a table in Markdown, below the medians as a table with the first
-    grouping key across and the others down if two keys vary.
+    """Table in Markdown with the best value and the median of every group of jobs. If two keys vary, a table of the
+    medians comes first, with the first grouping key across and the others down.
     """
     from lmd.core.words import escaped, markdown_table
 
@@ -100,7 +100,7 @@ def by_group(sweep: Sweep, found: list[Outcome]) -> str:
 
 
 def best_group(sweep: Sweep, found: list[Outcome]) -> dict[str, float]:
-    """Best value and median of each figure over the seeds of the group with the highest median fitness; empty if
+    """For the group with the highest median fitness, best value and median of each figure over the seeds; empty if
     problems differ.
     """
     known = [members for members in _groups(sweep, found).values() if _values(members, "fitness")]
@@ -113,7 +113,7 @@ def best_group(sweep: Sweep, found: list[Outcome]) -> dict[str, float]:
 
 
 def grouping_keys(sweep: Sweep) -> list[str]:
-    """The varied keys but the seed: those of the method, such as the optimiser, before those of the problem."""
+    """Varied keys except the seed: first keys of the method, such as the optimiser, then keys of the problem."""
     return sorted((key for key in sweep.varied if key != SEED), key=_is_of_problem)
 
 
@@ -122,7 +122,7 @@ def _is_of_problem(key: str) -> bool:
 
 
 def _groups(sweep: Sweep, found: list[Outcome]) -> dict[Group, list[Outcome]]:
-    """The outcomes by the values of the grouping keys."""
+    """Outcomes by the values of the grouping keys."""
     groups = dict[Group, list[Outcome]]()
     for each in found:
         groups.setdefault(tuple(each.job.varied.get(key, "") for key in grouping_keys(sweep)), []).append(each)

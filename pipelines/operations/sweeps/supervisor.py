@@ -1,4 +1,4 @@
-"""Execution of one job of a sweep in a process of its own."""
+"""Execution of a sweep's job in its own process."""
 
 import os
 import signal
@@ -34,16 +34,16 @@ from . import forks
 from .folder import Job, JobFolder, SweepFolder, current_job, reason_of
 from .names import short_name
 
-SWEEP_VARIABLE = "LMD_SWEEP"  # environment variable with the number of the process that began the sweep
+SWEEP_VARIABLE = "LMD_SWEEP"  # environment variable with the id of the process that began the sweep
 THREAD_VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 STOPPED = "the sweep was stopped"
 LOST = "its process was killed, and the sweep with it"
 
 
 def run(cfg: DictConfig, pipeline: Callable[[DictConfig], float | None]) -> float | None:
-    """Run a pipeline in this process, or as the job of a sweep, which `SweepRecord` began, in a process of its own.
+    """Run a pipeline in this process or, as the job of a sweep that `SweepRecord` began, in a process of its own.
 
-    In that process the job's outcome is written to its folder, and it stops when the sweep has ended.
+    The process of a job writes the outcome to the job's folder, and stops when the sweep has ended.
     """
     if HydraConfig.get().mode == RunMode.MULTIRUN and SWEEP_VARIABLE in os.environ:
         return _supervise(cfg)
@@ -64,7 +64,7 @@ def run(cfg: DictConfig, pipeline: Callable[[DictConfig], float | None]) -> floa
 
 
 def _stop_with_the_sweep() -> None:
-    """Signal this process when standard input is closed, which the sweep holds open."""
+    """Signal this process when standard input is closed; the sweep holds standard input open."""
     while os.read(0, 1):
         pass
     stop.why = STOPPED
@@ -72,15 +72,15 @@ def _stop_with_the_sweep() -> None:
 
 
 def _supervise(cfg: DictConfig) -> float | None:
-    """Run one job of a sweep in a process of its own, unless the job has finished; return its value, NaN after a
-    failure.
+    """Run one job of a sweep in a process of its own, unless the job has finished; return the value of the job, NaN
+    after a failure.
 
-    A failure is recorded and not raised, so that no job can end a sweep, with any launcher.
+    A failure is recorded but not raised, so that no job can end a sweep, whichever launcher is used.
     """
     folder, job, launcher = JobFolder(run_directory()), _job(), HydraConfig.get().launcher
     if launcher._target_.endswith("JoblibLauncher"):
         _end_with_the_sweep()
-    # As many threads as configured, else one if jobs share a machine; none is every processor.
+    # Number of threads: as configured, else 1 if jobs share a machine; None stands for every processor.
     alone = None if launcher._target_.endswith("BasicLauncher") else int(launcher.get("cpus_per_task") or 1)
     threads = alone if cfg.get("threads") is None else int(cfg.threads)
     with held(folder.path) as lock:
@@ -89,7 +89,7 @@ def _supervise(cfg: DictConfig) -> float | None:
             say(f"done already: {job.label}")
             return done.value
         own, spent = ["hydra.mode=RUN", f"hydra.run.dir={quoted(folder.path)}"], 0.0
-        if threads is not None and "threads" in cfg:  # not every pipeline has the key
+        if threads is not None and "threads" in cfg:  # some pipelines lack the key
             own.append(f"threads={threads}")
         if (before := folder.load()) is not None:
             settle(cfg.tracking, folder, lost(job))
@@ -116,7 +116,7 @@ def _supervise(cfg: DictConfig) -> float | None:
 
 @cache
 def _end_with_the_sweep() -> None:
-    """End a process of joblib, and thereby its job, when the process of the sweep ends, even by `kill -9`."""
+    """End a process of joblib, and thereby the process's job, when the process of the sweep ends, even by `kill -9`."""
     sweep = int(os.environ[SWEEP_VARIABLE])
 
     def watch() -> None:
@@ -139,12 +139,12 @@ def _job() -> Job:
 
 
 def _execute(arguments: list[str], threads: int | None, folder: JobFolder, lock: int | None) -> tuple[int, bool]:
-    """Run a job's process to its end; return its exit code, and True if the sweep was interrupted meanwhile.
+    """Run the process of a job to the end; return the exit code, and True if the sweep was interrupted meanwhile.
 
     The process has a session of its own, so Ctrl-C reaches the process only once, by the pipe. The process inherits the
     lock of its folder, so the folder stays locked if the sweep is killed.
     """
-    if threads is not None:  # also for the server, whose packages read the variables at import
+    if threads is not None:  # set before the server starts, as its packages read the variables at import
         os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(threads)))
     environment = os.environ | {"HYDRA_FULL_ERROR": "1", JOB_VARIABLE: str(folder.path)}
     module, (reads, writes) = f"{PACKAGE}.{HydraConfig.get().job.config_name}", os.pipe()
@@ -169,7 +169,7 @@ def _execute(arguments: list[str], threads: int | None, folder: JobFolder, lock:
 
 
 def _settled(job: Job, code: int) -> Job:
-    """Job after its process has ended with `code`; the reason follows from the code if the job has written none."""
+    """Record of a job whose process has ended with `code`, which gives the reason if the job has written none."""
     if job.status != "running":
         return job
     if code in CODES:
@@ -180,12 +180,14 @@ def _settled(job: Job, code: int) -> Job:
 
 
 def lost(job: Job, stopped: bool = False) -> Job:
-    """Job whose process has ended without a record, with the whole sweep, which a signal has `stopped` or not."""
+    """Record of a job whose process ended, with the whole sweep, before writing a record; `stopped` is True after a
+    signal.
+    """
     return replace(job, status="interrupted" if stopped else "killed", reason=STOPPED if stopped else LOST)
 
 
 def settle(tracking: DictConfig, folder: JobFolder, job: Job, params: Mapping[str, Any] | None = None) -> None:
-    """Settle the tracked runs of a job whose process has ended; one that began none gets one with `params`, if any."""
+    """Settle the tracked runs of a job whose process has ended; a job without a run gets one if `params` is given."""
     from lmd.core.checks import InputError
 
     if job.parent is None:

@@ -1,4 +1,5 @@
-"""Journal of a run: its record on disk before it is sent, for sending it later if the store does not answer.
+"""Journal of a run: entries are written to disk before they are sent, and can be sent later if the store does not
+answer.
 
 The tags of `this_process` distinguish a run whose process has ended from a run that is still going on.
 """
@@ -37,13 +38,13 @@ class Journal:
 
     @classmethod
     def of(cls, folder: Path) -> "Journal":
-        """Read the journal in the folder of a run; empty without one. An incomplete last line is left out.
+        """Read the journal in the folder of a run; empty if there is none. An incomplete last line is ignored.
 
         Args:
             folder: folder of the run.
 
         Raises:
-            InputError: the file is no journal, or names a file outside the folder.
+            InputError: the file is not a journal, or names a file outside the folder.
         """
         path, entries = folder / FILE, []
         for line in path.read_text(errors="replace").splitlines() if path.is_file() else ():
@@ -59,7 +60,7 @@ class Journal:
 
     @property
     def store(self) -> str | None:
-        """Address of the store of the run; None before the run had a store."""
+        """Address of the run's store; None before the run had a store."""
         return next((str(entry["uri"]) for entry in reversed(self.entries) if {"run_id", "uri"} <= entry.keys()), None)
 
     def add(self, entry: Entry) -> None:
@@ -81,7 +82,7 @@ class Journal:
                 file.write("".join(f"{json.dumps(entry)}\n" for entry in self.entries[self.on_disk :]))
         except OSError:
             with suppress(OSError):
-                os.truncate(self.path, size)  # removes the part that fitted
+                os.truncate(self.path, size)  # remove the part of the entry that fitted
             raise
         self.on_disk = len(self.entries)
 
@@ -92,17 +93,18 @@ class Journal:
 
 
 def hand_in(journal: Journal, uri: str) -> str:
-    """Send the journal that an ended run left behind, and remove it; entries that the store has are not duplicated.
+    """Send the journal that an ended run has left, and remove the journal; entries that the store has are not
+    duplicated.
 
     Returns:
-        text of the outcome, in one line.
+        text about the outcome, in one line.
 
     Raises:
         InputError: the store cannot be used, or no run has written the journal.
     """
     entries = journal.entries
     last = next((entry for entry in reversed(entries) if "run_id" in entry), None)
-    if last is None:  # the process was killed before it had a run
+    if last is None:  # the process was killed before a run was started
         journal.remove()
         return f"{journal.path} held nothing"
     try:
@@ -114,7 +116,7 @@ def hand_in(journal: Journal, uri: str) -> str:
             run = store.client.get_run(run_id)
             if not ended and run.info.status == "RUNNING":
                 entries = [*entries, {"end": "FAILED", "reason": GONE, "at": now()}]
-            # If a run was continued in another folder, that folder's journal has its status.
+            # If a run was continued in another folder, the journal there has the run's status.
             went_on = run.data.tags.get("folder") != last["folder"]
             for entry in entries:
                 if not (went_on and {"end", "reopen"} & set(entry)):
@@ -137,12 +139,12 @@ def end_those_gone(store: Store) -> None:
 
 
 def this_process() -> dict[str, str]:
-    """Tags of a run with host, number and start of this process."""
+    """Tags of a run that identify this process: host, number and start."""
     return {"host": socket.gethostname(), "process": _identity(os.getpid())}
 
 
 def is_gone(tags: dict[str, str]) -> bool:
-    """True if the process in these tags has ended; False for a process of another host, or without a process."""
+    """True if the process that the tags identify has ended; False for another host, or if the tags have none."""
     process = tags.get("process", "")
     if tags.get("host") != socket.gethostname() or not IDENTITY.fullmatch(process):
         return False
@@ -153,8 +155,7 @@ def is_gone(tags: dict[str, str]) -> bool:
 
 
 def _identity(number: int) -> str:
-    """Number and start of a process, counted from the boot, as the clock may be changed meanwhile; without /proc its
-    number alone.
+    """Number of a process, and start counted from the boot, as the clock may be changed; without /proc only the number.
 
     Raises:
         FileNotFoundError, ProcessLookupError: there is no such process.

@@ -1,4 +1,4 @@
-"""Recording runs in mlflow."""
+"""Recording of runs in mlflow."""
 
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -41,7 +41,7 @@ class MlflowTracker(NoTracker):
         self._tags = {key: str(value) for key, value in given.items()}
         self._run_id: str | None = None
         self._journal: Journal | None = None
-        self._sent, self._lost = 0, False  # number of entries that were sent; True after the store failed to answer
+        self._sent, self._lost = 0, False  # number of entries already sent; True after the store failed to answer
 
     @property
     def run_id(self) -> str | None:
@@ -75,12 +75,12 @@ class MlflowTracker(NoTracker):
         return run.info.status != "FINISHED" and run.data.params == _written(params)
 
     def _hand_in_left(self, folder: Path) -> None:
-        """Send the journal that a killed run has left in a folder."""
+        """Send the journal that a killed run left in a folder."""
         if (left := Journal.of(folder)).entries:
             hand_in(left, self.store.uri)
 
     def _record(self, entry: Entry) -> None:
-        """Write an entry to the journal, and send it unless the store is lost."""
+        """Write an entry to the journal, and send it unless the store no longer answers."""
         if self._journal is None:
             return
         self._journal.add(entry)
@@ -96,7 +96,7 @@ class MlflowTracker(NoTracker):
 
     @contextmanager
     def _warning(self) -> Iterator[None]:
-        """Context that prints once that the store is lost; an error with another cause is raised."""
+        """Context that prints a warning once if the store no longer answers; other errors are raised."""
         try:
             yield
         except Exception as error:

@@ -25,12 +25,12 @@ if TYPE_CHECKING:
     from mlflow.entities import Run
 
 SQLITE = "sqlite:///"
-BATCH = 1000  # greatest number of metrics in one call of mlflow
-PARAM_LENGTH = 6000  # greatest number of characters of a parameter; longer parameters are cut
-TAG_LENGTH = 5000  # greatest number of characters of a tag; longer tags are cut
+BATCH = 1000  # maximum number of metrics in one call of mlflow
+PARAM_LENGTH = 6000  # maximum number of characters of a parameter; longer parameters are cut
+TAG_LENGTH = 5000  # maximum number of characters of a tag; longer tags are cut
 DESCRIPTION = "mlflow.note.content"  # tag that mlflow shows at the head of a run
 ENDED = {status: f"**{status}**" for status in ("FAILED", "KILLED", "FINISHED")}
-LOCK_SECONDS = 60.0  # longest wait for another process that makes the tables of a database, seconds
+LOCK_SECONDS = 60.0  # maximum wait for another process that creates the tables of a database, seconds
 
 
 class Store:
@@ -59,7 +59,7 @@ class Store:
         """Client of mlflow."""
         from mlflow import MlflowClient
 
-        # mlflow logs every new table, and errors with their tracebacks.
+        # mlflow logs each new table, and errors with their tracebacks.
         logging.getLogger("mlflow.store.db.utils").setLevel(logging.CRITICAL)
 
         if not self.is_local:
@@ -70,7 +70,7 @@ class Store:
 
         with tempfile.TemporaryFile(dir=database.parent):  # a test: FileLock would wait for a file that cannot be made
             pass
-        # If several processes create the tables of a database at once, they fail.
+        # Several processes that create the tables of a database simultaneously would fail.
         with FileLock(f"{database}.lock", timeout=LOCK_SECONDS):
             artifacts = (database.parent / "artifacts").as_uri()
             partial = database.with_name(f"{database.name}.partial")
@@ -93,17 +93,17 @@ class Store:
             raise InputError(f"tracking.uri = {self.uri!r} cannot be used: {first_line(error)}") from error
 
     def undisturbed(self) -> AbstractContextManager[None]:
-        """Context in which signals wait while a file is written, which locks the database for other processes.
+        """Context in which signals wait while a file is written, as writing locks the database for other processes.
 
         For a server it does nothing: no file is locked, and a call may take minutes to fail.
         """
         return stop.postponed() if self.is_local else nullcontext()
 
     def create(self, name: str, params: Mapping[str, str], tags: Mapping[str, str], ago: float) -> str:
-        """Make a run that began `ago` seconds before now, and return its id, with which the run's name ends."""
+        """Create a run that began `ago` seconds before now, and return its id; the run's name ends with the id."""
         from mlflow.entities import Param
 
-        # Tags are set together with the run, as a kill could leave a run without tags.
+        # Tags are set when the run is created, as a kill could otherwise leave a run without tags.
         shortened = {key: value[:TAG_LENGTH] for key, value in tags.items()}
         run = self.client.create_run(self.experiment_id, now() - int(1000 * ago), shortened, run_name=name)
         run_id = str(run.info.run_id)
@@ -135,7 +135,7 @@ class Store:
             is_asked = {"reopen", "curve"} & entry.keys() or entry.get("reason")
             known = client.get_run(run_id) if is_asked else None
             about = "" if known is None else known.data.tags.get(DESCRIPTION, "")
-            if about.startswith(tuple(ENDED.values())):  # a paragraph about an earlier end
+            if about.startswith(tuple(ENDED.values())):  # a paragraph about an earlier end of the run
                 about = about.partition("\n\n")[2]
             if "curve" in entry and known is not None:
                 name, began = entry["metric"], int(known.info.start_time)
@@ -165,7 +165,7 @@ class Store:
                 given = [DatasetInput(problem, [InputTag("mlflow.data.context", "problem")])]
                 try:
                     client.log_inputs(run_id, given)
-                except MlflowException:  # another process has recorded the same problem at the same time
+                except MlflowException:  # another process has recorded an equal problem in the meantime
                     client.log_inputs(run_id, given)
 
 
@@ -184,7 +184,7 @@ def _prepared(client: "MlflowClient", name: str, artifacts: str | None = None) -
         try:
             share(client, str(client.create_experiment(name, artifact_location=artifacts)), view_of())
         except MlflowException:
-            if client.get_experiment_by_name(name) is None:  # no other process has made it meanwhile
+            if client.get_experiment_by_name(name) is None:  # no other process has created the experiment meanwhile
                 raise
     return _id_of(client, client.tracking_uri, name)
 
@@ -220,7 +220,7 @@ def first_line(error: Exception) -> str:
 
 
 def now() -> int:
-    """Present time in milliseconds since 1970, as in mlflow."""
+    """Present time as in mlflow: milliseconds since 1970."""
     return int(1000 * time.time())
 
 

@@ -1,4 +1,4 @@
-"""Experiment tracking: its interface, which by itself records nothing."""
+"""Experiment tracking: interface of trackers; the interface itself records nothing."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,7 +12,7 @@ Entry = dict[str, Any]  # entry of a journal
 
 @dataclass(frozen=True)
 class Dataset:
-    """Problem of a run, which mlflow calls a dataset."""
+    """Problem of a run, called a dataset by mlflow."""
 
     name: str
     """Name in mlflow's filter of datasets."""
@@ -33,15 +33,15 @@ class RunStart:
     params: Mapping[str, Any] = field(default_factory=dict)
     """Settings."""
     tags: Mapping[str, str] = field(default_factory=dict)
-    """Further facts for finding runs."""
+    """Further tags, by which runs can be found."""
     ago: float = 0.0
     """Time since the run began, seconds."""
     dataset: Dataset | None = None
-    """Problem, or None."""
+    """Problem of the run, or None."""
 
 
 class NoTracker:
-    """Records nothing (`tracking=none`)."""
+    """Tracker that records nothing (`tracking=none`)."""
 
     @property
     def run_id(self) -> str | None:
@@ -57,7 +57,7 @@ class NoTracker:
 
     def goes_on(self, run_id: str, folder: Path, params: Mapping[str, Any]) -> bool:
         """True if the run `run_id` can be continued as one history: it has these params, is unfinished, was last in
-        `folder`, and was not continued by another run.
+        `folder`, and has not been continued by another run.
 
         Raises:
             InputError: the store cannot be used.
@@ -68,9 +68,9 @@ class NoTracker:
         """Delete the started run."""
 
     def settle(self, run: RunStart, status: str, reason: str = "", files: Sequence[Path] = ()) -> None:
-        """Settle the runs with the tags of `run`, whose processes have ended. End those that are RUNNING or ended for
-        lack of a process, keep the newest alone, and add files to it. Without one, one is recorded unless it is
-        FINISHED.
+        """Settle the runs with the tags of `run`, whose processes have ended. Runs that are RUNNING, or that were ended
+        because their process was gone, are ended with `status`. Only the newest run is kept, and gets the files. If
+        there is no run, one is recorded unless the status is FINISHED.
 
         Raises:
             InputError: the store cannot be used.
@@ -89,11 +89,11 @@ class NoTracker:
         """End the run as FINISHED, KILLED or FAILED, with the reason as a tag."""
 
     def describe(self) -> str:
-        """Text about the place of the run, in one line."""
+        """Text that tells where the run is recorded, in one line."""
         return "not tracked (tracking=none)"
 
     def views(self, params: Sequence[str]) -> list[str]:
-        """Links to the runs below this one, grouped by params; none if the store does not answer."""
+        """Links to the child runs of this run, grouped by params; empty if the store does not answer."""
         return []
 
 

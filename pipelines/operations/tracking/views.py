@@ -1,6 +1,6 @@
 """Pages of mlflow that show the figures of runs when opened: views of an experiment and of a sweep.
 
-`views.json` has the state of mlflow's page of runs in the form of its links.
+`views.json` has the state of mlflow's page of runs, in the form that mlflow's links have.
 """
 
 import base64
@@ -15,7 +15,7 @@ from .tracker import PARENT_TAG
 if TYPE_CHECKING:
     from mlflow import MlflowClient
 
-SHARED = "mlflow.sharedViewState."  # prefix of the tag of a shared view
+SHARED = "mlflow.sharedViewState."  # prefix of the tag for a shared view
 VIEW = "lmd"  # name of the shared view in links
 NAME = "attributes.`Run Name`"
 # Widths of columns, pixels.
@@ -23,8 +23,8 @@ WIDTHS = {NAME: 280, "metrics.`off_grid`": 85} | {
     f"params.`{name}`": 90 for name in ("optimiser", "room", "camera", "objective")
 }
 NARROW = 58  # width of the column of any other setting, pixels
-MOST_FIGURES = 12  # columns of figures in the view of an experiment
-# Columns of runs in their order: what often varies, the figure off the grid, further figures, then costs.
+MOST_FIGURES = 12  # number of columns of figures in the view of an experiment
+# Columns of runs in order: settings that often vary, the figure off the grid, further figures, then costs.
 VARIED = (
     *("optimiser", "room", "camera", "objective", "objective.n", "objective.thold_p", "deployment.count"),
     *("budget.evaluations", "budget.seconds", "seed"),
@@ -34,7 +34,7 @@ OF_SWEEPS = ("best/off_grid", "median/off_grid")
 
 
 def view_of(figures: Sequence[str] = ()) -> str:
-    """View of an experiment, whose runs have these figures; by default figures of deployments and of sweeps."""
+    """View of an experiment whose runs have these figures; by default figures of deployments and of sweeps."""
     if not figures or {*figures} & {*FIGURES}:
         figures = (FIGURES[0], *OF_SWEEPS, *FIGURES[1:])
     return _state(VARIED, figures[:MOST_FIGURES], "page")
@@ -44,7 +44,7 @@ def sweep_view(run_id: str, params: Sequence[str]) -> str:
     """View of the jobs of the sweep with the run `run_id`, with charts that have a band for each group.
 
     Args:
-        run_id: run of the sweep, which is hidden: its charts would be first.
+        run_id: run of the sweep, which is hidden, as its charts would come first.
         params: parameters that group jobs.
     """
     keys = [{"mode": "param", "groupByData": param} for param in params]
@@ -57,12 +57,12 @@ def sweep_view(run_id: str, params: Sequence[str]) -> str:
 
 
 def share(client: "MlflowClient", experiment_id: str, view: str, name: str = VIEW) -> None:
-    """Give an experiment a view, which links call `name`."""
+    """Add a view to an experiment; links refer to the view by `name`."""
     client.set_experiment_tag(experiment_id, f"{SHARED}{name}", view)
 
 
 def link(address: str, experiment_id: str, view: str = VIEW, mode: str = "TABLE") -> str:
-    """Address of the page of an experiment with a shared view; mlflow shows runs of training where the address says so.
+    """Address of the page of an experiment with a shared view; the address selects mlflow's page of training runs.
 
     Args:
         address: address of the server.
@@ -75,7 +75,7 @@ def link(address: str, experiment_id: str, view: str = VIEW, mode: str = "TABLE"
 
 
 def _state(params: Sequence[str], figures: Sequence[str], *parts: str, **changes: Any) -> str:
-    """State of mlflow's page of runs, with columns of parameters and of figures behind them, as links have it."""
+    """State of mlflow's page of runs in the form used in links: columns of parameters, then columns of figures."""
     states = json.loads(Path(__file__).with_suffix(".json").read_text())
     settings = [f"params.`{param}`" for param in params]
     columns = [*settings, *(f"metrics.`{figure}`" for figure in figures)]
