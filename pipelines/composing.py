@@ -64,8 +64,8 @@ def compose(command: str, *overrides: str) -> DictConfig:
         overrides: its overrides, such as `experiment=lab` or `suite=tiny_mean`.
 
     Raises:
-        InputError: a frozen problem or an earlier run is refused. hydra.errors.HydraException: Hydra refuses the
-        overrides, or another configuration is being composed.
+        InputError: a frozen problem or an earlier run is refused.
+        hydra.errors.HydraException: Hydra refuses the overrides, or another configuration is being composed.
     """
     from hydra import compose as by_hydra
     from hydra import initialize_config_dir
