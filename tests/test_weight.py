@@ -15,10 +15,10 @@ BUDGET = {
     "code lines of lmd": 29890,
     "files of pipelines": 48,
     "code lines of pipelines": 3704,
-    "code lines of tests": 21439,
+    "code lines of tests": 21448,
     "files of conf": 100,
     "keys of conf": 383,
-    "words of docs": 40314,
+    "words of docs": 40017,
     "commands": 12,
 }
 # Docstrings and comments with each phrase, at most. Lower a number when you have lowered the count.

@@ -5,50 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from contracts.criterion import check_counts, check_every_path, check_gains, check_shrunk, check_views
-from contracts.field import check_field
 from numpy.testing import assert_array_equal
+from support.exact import check_exact
 from support.paper import paper_scene
 from support.product import law
 from support.strategies import with_probabilities
 
 from lmd.objectives.coverage import Coverage
-from lmd.objectives.filtered import Filtered
-from lmd.objectives.filtered.evaluation import (
-    filtered_poses,
-    frame_information,
-    reference_filter,
-    reference_information,
-)
-from lmd.objectives.localisation import Localisation
-from lmd.objectives.localisation.evaluation import localised_views
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment
 from lmd.sight.evaluator import Evaluator
 
-
-def found(case, evaluator):
-    """All that an evaluation finds of a case, as arrays."""
-    scene, hung, asked = case.scene, case.deployment, case.objective
-    if isinstance(asked, Localisation):
-        return localised_views(
-            evaluator, hung.positions[None], hung.normals[None], asked.n, asked.precision(scene), keep=True
-        )
-    if not isinstance(asked, Filtered):
-        return [evaluator.counts(hung)]
-    arguments, drives, limits = (hung, asked.asked(scene), asked.n, asked.drives), asked.drives, asked.limits(scene)
-    if evaluator.by_reference:
-        information = reference_information(scene, *arguments)
-        return *information, *reference_filter(drives, information, limits)
-    information = frame_information(evaluator, *arguments)
-    return *information, *filtered_poses(drives, information, limits)
-
-
-def check_exact(case):
-    """Fast paths find what the reference finds, to the bit."""
-    slow, fast = Evaluator(case.scene, by_reference=True), Evaluator(case.scene, threads=1)
-    for one, other in zip(found(case, slow), found(case, fast), strict=True):
-        assert_array_equal(one, other)
-    assert_array_equal(case.values(slow), case.values(fast))
+pytestmark = pytest.mark.long
 
 
 @law(60)
@@ -59,12 +27,6 @@ def test_the_fast_paths_find_what_the_reference_finds(case):
 @law(60, "coverage")
 def test_counts_are_those_of_the_formulas(case):
     check_counts(case.scene, case.deployment, case.objective.n, threads=3)
-
-
-@law(60)
-def test_a_tried_move_has_the_values_of_a_full_evaluation_and_an_undone_one_leaves_no_trace(case):
-    moved = check_field(case.objective, case.scene, case.deployment, case.targets, case.rng)
-    check_exact(replace(case, deployment=moved))
 
 
 @law(40)

@@ -32,10 +32,9 @@ def walked(n, occlusion, stage):
         for name, part in {**parts, "move_to": lambda *_: None, "_try": module._try}.items():
             patch.setattr(module, name, part)
         (walker,) = surrogate._walkers
-        memory = surrogate._field, walker.state, walker.scratches
-        around = surrogate._target, surrogate._surfaces, surrogate._footprints
+        room = surrogate._surfaces, surrogate._footprints
         getattr(module.walk, "py_func", module.walk)(
-            200, NOWHERE, walker.members, walker.group, *memory, *around, settings, rng, walker.best
+            200, NOWHERE, walker, surrogate._field, surrogate._target, room, settings, rng
         )
     return [*moves.copied(walker.state), walker.best.fitness, *walker.best.places, rng.random()], len(finished)
 
