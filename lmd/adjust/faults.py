@@ -9,11 +9,12 @@ size of each tag relative to most others.
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from lmd.adjust.candidates import placed_tags
-from lmd.adjust.corners import Reprojection, fitting, newton_step, squared_errors, student_weight, sums_by
+from lmd.adjust.corners import Reprojection, agreeing, fitting, newton_step, squared_errors, student_weight, sums_by
 from lmd.adjust.estimate import Estimate
 from lmd.adjust.sightings import SQUARE, Sightings
 from lmd.core.checks import BoolArray, FloatArray, IntArray
@@ -52,6 +53,17 @@ class SecondPlace:
     """
     later: bool
     """True if the second pose is the later pose."""
+
+
+class Faults(NamedTuple):
+    """Faults of tags in a map."""
+
+    second_places: list[SecondPlace]
+    """Second poses of tags that were moved or whose id two tags share."""
+    sizes: dict[int, float]
+    """Estimated edges of tags with a wrong size, metres, by id."""
+    misread: IntArray
+    """`(K,)` number of sightings with each id that fit no pose of the tag."""
 
 
 def second_places(found: Estimate, gross: BoolArray) -> list[SecondPlace]:
@@ -188,3 +200,24 @@ def resized(found: Estimate, odd: BoolArray, among: BoolArray) -> tuple[Estimate
     edges = np.where(differs, grown.edges, some.edges)
     other = replace(found, sightings=replace(every, edges=edges), group=np.where(differs, 0, found.group))
     return other.with_tags(differs, tags[differs]).adjusted(found.floor), differs
+
+
+def without_faults(found: Estimate, odd: BoolArray) -> tuple[Estimate, Faults]:
+    """Estimate with corrected sizes and the later poses of moved tags, and all faults.
+
+    Args:
+        found: estimate.
+        odd: mask of the tags whose size is an unknown of the estimate, `(K,)`.
+    """
+    found, changed = resized(found, np.zeros_like(odd), ~odd)
+    edges = found.sightings.edges[changed].tolist()
+    sizes = dict(zip(found.sightings.ids[changed].tolist(), edges, strict=True)) | other_sizes(found, odd)
+    error = found.squares
+    gross = found.misfits & np.isfinite(error) & ~agreeing(found.sightings, error)
+    places, misread = second_places(found, gross), found.sightings.counts(gross)
+    for place in places:
+        misread[place.tag] = max(misread[place.tag] - place.sightings, 0)
+    if last := [place for place in places if place.moved is not None and place.later]:
+        moved = found.with_tags(np.array([place.tag for place in last]), np.stack([place.pose for place in last]))
+        found = moved.adjusted(found.floor)
+    return found, Faults(places, sizes, misread)

@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 from lmd.adjust.candidates import measured_mounts, single_poses
 from lmd.adjust.corners import agreeing, resected, squared_errors
 from lmd.adjust.estimate import FEWEST_FRAMES, ONE_THREAD, Estimate, constraining
-from lmd.adjust.faults import FEWEST_SIGHTINGS, SecondPlace, odd_sizes, other_sizes, resized, second_places, with_sizes
+from lmd.adjust.faults import FEWEST_SIGHTINGS, Faults, odd_sizes, with_sizes, without_faults
 from lmd.adjust.intrinsics import Calibrated, Optics
 from lmd.adjust.motion import Motion, seconds_of
 from lmd.adjust.prior import Prior
@@ -68,17 +68,6 @@ class SurveyStage(Enum):
 # Called with the stage, the number of finished steps, and the maximum number of steps, 0 if unknown. The observer
 # returns True to stop with the present map, and may raise an error if there is no map yet.
 Observer = Callable[[SurveyStage, int, int], bool]
-
-
-class Faults(NamedTuple):
-    """Faults of a survey."""
-
-    second_places: list[SecondPlace]
-    """Second poses of tags that were moved or whose id two tags share."""
-    sizes: dict[int, float]
-    """Estimated edges of tags with a wrong size, metres, by id."""
-    misread: IntArray
-    """`(K,)` number of sightings with each id that fit no pose of the tag."""
 
 
 class HeldOut(NamedTuple):
@@ -282,27 +271,6 @@ def _steady(seen: Observations, known: PriorKnowledge) -> Motion | None:
     motion = Motion(seconds_of(seen.detected.times))
     near = np.isfinite(motion.times).all() and motion.follows(np.unique(seen.through().frame)).any()
     return motion if near and known.steady is not False else None
-
-
-def without_faults(found: Estimate, odd: BoolArray) -> tuple[Estimate, Faults]:
-    """Estimate with corrected sizes and the later poses of moved tags, and all faults.
-
-    Args:
-        found: estimate.
-        odd: mask of the tags whose size is an unknown of the estimate, `(K,)`.
-    """
-    found, changed = resized(found, np.zeros_like(odd), ~odd)
-    edges = found.sightings.edges[changed].tolist()
-    sizes = dict(zip(found.sightings.ids[changed].tolist(), edges, strict=True)) | other_sizes(found, odd)
-    error = found.squares
-    gross = found.misfits & np.isfinite(error) & ~agreeing(found.sightings, error)
-    places, misread = second_places(found, gross), found.sightings.counts(gross)
-    for place in places:
-        misread[place.tag] = max(misread[place.tag] - place.sightings, 0)
-    if last := [place for place in places if place.moved is not None and place.later]:
-        moved = found.with_tags(np.array([place.tag for place in last]), np.stack([place.pose for place in last]))
-        found = moved.adjusted(found.floor)
-    return found, Faults(places, sizes, misread)
 
 
 def _off_fixed(found: Estimate, start: Start) -> FloatArray:

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from support import walks
 
+from lmd.adjust.faults import without_faults
 from lmd.adjust.prior import Prior
 from lmd.geometry.se3 import exp, inverse
-from lmd.survey.survey import estimate_map, without_faults
+from lmd.survey.survey import estimate_map
 
 COUNT, FRAMES, MOVED = 24, 64, 5
 IDS = np.arange(COUNT)
