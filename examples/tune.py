@@ -1,5 +1,7 @@
 """Optuna searches parameters of `ega` on a problem of the suite: `python examples/tune.py`."""
 
+from functools import partial
+
 import optuna
 
 import lmd
@@ -13,12 +15,11 @@ def tuned(trials: int = 30, evaluations: int = 500) -> optuna.Study:
 
     def fitness(trial: optuna.Trial) -> float:
         """Mean of the fitness that the parameters of a trial reach."""
-        chosen = {
-            "eliminated": trial.suggest_int("eliminated", 0, 15),
-            "mutation_probability": trial.suggest_float("mutation_probability", 0.001, 0.2, log=True),
-            "partner": trial.suggest_categorical("partner", ["pool", "survivor"]),
-        }
-        results = [EGA(**chosen, seed=seed).run(problem, lmd.Budget(evaluations)) for seed in range(2)]
+        eliminated = trial.suggest_int("eliminated", 0, 15)
+        mutation = trial.suggest_float("mutation_probability", 0.001, 0.2, log=True)
+        partner = trial.suggest_categorical("partner", ["pool", "survivor"])
+        ega = partial(EGA, eliminated=eliminated, mutation_probability=mutation, partner=partner)
+        results = [ega(seed=seed).run(problem, lmd.Budget(evaluations)) for seed in range(2)]
         return sum(result.fitness for result in results) / len(results)
 
     study = optuna.create_study(direction="maximize", sampler=optuna.samplers.TPESampler(seed=0))
