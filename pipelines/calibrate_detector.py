@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig
 
 from .command import Command
-from .nodes import instantiate, keyed, note, settings_of
+from .nodes import instantiate, keyed
 from .sensed import in_batches, rendered
 from .study import Report, Study
 
@@ -25,7 +25,7 @@ def calibrate(cfg: DictConfig) -> Study:
 
     optional("cv2", "detection")
     seed, count = seed_number(cfg.seed), integer("frames", cfg.frames, low=0)
-    margin, key = real("margin", cfg.margin, low=0.0), _source_key(cfg)
+    margin, key = real("margin", cfg.margin, low=0.0), "views" if cfg.survey is None else "survey"
     with keyed(key, **({"folder": "survey"} if key == "survey" else {})):
         source = SurveyedViews(str(cfg.survey)) if key == "survey" else instantiate(cfg[key])
     subject = rendered(cfg, max(count, 1))
@@ -45,7 +45,6 @@ def calibrate(cfg: DictConfig) -> Study:
             limits_markdown,
             predicted_in_frames,
         )
-        from lmd.detection.tag_views import BoardImages
         from lmd.evaluation.detected import sightings
         from lmd.plot.detection_figures import save_limits_figure
 
@@ -63,9 +62,6 @@ def calibrate(cfg: DictConfig) -> Study:
             rooms = frame_scores(predicted_in_frames(limits.limits, renderer, told.poses), seen[name]) if count else {}
             found[name] = DetectorCalibration(views, limits, rooms, source.photographs, spans)
             text += limits.circles_text(name)
-        if isinstance(source, BoardImages) and (copies := source.images.repeated):
-            copy, first = next(iter(copies.items()))
-            note(f"{len(copies)} images are copies and not counted, such as {copy} of {first}")
         about, figures = f"views of {key}, seed {seed}", {name: each.figures() for name, each in found.items()}
         files: dict[str, Any] = {
             f"{family}_{name}.yaml": each.preset(name, family, about) for name, each in found.items()
@@ -80,14 +76,6 @@ def calibrate(cfg: DictConfig) -> Study:
         return Report(files, finite, text=text + markdown)
 
     return Study(f"calibrate_detector {family}", run)
-
-
-def _source_key(cfg: DictConfig) -> str:
-    """Key of the source of views: a survey, photographs of a board, or otherwise rendered mosaics."""
-    if cfg.survey is not None:
-        return "survey"
-    board = settings_of(cfg, "board")
-    return "views" if board.get("folder") is None and board.get("tags") is None else "board"
 
 
 main = Command("calibrate_detector", calibrate)

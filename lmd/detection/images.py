@@ -1,6 +1,5 @@
 """Images of one camera from a folder of photographs, and the blur of an image with tags."""
 
-import hashlib
 import io
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -101,14 +100,6 @@ class Photographs:
     def names(self) -> list[str]:
         """See `Images.names`: names of the files; characters that cannot be encoded are replaced."""
         return [printable(path.name) for path in self.paths]
-
-    @cached_property
-    def repeated(self) -> dict[str, str]:
-        """Maps each duplicate's name to the name of the first copy of the image."""
-        first: dict[bytes, str] = {}
-        digests = [hashlib.sha256(read_bytes(path, self.argument)).digest() for path in self.paths]
-        earlier = [first.setdefault(digest, name) for digest, name in zip(digests, self.names, strict=True)]
-        return {name: one for name, one in zip(self.names, earlier, strict=True) if one != name}
 
     def _with(self, suffixes: Sequence[str]) -> list[Path]:
         """Files with one of the suffixes, ordered by name."""

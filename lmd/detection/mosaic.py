@@ -59,7 +59,7 @@ class ViewRanges(Checked):
 
 @dataclass(frozen=True)
 class Mosaics(Checked):
-    """Random views in rendered mosaics; a `lmd.detection.tag_views.ViewSource`.
+    """Random views in rendered mosaics.
 
     Raises:
         InputError: `count` is less than two.
@@ -75,13 +75,13 @@ class Mosaics(Checked):
 
     @property
     def photographs(self) -> int:
-        """See `ViewSource.photographs`."""
+        """Number of photographs: 0."""
         return 0
 
     def views(
         self, cameras: Sequence[Camera], tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator
     ) -> TagViews:
-        """See `ViewSource.views`; light and blur are random instead of those of `imaging`."""
+        """Views by a single camera, see `sample_views`; light and blur are random instead of those of `imaging`."""
         return sample_views(only(cameras), tag, detector, self.count, rng, self.sampling)
 
 

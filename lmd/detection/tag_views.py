@@ -1,28 +1,22 @@
-"""Views of single tags, and detections of these tags, to which a detector's limits are fitted. Sources of views are a
-survey, and photographs of a printed board with known geometry.
+"""Views of single tags, and detections of these tags, to which a detector's limits are fitted.
+
+Sources are a survey (`SurveyedViews`) and renderings (`lmd.detection.mosaic.Mosaics`).
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Protocol, Self
+from typing import Self
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, Checked, FloatArray, InputError, IntArray, Positive, said_of
-from lmd.core.tables import Table, in_order, read_numbers, read_table
-from lmd.detection.detectors import CORNER_TOLERANCE, Detections, Detector, corner_error, match
-from lmd.detection.frames import blur, qualities
-from lmd.detection.images import Photographs
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
+from lmd.core.tables import Table, in_order, read_table
+from lmd.detection.detectors import Detector
+from lmd.detection.frames import blur
 from lmd.geometry.camera import Camera
-from lmd.geometry.pose import pose_from_corners
-from lmd.geometry.se3 import ROW, poses_from_rows
-from lmd.geometry.squares import upright
 from lmd.render.imaging import Imaging
-from lmd.render.renderer import Renderer
-from lmd.render.room import TaggedRoom
-from lmd.scene import deployment
 from lmd.scene.tag import Tag
 
 # File of a survey with the views of its tags, and the two columns that identify the image.
@@ -84,30 +78,6 @@ class TagViews:
 _ARRAYS = tuple(field.name for field in fields(TagViews))[:-1]
 
 
-class ViewSource(Protocol):
-    """Source of views of tags in which a detector was run."""
-
-    @property
-    def photographs(self) -> int:
-        """Number of photographs from which the views are; 0 for renderings."""
-
-    def views(
-        self, cameras: Sequence[Camera], tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator
-    ) -> TagViews:
-        """Collect views, and the detections of a detector in them.
-
-        Args:
-            cameras: cameras of the images, several for a rig.
-            tag: family, size and quiet zone.
-            detector: detector of this family.
-            imaging: lens and light of rendered images; blur of photographs.
-            rng: source of everything random.
-
-        Raises:
-            InputError: the source does not support these cameras.
-        """
-
-
 def only(cameras: Sequence[Camera]) -> Camera:
     """Return the only camera.
 
@@ -121,7 +91,7 @@ def only(cameras: Sequence[Camera]) -> Camera:
 
 @dataclass(frozen=True)
 class SurveyedViews:
-    """Views in the images of a survey, with one camera or several; a `ViewSource`.
+    """Views in the images of a survey, with one camera or several.
 
     Raises:
         InputError: the folder is not the folder of a survey.
@@ -138,7 +108,7 @@ class SurveyedViews:
 
     @property
     def photographs(self) -> int:
-        """See `ViewSource.photographs`."""
+        """Number of photographs from which the views are."""
         texts = self._table.texts
         return len(set(zip(texts[FRAME], texts[CAMERA], strict=True)))
 
@@ -150,7 +120,11 @@ class SurveyedViews:
     def views(
         self, cameras: Sequence[Camera], tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator
     ) -> TagViews:
-        """See `ViewSource.views`; `detector` is ignored, as the survey recorded the detections of its own detector.
+        """Views, with the detections that the survey recorded; `tag`, `detector` and `rng` are ignored.
+
+        Args:
+            cameras: cameras of the images, several for a rig.
+            imaging: blur of the photographs.
 
         Raises:
             InputError: the survey has more cameras than `cameras`.
@@ -171,104 +145,3 @@ class SurveyedViews:
         placed = Placed(own, moment, border, np.where(distorts[own], circle, np.nan))
         unknown = np.full(len(pitch), np.nan)
         return TagViews(pitch, np.radians(incidence), edge, sigma, seen > 0.0, unknown, placed)
-
-
-@dataclass(frozen=True)
-class BoardImages(Checked):
-    """Photographs of a board of tags; a `lmd.detection.tag_views.ViewSource`.
-
-    Raises:
-        InputError: a value is missing or out of range.
-    """
-
-    folder: str | None
-    """Folder of the images, all of one camera."""
-    tags: str | None
-    """CSV with the columns id,x,y,z,nx,ny,nz: id, centre (metres) and unit normal of each tag in the board's frame. The
-    up of a tag is +z, or +y for a normal along z."""
-    poses: str | None = None
-    """CSV with the columns image,x,y,z,qx,qy,qz,qw: name of each image, and pose of its camera (x right, y down, z the
-    optical axis) in the board's frame. None to estimate poses from the detected corners of at least two tags."""
-    tolerance: Positive = CORNER_TOLERANCE
-    """Largest distance between a detected corner and its projection, pixels."""
-
-    def _validate(self) -> None:
-        if self.folder is None:
-            raise InputError("folder is missing: a folder of images is needed.", "folder")
-        _ = self.images  # raises an error for a folder without images
-        if self.tags is None:
-            raise InputError("tags is missing: a CSV of the tags on the board is needed.", "tags")
-
-    def views(
-        self, cameras: Sequence[Camera], tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator
-    ) -> TagViews:
-        """See `ViewSource.views`: views of the tags that are wholly in an image with a known pose."""
-        camera = only(cameras)
-        renderer = Renderer(camera, self.board(tag), imaging)
-        known = None if self.poses is None else self._known_poses(self.poses)
-        parts = []
-        read = self.images.read(0, len(self.images.names), camera)
-        for name, image in zip(self.images.names, read, strict=True):
-            if name in self.images.repeated:  # a copy of an image has no new information
-                continue
-            found = detector.detect(image)
-            pose = _pose_by(renderer, found, self.tolerance) if known is None else known.get(name)
-            if pose is None:
-                continue
-            expected = renderer.corners(pose)
-            matches = match(found, renderer.room.ids, expected, self.tolerance)
-            whole = renderer.inside(pose)
-            error = corner_error(matches.corners, expected)
-            parts.append(TagViews(*qualities(renderer, pose), matches.detected, error)[whole])
-        if not sum(map(len, parts)):
-            raise InputError(
-                f"folder: in no image of {str(self.folder)!r} is a tag of the board where it should be.", "folder"
-            )
-        return TagViews.concatenated(parts)
-
-    @property
-    def photographs(self) -> int:
-        """See `ViewSource.photographs`."""
-        return len(self.images.names) - len(self.images.repeated)
-
-    @cached_property
-    def images(self) -> Photographs:
-        """Images of the folder."""
-        assert self.folder is not None
-        return Photographs(self.folder)
-
-    def board(self, tag: Tag) -> TaggedRoom:
-        """Tags of the board, in the board's frame."""
-        assert self.tags is not None
-        table = read_numbers(self.tags, ("id", *deployment.COLUMNS), name="tags")
-        normals = table[:, 4:] / np.linalg.norm(table[:, 4:], axis=1, keepdims=True)
-        with said_of(self.tags):
-            return TaggedRoom(tag, table[:, 0].astype(np.int64), table[:, 1:4], normals, upright(normals)[1])
-
-    def _known_poses(self, path: str) -> dict[str, FloatArray]:
-        """Camera poses X by the name of the image."""
-        table = read_table(path, name="poses")
-        rows = table.numbers(ROW, ("image",))
-        if "image" not in table:
-            raise InputError(f"{path} lacks the column 'image'; expected image,{','.join(ROW)}.")
-        names = table.texts["image"]
-        missing = set(names) - set(self.images.names)
-        if missing:
-            raise InputError(f"{path}: {str(self.folder)!r} has no image {min(missing)!r}.")
-        with said_of(path):
-            return dict(zip(names, poses_from_rows(rows), strict=True))
-
-
-def _pose_by(renderer: Renderer, found: Detections, tolerance: float) -> FloatArray | None:
-    """Camera pose X from the detected corners of the board; None with fewer than two tags or inconsistent corners."""
-    room = renderer.room
-    corners = np.full((len(room.ids), 4, 2), np.nan)
-    for k, number in enumerate(room.ids):
-        at = np.flatnonzero(found.ids == number)
-        if len(at) == 1:
-            corners[k] = found.corners[at[0]]
-    if np.isfinite(corners).all(axis=(1, 2)).sum() < 2:
-        return None
-    pose = pose_from_corners(renderer.camera, room.corners, corners)
-    error = corner_error(corners, renderer.corners(pose))
-    return pose if np.nanmedian(error) <= tolerance else None

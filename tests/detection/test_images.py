@@ -1,4 +1,6 @@
 import os
+import struct
+import zlib
 from pathlib import Path
 
 import cv2
@@ -55,7 +57,14 @@ def test_a_folder_that_cannot_be_read_is_refused(tmp_path, monkeypatch):
         Photographs(tmp_path)
 
 
-def test_copies_of_files_are_known(tmp_path):
-    for name, grey in (("b", 1), ("a", 2), ("c", 1), ("d", 3)):
-        cv2.imwrite(str(tmp_path / f"{name}.png"), np.full((240, 320), grey, dtype=np.uint8))
-    assert Photographs(tmp_path).repeated == {"c.png": "b.png"}
+def test_images_that_are_traps_are_not_opened(tmp_path):
+    """A header of a few bytes that stands for gigabytes of pixels, and a pipe."""
+    header = b"IHDR" + struct.pack(">IIBBBBB", 60_000, 60_000, 8, 0, 0, 0, 0)
+    chunk = struct.pack(">I", 13) + header + struct.pack(">I", zlib.crc32(header))
+    (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n" + chunk)
+    with pytest.raises(InputError, match=r"a\.png' (cannot be read as an image|has 60000 x 60000 pixels)"):
+        list(Photographs(tmp_path).read(0, 1, CAMERA))
+    (tmp_path / "a.png").unlink()
+    os.mkfifo(tmp_path / "a.png")
+    with pytest.raises(InputError, match=r"^folder: .*a\.png' cannot be read: it is a pipe"):
+        list(Photographs(tmp_path).read(0, 1, CAMERA))

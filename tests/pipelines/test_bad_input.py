@@ -139,8 +139,6 @@ CASES = [
     ("calibrate_detector", "+views.sampling.pitch=[3,2]", "views.sampling.pitch must go from the lower to the higher"),
     ("calibrate_detector", "margin=-1", "margin must be at least 0, got -1."),
     ("calibrate_detector", "detectors=[]", "detectors must name at least one detector."),
-    ("calibrate_detector", "board.tags=tags.csv", "board.folder is missing: a folder of images is needed."),
-    ("calibrate_detector", "board.folder=none", "board.folder: there is no folder 'none'."),
     ("uncertainty", "deployment=uniform uncertainty.corners=mine", "uncertainty.corners must be one of auto, objec"),
     ("uncertainty", "deployment=uniform uncertainty.shift=-1", "uncertainty.shift must be at least 0, got -1."),
     ("uncertainty", "deployment=uniform uncertainty.views=10", "uncertainty.views: only "),
