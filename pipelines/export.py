@@ -31,7 +31,7 @@ def build_export(cfg: DictConfig, key: str, tag: "Tag") -> "Export":
         paper, names = cfg.paper_size, plain(cfg[key])
         chosen = Export(formats_of(tag) if names is None else names, paper, cfg.north, names is None)
         if names is None and not tag.is_point:
-            left_out = not_printed(tag, paper)
+            left_out = not_printed()
             chosen = replace(chosen, formats=tuple(name for name in chosen.formats if name not in left_out))
             for name, reason in left_out.items():
                 note(f"{all_formats()[name].file} is not written: {reason}")

@@ -10,7 +10,7 @@ from lmd.core.checks import ONE_TURN, Checked, InputError, choice, real
 from lmd.core.optional import optional
 from lmd.export.paper import PAPERS
 from lmd.export.plan import write_plan
-from lmd.export.sheets import check_sheets, write_sheets
+from lmd.export.sheets import write_sheets
 from lmd.formats.registry import NONE, ONE, Writer, writers
 from lmd.formats.tag_map import TagMap
 from lmd.scene.deployment import Deployment
@@ -32,21 +32,20 @@ def formats_of(tag: Tag) -> tuple[str, ...]:
     return tuple(name for name, form in all_formats().items() if tag.family in form.families)
 
 
-def check_printing(name: str, tag: Tag, paper: str) -> None:
-    """Raise `InputError` if the printed format `name` cannot be written for tags like `tag`."""
+def check_printing(name: str) -> None:
+    """Raise `InputError` if a package that the printed format `name` needs is missing."""
     optional("reportlab", "export")
     if name == "sheets":
-        for edge in tag.sizes:
-            check_sheets(tag.of_size(edge), paper)
+        optional("cv2", "export")
 
 
-def not_printed(tag: Tag, paper: str) -> dict[str, str]:
-    """Formats that cannot be printed for tags like `tag`, with the reasons."""
+def not_printed() -> dict[str, str]:
+    """Formats that cannot be printed, with the reasons."""
     reasons = {}
     for name, form in all_formats().items():
         if form.on_paper:
             try:
-                check_printing(name, tag, paper)
+                check_printing(name)
             except InputError as error:
                 reasons[name] = str(error)
     return reasons
@@ -94,22 +93,16 @@ class Export(Checked):
                 known = ", ".join(all_formats()[name].families)
                 raise InputError(f"formats has {name}, which knows the families {known}, not {tag.family}.", "formats")
             if all_formats()[name].on_paper:
-                check_printing(name, tag, self.paper)
+                check_printing(name)
             if all_formats()[name].edges == ONE and len(tag.sizes) > 1 and not self.fitting:
                 raise InputError(f"formats has {name}: {one_edge(tag.sizes)}.", "formats")
 
     def unfit(self, tags: TagMap) -> dict[str, str]:
         """Formats among `formats` that cannot hold the tags, with the reasons."""
-        reasons = {}
-        for name in self.formats:
-            try:
-                if all_formats()[name].edges == ONE and len(tags.by_size) > 1:
-                    raise InputError(one_edge([tag.size for tag, _ in tags.by_size]))
-                for tag, _ in tags.by_size if all_formats()[name].on_paper else ():
-                    check_printing(name, tag, self.paper)
-            except InputError as error:
-                reasons[name] = str(error).rstrip(".")
-        return reasons
+        several = [tag.size for tag, _ in tags.by_size]
+        return {
+            name: one_edge(several) for name in self.formats if len(several) > 1 and all_formats()[name].edges == ONE
+        }
 
     def silent(self, tags: TagMap) -> tuple[str, ...]:
         """Names of the formats without tag sizes, if the tags have several sizes; else empty."""

@@ -1,19 +1,16 @@
 """Print sheets with tags of true size to cut out, the smallest sizes first, in the order of hanging.
 
 The white margin of each tag has an arrow that points up, the number of the tag and the name of its surface. A tag that
-is larger than a sheet is printed in pieces, with registration crosses that coincide when the pieces are glued. A ruler
-shows if the printer kept the scale. The black modules of a tag are one path, so that no viewer shows seams between
-them.
+is larger than a sheet has a page of its own size, for a print shop. A ruler shows if the printer kept the scale. The
+black modules of a tag are one path, so that no viewer shows seams between them.
 """
 
 from collections.abc import Iterable
-from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from lmd.core.optional import optional
 from lmd.export.paper import (
     FOOTER,
     GREY,
@@ -23,9 +20,7 @@ from lmd.export.paper import (
     MARK,
     MARK_GAP,
     PAPERS,
-    STRIP,
-    Pieces,
-    Whole,
+    Layout,
     begin_page,
     document,
     label_size,
@@ -40,13 +35,6 @@ from lmd.scene.tag import Tag
 
 # Lengths, mm.
 RULER = 100.0
-CROSS, LINE, HALO = 4.0, 0.2, 0.8  # arm of a registration cross, width of its lines, width of the white around lines
-
-
-def check_sheets(tag: Tag, paper: str) -> None:
-    """Raise `InputError` if a tag needs too many sheets, or the package that draws its picture is missing."""
-    optional("cv2", "export")
-    layout(tag, paper)
 
 
 def describe_sheets(tags: TagMap, paper: str) -> str:
@@ -60,12 +48,11 @@ def describe_sheets(tags: TagMap, paper: str) -> str:
 
 def _described(tag: Tag, paper: str, count: int) -> str:
     sheets = layout(tag, paper)
-    if isinstance(sheets, Whole):
+    if sorted(sheets.page) == sorted(PAPERS[paper]):
         return f"{-(-count // sheets.per_sheet)} of {paper}, {sheets.per_sheet} to a sheet"
-    return (
-        f"{count * sheets.per_tag} of {paper}: a tag is larger than a sheet and comes in {sheets.per_tag} pieces, to "
-        f"be put together by their crosses; there is paper_size={'|'.join(PAPERS)}"
-    )
+    width, height = sheets.page
+    own = f"{count} of {width:.0f} x {height:.0f} mm"
+    return f"{own}: a tag is larger than {paper}; there is paper_size={'|'.join(PAPERS)}"
 
 
 def write_sheets(path: Path, tags: TagMap, paper: str) -> None:
@@ -73,22 +60,15 @@ def write_sheets(path: Path, tags: TagMap, paper: str) -> None:
 
     Args:
         paper: one of `lmd.export.paper.PAPERS`.
-
-    Raises:
-        InputError: a tag needs too many sheets.
     """
-    sizes = [(tag, layout(tag, paper), own.tolist()) for tag, own in tags.by_size]
     with document(path, f"{len(tags.order)} tags of {tags.tag.family}") as canvas:
-        for tag, sheets, own in sizes:
-            if isinstance(sheets, Whole):
-                for first in range(0, len(own), sheets.per_sheet):
-                    _draw_whole(canvas, tags, tag, sheets, own[first : first + sheets.per_sheet])
-            else:
-                for k, row, column in product(own, range(sheets.rows), range(sheets.columns)):
-                    _draw_piece(canvas, tags, tag, sheets, k, row, column)
+        for tag, own in tags.by_size:
+            sheets = layout(tag, paper)
+            for first in range(0, len(own), sheets.per_sheet):
+                _draw_sheet(canvas, tags, tag, sheets, own[first : first + sheets.per_sheet].tolist())
 
 
-def _draw_whole(canvas: Any, tags: TagMap, tag: Tag, sheets: Whole, chosen: list[int]) -> None:
+def _draw_sheet(canvas: Any, tags: TagMap, tag: Tag, sheets: Layout, chosen: list[int]) -> None:
     """Draw a sheet with tags of one size, row by row from the top."""
     plate = MM_PER_M * tag.paper_edge
     begin_page(canvas, *sheets.page)
@@ -105,44 +85,9 @@ def _draw_whole(canvas: Any, tags: TagMap, tag: Tag, sheets: Whole, chosen: list
     canvas.showPage()
 
 
-def _draw_piece(canvas: Any, tags: TagMap, tag: Tag, sheets: Pieces, k: int, row: int, column: int) -> None:
-    """Draw a sheet with a piece of a tag, and the strips at its right and lower sides on which the next pieces are
-    glued.
-    """
-    plate, last = MM_PER_M * tag.paper_edge, (sheets.rows - 1, sheets.columns - 1)
-    below, beside = STRIP * (row < last[0]), STRIP * (column < last[1])
-    left = (sheets.page[0] - sheets.width - beside) / 2.0
-    top = sheets.page[1] - MARGIN - LABEL - LABEL_GAP - MARK - MARK_GAP
-    right, bottom = left + sheets.width, top - sheets.height
-    begin_page(canvas, *sheets.page)
-    canvas.saveState()
-    visible = canvas.beginPath()
-    visible.rect(left, bottom - below, sheets.width + beside, sheets.height + below)
-    canvas.clipPath(visible, stroke=0, fill=0)
-    corner = left - column * sheets.width, top + row * sheets.height - plate
-    _draw_tag(canvas, tags, tag, k, *corner, corner[0] + sheets.width, CROSS)
-    canvas.restoreState()
-    for x, y in product((left, right), (bottom, top)):
-        _draw_cross(canvas, x, y)
-    ends = {left, right + beside}, {bottom - below, top}
-    _draw_cuts(canvas, sheets.page, {left, right}, {bottom, top}, *ends)
-    piece = f"piece {row * sheets.columns + column + 1} of {sheets.per_tag}, row {row + 1}, column {column + 1}"
-    under = "cut at the crosses on the left and above; what is beyond them on the right and below goes under the next"
-    label = f"{tags.ids[k]}   {tags.place_of(k)}   {piece}"
-    _write_label(canvas, label, MARGIN, sheets.page[1] - MARGIN, LABEL, sheets.page[0] - MARGIN)
-    _draw_footer(canvas, tag, "")
-    write_text(canvas, MARGIN, MARGIN + FOOTER, under, size=2.4)
-    canvas.showPage()
-
-
-def _draw_tag(
-    canvas: Any, tags: TagMap, tag: Tag, k: int, x: float, y: float, right: float, inset: float | None = None
-) -> None:
+def _draw_tag(canvas: Any, tags: TagMap, tag: Tag, k: int, x: float, y: float, right: float) -> None:
     """Draw a tag with the lower left corner of its paper at (x, y). Its label is in the margin, or above the tag if the
-    margin is too narrow.
-
-    The label ends at `right`. In the margin, its distance from the edges of the paper is `inset`, if given, else a
-    quarter of the label's height.
+    margin is too narrow; the label ends at `right`.
     """
     number = tags.ids[k]
     plate, edge, module = (MM_PER_M * length for length in (tag.paper_edge, tag.picture_edge, tag.module))
@@ -152,7 +97,7 @@ def _draw_tag(
         black.rect(left, top - module, module, module)
     canvas.drawPath(black, stroke=0, fill=1)
     label, size = f"{number}   {tags.place_of(k)}", label_size(tag)
-    away = (size / 4.0 or LABEL_GAP) if inset is None else inset
+    away = size / 4.0 or LABEL_GAP
     start, top = max(x, MARGIN) + away, y + plate - away if size else y + plate + LABEL_GAP + LABEL
     _write_label(canvas, label, start, top, size or LABEL, right)
 
@@ -164,40 +109,17 @@ def _write_label(canvas: Any, text: str, x: float, top: float, size: float, righ
     write_text(canvas, x + 1.5 * size, top - 0.75 * size, text, size=size)
 
 
-def _draw_cuts(
-    canvas: Any,
-    page: tuple[float, float],
-    xs: Iterable[float],
-    ys: Iterable[float],
-    ends_x: Iterable[float] = (),
-    ends_y: Iterable[float] = (),
-) -> None:
-    """Draw marks beyond both ends of the cuts at `xs` and `ys`, or on the cuts if the sheet ends there.
-
-    The cuts end at `ends_x` and `ends_y`, if these are given.
-    """
+def _draw_cuts(canvas: Any, page: tuple[float, float], xs: Iterable[float], ys: Iterable[float]) -> None:
+    """Draw marks beyond both ends of the cuts at `xs` and `ys`, or on the cuts if the sheet ends there."""
     away = MARK_GAP + MARK
-    left, right = min(ends_x or xs), max(ends_x or xs)
-    bottom, top = min(ends_y or ys), max(ends_y or ys)
-    lefts, rights = max(left - away, MARGIN), min(right + away, page[0] - MARGIN)
-    bottoms, tops = max(bottom - away, MARGIN + FOOTER - 1.0), min(top + away, page[1] - MARGIN)
+    lefts, rights = max(min(xs) - away, MARGIN), min(max(xs) + away, page[0] - MARGIN)
+    bottoms, tops = max(min(ys) - away, MARGIN + FOOTER - 1.0), min(max(ys) + away, page[1] - MARGIN)
     for y in ys:
         canvas.line(lefts, y, lefts + MARK, y)
         canvas.line(rights - MARK, y, rights, y)
     for x in xs:
         canvas.line(x, bottoms, x, bottoms + MARK)
         canvas.line(x, tops - MARK, x, tops)
-
-
-def _draw_cross(canvas: Any, x: float, y: float) -> None:
-    """Draw a cross that is visible on black and on white."""
-    canvas.saveState()
-    for width, grey in ((HALO, 1.0), (LINE, 0.0)):
-        canvas.setLineWidth(width)
-        canvas.setStrokeGray(grey)
-        canvas.line(x - CROSS, y, x + CROSS, y)
-        canvas.line(x, y - CROSS, x, y + CROSS)
-    canvas.restoreState()
 
 
 def _draw_footer(canvas: Any, tag: Tag, more: str) -> None:

@@ -4,20 +4,18 @@ import math
 import sys
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pypdfium2
 import pytest
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 from support.tables import rows
 from support.thorough import examples
 
-from lmd.core.checks import InputError
 from lmd.detection.detectors import AprilTagDetector, ArucoDetector
-from lmd.export.exports import Export, not_printed
-from lmd.export.paper import FOOTER, MARGIN, PAPERS, STRIP, Pieces, Whole, largest_whole, layout
-from lmd.export.sheets import check_sheets, describe_sheets, write_sheets
+from lmd.export.exports import not_printed
+from lmd.export.paper import FOOTER, MARGIN, PAPERS, largest_whole, layout
+from lmd.export.sheets import describe_sheets, write_sheets
 from lmd.formats.tag_map import TagMap
 from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.families import FAMILIES
@@ -106,52 +104,6 @@ def test_the_number_and_the_arrow_are_inside_of_the_cut(tmp_path):
         assert cut == len(deployment.ids)
 
 
-def crosses(picture):
-    """Positions of the registration crosses of a sheet, pixels: a black cross in a white one, found as such."""
-    half, pixels = 4.0 / MM, round(4.5 / MM)
-    ways = np.arange(-pixels, pixels + 1)
-    across, along = np.meshgrid(np.abs(ways), np.abs(ways))
-    near, far = np.minimum(across, along), np.maximum(across, along)
-    white = (near * MM > 0.2) & (near * MM < 0.3) & (far < half - 1)
-    black = (near < 0.5) & (far < half - 1)
-    dark = (picture < 160).astype(np.float32)
-    found = sum(
-        way * cv2.filter2D(dark, -1, mask.astype(np.float32) / mask.sum(), borderType=cv2.BORDER_CONSTANT)
-        for way, mask in ((1.0, black), (-1.0, white))
-    )
-    _, _, _, middles = cv2.connectedComponentsWithStats((found > 0.8).astype(np.uint8))
-    return middles[1:]
-
-
-@pytest.mark.parametrize(("tag", "paper", "grid"), [(Tag(0.2), "letter", (2, 1)), (Tag(0.3), "a4", (2, 3))])
-def test_a_tag_that_is_larger_than_a_sheet_is_put_together_by_its_crosses(tag, paper, grid, tmp_path):
-    sheets(tmp_path / "sheets.pdf", tag, 1, paper, first=8)
-    printed = [picture for picture, _ in pages(tmp_path / "sheets.pdf")]
-    rows, columns = grid
-    assert len(printed) == rows * columns
-    plate = 1000 * tag.paper_edge
-    whole = np.full((round(plate / MM) + 200, round(plate / MM) + 200), 255, np.uint8)
-    for place, picture in enumerate(printed):
-        row, column = divmod(place, columns)
-        found = crosses(picture)
-        assert len(found) == 4
-        (left, top), (right, bottom) = found.min(axis=0), found.max(axis=0)
-        np.testing.assert_allclose(
-            [MM * (right - left), MM * (bottom - top)], [plate / columns, plate / rows], atol=0.2
-        )
-        # Cut on the left and above, and laid on what is there already.
-        x, y = (100 + round(at / MM) for at in (column * plate / columns, row * plate / rows))
-        piece = picture[round(top) : round(bottom) + 60, round(left) : round(right) + 60]
-        whole[y : y + piece.shape[0], x : x + piece.shape[1]] = piece
-    whole = cv2.resize(whole, None, fx=1 / 4, fy=1 / 4, interpolation=cv2.INTER_AREA)  # as a camera sees it
-    detectors = [ArucoDetector(tag.family)] + ([] if "_" in tag.family else [AprilTagDetector(tag.family)])
-    for detector in detectors:
-        together = detector.detect(whole)
-        assert together.ids.tolist() == [8]
-        edges = 4 * MM * np.linalg.norm(together.corners[0] - np.roll(together.corners[0], 1, axis=0), axis=1)
-        np.testing.assert_allclose(edges, 1000 * tag.size, atol=0.5)
-
-
 def test_the_ruler_is_100_mm_long(tmp_path):
     sheets(tmp_path / "sheets.pdf", Tag(0.05), 1, "a4")
     ((picture, _),) = pages(tmp_path / "sheets.pdf")
@@ -177,26 +129,14 @@ def test_labels_name_tag_and_surface(tmp_path):
 @pytest.mark.parametrize("paper", PAPERS)
 def test_the_largest_edge_on_a_sheet_is_the_last_that_is_not_cut(family, paper):
     edge = largest_whole(Tag(0.1, family), paper)
-    assert isinstance(layout(Tag(edge, family), paper), Whole)
-    assert isinstance(layout(Tag(edge + 2e-5, family), paper), Pieces)
-
-
-def test_what_takes_too_many_sheets_is_refused_and_left_out_of_all_formats():
-    with pytest.raises(
-        InputError,
-        match=r"^tag\.edge = 3 m \(black square\) takes 330 .* of a4 .*, more than 100; .* paper_size .* formats",
-    ):
-        check_sheets(Tag(3.0), "a4")
-    with pytest.raises(InputError, match=r"^tag\.edge = 3 m \(black square\) takes"):
-        Export(["wpilib", "sheets"], "a4").check(Tag(3.0))
-    Export(["plan", "wpilib"], "a4").check(Tag(3.0))
-    assert list(not_printed(Tag(3.0), "a4")) == ["sheets"]
-    assert not not_printed(Tag(0.1651), "letter")
+    assert sorted(layout(Tag(edge, family), paper).page) == sorted(PAPERS[paper])
+    page = layout(Tag(edge + 2e-5, family), paper).page
+    assert min(page) > min(PAPERS[paper])
 
 
 def test_maps_do_not_wait_for_a_package_that_prints(monkeypatch):
     monkeypatch.setitem(sys.modules, "reportlab", None)
-    reasons = not_printed(Tag(0.1), "a4")
+    reasons = not_printed()
     assert list(reasons) == ["plan", "sheets"]
     assert all("this needs the package reportlab" in reason for reason in reasons.values())
 
@@ -210,23 +150,16 @@ def test_maps_do_not_wait_for_a_package_that_prints(monkeypatch):
 )
 def test_what_is_black_is_where_printers_print(edge, family, quiet_zone, paper):
     tag = Tag(edge, family, quiet_zone)
-    assume(tag.paper_edge <= 1.6)  # larger ones take too many sheets
     sheets, plate, black = layout(tag, paper), 1000 * tag.paper_edge, 1000 * tag.picture_edge
     width, height = sheets.page
-    assert sorted(sheets.page) == sorted(PAPERS[paper])
-    if isinstance(sheets, Whole):
-        right, bottom = sheets.left + sheets.columns * plate, sheets.top - sheets.rows * sheets.pitch
-        margin = (plate - black) / 2
-        assert sheets.pitch >= plate
-        assert min(sheets.left, width - right, height - sheets.top) > -1e-6
-        assert min(sheets.left + margin, width - right + margin) > MARGIN - 1e-6
-        assert bottom > MARGIN + FOOTER - 1e-6
-    else:
-        assert sheets.columns * sheets.width == pytest.approx(plate)
-        assert sheets.rows * sheets.height == pytest.approx(plate)
-        assert sheets.per_tag > 1
-        assert sheets.width + STRIP * (sheets.columns > 1) + 2 * MARGIN < width
-        assert sheets.height + STRIP * (sheets.rows > 1) + 2 * MARGIN + FOOTER < height
+    assert (sorted(sheets.page) == sorted(PAPERS[paper])) == (edge <= largest_whole(tag, paper) + 1e-9)
+    right, bottom = sheets.left + sheets.columns * plate, sheets.top - sheets.rows * sheets.pitch
+    margin = (plate - black) / 2
+    assert sheets.per_sheet > 0
+    assert sheets.pitch >= plate
+    assert min(sheets.left, width - right, height - sheets.top) > -1e-6
+    assert min(sheets.left + margin, width - right + margin) > MARGIN - 1e-6
+    assert bottom > MARGIN + FOOTER - 1e-6
 
 
 def test_sheets_are_described_by_how_many_there_are():
@@ -235,9 +168,9 @@ def test_sheets_are_described_by_how_many_there_are():
         return describe_sheets(TagMap(ROOM, tag, drawn), "a4")
 
     assert described(Tag(0.1), 40) == "20 of a4, 2 to a sheet"
-    pieces = "12 of a4: a tag is larger than a sheet and comes in 6 pieces,"
-    assert described(Tag(0.3), 2).startswith(pieces)
-    assert described(Tag(0.1, edges=(0.3, 0.1)), 4).startswith(f"100 mm: 1 of a4, 2 to a sheet; 300 mm: {pieces}")
+    large = "2 of 391 x 398 mm: a tag is larger than a4;"
+    assert described(Tag(0.3), 2).startswith(large)
+    assert described(Tag(0.1, edges=(0.3, 0.1)), 4).startswith(f"100 mm: 1 of a4, 2 to a sheet; 300 mm: {large}")
 
 
 def test_each_size_has_its_own_sheets(tmp_path):
@@ -245,12 +178,12 @@ def test_each_size_has_its_own_sheets(tmp_path):
     deployment = UniformDeployment(6).draw(ROOM, np.random.default_rng(0), tag)
     write_sheets(tmp_path / "sheets.pdf", TagMap(ROOM, tag, deployment), "a4")
     printed, read = [picture for picture, _ in pages(tmp_path / "sheets.pdf")], {}
-    assert len(printed) == 1 + 1 + 2 * 6  # small ones, middle ones, large ones in pieces
-    for picture in printed[:2]:
+    assert len(printed) == 1 + 1 + 2  # small ones, middle ones, and large ones on pages of their own
+    for picture in printed:
         found = AprilTagDetector().detect(picture)
         sides = np.linalg.norm(found.corners - np.roll(found.corners, 1, axis=1), axis=-1)
         read |= dict(zip(found.ids.tolist(), MM * sides, strict=True))
-    assert sorted(read) == [0, 2, 3, 5]
+    assert sorted(read) == list(range(6))
     for number, sides in read.items():
         np.testing.assert_allclose(sides, 1000 * deployment.edges[number], atol=0.25)
     texts = [page.get_textpage().get_text_range() for page in pypdfium2.PdfDocument(tmp_path / "sheets.pdf")]

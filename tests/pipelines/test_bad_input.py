@@ -178,10 +178,6 @@ CASES = [
     ("export", f"{TAGS} formats=csv", "formats must be a list of ros2_tf, "),
     ("export", f"{TAGS} formats=[nosuch]", "formats must be one of ros2_tf, "),
     ("export", f"{TAGS} tag.family=4x4_50 formats=[csv,wpilib]", "formats has wpilib, which knows the families "),
-    (
-        "export", f"{TAGS} tag.edge=2 deployment.free=true formats=[wpilib,sheets]",
-        "tag.edge = 2 m (black square) takes 150 sheets of a4 for a tag, more than 100; a larger paper_size ",
-    ),
     ("export", f"{TAGS} paper_size=a5", "paper_size must be one of a4, a3, letter, got"),
     ("export", f"{TAGS} north=90", "north must be in [-6.29319, 6.29319], got 90."),
     ("survey", "photographs=null", "photographs=DIR, a folder, a video or a bag, or detections=FILE.csv must be given"),

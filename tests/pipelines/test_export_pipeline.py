@@ -3,12 +3,7 @@
 import json
 
 import pytest
-from omegaconf import OmegaConf
 from support.processes import SMALL, inside
-
-from lmd.export.exports import formats_of
-from lmd.scene.tag import Tag
-from pipelines.export import build_export
 
 LANDMARKS = "id,x,y,z,nx,ny,nz,note\n7,0,2,3,1,0,0,by the door\n3,0,3,3,1,0,0,\n9,7.5,2,3,-1,0,0,\n"
 TAGS = (*SMALL, "tag.edge=0.15")
@@ -39,15 +34,6 @@ def test_a_file_becomes_every_format(work):
     assert "tags   3 of 36h11, 150 mm (black square)\n" in done.stdout
     again = inside("export", *overrides, cwd=work, settings=TAGS)
     assert again.returncode == 0, again.stderr
-
-
-def test_the_planner_starts_whatever_the_paper(capsys):
-    for edge, missing in ((0.1651, set()), (2.0, {"sheets"})):
-        asked = build_export(
-            OmegaConf.create({"export": None, "paper_size": "letter", "north": None}), "export", Tag(edge)
-        )
-        assert set(formats_of(Tag(edge))) - set(asked.formats) == missing
-    assert capsys.readouterr().err.startswith("note: sheets.pdf is not written: tag.edge = 2 m (black square) takes ")
 
 
 def test_a_run_writes_its_own_maps_and_can_be_exported_later(work):
