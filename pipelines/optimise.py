@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 # Settings that must equal those of the run that is resumed; files named in them must have equal contents.
 SAME_WHEN_RESUMED = (*GROUPS, "encoding", "deployment", "optimiser", "seed")
 IN_TURN = ("rounds", "tag_evaluations")
-DRAWING = "body.png"
 
 
 def optimise(cfg: DictConfig) -> Study:
@@ -70,11 +69,8 @@ def optimise(cfg: DictConfig) -> Study:
             yield from scored(cfg, problem, *result, summary, partial(_accuracy, cfg, problem, found), export, in_haste)
             return
         from lmd.formats.rigs import write_rig
-        from lmd.plot.body_drawing import save_body_figure
 
         files: dict[str, Any] = {RIG: partial(write_rig, rig=found.rig, sources=cameras[1])}
-        if cfg.picture and not in_haste:
-            files[DRAWING] = partial(save_body_figure, body=cameras[0].space.body, rig=found.rig, title=about)
         rounds = {} if cfg.rounds is None else dict(optimiser.figures())
         text = "\n".join(f"{turn.replace('_', ' '):<19} fitness {fitness:.4%}" for turn, fitness in rounds.items())
         with stop.shielded():

@@ -9,7 +9,6 @@ from lmd.core.words import as_code, escaped, markdown_table
 from lmd.evaluation.comparison import compared, comparison_markdown
 from lmd.objectives.coverage import Coverage
 from lmd.plot.charts import save_comparison_figure, save_heat_map, save_landmark_count_figure
-from lmd.plot.orientations import save_cap_figure
 from lmd.plot.scenes import save_deployments_figure
 
 from .app import command_of
@@ -36,7 +35,6 @@ def sections(source: Source) -> str:
     """All sections in order; a section without runs names the command that makes the runs."""
     built: dict[str, tuple[str, Callable[[Source, pd.DataFrame], list[str]]]] = {
         "Convergence": ("table2", lambda source, jobs: _curves(source, "convergence", jobs, "EGA and SGA")),
-        "An n-ple coverage spherical cap": ("table2", _cap),
         "Table III: one deployment, nine pairs (n, thold_p)": ("table3", _table_3),
         "Every pair optimised for itself": ("table3_reoptimised", _each_for_itself),
         "How many landmarks?": ("landmark_count", _landmark_count),
@@ -60,19 +58,6 @@ def _table_2(source: Source) -> list[str]:
     title = "Of each row the run in the middle by qualified ratio, the lower one of two"
     picture = source.picture("deployments", title, save_deployments_figure, shown, title)
     return [*blocks, markdown_table(["deployment", *_beside_head()], rows), picture]
-
-
-def _cap(source: Source, jobs: pd.DataFrame) -> list[str]:
-    jobs = _of_row(jobs, "EGA")
-    if jobs.empty:
-        return []
-    problem, deployment = source.load(_typical(jobs))
-    room, n = problem.scene.room, problem.objective.n
-    positions = problem.evaluator.positions
-    middle = positions[np.argmin(np.linalg.norm(positions - np.mean(room.bounds(), axis=0), axis=1))]
-    title = "The reachable unit sphere near the middle of the room, EGA's deployment"
-    caption = f"Optical axes by the number of landmarks they cover, the {n}-ple cap outlined"
-    return [source.picture("cap", caption, save_cap_figure, problem.scene, deployment, middle, n, title)]
 
 
 def _table_3(source: Source, jobs: pd.DataFrame) -> list[str]:

@@ -210,14 +210,13 @@ def _audit_files(audit: "Audit", detector: str, title: str) -> dict[str, Any]:
     import pandas as pd
 
     from lmd.detection.predictions import figures
-    from lmd.plot.detection_figures import save_calibration_figure, save_places_figure
+    from lmd.plot.detection_figures import save_calibration_figure
 
     named = {"deployment": "survey", "detector": detector}
     row, pitches = pd.DataFrame([named | figures(audit.prediction, audit.seen)]), audit.tables["audit_pitches"]
     return {
         **{f"{name}.csv": table for name, table in audit.tables.items()},
         "audit.png": lambda path: save_calibration_figure(path, row, pitches.assign(**named), title),
-        "audit_places.png": lambda path: save_places_figure(path, audit.tables["audit_places"], title),
     }
 
 

@@ -11,7 +11,6 @@ from lmd.core.checks import BoolArray, FloatArray
 from lmd.core.optional import optional
 from lmd.detection.calibration import DetectorCalibration, predicted_views
 from lmd.detection.detectors import TAG_NUMBERS
-from lmd.detection.predictions import PLACES
 from lmd.plot.common import dress, literal, new_panels, set_ticks, shrink
 from lmd.render.imaging import UInt8Array
 
@@ -63,29 +62,6 @@ def save_calibration_figure(path: str | Path, figures: pd.DataFrame, pitches: pd
     panels[1][0].set_ylabel("share of tags")
     handles, labels = panels[0][0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
-    figure.savefig(path)
-
-
-def save_places_figure(path: str | Path, places: pd.DataFrame, title: str) -> None:
-    """Write a PNG: the shares of tags that were predicted and detected, by their place in the image.
-
-    Args:
-        path: path of the PNG.
-        places: rows of `lmd.detection.predictions.by_place`.
-        title: title of the figure.
-    """
-    figure, (panels,) = new_panels((12.0, 4.6), title, 1, 2)
-    for axes, which in zip(panels, ("predicted", "detected"), strict=True):
-        shares = np.full(PLACES[::-1], np.nan)
-        shares[places.row, places.column] = places[which]
-        drawn = axes.imshow(shares, vmin=0.0, vmax=1.0, cmap="viridis")
-        for part in places.itertuples():
-            share = getattr(part, which)
-            ink = "black" if share > 0.6 else "white"
-            text = f"{share:.0%}\nof {part.tags}"
-            axes.annotate(text, (part.column, part.row), ha="center", va="center", color=ink, fontsize=9)
-        axes.set(title=f"{which}, of tags wholly in the image", xticks=[], yticks=[])
-    figure.colorbar(drawn, ax=panels, label="share of tags")
     figure.savefig(path)
 
 

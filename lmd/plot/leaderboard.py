@@ -4,11 +4,13 @@ import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from textwrap import shorten
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
+from lmd.core.checks import FloatArray
 from lmd.core.words import as_code, markdown_table
 from lmd.evaluation.comparison import SIGNIFICANCE, OptimiserRun
 from lmd.evaluation.tournament import (
@@ -21,80 +23,19 @@ from lmd.evaluation.tournament import (
     tournament,
     write_iohprofiler,
 )
+from lmd.plot.common import dress, literal, new_panels, series, set_log_ticks
 from lmd.suite import document, names
 from lmd.suite.families import HELD_OUT, SEPARATOR, instance_of
 
 if TYPE_CHECKING:
     from lmd.suite import BlackBox, Document
 
-from itertools import pairwise
-from textwrap import shorten
-from typing import TYPE_CHECKING
-
-from lmd.core.checks import FloatArray
-from lmd.plot.common import dress, literal, new_panels, series, set_log_ticks
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-
-ROW, HEAD = 0.28, 1.0  # inches: height of a name, and of axis and bar above the names
-LEFT, RIGHT = 0.30, 0.70  # ends of the axis of ranks, as fractions of the width
 LABEL = 45  # greatest number of characters of an optimiser's name
-
-
-def save_critical_difference_diagram(path: Path, ranks: "pd.Series", critical: float, title: str) -> None:
-    """Write a PNG with the mean ranks on an axis; bars join optimisers that do not differ significantly.
-
-    Args:
-        path: path of the PNG.
-        ranks: mean rank of each optimiser, ascending.
-        critical: critical difference; NaN to draw no bars.
-        title: title of the figure.
-    """
-    count, half = len(ranks), (len(ranks) + 1) // 2
-    bars = _cliques(ranks.to_numpy(), critical)
-    height = HEAD + ROW * half + 0.12 * len(bars) + 0.5
-    figure, ((axes,),) = new_panels((9.0, height), title, 1, 1)
-    axes.set(xlim=(0.0, 1.0), ylim=(height - 0.4, 0.0))
-    axes.axis("off")
-
-    def place(rank: float) -> float:
-        return LEFT + (rank - 1.0) / max(count - 1, 1) * (RIGHT - LEFT)
-
-    line = 0.65
-    axes.plot([place(1), place(count)], [line, line], color="black")
-    for tick in range(1, count + 1):
-        axes.plot([place(tick)] * 2, [line - 0.06, line], color="black")
-        axes.text(place(tick), line - 0.1, str(tick), ha="center", va="bottom", fontsize=8)
-    if np.isfinite(critical):
-        axes.plot([place(1), place(1 + critical)], [0.25, 0.25], color="black", linewidth=2)
-        axes.text(place(1 + critical) + 0.01, 0.25, f"critical difference {critical:.2f}", va="center", fontsize=8)
-    for i, (first, last) in enumerate(bars):
-        at = line + 0.12 * (i + 1)
-        ends = [place(ranks.iloc[first]) - 0.004, place(ranks.iloc[last]) + 0.004]
-        axes.plot(ends, [at, at], color="C0", linewidth=3.5, solid_capstyle="butt")
-    top = line + 0.12 * (len(bars) + 1) + 0.2
-    for i, (name, rank) in enumerate(ranks.items()):
-        is_left = i < half
-        y = top + ROW * (i if is_left else count - 1 - i)
-        x, align = (LEFT - 0.02, "right") if is_left else (RIGHT + 0.02, "left")
-        axes.plot([place(rank), place(rank), x], [line, y, y], color="0.4", linewidth=0.8)
-        text = f"{_label(name)}  {rank:.2f}" if is_left else f"{rank:.2f}  {_label(name)}"
-        axes.text(x, y, text, ha=align, va="center", fontsize=9)
-    figure.savefig(path)
 
 
 def _label(name: object) -> str:
     """Name of an optimiser, cut after whole words if it has many overrides."""
     return literal(shorten(str(name).replace("optimiser.", ""), LABEL, placeholder=" ..."))
-
-
-def _cliques(ranks: FloatArray, critical: float) -> list[tuple[int, int]]:
-    """Longest runs of ascending ranks `(K,)` whose ends differ by less than the critical difference."""
-    ends = [int(np.searchsorted(ranks, rank + critical, side="left")) - 1 for rank in ranks]
-    firsts = [0, *(i for i, (before, after) in enumerate(pairwise(ends), 1) if after > before)]
-    return [(first, ends[first]) for first in firsts if ends[first] > first]
 
 
 def save_profile_figure(
@@ -166,9 +107,6 @@ def leaderboard(results: Runs, problems: Iterable[str]) -> Leaderboard:
                 named = {name: rank for name, rank in held.ranks.items() if rank == rank}
                 figures |= {f"rank_{place + 1}{suffix}/{key}/{name}": rank for name, rank in named.items()}
                 every.append(held.values.assign(figure=key, budget=place + 1).reset_index())
-                title = f"mean ranks over {held.complete} problems: {label}, {', '.join(filter(None, [of, budget]))}"
-                draw = partial(save_critical_difference_diagram, ranks=held.ranks, critical=held.critical, title=title)
-                pictures[f"ranks_{place + 1}{suffix}_{key}.png"] = draw
             if len(ranks) == 2:
                 figures[f"tau_{place + 1}/{key}"] = tau = rank_correlation(*ranks)
                 blocks.append(f"Kendall's tau between the two rankings by {label}: {tau:.2f}.")

@@ -107,7 +107,7 @@ def write_report(folder, *overrides):
 pytestmark = pytest.mark.slow  # mlflow makes its tables anew for each store
 
 ROOT = Path(__file__).parents[2]
-PICTURES = {"cap.png", "convergence.png", "deployments.png", "landmark_count.png", "optimisers.png", "pairs.png"}
+PICTURES = {"convergence.png", "deployments.png", "landmark_count.png", "optimisers.png", "pairs.png"}
 
 
 def rows(markdown, first):

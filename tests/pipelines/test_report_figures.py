@@ -1,17 +1,12 @@
 import numpy as np
 import pandas as pd
-import pytest
 from matplotlib.image import imread
 from support.paper import paper_scene
 
 from lmd.objectives.coverage import Coverage
-from lmd.plot import common
 from lmd.plot.charts import save_heat_map
-from lmd.plot.orientations import hemisphere, save_cap_figure
 from lmd.plot.scenes import save_deployments_figure
 from lmd.problem import Problem
-from lmd.scene import pdf
-from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import UniformDeployment
 from lmd.space.cuboid import Cuboid
 
@@ -22,36 +17,6 @@ GREEN_BALL = (72, 171, 103)  # green at 80 % on white
 def share(picture, *colour, within=6):
     """Share of the pixels that have a colour."""
     return (np.abs(picture[..., :3] * 255 - colour) <= within).all(axis=-1).mean()
-
-
-def green(picture):
-    """Share of the pixels that are clearly green."""
-    red, middle, blue = np.moveaxis(picture[..., :3], -1, 0)
-    return ((middle > red + 0.1) & (middle > blue + 0.1)).mean()
-
-
-@pytest.mark.parametrize("viewer", [common.viewer(), -common.viewer(), np.array([1.0, 0.0, 0.0])])
-def test_a_hemisphere_holds_unit_vectors_that_face_the_viewer(viewer):
-    axes = hemisphere(viewer, 60)
-    inside = ~np.isnan(axes[..., 0])
-    assert inside.mean() == pytest.approx(np.pi / 4.0, abs=0.01)
-    np.testing.assert_allclose(np.linalg.norm(axes[inside], axis=1), 1.0)
-    assert (axes[inside] @ viewer >= 0.0).all()
-
-
-def cap_picture(path, landmarks, n):
-    """The spheres of a camera in the middle of a room with flush landmarks at `landmarks` beside each other."""
-    scene = paper_scene(orientations=pdf.grid_with_ends(), nu=0.05)
-    at = np.array([3.75, 2.5, 3.0])
-    positions = np.array([[x, 0.0, 3.0] for x in landmarks])
-    deployment = Deployment(positions, np.tile([0.0, 1.0, 0.0], (len(positions), 1)))
-    save_cap_figure(path, scene, deployment, at, n, "T")
-    return imread(path)[50:480]
-
-
-def test_only_overlapping_caps_make_an_n_ple_cap(tmp_path):
-    one, two, three = (green(cap_picture(tmp_path / "cap.png", [3.5, 4.0], n)) for n in (1, 2, 3))
-    assert one > two > three == 0.0
 
 
 def test_each_panel_shows_its_own_deployment_as_its_own_problem_scores_it(tmp_path):
