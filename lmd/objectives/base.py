@@ -46,7 +46,8 @@ LABELS = {
     "covered_share": "views of n tags or more", "pose_fixed_share": "pose determined",
     "position_bound_mm_per_pixel": "position bound, median", "attitude_bound_mrad_per_pixel": "attitude bound, median",
     "predicted_error_median": "predicted error, median", "predicted_error_90": "predicted error, 90% quantile",
-    "worst_drives": "filtered share of the worst drives",
+    "lattice_bound": "bound on the lattice", "lattice_gap": "fitness below that bound",
+    "lattice_found": "choice on the lattice, nothing hidden", "worst_drives": "filtered share of the worst drives",
     **{f"fitness_without_{n}_{of}": f"fitness without {n}, {of}" for n in ("one", "two") for of in ("worst", "mean")},
     "held_out_share": "share of the held-out time", "recorded_share": "share of the recorded time",
 }  # fmt: skip
@@ -55,7 +56,7 @@ PREFIXES = {"grid_free_": "off the grid", "finer_grid_": "on a finer grid", "wor
 UNITS = {
     "evaluations": (1.0, "", ",.0f"), "wall_time": (1.0, " s", ",.1f"), "predicted_error": (1e3, " mm", ".1f"),
     "mm_per_pixel": (1.0, " mm per pixel of noise", ".1f"), "mrad_per_pixel": (1.0, " mrad per pixel of noise", ".1f"),
-    **dict.fromkeys(("share", "ratio", "probability", "fitness", "worst", "loss"), (100.0, "%", ".2f")),
+    **dict.fromkeys(("share", "ratio", "probability", "fitness", "worst", "loss", "lattice"), (100.0, "%", ".2f")),
 }  # fmt: skip
 
 

@@ -18,6 +18,7 @@ from lmd.scene.deployment_sources import RandomDeployment
         ("localised_share_20mm", 0.31, "views localised to 20 mm", "31.00%"),
         ("wall_time", 1.17112, "wall time", "1.2 s"),
         ("evaluations", 1_200_000, "evaluations", "1,200,000"),
+        ("lattice_gap", 0.0123, "fitness below that bound", "1.23%"),
         ("fitness_without_two_mean", 0.5, "fitness without two, mean", "50.00%"),
         ("grid_free_worst_crowd_qualified_ratio", 0.25, "qualified ratio, worst crowds, off the grid", "25.00%"),
         ("grid_free_average_coverage_probability", 0.5, "average probability, off the grid", "50.00%"),

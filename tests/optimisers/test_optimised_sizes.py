@@ -22,6 +22,7 @@ from lmd.optimisers.annealing.surrogate import Conditions, Surrogate
 from lmd.optimisers.genetic import RandomSearch
 from lmd.optimisers.greedy import Greedy, GreedyDeployment
 from lmd.optimisers.ledger import Budget
+from lmd.optimisers.milp import Milp
 from lmd.optimisers.selection import Tags, candidates, composition, select, stock_of_sizes
 from lmd.problem import Problem
 from lmd.scene import pdf
@@ -129,6 +130,10 @@ def test_no_deployment_exceeds_the_bounds(few, monkeypatch):
         assert few.fitness_of(drawn) <= best
 
 
+def replaced(few, objective):
+    return Problem(few.scene, objective, RandomDeployment(few.count), threads=1)
+
+
 def choices(problem, poses):
     """All choices of two small tags and a large one whose papers do not overlap."""
     small, large = (np.flatnonzero(poses.edges == edge) for edge in FEW.edges)
@@ -138,6 +143,17 @@ def choices(problem, poses):
         for k in large:
             if not (touched[i, j] or touched[i, k] or touched[j, k]):
                 yield [i, j, k]
+
+
+def test_the_integer_program_finds_the_best_of_all_choices(few):
+    milp, few = Milp(spacing=SPACING), replaced(few, Coverage(1, 0.05))
+    poses = candidates(few.scene.footprints, np.array(FEW.edges), SPACING)
+    all_of_them = np.array(list(choices(few, poses)))
+    best = few.fitness(poses.positions[all_of_them], poses.normals[all_of_them]).max()
+    result = milp.run(few, Budget(10_000))
+    assert result.stopped == "proven"
+    assert result.fitness == best == milp.figures()["lattice_bound"] > 0.0
+    np.testing.assert_array_equal(result.deployment.edges, np.repeat(FEW.edges, FEW.counts))
 
 
 def test_no_choice_exceeds_the_bound_of_a_selection(few):

@@ -1,0 +1,285 @@
+"""Best choice of poses from a lattice with a proof of optimality, by an integer program for HiGHS.
+
+Let `x_j` be the number of landmarks at pose j of the lattice, `A_jpa` = 1 if a landmark at pose j covers axis a from
+position p without occlusion, else 0, `w_a` the probability of an axis and `r_p` the relevance of a position. Then
+
+    maximise   sum_p r_p z_p                                        z_p: position p is qualified
+    such that  n y_pa <= sum_j A_jpa x_j   for all p, a             y_pa: at least n landmarks are covered
+               thold_p z_p <= sum_a w_a y_pa   for all p
+               sum_j x_j = K,   of each size of tags if there are several,   y and z 0 or 1,
+               x_j 0 to n for points; 0 or 1 for tags, and x_i + x_j <= 1 where their papers overlap.
+
+Axes that are covered by equal sets of poses from a position are combined into one row, with the sum of their weights.
+Occlusion only reduces the numbers of covered landmarks, so a bound on the program also holds with occlusion. The chosen
+deployment is evaluated with occlusion, after the landmarks of each stack are separated.
+"""
+
+import operator
+from collections.abc import Callable, Mapping
+from concurrent.futures import wait
+from dataclasses import dataclass
+from functools import partial, reduce
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import Bounds, LinearConstraint, OptimizeResult, milp
+from scipy.sparse import block_array, block_diag, coo_array, csr_array, eye_array
+from typing_extensions import override
+
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, real
+from lmd.core.compiled import clock
+from lmd.core.threads import in_daemon
+from lmd.objectives.coverage import Coverage
+from lmd.objectives.crowd import seeks_worst
+from lmd.optimisers.annealing.surrogate import STACK_SPREAD, pulled_apart
+from lmd.optimisers.base import Callback, DeploymentSearch, Result
+from lmd.optimisers.ledger import Budget
+from lmd.optimisers.selection import candidates
+from lmd.problem import Problem
+from lmd.scene.criteria import TOLERANCE
+from lmd.scene.deployment import Deployment
+from lmd.sight.poses import covered_amounts
+
+MOST_PAIRS = 20_000_000  # largest number of pairs of a pose and a view; HiGHS solves far fewer pairs in an hour
+
+
+def lattice_of(problem: Problem, spacing: float) -> Deployment:
+    """Poses of a lattice whose footprints do not overlap footprints of fixed tags; `spacing` in metres."""
+    footprints, hung = problem.scene.footprints, problem.fixed_with_edges
+    poses = candidates(footprints, problem.free_edges, spacing)
+    if hung is None or not footprints.edge:
+        return poses
+    taken = [footprints.touched(poses, hung[k : k + 1]) for k in range(len(hung))]
+    return poses[~np.any(taken, axis=0)]
+
+
+def check_lattice(problem: Problem, poses: Deployment, spacing: float) -> None:
+    """Raise `InputError` if a problem and the poses of its lattice make no program, or a program that is too large."""
+    objective = problem.objective
+    if not isinstance(objective, Coverage) or objective.sampling is not None:
+        raise InputError("the integer program needs the objective of plain coverage at the grid's own positions.")
+    if problem.scene.rig is not None:
+        raise InputError("the integer program needs a single camera, not a rig.")
+    if seeks_worst(problem.evaluator):
+        raise InputError("the integer program needs the mean over crowd states as fitness, not the worst ones.")
+    views = _views(problem).size
+    lattice = f"the lattice of the integer program has {len(poses)} poses, {spacing:g} m apart"
+    if len(poses) * views > MOST_PAIRS:
+        raise InputError(
+            f"{lattice}, and {views} views: no more than {MOST_PAIRS:.3g} pairs of a pose and a view make a "
+            "program that can be solved."
+        )
+    if any(len(of) * per_pose(problem) < count for of, count in by_size(problem, poses)):
+        raise InputError(f"{lattice}: too few for {problem.free_count} landmarks.")
+
+
+def by_size(problem: Problem, poses: Deployment) -> list[tuple[IntArray, int]]:
+    """Indices of the poses of each size of the free landmarks, and the number of these landmarks."""
+    sizes, own = problem.free_sizes, poses.edges_of(problem.scene.tag)
+    return [(np.flatnonzero(own == edge), int((sizes == edge).sum())) for edge in np.unique(sizes)]
+
+
+def per_pose(problem: Problem) -> int:
+    """Largest number of landmarks at a pose: n for points, as in a stack of `Annealing`; 1 for tags with a size."""
+    return 1 if problem.scene.footprints.edge else problem.objective.n
+
+
+def placed(problem: Problem, poses: Deployment, taken: IntArray) -> Deployment:
+    """Make the deployment with `taken` `(J,)` landmarks at each pose, fixed landmarks first.
+
+    Points at one pose are separated; tags are in the order of the problem's sizes.
+    """
+    if poses.has_own_edges:
+        sizes, own = problem.free_sizes, poses.edges_of(problem.scene.tag)
+        order = np.empty(len(sizes), dtype=int)
+        for of, _ in by_size(problem, poses):
+            order[sizes == own[of[0]]] = np.repeat(of, taken[of])
+        chosen = poses[order]
+        return problem.complete(Deployment(chosen.positions, chosen.normals, chosen.surfaces))
+    parts, distance = [], STACK_SPREAD * problem.scene.spacing
+    for stack in np.unique(taken[taken > 0]).tolist():
+        at = poses[taken == stack]
+        parts.append(pulled_apart(problem, at, np.zeros(len(at)), stack, distance))
+    return problem.complete(reduce(operator.add, parts))
+
+
+def _seen(problem: Problem, landmarks: Deployment) -> NDArray[np.int8]:
+    """Number of landmarks that cover each view without occlusion, n at the most, `(P, A)`."""
+    counts = covered_amounts(problem.evaluator, landmarks, np.ones(len(landmarks)))
+    return np.minimum(counts[:, _used(problem)], problem.objective.n).astype(np.int8)
+
+
+def _views(problem: Problem) -> FloatArray:
+    """Probability of each axis that `_used` selects, at each position, `(P, A)`."""
+    evaluator = problem.evaluator
+    probability = evaluator.probability[:, _used(problem)]
+    return np.broadcast_to(probability, (len(evaluator.positions), probability.shape[1]))
+
+
+def _used(problem: Problem) -> BoolArray:
+    """Mask of the axes with a positive probability; axes of probability 0 only pad words of bits."""
+    return np.asarray(problem.evaluator.probability.max(axis=0) > 0.0)
+
+
+@dataclass(frozen=True)
+class Program:
+    """Integer program: `x` of the J poses, `y` of the R rows, `z` of the P positions."""
+
+    covers: csr_array
+    """`(R, J)` 1 if a landmark at the pose covers the views of the row."""
+    counted: IntArray
+    """`(R,)` number of fixed landmarks that cover the views of each row."""
+    weights: csr_array
+    """`(P, R)` probability of the views of each row, at its position."""
+    overlaps: coo_array
+    """`(C, J)` 1 at the two poses of a pair with overlapping footprints."""
+    sizes: csr_array
+    """`(S, J)` 1 if the pose is for tags of the size."""
+    counts: IntArray
+    """`(S,)` number of landmarks of each size."""
+    relevance: FloatArray
+    """`(P,)` relevance of each position."""
+    n: int
+    """Number of landmarks that a view needs."""
+    threshold: float
+    """thold_p: probability of covered views that qualifies a position."""
+    copies: int
+    """Largest number of landmarks at a pose."""
+
+    @classmethod
+    def of(cls, problem: Problem, poses: Deployment) -> "Program":
+        """Make the program for the poses of a lattice."""
+        views, footprints, hung = _views(problem), problem.scene.footprints, problem.fixed_with_edges
+        already = np.zeros(views.shape, np.int8) if hung is None else _seen(problem, hung)
+        each = (_seen(problem, poses[j : j + 1]) for j in range(len(poses)))
+        cover = np.stack([already, *each], axis=-1)  # (P, A, 1 + J)
+        kinds = [np.unique(views, axis=0, return_inverse=True) for views in cover]
+        rows = np.concatenate([distinct for distinct, _ in kinds])
+        weights = [np.bincount(kind, weight)[None] for (_, kind), weight in zip(kinds, views, strict=True)]
+        close = [footprints.touched(poses, poses[j : j + 1]) for j in range(len(poses))] if footprints.edge else []
+        pairs = np.argwhere(np.triu(close, 1)) if close else np.empty((0, 2), dtype=int)
+        overlaps = coo_array((np.ones(pairs.size), (np.arange(len(pairs)).repeat(2), pairs.reshape(-1))),
+                             shape=(len(pairs), len(poses)))  # fmt: skip
+        sizes = by_size(problem, poses)
+        of = csr_array([np.isin(np.arange(len(poses)), own) for own, _ in sizes], dtype=float)
+        counts = np.array([count for _, count in sizes])
+        left = csr_array(rows[:, 1:], dtype=float), rows[:, 0], block_diag(weights), overlaps, of, counts
+        threshold = max(problem.objective.threshold - TOLERANCE, 0.0)
+        return cls(*left, problem.fitness_relevance, problem.objective.n, threshold, per_pose(problem))
+
+    def solver(self, options: Mapping[str, Any]) -> Callable[[], OptimizeResult]:
+        """Return a call of HiGHS; its objective is minus the relevance of qualified positions.
+
+        Args:
+            options: limits of `scipy.optimize.milp`, such as `time_limit`.
+        """
+        (rows, poses), positions = self.covers.shape, len(self.relevance)
+        left = block_array([
+            [self.sizes, None, None],
+            [self.covers, -self.n * eye_array(rows), None],
+            [None, self.weights, -self.threshold * eye_array(positions)],
+            [self.overlaps, None, None],
+        ])  # fmt: skip
+        overlaps = self.overlaps.shape[0]
+        low = np.concatenate([self.counts, -self.counted, np.zeros(positions), np.full(overlaps, -np.inf)])
+        high = np.concatenate([self.counts, np.full(rows + positions, np.inf), np.ones(overlaps)])
+        largest = np.ones(poses + rows + positions)
+        largest[:poses] = self.copies
+        return partial(
+            milp,
+            np.concatenate([np.zeros(poses + rows), -self.relevance]),
+            constraints=LinearConstraint(left.tocsc(), low, high),
+            # For n = 1, integral x give integral y; for larger n, y must be declared integral.
+            integrality=np.concatenate([np.ones(poses), np.full(rows, self.n > 1), np.ones(positions)]),
+            bounds=Bounds(0.0, largest),
+            options={**options, "mip_rel_gap": 0.0},
+        )
+
+    def taken(self, solved: OptimizeResult) -> IntArray:
+        """Number of landmarks at each pose in a solution, `(J,)`."""
+        return np.asarray(np.rint(solved.x[: self.covers.shape[1]]), dtype=np.int64)  # HiGHS returns integers to 1e-6
+
+    def value(self, solved: OptimizeResult) -> float:
+        """Relevance of the qualified positions in a solution, as a share of all."""
+        qualified = np.rint(solved.x[-len(self.relevance) :]).astype(int)
+        return float(self.relevance @ qualified / self.relevance.sum())
+
+
+PROVEN, INFEASIBLE = 0, 2  # status of scipy.optimize.milp
+POLL_SECONDS = 0.2  # seconds between two calls of the callback while the solver runs
+
+
+class Milp(DeploymentSearch):
+    """Best deployment on a lattice of poses, with a bound for all deployments on it.
+
+    The start is the result until the solver finds a better deployment. Computing the views of a pose costs as much of
+    the budget as moving one landmark; the solver costs only time. The solver cannot be resumed: a resumed run starts
+    over.
+
+    Args:
+        spacing: spacing of the lattice, metres.
+        seconds: time limit of the solver; the best deployment found by then is the result, and the bound is valid.
+        seed: seed of the start, see `Optimiser`; the solver draws no random numbers.
+
+    Raises:
+        InputError: a parameter is out of range.
+    """
+
+    def __init__(self, spacing: float = 0.5, seconds: float = 600.0, seed: int = 0) -> None:
+        super().__init__(seed)
+        self.spacing = real("spacing", spacing, above=0.0)
+        self.seconds = real("seconds", seconds, above=0.0)
+        self.proven: dict[str, float] = {}
+
+    def figures(self) -> dict[str, float]:
+        """Bound, value of the solver's choice without occlusion, and distance of the result from the bound."""
+        return self.proven
+
+    @override
+    def check(self, problem: Problem) -> None:
+        super().check(problem)
+        check_lattice(problem, lattice_of(problem, self.spacing), self.spacing)
+
+    @override
+    def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
+        self.check(problem)
+        ledger, poses = self.ledger, lattice_of(problem, self.spacing)
+        began = clock() - ledger.seconds
+
+        def note(evaluations: float, found: Deployment) -> None:
+            self._record(problem, ledger.evaluations + evaluations, found, began)
+
+        costs = len(poses) / problem.count
+        needed = (not ledger.evaluations) + costs + 1
+        if ledger.evaluations + needed > budget.limit:
+            raise InputError(
+                f"the lattice of the integer program has {len(poses)} poses: with what they cover it takes "
+                f"{needed:.4g} evaluations, more than the {budget.limit - ledger.evaluations:g} that are left."
+            )
+        if not ledger.evaluations:
+            note(1, problem.draw(np.random.default_rng(self.seed)))
+        program, most = Program.of(problem, poses), problem.fitness_relevance.sum()
+        limit = min(self.seconds, (budget.seconds or np.inf) - (clock() - began))
+
+        outcome = in_daemon(program.solver({"time_limit": max(limit, POLL_SECONDS)}))
+        while not wait([outcome], POLL_SECONDS).done:
+            ledger.seconds = clock() - began
+            if callback and callback(self):
+                return self.result(problem, "interrupted")
+        solved = outcome.result()
+        if solved.status == INFEASIBLE:
+            raise InputError(
+                f"no {problem.free_count} poses of the lattice, {self.spacing:g} m apart, have papers that do not "
+                "overlap."
+            )
+        self.proven = {
+            "lattice_bound": 1.0 if solved.mip_dual_bound is None else min(-solved.mip_dual_bound / most, 1.0)
+        }
+        if solved.x is not None:
+            note(costs + 1, placed(problem, poses, program.taken(solved)))
+            self.proven["lattice_found"] = found = program.value(solved)
+            if solved.status == PROVEN:
+                self.proven["lattice_bound"] = found
+        self.proven["lattice_gap"] = self.proven["lattice_bound"] - ledger.best_fitness
+        return self.result(problem, "proven" if solved.status == PROVEN else "budget")
