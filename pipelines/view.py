@@ -28,7 +28,6 @@ def view(cfg: DictConfig) -> None:
 
     from lmd.core.checks import integer
     from lmd.core.optional import optional
-    from lmd.formats.tag_maps import read_deployment
     from lmd.planner.server import Planner
     from lmd.planner.session import PlanningSession
 
@@ -56,7 +55,6 @@ def view(cfg: DictConfig) -> None:
         optimiser=lambda: build_optimiser(cfg, cfg.seed),
         budget=budget,
         seed=cfg.seed if cfg.validate else None,
-        survey=None if cfg.survey is None else read_deployment(Path(str(cfg.survey)) / "map.csv", "survey"),
     )
     try:
         print(f"planner {planner.address} (Ctrl-C ends it)", flush=True)

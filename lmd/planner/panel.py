@@ -16,7 +16,6 @@ from lmd.planner.actions import call_in_order
 from lmd.planner.figures import Additions
 from lmd.planner.plan import MeasuredPlace, SearchProgress
 from lmd.planner.viewing import FREE, GAINS, PINNED, SEEN, SELECTED, UNKNOWN, VALUES, Rgb, mapped
-from lmd.render.imaging import UInt8Array
 
 # Gains that surfaces can show: name in the panel, and field of `Additions`.
 ADDITIONS = {"mean value": "value", "fitness": "fitness"}
@@ -76,7 +75,6 @@ class PlannerPanel:
             self._progress = gui.add_html("")
         with gui.add_folder("What the camera sees"):
             self._seen = gui.add_html("")
-            self._image = gui.add_image(np.zeros((3, 4, 3), np.uint8), visible=False)
             self.yaw = gui.add_slider(YAW, -180.0, 180.0, 1.0, 0.0)
             self.pitch = gui.add_slider(PITCH, -90.0, 90.0, 1.0, 0.0)
             for slider in (self.yaw, self.pitch):
@@ -175,10 +173,6 @@ class PlannerPanel:
         """Show the least and the greatest value of the colours of positions in the legend."""
         self._span = span
         self.show_legend(self._most)
-
-    def show_image(self, image: UInt8Array) -> None:
-        """Show the image `(h, w)` of the camera."""
-        self._image.image, self._image.visible = np.repeat(image[..., None], 3, axis=2), True
 
     def show_legend(self, most: float | None) -> None:
         """Show the legend; `most` is the gain at the brightest place, None while surfaces are grey."""

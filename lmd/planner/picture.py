@@ -9,13 +9,11 @@ from scipy.spatial.transform import Rotation
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import view_edges
-from lmd.geometry.se3 import pose_of
 from lmd.planner.figures import candidate_cells
 from lmd.planner.plan import Plan
 from lmd.planner.viewing import (
     FREE,
     GAINS,
-    MEASURED,
     PINNED,
     SEEN,
     SELECTED,
@@ -41,7 +39,6 @@ TAG_OFFSET_M = 0.01  # distance of drawn tags in front of their surface, so that
 BALL_RADIUS = 0.12  # radius of a position, relative to the spacing of positions
 POINT_SIZE = 0.008  # half the edge of a point landmark, in diagonals of the room
 CELL_SHARE = 0.97  # coloured share of the width and height of a cell
-OFFSET_MAGNIFICATION = 20.0  # magnification of the lines from planned to measured places
 LIGHT_INTENSITY = 2.0  # intensity of the light at which viser hardly changes colours
 NAME, ID, CHOSEN = 1.0, 0.75, 1.1  # sizes of letters, relative to viser's default
 MOST_CAPTIONS = 120  # maximum number of ids shown at the start; more ids would hide the tags
@@ -161,24 +158,6 @@ class RoomPicture:
         papers = self._problem.scene.footprints.papers(deployment)
         return np.where(papers > 0.0, papers / 2.0, POINT_SIZE * self._diagonal)
 
-    def show_survey(self, tags: Deployment, plan: Deployment) -> None:
-        """Draw the tags of a survey, and lines from the planned places of these tags."""
-        self._scene.add_batched_meshes_simple(
-            "/survey/tags",
-            SQUARE,
-            TRIANGLES,
-            _quaternions(np.asarray(np.cross(tags.ups, tags.normals)), tags.ups, tags.normals),
-            tags.places + 2.0 * TAG_OFFSET_M * tags.normals,
-            batched_scales=self._halves(tags),
-            batched_colors=alike(MEASURED, len(tags)),
-            side="double",
-            opacity=0.6,
-            **MESH_OPTIONS,
-        )
-        lines = offsets(tags, plan)
-        if len(lines):
-            self._scene.add_line_segments("/survey/offsets", lines, np.array(MEASURED, dtype=np.uint8))
-
     def show_values(self, values: FloatArray, span: tuple[float, float]) -> None:
         """Colour the positions by values `(P,)`; the first and the last colour are the ends of `span`."""
         low, high = span
@@ -257,13 +236,6 @@ def _add_name(scene: Any, surface: Surface) -> Any:
     )
 
 
-def offsets(tags: Deployment, plan: Deployment) -> FloatArray:
-    """Magnified lines from planned places towards the places of `tags` with equal ids, `(n, 2, 3)`, metres."""
-    _, of, among = np.intersect1d(plan.ids, tags.ids, return_indices=True)
-    start = plan.places[of]
-    return np.stack([start, start + OFFSET_MAGNIFICATION * (tags.places[among] - start)], axis=1)
-
-
 class Robot:
     """Drawing of the camera, or of the cameras of a rig, at a position that the user has chosen.
 
@@ -275,7 +247,7 @@ class Robot:
 
     def __init__(self, scene: Any, depth: float, camera: Camera | Rig) -> None:
         mounts = camera.mounts if isinstance(camera, Rig) else (Mount(camera),)
-        self._frame, self._first = scene.add_frame("/robot", show_axes=False, visible=False), mounts[0]
+        self._frame = scene.add_frame("/robot", show_axes=False, visible=False)
         self.views = [
             scene.add_line_segments(f"/robot/camera_{i}", view_edges(mount.camera, depth), SEEN)
             for i, mount in enumerate(mounts)
@@ -287,14 +259,8 @@ class Robot:
 
     def stand(self, position: FloatArray, turn: FloatArray) -> None:
         """Move the body to a position `(3,)`, metres, and turn it by a rotation `(3, 3)`: ahead, left, up."""
-        self._turn, self._frame.wxyz = turn, _quaternion(turn)
+        self._frame.wxyz = _quaternion(turn)
         self._frame.position, self._frame.visible, self.position = position, True, position
-
-    @property
-    def view(self) -> tuple[Camera, FloatArray]:
-        """First camera, and its pose, camera to world, `(4, 4)`."""
-        place = self.position + self._turn @ np.array(self._first.translation)
-        return self._first.camera, pose_of(self._turn @ self._first.rotation @ OPTICAL, place)
 
 
 def _quaternion(turn: FloatArray) -> FloatArray:

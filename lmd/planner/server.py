@@ -25,8 +25,7 @@ from lmd.planner.panel import DELETE, UNDO, PlannerPanel
 from lmd.planner.picture import MOST_CAPTIONS, Robot, RoomPicture
 from lmd.planner.plan import Plan
 from lmd.planner.session import PlanningSession
-from lmd.planner.viewing import pointed_at, seen_by, span_of
-from lmd.scene.deployment import Deployment
+from lmd.planner.viewing import pointed_at, span_of
 from lmd.space.surface import SurfaceArrays
 
 IDLE_SECONDS = 0.5  # time without an action after which background work begins, seconds
@@ -42,7 +41,6 @@ class Planner:
         optimiser: function that makes the optimiser of a search.
         budget: initial budget of searches.
         seed: seed of the sample off the grid; None to compute no figures off the grid.
-        survey: tags of a survey to draw beside the plan; None for none.
 
     Raises:
         InputError: viser is not installed or its requests cannot be checked, or the port is in use.
@@ -56,7 +54,6 @@ class Planner:
         optimiser: Callable[[], Optimiser],
         budget: Budget,
         seed: int | None,
-        survey: Deployment | None = None,
     ) -> None:
         viser = optional("viser", "view")
         self._session = session
@@ -66,7 +63,6 @@ class Planner:
         self._selected: int | None = None
         self._dragged: int | None = None
         self._span = (0.0, 1.0)  # values of the first and the last colour
-        self._is_imaged = False  # True if the panel shows the image of the present view
         self._pointer: Any = None  # last event of a drag, if the event is not applied yet
         logging.getLogger("websockets.server").setLevel(logging.WARNING)
         self._access = Access()
@@ -76,8 +72,6 @@ class Planner:
             self._server.stop()
             raise InputError(f"port {port} is taken.", "port")
         self._picture, value = RoomPicture(self._server, session.problem), session.problem.objective.value_label
-        if survey is not None:
-            self._picture.show_survey(survey, session.deployment)
         few, sizes = len(session.deployment) <= MOST_CAPTIONS, session.problem.scene.tag.sizes
         self._panel = PlannerPanel(self._server.gui, value, budget, ids=few, edges=sizes)
         self._robot = Robot(self._server.scene, self._picture.depth, session.problem.scene.camera)
@@ -133,7 +127,6 @@ class Planner:
             self._show_search()
         elif self._dragged is None:
             self._background.begin()
-            self._show_image()
 
     def _point(self, event: Any) -> None:
         """Record a drag, in viser's thread; only the last place matters."""
@@ -276,7 +269,7 @@ class Planner:
     def _show_tags(self) -> None:
         session = self._session
         deployment, plan = session.deployment, session.plan
-        stands, self._is_imaged = self._robot.position, False
+        stands = self._robot.position
         seen = None if stands is None else session.visible_tags(stands, self._panel.view)
         self._panel.show_seen(None if seen is None else np.sort(deployment.ids[seen]))
         if self._selected not in deployment.ids:
@@ -289,15 +282,6 @@ class Planner:
         if self._picture.show_tags(plan, number, seen, self._panel.ids.value):
             self._actions.on(self._picture.tags.on_click, self._click_tag)
             call_in_order(self._picture.tags.on_drag, self._point)
-
-    def _show_image(self) -> None:
-        """Show the image of the chosen camera, if the image may have changed."""
-        if self._is_imaged or self._robot.position is None:
-            return
-        self._is_imaged = True
-        image = seen_by(*self._session.posed, *self._robot.view)
-        if image is not None:
-            self._panel.show_image(image)
 
     def _show_or_hide(self, _: Any) -> None:
         self._picture.balls.visible = self._panel.positions.value

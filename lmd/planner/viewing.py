@@ -3,25 +3,17 @@ surface.
 """
 
 import math
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lmd.core.checks import FloatArray, InputError
-from lmd.detection.frames import tagged_room
-from lmd.geometry.camera import Camera
+from lmd.core.checks import FloatArray
 from lmd.plot import common
 from lmd.plot.common import viewer
-from lmd.problem import Problem
-from lmd.render.imaging import Imaging, UInt8Array
-from lmd.render.renderer import Renderer
-from lmd.scene.deployment import Deployment
 from lmd.space.surface import SurfaceArrays
 
 FIELD_OF_VIEW = math.radians(50.0)  # vertical field of view of a browser, rad
-IMAGE_WIDTH = 320.0  # width of the image of a camera in the panel, pixels
 FILLED_SHARE = 0.92  # share of the window's width or height that the room fills
 ASPECT = 1.6  # ratio of width to height of a window before the browser reports it
 SAME_PLACE = 1e-3  # maximum distance of two equal viewpoints, in diagonals of the room
@@ -144,37 +136,6 @@ def pointed_at(surfaces: SurfaceArrays, eye: FloatArray, way: FloatArray, own: i
     return Place(own, at[own]) if own >= 0 and is_met[own] and np.isfinite(at[own]).all() else None
 
 
-def seen_by(problem: Problem, deployment: Deployment, camera: Camera, pose: FloatArray) -> UInt8Array | None:
-    """Small rendered image of the room and its tags, from a camera.
-
-    Args:
-        problem: problem with the scene.
-        deployment: the tags.
-        camera: the camera.
-        pose: pose of the camera, camera to world, `(4, 4)`.
-
-    Returns:
-        `(h, w)`; None for points, or if the package that draws the tags is missing.
-    """
-    scene, larger = problem.scene, camera.image_width / IMAGE_WIDTH
-    small = replace(
-        camera,
-        pixel_width=larger * camera.pixel_width,
-        pixel_height=larger * camera.pixel_height,
-        principal_point=(camera.principal_point[0] / larger, camera.principal_point[1] / larger),
-        image_width=IMAGE_WIDTH,
-        image_height=max(1.0, round(camera.image_height / larger)),
-        image_circle=camera.image_circle / larger,
-    )
-    if scene.tag.is_point:
-        return None
-    try:
-        room = tagged_room(scene.room, deployment, scene.tag)
-        return Renderer(small, room, Imaging(noise=0.0)).frame(pose, np.random.default_rng(0))
-    except InputError:
-        return None
-
-
 Rgb = tuple[int, int, int]
 Colours = NDArray[np.uint8]
 
@@ -187,7 +148,6 @@ def rgb(colour: str) -> Rgb:
 
 FREE, PINNED = rgb(common.LANDMARK), rgb(common.FIXED)
 SELECTED, SEEN = rgb("#ff7f0e"), rgb("#ffdd33")
-MEASURED = rgb("#17becf")  # tags of a survey
 UNKNOWN = rgb("#cdcdcd")
 WALL = rgb("#ececec")
 VALUES = common.COLOUR_MAP  # colour map of the objective's values
