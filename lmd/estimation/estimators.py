@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-from scipy.stats import chi2
 
 from lmd.core.checks import FloatArray
 from lmd.estimation.recording import Recording
@@ -39,13 +38,6 @@ def squares(estimates: Sequence[tuple[FloatArray, FloatArray]], true: FloatArray
     found[there, 1] = _square(twist[:, :3], covariance[:, :3, :3])
     found[there, 2] = _square(back[:, :3, 3], covariance[:, 3:, 3:])
     return found
-
-
-def interval(degrees: int, count: float, probability: float = 0.99) -> tuple[float, float]:
-    """Chi-square interval of the mean of `count` independent squares over their degrees of freedom."""
-    tails = np.array([1.0 - probability, 1.0 + probability]) / 2.0
-    low, high = chi2.ppf(tails, degrees * count) / (degrees * count)
-    return float(low), float(high)
 
 
 def _square(error: FloatArray, covariance: FloatArray) -> FloatArray:

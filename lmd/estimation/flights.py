@@ -1,12 +1,11 @@
-"""Flights: motions of a camera through a room, through random or given waypoints or from a file."""
+"""Flights: motions of a camera through a room, through random waypoints or from a file."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
-from lmd.core.checks import Checked, FloatArray, InputError, Positive, real, said_of, vector
+from lmd.core.checks import Checked, FloatArray, InputError, Positive
 from lmd.core.memory import check_memory
 from lmd.formats.trajectories import TrajectoryFile
 from lmd.geometry.se3 import camera_pose
@@ -56,24 +55,19 @@ class Pace(Checked):
         way, turn = np.linalg.norm(steps[..., :3], axis=-1), np.linalg.norm(steps[..., 3:], axis=-1)
         return np.asarray(PEAK_SLOPE * np.maximum(way / self.speed, turn / self.turn_rate))
 
-    def through(self, waypoints: FloatArray, duration: float | None = None) -> Trajectory:
+    def through(self, waypoints: FloatArray, duration: float = np.inf) -> Trajectory:
         """Make a trajectory through waypoints (x, y, z, yaw, pitch).
 
         Args:
-            waypoints: `(N, 5)`, metres and radians; yaw changes by the smaller angle.
-            duration: end of the trajectory, seconds; None to end at the last waypoint.
-
-        Raises:
-            InputError: two consecutive waypoints coincide.
+            waypoints: `(N, 5)`, metres and radians, each unlike the one before; yaw changes by the smaller angle.
+            duration: latest end of the trajectory, seconds.
         """
         path = waypoints.copy()
         path[:, 3] = np.unwrap(path[:, 3])
         steps = np.diff(path, axis=0)
         seconds = self.seconds(steps)
-        if (still := np.flatnonzero(seconds == 0.0)).size:
-            raise InputError(f"waypoints {still[0]} and {still[0] + 1} are the same, {waypoints[still[0]].tolist()}.")
         arrival = np.concatenate([[0.0], np.cumsum(seconds)])
-        end = arrival[-1] if duration is None else duration
+        end = min(arrival[-1], duration)
         # Tolerance for rounding, so that 0.3 s at 10 frames per second are 3 steps.
         time = np.arange(int(end * self.frame_rate + 1e-9) + 1) / self.frame_rate
         leg = np.clip(np.searchsorted(arrival, time, side="right") - 1, 0, len(steps) - 1)
@@ -137,39 +131,6 @@ def _shortest(step: FloatArray) -> FloatArray:
     """Wrap the yaw of a change (x, y, z, yaw, pitch) `(5,)` to [-pi, pi)."""
     yaw = (step[3] + np.pi) % (2.0 * np.pi) - np.pi
     return np.array([*step[:3], yaw, step[4]])
-
-
-@dataclass(frozen=True)
-class Waypoints:
-    """Motion through given waypoints.
-
-    Raises:
-        InputError: there are fewer than two waypoints, the pace is missing, or a waypoint is not five finite numbers
-            with a pitch in [-pi/2, pi/2].
-    """
-
-    points: Sequence[Sequence[float]]
-    """At least two waypoints [x, y, z, yaw, pitch], metres and radians."""
-    pace: Pace
-    """Limits and frame rate."""
-
-    def __post_init__(self) -> None:
-        if isinstance(self.points, str) or not isinstance(self.points, Sequence) or len(self.points) < 2:
-            raise InputError(
-                f"points must list at least 2 waypoints [x, y, z, yaw, pitch], got {self.points!r}.", "points"
-            )
-        if not isinstance(self.pace, Pace):
-            raise InputError(f"pace must say speed, turn_rate and frame_rate, got {self.pace!r}.", "pace")
-        for i, point in enumerate(self.points):
-            *_, pitch = vector(f"points[{i}]", point, 5)
-            real(f"points[{i}] pitch", pitch, low=-np.pi / 2, high=np.pi / 2)
-
-    def draw(self, scene: Scene, rng: np.random.Generator) -> Trajectory:
-        """See `TrajectorySource.draw`; the trajectory is not random."""
-        trajectory = self.pace.through(np.array(self.points, dtype=np.float64))
-        with said_of("points", "points"):
-            check_inside(trajectory, scene.room)
-        return trajectory
 
 
 @dataclass(frozen=True)

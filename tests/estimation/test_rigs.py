@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from support.paper import paper_camera, paper_room, paper_scene
 
 from lmd.estimation.cramer_rao import CramerRaoBound, cramer_rao_bound, moment_information
-from lmd.estimation.flights import Pace, Waypoints
+from lmd.estimation.flights import Pace
 from lmd.estimation.fusion import FixedLagSmoother, InvariantKalmanFilter
 from lmd.estimation.observer import Observer
 from lmd.estimation.pnp import PerspectiveNPoint
@@ -37,7 +37,7 @@ NOISE = 0.5
 @pytest.fixture(scope="module")
 def flight():
     pace = Pace(speed=1.0, turn_rate=0.6, frame_rate=30.0)
-    path = Waypoints([[2.0, 2.0, 2.0, 0.0, 0.0], [5.0, 3.0, 3.5, 1.0, 0.1]], pace).draw(SCENE, np.random.default_rng(0))
+    path = pace.through(np.array([[2.0, 2.0, 2.0, 0.0, 0.0], [5.0, 3.0, 3.5, 1.0, 0.1]]))
     return Flight(EVALUATOR, UNIFORM, path, np.random.default_rng(1))
 
 

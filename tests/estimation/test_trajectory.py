@@ -7,7 +7,7 @@ from support.paper import paper_room, paper_scene
 from support.rooms import lab
 
 from lmd.core.checks import InputError
-from lmd.estimation.flights import FileTrajectory, Pace, RandomMotion, Waypoints
+from lmd.estimation.flights import FileTrajectory, Pace, RandomMotion
 from lmd.geometry import se3
 from lmd.geometry.frames import optical_axis
 from lmd.geometry.trajectory import Trajectory
@@ -71,7 +71,7 @@ def test_orientations_follow_the_pdf():
 
 def test_waypoints_are_visited_at_rest_and_the_yaw_turns_the_shorter_way():
     points = [[1.0, 1.0, 1.0, 3.0, 0.0], [1.0, 1.0, 1.0, -3.0, 0.5], [2.0, 1.0, 2.0, -3.0, 0.0]]
-    trajectory = drawn(Waypoints(points, Pace(1.0, 1.0, 1000.0)))
+    trajectory = Pace(1.0, 1.0, 1000.0).through(np.array(points))
     turn = 1.875 * np.hypot(2 * np.pi - 6.0, 0.5)
     assert_allclose(trajectory.time[-1], turn + 1.875 * np.sqrt(2.0), atol=2e-3)
     for point, time in zip(points, [0.0, turn, trajectory.time[-1]], strict=True):
@@ -127,11 +127,6 @@ def test_a_bad_file_gets_one_sentence(write, text, message):
         (lambda: drawn(FileTrajectory("none.csv")), "path: there is no file 'none.csv'"),
         (lambda: Pace(0.0, 1.0, 1.0), "^speed must be greater than 0"),
         (lambda: RandomMotion(-1.0, PACE), "^duration must be greater than 0"),
-        (lambda: Waypoints([[1, 1, 1, 0, 0]], PACE), "^points must list at least 2 waypoints"),
-        (lambda: Waypoints([[1, 1, 1, 0, 0], [1, 1, 1]], PACE), r"^points\[1\] must be a list of 5 numbers"),
-        (lambda: Waypoints([[1, 1, 1, 0, 0], [1, 1, 1, 0, 2]], PACE), r"^points\[1\] pitch must be in"),
-        (lambda: drawn(Waypoints([[1, 1, 1, 0, 0]] * 2, PACE)), "waypoints 0 and 1 are the same"),
-        (lambda: drawn(Waypoints([[1, 1, 1, 0, 0], [1, 1, 9, 0, 0]], PACE)), "is outside the room"),
     ],
 )
 def test_bad_settings_get_one_sentence(build, message):
@@ -157,8 +152,6 @@ def test_random_flights_go_round_what_stands_in_the_room():
 @pytest.mark.parametrize(("start", "end"), [([1, 1, 1], [2, 2, 1]), ([5, 1, 1], [2, 3.5, 1])])
 def test_flights_through_pillars_and_corners_are_refused(start, end):
     scene = paper_scene(lab())
-    with pytest.raises(InputError, match=r"is outside the room over a floor plan"):
-        drawn(Waypoints([[*start, 0, 0], [*end, 0, 0]], PACE), scene)
     poses = se3.camera_pose(np.array([start, end], dtype=float), np.zeros(2), np.zeros(2))  # no frame on the way
     with pytest.raises(InputError, match=r"^the camera goes straight on from .* through something that stands in the"):
         check_inside(Trajectory(np.array([0.0, 1.0]), poses), scene.room)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,6 @@ from support.tables import refusals
 
 from lmd.core.checks import InputError
 from lmd.estimation.drives import cut, filtered
-from lmd.estimation.flights import Waypoints
 from lmd.evaluation.bounds import Search, affordable
 from lmd.evaluation.mounting import MountingError, mounted
 from lmd.evaluation.validation import validation_metrics
@@ -121,9 +121,10 @@ def test_drives_follow_from_the_seed_and_not_from_their_number():
 
 
 def test_every_fifth_drive_of_a_recording_is_held_out():
-    source = Waypoints([[1.5, 1.5, 3.0, 0.0, 0.0], [6.0, 1.5, 3.0, 1.57, 0.0], [6.0, 3.5, 3.0, 3.14, 0.0]], PACE)
+    points = [[1.5, 1.5, 3.0, 0.0, 0.0], [6.0, 1.5, 3.0, 1.57, 0.0], [6.0, 3.5, 3.0, 3.14, 0.0]]
+    source = SimpleNamespace(draw=lambda *_: PACE.through(np.array(points)))
     objective = problem_of(source, block=2.0).objective
-    whole = cut(source.draw(SCENE, np.random.default_rng(0)), 2.0)
+    whole = cut(source.draw(), 2.0)
     assert len(objective.drives) + len(objective.fresh) == len(whole) > 5
     np.testing.assert_array_equal(objective.fresh.trajectories[0].poses, whole[4].poses)
     with pytest.raises(InputError, match="the recording gives 1 drives, but every 5th is held out"):
