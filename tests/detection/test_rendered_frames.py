@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.spatial.transform import Rotation
 
 from lmd.core.checks import InputError
 from lmd.detection.calibration import DetectorCalibration, Fit, frame_scores, predicted_in_frames
@@ -15,7 +14,6 @@ from lmd.detection.detectors import AprilTagDetector, ArucoDetector, Matches, ag
 from lmd.detection.frames import (
     detect_in_frames,
     draw_poses,
-    nudged,
     overlapping,
     qualities,
     rendered_frame,
@@ -27,7 +25,6 @@ from lmd.detection.predictions import (
     by_pitch,
     by_tag,
     figures,
-    repeatability,
     to_markdown,
 )
 from lmd.detection.tag_views import TagViews
@@ -94,26 +91,6 @@ def test_poses_are_those_of_the_seed_and_inside():
     position = poses[:, :3, 3]
     assert ((position >= ROOM.reachable_low) & (position <= ROOM.reachable_high)).all()
     np.testing.assert_allclose(poses[:, 2, 0], 0.0, atol=1e-12)  # the camera's x axis stays level: no roll
-
-
-def test_nudged_poses_are_a_little_elsewhere():
-    poses = draw_poses(SCENE, 400, 3)
-    again = nudged(poses, 0.002, 0.001, 3)
-    np.testing.assert_array_equal(again, nudged(poses, 0.002, 0.001, 3))
-    assert np.std(again[:, :3, 3] - poses[:, :3, 3]) == pytest.approx(0.002, rel=0.1)
-    turns = Rotation.from_matrix(poses[:, :3, :3].transpose(0, 2, 1) @ again[:, :3, :3]).as_rotvec()
-    assert np.std(turns) == pytest.approx(0.001, rel=0.1)
-
-
-def test_a_detector_is_compared_with_itself():
-    first, second = np.zeros((2, 4, 3), dtype=bool)
-    first[0], first[1], first[2, 0] = True, [True, True, False], True
-    second[0], second[1], second[2, :2] = True, [True, False, False], True
-    looks = repeatability(
-        *(Matches(d, np.full((4, 3, 4, 2), np.nan), np.zeros(4, dtype=int)) for d in (first, second)),
-        Prediction((None,), None, None),
-    )
-    assert looks == {"repeated_1": 1.0, "repeated_2": 0.5, "repeated_3": 1.0, "repeated_4": 1.0, "repeated_tags": 5 / 7}
 
 
 @pytest.fixture(scope="module")

@@ -128,10 +128,6 @@ def test_the_covariance_is_that_of_what_is_measured(camera):
     assert_allclose(np.cov(whitened), np.eye(3), atol=0.03)
 
 
-def test_the_focal_length_in_pixels_is_that_of_each_side():
-    assert_allclose(paper_camera(pixel_height=0.01).focal_pixels, [5.0 / 0.0058, 5.0 / 0.01])
-
-
 @pytest.mark.parametrize("camera", CAMERAS.values(), ids=CAMERAS)
 def test_the_information_is_that_of_the_images_slopes(camera):
     recording = spread_out(1, PointDetector())
@@ -268,11 +264,3 @@ def test_where_no_frame_fixes_the_pose_there_is_no_bound(coarse, tmp_path):
     assert bounds.metrics() == {"pose_fixed_share": 0.0}
     bounds.to_csv(tmp_path / "map.csv")
     assert pd.read_csv(tmp_path / "map.csv").position.isna().all()
-
-
-def test_two_flights_are_recorded_as_each_alone():
-    other = RandomMotion(20.0, Pace(1.0, 1.0, 20.0)).draw(SCENE, np.random.default_rng(4))
-    detector = PointDetector(pixel_noise=0.5, missed=0.1)
-    both, alone = recorded(detector, (FLIGHT, other)), recorded(detector, (FLIGHT,))
-    assert_array_equal(both.points[0], alone.points[0])
-    assert_array_equal(both.seen[0], alone.seen[0])

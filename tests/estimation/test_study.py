@@ -161,13 +161,6 @@ def test_the_table_has_a_row_for_each_deployment_and_estimator():
     assert to_markdown(study.figures(), 3).count(" in view") == 1
 
 
-def test_the_objectives_own_number_is_reported_too():
-    many = Problem(SCENE, Coverage(6, 0.5), UniformDeployment(60), threads=1)
-    study = conduct({"mine": many}, flights(0), {"mine": PointDetector()}, {"observer": Observer()}, False)
-    assert list(study.outcomes["mine"].shares) == [1, 2, 3, 4, 6]
-    assert "time with >= 6 in view" in to_markdown(study.figures(), 6)
-
-
 def test_bad_input_gets_one_sentence():
     with pytest.raises(InputError, match=r"^estimators must name at least one estimator"):
         conduct(PROBLEMS, flights(0), dict.fromkeys(PROBLEMS, PointDetector()), {}, False)

@@ -1,7 +1,6 @@
 """Tags in flights: what was measured of real detectors, and what one reads in rendered frames."""
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -9,7 +8,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from support.paper import paper_camera, paper_scene
 
 from lmd.core.checks import InputError
-from lmd.core.workers import in_processes
 from lmd.detection.corner_errors import CORNER_ERRORS, PITCH_MIDDLES, CornerErrors, inward, pitch, shortest_side
 from lmd.detection.detectors import ArucoDetector, Detections, corner_error
 from lmd.detection.predictions import PITCHES
@@ -60,13 +58,6 @@ def test_corner_errors_have_a_value_for_each_pitch(wrong):
         CornerErrors(**{"pitch": (1.0, 4.0), "median": (0.8, 0.2), "high": (1.6, 0.3), **wrong})
 
 
-@pytest.mark.parametrize("name", CORNER_ERRORS)
-def test_the_inward_shift_of_a_detector_is_a_part_of_its_error(name):
-    errors = CORNER_ERRORS[name]
-    # A corner whose two edges lie inward by d is off by the square root of 2 d.
-    assert (np.abs(errors.inward) * np.sqrt(2.0) < np.maximum(errors.high, 0.05)).all()
-
-
 def test_corner_errors_have_the_quantiles_of_their_table():
     errors, rng = CornerErrors((1.0, 4.0), (0.8, 0.2), (1.6, 0.3)), np.random.default_rng(0)
     zero = np.zeros((4, 2))
@@ -79,15 +70,6 @@ def test_corner_errors_have_the_quantiles_of_their_table():
 
 def test_the_classes_are_those_that_detect_measures():
     assert_allclose(np.sqrt(PITCHES[3:-2] * PITCHES[4:-1]), PITCH_MIDDLES)
-
-
-@pytest.mark.parametrize("name", CORNER_ERRORS)
-def test_corners_are_found_better_the_larger_the_tag(name):
-    errors = CORNER_ERRORS[name]
-    assert (np.diff(errors.pitch) > 0.0).all()
-    assert errors.median[0] > 2.0 * errors.median[-1]
-    assert (np.array(errors.high) > errors.median).all()
-    assert (errors.sigma(np.array(1.5)) > errors.sigma(np.array(5.0))).all()
 
 
 def test_noise_on_tags_is_that_of_their_pitch():
@@ -191,20 +173,6 @@ def test_the_larger_of_two_detections_with_one_id_is_believed_and_strange_ids_ar
     assert np.argwhere(np.isfinite(corners[..., 0, 0])).tolist() == [[0, 5], [0, 7]]
     assert_array_equal(corners[0, 5], 2.0 * square)
     assert np.argwhere(np.isfinite(believed([found], np.array([99, 7, 3]))[..., 0, 0])).tolist() == [[0, 0], [0, 1]]
-
-
-@pytest.mark.slow
-def test_rendered_flights_are_the_same_in_processes():
-    detector = RenderedDetector(TAG, ArucoDetector(), Imaging())
-    frames = slice(0, 80, 40)
-    alone = record(detector, [flight(frames, 1), flight(frames, 2)])
-    each = partial(in_processes, workers=2, name=str, ordered=True)
-    shared = record(detector, [flight(frames, 1), flight(frames, 2)], each=each)
-    assert_array_equal(alone.seen, shared.seen)
-    assert_array_equal(alone.corners, shared.corners)
-    assert (
-        alone.corners[alone.detections(0)].tolist() != alone.corners[alone.detections(1)].tolist()
-    )  # noise of its own
 
 
 @pytest.mark.slow

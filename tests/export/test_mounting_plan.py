@@ -14,7 +14,6 @@ from lmd.export.paper import PAPERS
 from lmd.export.plan import View, write_plan
 from lmd.formats.meshes import read_mesh_room
 from lmd.formats.tag_map import TagMap
-from lmd.geometry.squares import upright
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import UniformDeployment
 from lmd.scene.footprints import Footprints
@@ -78,30 +77,6 @@ def test_a_tag_is_drawn_and_listed_where_it_is_seen(name, paper, tmp_path):
     (surface,) = [surface for surface in ROOM.surfaces() if surface.name == name]
     size = np.ptp(columns), np.ptp(rows)
     np.testing.assert_allclose(np.divide(size, PIXELS) * scale, 1000 * np.array(surface.extent), atol=0.5 * scale)
-
-
-def test_a_view_is_that_of_a_tag_on_the_surface():
-    for surface in ROOM.surfaces():
-        view, (right, up) = View(surface), upright(surface.normal)
-        middle = surface.point(*np.divide(surface.extent, 2.0))
-        start = view.place(middle)
-        np.testing.assert_allclose(view.place(middle + 0.1 * right) - start, [0.1, 0.0], atol=1e-12)
-        np.testing.assert_allclose(view.place(middle + 0.1 * up) - start, [0.0, 0.1], atol=1e-12)
-        np.testing.assert_allclose(view.place(view.corner(right=False, top=False)), [0.0, 0.0], atol=1e-12)
-        np.testing.assert_allclose(view.place(view.corner(right=True, top=True)), surface.extent, atol=1e-12)
-
-
-def test_keep_outs_are_measured_as_the_plan_shows_them():
-    names = [surface.name for surface in rooms.lab(obstacles=[FACES]).surfaces()]
-    assert {"ceiling", "hole_0_wall_3", "obstacle_0_x_min", "obstacle_0_y_max", "obstacle_0_bottom"} < set(names)
-    for name in names:
-        part = {"surface": name, "from_left": [0.1, 0.2], "from_below": [0.3, 0.4]}
-        room = rooms.lab(obstacles=[FACES], keep_out=[part], band=None)
-        (surface,) = [surface for surface in room.surfaces() if surface.name == name]
-        seen = View(surface).place(np.array(room.plan.kept_out[0]))
-        np.testing.assert_allclose([seen.min(axis=0), seen.max(axis=0)], [[0.1, 0.3], [0.2, 0.4]], atol=1e-9)
-        corner = View(surface).corner(right=False, top=False) + 0.05 * upright(surface.normal)[0]
-        assert View(surface).place(corner)[0] == pytest.approx(0.05)
 
 
 def test_where_nothing_may_hang_is_grey(tmp_path):

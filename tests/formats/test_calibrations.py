@@ -161,14 +161,5 @@ def test_a_lens_gives_pixels_their_size(tmp_path):
     assert 0.0 < near < 1.5 < far < math.inf
 
 
-def without(keys, *path):
-    keys = json.loads(json.dumps(keys))
-    inner = keys
-    for key in path[:-1]:
-        inner = inner[key]
-    del inner[path[-1]]
-    return keys
-
-
 def test_a_calibration_checks_itself():
     assert Calibration(640, 480, (600, 600), (320, 240), (0.1, *[0] * 13)).distortion == (0.1, 0, 0, 0, 0)

@@ -35,12 +35,6 @@ def test_a_yaw_across_the_seam_gives_the_pdf_of_the_same_yaw_elsewhere(coupling)
         assert weights[cell] == pytest.approx(weight, abs=1e-9)
 
 
-def test_whole_turns_of_the_yaw_change_nothing():
-    once = simulated(**MOVING)
-    wound = OrientationRecording(once.time, np.unwrap(once.yaw) + 4.0 * np.pi, once.pitch)
-    assert_allclose(estimated(wound).pdf.weight, estimated(once).pdf.weight, atol=1e-9)
-
-
 def test_a_fixed_pitch_gives_a_pdf_in_yaw_alone():
     result = estimated(simulated())
     assert result.independence is None
@@ -133,8 +127,3 @@ def test_a_pitch_that_hardly_moves_keeps_its_mean_and_spread_on_a_coarse_grid():
     assert np.sqrt(result.pdf.weight @ (result.pdf.pitch - mean) ** 2) == pytest.approx(
         0.05 * np.sqrt(2 / np.pi), rel=0.2
     )
-
-
-def test_the_step_of_the_grid_is_a_choice():
-    result = estimated(simulated(), divisions=36)
-    assert_allclose(result.pdf.yaw, pdf.level_flight(36).yaw, atol=1e-12)

@@ -23,12 +23,6 @@ def test_the_correlation_time_is_that_of_the_motion():
         assert integrated_correlation_time(both) == max(yaw, pitch)
 
 
-def test_draws_without_memory_have_the_correlation_time_of_one_step():
-    rng = np.random.default_rng(0)
-    recording = independent_draws(rng.uniform(-np.pi, np.pi, 5000), rng.normal(0.0, 0.1, 5000))
-    assert 1.0 <= integrated_correlation_time(recording) < 1.2
-
-
 def test_intervals_are_random_with_the_stated_mean_and_never_shorter_than_half_of_it():
     time = np.arange(0.0, 4000.0, 0.01)
     clock = OrientationRecording(time, time, np.zeros_like(time))  # the yaw tells the time
@@ -93,9 +87,3 @@ def test_dependent_angles_get_the_joint_density_and_independent_ones_the_product
     assert mean_pitch(joint.pdf, np.pi / 2) == pytest.approx(0.57, abs=0.08)
     assert mean_pitch(joint.pdf, -np.pi / 2) == pytest.approx(-0.57, abs=0.08)
     assert mean_pitch(product.pdf, np.pi / 2) == pytest.approx(mean_pitch(product.pdf, -np.pi / 2), abs=1e-6)
-
-
-def test_the_level_decides():
-    recording = simulated(**MOVING, coupling=0.7)
-    assert estimated(recording, significance=0.0).form == "product"
-    assert estimated(simulated(**MOVING), significance=1.0).form == "joint"

@@ -1,7 +1,5 @@
 """Background work: the worker's thread, and figures off the grid."""
 
-import subprocess
-import sys
 import threading
 from itertools import count
 
@@ -74,12 +72,6 @@ def test_a_failure_is_reported_and_the_next_question_is_answered(error, text):
         assert done.acquire(timeout=LIMIT)
     worker.close()
     assert [(deployment is one, why) for deployment, why in failed] == [(True, text)]
-
-
-@pytest.mark.slow
-def test_a_process_ends_without_closing_the_worker():
-    lines = "from lmd.planner.background import Worker\nWorker(print, print)\nraise SystemExit(3)"
-    assert subprocess.run([sys.executable, "-c", lines], timeout=LIMIT).returncode == 3
 
 
 def test_an_estimate_precedes_the_figures_of_evaluate(monkeypatch):

@@ -6,21 +6,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.image import imread
-from scipy.spatial import cKDTree
 from support.paper import paper_scene
 from support.processes import environment
 
 from lmd.objectives.coverage import Coverage
 from lmd.plot import common
 from lmd.plot.charts import save_convergence_figure
-from lmd.plot.common import qualified_labels
 from lmd.plot.scenes import save_scene_figure
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.labels import Labels
 from lmd.sight.evaluator import Evaluator
-from lmd.space.cuboid import Cuboid, box_edges
+from lmd.space.cuboid import Cuboid
 
 ROOM = Cuboid(size=(3.0, 2.0, 2.5), reachable_size=(2.0, 1.0, 1.5), spacing=0.8)
 PROBABILITY = np.linspace(0.0, 1.0, len(ROOM.grid()))
@@ -48,16 +46,6 @@ def save(function, path: Path, deployment: Deployment, probability: np.ndarray =
     function(path, Shown(probability), deployment, title)
 
 
-def test_box_edges_are_the_twelve_edges_of_the_box():
-    edges = box_edges(np.array([1.0, 2.0, 3.0]), np.array([2.0, 4.0, 6.0]))
-    assert edges.shape == (12, 2, 3)
-    assert len(np.unique(edges.reshape(12, 6), axis=0)) == 12
-    along = np.abs(edges[:, 1] - edges[:, 0])
-    assert ((along > 0).sum(axis=1) == 1).all()
-    np.testing.assert_array_equal(along.sum(axis=0), [4.0, 8.0, 12.0])
-    np.testing.assert_array_equal(np.unique(edges.reshape(-1, 3), axis=0)[[0, -1]], [[1, 2, 3], [2, 4, 6]])
-
-
 def test_axes_have_a_tick_for_every_half_metre(tmp_path, deployment, monkeypatch):
     saved = []
     monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda figure, *_: saved.append(figure))
@@ -67,13 +55,6 @@ def test_axes_have_a_tick_for_every_half_metre(tmp_path, deployment, monkeypatch
     for axes in panels:
         for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
             assert np.diff(axis.get_majorticklocs())[0] == 0.5  # of a room of 3 m
-
-
-def test_labels_state_the_shares():
-    assert qualified_labels(np.array([True, False, False, False]), 0.65) == (
-        "qualified, probability ≥ 0.65 (25.0 %)",
-        "unqualified (75.0 %)",
-    )
 
 
 def colours_in(picture: np.ndarray, red: int, green: int, blue: int) -> int:
@@ -165,13 +146,6 @@ def test_convergence_figure(tmp_path, rows):
     save_convergence_figure(path, shown, "Convergence")
     assert imread(path).shape[:2] == (500, 900)
     assert path.stat().st_size > 8_000
-
-
-def test_neighbours_are_as_far_apart_as_a_tree_says():
-    for positions in (ROOM.grid(), np.random.default_rng(0).uniform(size=(200, 3))):
-        distance, _ = cKDTree(positions).query(positions, k=[2])
-        assert common.spacing_of(ROOM, positions) == pytest.approx(np.median(distance))
-    assert common.spacing_of(ROOM, ROOM.grid()[:1]) == pytest.approx(np.linalg.norm(common.size_of(ROOM)))
 
 
 @pytest.mark.parametrize(
