@@ -80,30 +80,6 @@ def write_aruco(path: Path, tags: TagMap) -> None:
     _write_lines(path, lines)
 
 
-def write_clover(path: Path, tags: TagMap) -> None:
-    """Write `tags.clover.txt`: a line `id length x y z yaw pitch roll` for each tag, metres and radians.
-
-    Clover detects with OpenCV, so a tag's up is OpenCV's up. Rotations are ROS's `setRPY`: Rz(yaw) Ry(pitch) Rx(roll).
-
-    Source: CopterExpress/clover, `ArucoMap::addMarker`.
-    """
-    values = np.column_stack([tags.sizes, tags.positions, tags.roll_pitch_yaw[:, ::-1]])
-    rows = zip(tags.ids, values.tolist(), strict=True)
-    _write_lines(path, ["# id length x y z yaw pitch roll", *("\t".join(map(str, (n, *row))) for n, row in rows)])
-
-
-def write_fiducial_vlam(path: Path, tags: TagMap) -> None:
-    """Write `tags.fiducial_vlam.yaml`: one edge for all tags, and for each tag a position and roll, pitch, yaw.
-
-    fiducial_vlam detects with OpenCV, so a tag's up is OpenCV's up. A tag with `f: 1` is fixed.
-
-    Source: ptrmu/fiducial_vlam, `Map` and `Marker::corners_f_map`.
-    """
-    rows = zip(tags.ids, tags.positions.tolist(), tags.roll_pitch_yaw.tolist(), strict=True)
-    markers = [{"id": number, "u": 1, "f": 1, "xyz": position, "rpy": turn} for number, position, turn in rows]
-    write_yaml(path, {"marker_length": float(tags.sizes[0]), "markers": markers})
-
-
 def write_limelight(path: Path, tags: TagMap) -> None:
     """Write `tags.fmap`: for each tag a matrix, with the origin in the middle of the field, and the edge in
     millimetres.

@@ -45,8 +45,8 @@ def test_what_has_one_edge_takes_no_tags_with_several():
     several = turned_anyhow(0)
     export = Export([*MAPS, "sheets"], "a4")
     unfit = export.unfit(TagMap(ROOM, Tag(EDGE), several))
-    assert set(unfit) == {"fiducial_vlam", "rtabmap"}
-    with pytest.raises(InputError, match=r"^formats has fiducial_vlam: .* 0\.05, 0\.3, 0\.4125 m"):
+    assert set(unfit) == {"rtabmap"}
+    with pytest.raises(InputError, match=r"^formats has rtabmap: .* 0\.05, 0\.3, 0\.4125 m"):
         export.writers(ROOM, Tag(EDGE), several)
     assert export.silent(TagMap(ROOM, Tag(EDGE), several)) == ("ros2_tf", "wpilib")
     with pytest.raises(InputError, match=r"^formats has rtabmap: .* 0\.05, 0\.1 m\.$"):  # before anything is placed

@@ -9,7 +9,7 @@ LANDMARKS = "id,x,y,z,nx,ny,nz,note\n7,0,2,3,1,0,0,by the door\n3,0,3,3,1,0,0,\n
 TAGS = (*SMALL, "tag.edge=0.15")
 EVERY = {
     *("tags.wpilib.json", "tags.apriltag_ros.yaml", "tags.apriltag_ros2.yaml", "tags.tagslam.yaml", "tags.aruco.yaml"),
-    *("tags.clover.txt", "tags.fiducial_vlam.yaml", "tags.rtabmap.txt", "tags.fmap", "tags.csv"),
+    *("tags.rtabmap.txt", "tags.fmap", "tags.csv"),
     *("tags.json", "tags.ros2_tf.launch.py", "plan.pdf", "sheets.pdf"),
 }
 pytestmark = pytest.mark.slow
