@@ -26,7 +26,7 @@ COUNT = "deployment.count="
 # Keys that change no result of a run: its folder, speed, record and further outputs.
 WITHOUT_EFFECT = (
     "tracking", "trust", "resume", "threads", "workers", "checkpoint_seconds", "picture", "pictures",
-    "export", "paper_size", "north", "kept",
+    "export", "paper_size", "kept",
 )  # fmt: skip
 
 

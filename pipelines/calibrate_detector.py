@@ -41,7 +41,6 @@ def calibrate(cfg: DictConfig) -> Study:
             DetectorCalibration,
             fit,
             frame_scores,
-            intervals,
             limits_markdown,
             predicted_in_frames,
         )
@@ -55,12 +54,11 @@ def calibrate(cfg: DictConfig) -> Study:
             with keyed(key):
                 views = source.views(subject.problem.scene.cameras, renderer.room.tag, detector, renderer.imaging, rng)
                 limits = fit(views, rng, margin)
-            spans = intervals(views, rng, margin) if source.photographs else {}
             if views.seen.all():
                 told_all = f"{key}: {name} finds all of {len(views)} tags, so they tell no limit of it"
                 print(f"warning: {told_all}; images are needed in which it misses some", file=sys.stderr)
             rooms = frame_scores(predicted_in_frames(limits.limits, renderer, told.poses), seen[name]) if count else {}
-            found[name] = DetectorCalibration(views, limits, rooms, source.photographs, spans)
+            found[name] = DetectorCalibration(views, limits, rooms, source.photographs)
             text += limits.circles_text(name)
         about, figures = f"views of {key}, seed {seed}", {name: each.figures() for name, each in found.items()}
         files: dict[str, Any] = {

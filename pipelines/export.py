@@ -29,7 +29,7 @@ def build_export(cfg: DictConfig, key: str, tag: "Tag") -> "Export":
 
     with keyed(formats=key, paper="paper_size", edge="tag.edge"):
         paper, names = cfg.paper_size, plain(cfg[key])
-        chosen = Export(formats_of(tag) if names is None else names, paper, cfg.north, names is None)
+        chosen = Export(formats_of(tag) if names is None else names, paper, names is None)
         if names is None and not tag.is_point:
             left_out = not_printed()
             chosen = replace(chosen, formats=tuple(name for name in chosen.formats if name not in left_out))

@@ -1,8 +1,8 @@
-"""Fit of a detector's limits to views of single tags, with scores and intervals."""
+"""Fit of a detector's limits to views of single tags, with scores."""
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +15,6 @@ from lmd.detection.tag_views import Placed, TagViews
 from lmd.render.renderer import Renderer
 from lmd.sight.models.limits import NAMES, Limits, Preset
 
-INTERVAL_ENDS = ("low", "high")
-# Number of resamples for intervals, and number of blocks of time in a recording.
-RESAMPLES, BLOCKS = 20, 20
 # Candidate values of the limits; units as in `Limits`.
 PITCHES, BLURS = np.linspace(0.0, 3.0, 31), np.linspace(0.0, 4.0, 41)
 EDGES, INCIDENCES = np.linspace(0.0, 40.0, 41), np.linspace(40.0, 89.0, 50)
@@ -71,8 +68,6 @@ class DetectorCalibration:
     """Scores in rendered rooms, see `frame_scores`; may be empty."""
     photographs: int = 0
     """Number of photographs from which the views are; 0 for renderings."""
-    intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """90 % intervals of the limits, by name, see `intervals`; may be empty."""
 
     def figures(self) -> dict[str, float]:
         """All numbers as one row of a table."""
@@ -83,11 +78,6 @@ class DetectorCalibration:
             **{name: getattr(limits, name) for name in NAMES},
             **{name: getattr(fit, name) for name in ("accuracy", "precision", "recall")},
             **{f"image_circle_{number}": diameter for number, diameter in fit.known_circles.items()},
-            **{
-                f"{name}_{end}": value
-                for name, ends in self.intervals.items()
-                for end, value in zip(INTERVAL_ENDS, ends, strict=True)
-            },
             "photographs": self.photographs,
             **{f"room_{name}": value for name, value in self.rooms.items()},
         }
@@ -112,9 +102,6 @@ class DetectorCalibration:
         if fit.known_circles:
             ends = (f"{diameter:.0f} pixels of camera {number}" for number, diameter in fit.known_circles.items())
             lines.append(f"Fitted with them: image_circle {', '.join(ends)}.")
-        if self.intervals:
-            spans = (f"{name} {low:.3g} to {high:.3g}" for name, (low, high) in self.intervals.items())
-            lines.append(f"90 % intervals: {', '.join(spans)}.")
         if self.rooms:
             pairs = (f"{self.rooms[f'predicted_{n}']:.3f} / {self.rooms[f'detected_{n}']:.3f}" for n in TAG_NUMBERS)
             lines.append(
@@ -194,24 +181,6 @@ def predicted_views(views: TagViews, limits: Limits, circles: tuple[float, ...])
     if (placed := views.placed) is None:
         return found
     return found & (placed.border >= limits.margin) & ~(placed.circle > np.array(circles)[placed.camera])
-
-
-def intervals(views: TagViews, rng: np.random.Generator, margin: float) -> dict[str, tuple[float, float]]:
-    """90 % bootstrap intervals of the fitted limits by name; for a recording, blocks of time are resampled."""
-    drawn = [_best(views[_resampled(views, rng)], margin)[0] for _ in range(RESAMPLES)]
-    names = ["pitch", "blur", "edge", "incidence", *([] if views.placed is None else ["margin"])]
-    rows = {name: [getattr(limits, name) for limits in drawn] for name in names}
-    return {name: (float(np.quantile(row, 0.05)), float(np.quantile(row, 0.95))) for name, row in rows.items()}
-
-
-def _resampled(views: TagViews, rng: np.random.Generator) -> NDArray[np.intp]:
-    """Indices of views drawn with replacement."""
-    if views.placed is None:
-        return rng.integers(0, len(views), len(views))
-    _, rank = np.unique(views.placed.moment, return_inverse=True)
-    block = rank * BLOCKS // (rank.max() + 1)
-    kinds = np.unique(block)
-    return np.concatenate([np.flatnonzero(block == kind) for kind in rng.choice(kinds, len(kinds))])
 
 
 def _best(views: TagViews, margin: float) -> tuple[Limits, tuple[float, ...]]:

@@ -28,8 +28,6 @@ from lmd.render.renderer import Renderer
 # Bounds of the classes of pitch, pixels per module, and of the incidence angle, degrees.
 PITCHES = np.array([0.0, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0, 6.0, 9.0, np.inf])
 INCIDENCES = np.array([0.0, 15.0, 30.0, 45.0, 60.0, 75.0, 90.0])
-# Number of columns and rows into which an image is divided.
-PLACES = np.array([4, 3])
 QUANTILES = {"median": 0.5, "90": 0.9}
 
 
@@ -224,26 +222,6 @@ def _by_class(prediction: Prediction, seen: Matches, name: str, values: FloatArr
             rows.append(span | _shares(prediction, seen, members) | corners)
     corners_of = (f"corner_{key}" for key in QUANTILES)
     return pd.DataFrame(rows, columns=[f"{name}_from", f"{name}_to", *SHARES, *corners_of])
-
-
-def by_place(prediction: Prediction, seen: Matches) -> pd.DataFrame:
-    """Table of whole tags by the place of their centre in the image.
-
-    Columns: `column`, `row` of the part of the image (`PLACES`); number of `tags`, and shares `predicted` and
-    `detected`. Parts without a tag are left out.
-    """
-    cameras = [part.renderer.camera for part in prediction.parts]
-    sizes = np.array([(camera.image_width, camera.image_height) for camera in cameras])
-    centres = prediction.corners.mean(axis=2)
-    share = centres / np.repeat(sizes, centres.shape[1] // len(cameras), axis=0)
-    part = np.floor(np.nan_to_num(share, nan=-1.0) * PLACES).astype(int)
-    rows = []
-    for row in range(PLACES[1]):
-        for column in range(PLACES[0]):
-            members = (part == [column, row]).all(axis=-1) & prediction.whole
-            if members.any():
-                rows.append({"column": column, "row": row, **_shares(prediction, seen, members)})
-    return pd.DataFrame(rows, columns=["column", "row", *SHARES])
 
 
 def by_tag(prediction: Prediction, seen: Matches) -> pd.DataFrame:

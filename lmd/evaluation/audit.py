@@ -14,7 +14,7 @@ from lmd.adjust.corners import squared_errors
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.detection.detectors import CORNER_TOLERANCE, Matches, precision_recall
 from lmd.detection.frames import overlapping, qualities, tagged_room
-from lmd.detection.predictions import PITCHES, CameraPrediction, Prediction, by_incidence, by_pitch, by_place, by_tag
+from lmd.detection.predictions import PITCHES, CameraPrediction, Prediction, by_incidence, by_pitch, by_tag
 from lmd.detection.tag_views import CAMERA, COLUMNS, FRAME
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import image_size, intrinsics, to_camera
@@ -105,7 +105,6 @@ class Audit:
         return {
             "audit_pitches": by_pitch(self.prediction, self.seen),
             "audit_incidences": by_incidence(self.prediction, self.seen),
-            "audit_places": by_place(self.prediction, self.seen),
             "audit_tags": self.tags,
         }
 

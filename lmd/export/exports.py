@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
-from lmd.core.checks import ONE_TURN, Checked, InputError, choice, real
+from lmd.core.checks import Checked, InputError, choice
 from lmd.core.optional import optional
 from lmd.export.paper import PAPERS
 from lmd.export.plan import write_plan
@@ -65,16 +65,14 @@ class Export(Checked):
     Args:
         formats: names in `all_formats`.
         paper: paper size of printed files, one of `lmd.export.paper.PAPERS`.
-        north: direction of north on the plan, rad from x towards y; None if unknown.
         fitting: True to leave out formats that cannot hold the tags, False to raise an error.
 
     Raises:
-        InputError: a format or the paper is unknown, or north is not in radians.
+        InputError: a format or the paper is unknown.
     """
 
     formats: tuple[str, ...]
     paper: Annotated[str, partial(choice, options=tuple(PAPERS))]
-    north: Annotated[float, partial(real, low=-ONE_TURN, high=ONE_TURN)] | None = None
     fitting: bool = False
 
     def _validate(self) -> None:
@@ -129,7 +127,5 @@ class Export(Checked):
                 continue
             form = all_formats()[name]
             options: dict[str, Any] = {"paper": self.paper} if form.on_paper else {}
-            if name == "plan":
-                options["north"] = self.north
             writers[form.file] = partial(form.write, tags=tags, **options)
         return writers

@@ -96,7 +96,7 @@ SHIFTS = SHIFTS[np.argsort(np.abs(SHIFTS).sum(axis=1), kind="stable")]
 TAG, ID = 1.8, 2.0  # height of the triangle of a tag, and of the letters of its id
 IDS_STEPS = 8  # number of places that are tried for ids in front of a tag
 MANY = 1000  # number of edges; rooms with more edges are drawn with thinner lines
-ARROW = 9.0  # length of the arrow to the north
+ARROW = 6.3  # length of the arrows of the axes
 
 
 def scale_of(room: Space, width: float, height: float, scales: tuple[int, ...]) -> int:
@@ -107,7 +107,7 @@ def scale_of(room: Space, width: float, height: float, scales: tuple[int, ...]) 
     return fits[0] if fits else scales[-1]
 
 
-def draw_floor_plan(canvas: Any, tags: TagMap, left: float, top: float, scale: int, north: float | None) -> None:
+def draw_floor_plan(canvas: Any, tags: TagMap, left: float, top: float, scale: int) -> None:
     """Draw the room and its names from above, x to the right, with the upper left corner at (left, top), mm."""
     import shapely
 
@@ -169,12 +169,8 @@ def draw_floor_plan(canvas: Any, tags: TagMap, left: float, top: float, scale: i
     below = float(origin[1]) - AROUND
     kinds = [kind for kind in KINDS if any(fixture.kind == kind for fixture in fixtures)]
     for angle, name in ((0.0, "x"), (math.pi / 2.0, "y")):
-        _draw_arrow(canvas, left, below - 2.0, 0.7 * ARROW, angle, name)
+        _draw_arrow(canvas, left, below - 2.0, ARROW, angle, name)
     draw_legend(canvas, left + 16.0, below, kinds)
-    if north is not None:
-        right = float(place(high)[0]) + AROUND + ARROW
-        start = right - 0.5 * ARROW * math.cos(north), top - ARROW - 0.5 * ARROW * math.sin(north)
-        _draw_arrow(canvas, *start, ARROW, north, "N")
 
 
 def numbers_of(places: IntArray) -> str:

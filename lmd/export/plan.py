@@ -144,12 +144,11 @@ class View:
         return self.surface.point(*self.surface.from_left_and_below(np.array([width * right, height * top])))
 
 
-def write_plan(path: Path, tags: TagMap, paper: str, north: float | None = None) -> None:
+def write_plan(path: Path, tags: TagMap, paper: str) -> None:
     """Write `plan.pdf`; tags that are on no surface are in a table at the end.
 
     Args:
         paper: one of `lmd.export.paper.PAPERS`, in landscape orientation.
-        north: direction of north on the floor plan, rad from x towards y; None for no arrow.
     """
     size = PAPERS[paper][::-1]
     first, pages = ORDER.pages(len(tags.tags_by_surface), size[1]) + 1, {}
@@ -157,7 +156,7 @@ def write_plan(path: Path, tags: TagMap, paper: str, north: float | None = None)
         pages[index] = first
         first += (FREE if index < 0 else ON_SURFACE).pages(len(own), size[1])
     with document(path, f"{len(tags.ids)} tags in a {tags.room.describe()}") as canvas:
-        _draw_overview(canvas, size, tags, pages, north)
+        _draw_overview(canvas, size, tags, pages)
         for index, own in tags.tags_by_surface.items():
             if index < 0:
                 _draw_free(canvas, size, tags, own)
@@ -165,9 +164,7 @@ def write_plan(path: Path, tags: TagMap, paper: str, north: float | None = None)
                 _draw_surface(canvas, size, tags, View(tags.room.surfaces()[index]), own)
 
 
-def _draw_overview(
-    canvas: Any, size: tuple[float, float], tags: TagMap, pages: dict[int, int], north: float | None
-) -> None:
+def _draw_overview(canvas: Any, size: tuple[float, float], tags: TagMap, pages: dict[int, int]) -> None:
     """Draw the floor plan, and a table of surfaces in the order of hanging; `pages` has each surface's page number."""
     rows = [
         [numbers_of(own), shortened(tags.place_of(int(tags.order[own[0]]))), str(len(own)), str(pages[index])]
@@ -180,7 +177,7 @@ def _draw_overview(
     if (np.abs(tags.deployment.normals[:, 2]) > FLAT).any():
         facts += ", squares those on floors (black) and ceilings (white)"
     begin_titled(canvas, size, title, facts)
-    draw_floor_plan(canvas, tags, MARGIN, size[1] - MARGIN - HEAD, scale, north)
+    draw_floor_plan(canvas, tags, MARGIN, size[1] - MARGIN - HEAD, scale)
     draw_tables(canvas, size, ORDER, rows, title, facts)
 
 

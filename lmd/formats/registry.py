@@ -43,8 +43,7 @@ class Writer(NamedTuple):
 
     Args:
         file: name of the file.
-        write: function of the path, the map as `tags` and, for printed files, the size of the paper as `paper`; for the
-            plan, also the direction of north as `north`.
+        write: function of the path, the map as `tags` and, for printed files, the size of the paper as `paper`.
         only_apriltag: True if readers of the format support only the families of AprilTag.
         only_opencv: True if readers of the format support only families that OpenCV has.
         on_paper: True if the file is to be printed.

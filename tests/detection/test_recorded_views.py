@@ -7,7 +7,7 @@ import pytest
 
 from lmd.core.checks import InputError
 from lmd.core.tables import write_table
-from lmd.detection.calibration import DetectorCalibration, fit, intervals, predicted_views
+from lmd.detection.calibration import DetectorCalibration, fit, predicted_views
 from lmd.detection.tag_views import COLUMNS, FILE, Placed, SurveyedViews, TagViews
 from lmd.geometry.camera import Camera
 from lmd.render.imaging import Imaging
@@ -80,17 +80,6 @@ def test_the_first_half_in_time_is_fitted_and_the_second_one_judged():
     assert found.accuracy == (predicted == changed.seen)[late].mean()
     with pytest.raises(InputError, match=r"^views must be of images at two times at least, got one\.$"):
         fit(views[views.placed.moment == 0], rng, margin=0.0)
-
-
-def test_intervals_of_a_recording_draw_blocks_of_time():
-    """A limit that changes at half time has a wide interval; views drawn one by one would give a narrow one."""
-    rng = np.random.default_rng(4)
-    views = recording(rng)
-    assert views.placed is not None
-    near = np.where(views.placed.moment < MOMENTS // 2, 60.0, 5.0)
-    spans = intervals(replace(views, seen=views.seen & (views.placed.border >= near)), rng, 0.0)
-    assert spans["margin"][1] - spans["margin"][0] >= 10.0
-    assert spans["incidence"][1] - spans["incidence"][0] < 4.0
 
 
 def test_a_survey_tells_where_and_when(tmp_path):

@@ -8,7 +8,7 @@ from support import walks
 
 from lmd.core.checks import InputError
 from lmd.core.tables import write_table
-from lmd.detection.calibration import DetectorCalibration, fit, intervals
+from lmd.detection.calibration import DetectorCalibration, fit
 from lmd.detection.detectors import Matches
 from lmd.detection.predictions import CameraPrediction, Prediction
 from lmd.detection.tag_views import FILE, SurveyedViews
@@ -66,15 +66,13 @@ def test_limits_fitted_to_a_survey_are_those_of_its_detector(folder):
     source = SurveyedViews(str(folder))
     views = source.views(cameras, TAG, None, Imaging(), rng)
     assert 100 < views.seen.sum() < len(views)
-    fitted, spans = fit(views, rng, 0.0), intervals(views, rng, 0.0)
+    fitted = fit(views, rng, 0.0)
     least = np.hypot(fitted.limits.pitch, fitted.limits.blur * views.sigma[0])
     by_edge = fitted.limits.edge / TAG.modules
     assert max(least, by_edge) == pytest.approx(LEAST, abs=0.3)
     assert fitted.accuracy > 0.9
-    assert all(low <= high for low, high in spans.values())
-    text = DetectorCalibration(views, fitted, {}, source.photographs, spans).preset("apriltag", "36h11", "survey")
+    text = DetectorCalibration(views, fitted, {}, source.photographs).preset("apriltag", "36h11", "survey")
     assert f"# Measured on {source.photographs} photographs." in text
-    assert "# 90 % intervals: pitch " in text
 
 
 def test_a_survey_of_more_cameras_is_refused(folder):
@@ -111,7 +109,7 @@ def test_an_audit_covers_the_images_of_all_cameras():
     table = audit.tags.set_index("id")
     assert table.index[table.stands_out].tolist() == [dirty]
     assert audit.metrics()["audit/precision"] > 0.8
-    assert audit.tables["audit_places"].tags.sum() == audit.prediction.whole.sum()
+    assert audit.tables["audit_pitches"].tags.sum() == audit.prediction.whole.sum()
     # Images that were not taken show no tags, and the others do not change.
     taken = np.ones((len(clean.times), 2), dtype=bool)
     taken[::3, 1] = False

@@ -179,7 +179,6 @@ CASES = [
     ("export", f"{TAGS} formats=[nosuch]", "formats must be one of ros2_tf, "),
     ("export", f"{TAGS} tag.family=4x4_50 formats=[csv,wpilib]", "formats has wpilib, which knows the families "),
     ("export", f"{TAGS} paper_size=a5", "paper_size must be one of a4, a3, letter, got"),
-    ("export", f"{TAGS} north=90", "north must be in [-6.29319, 6.29319], got 90."),
     ("survey", "photographs=null", "photographs=DIR, a folder, a video or a bag, or detections=FILE.csv must be given"),
     ("survey", "photographs=nowhere", "photographs: there is no folder, video or bag 'nowhere'"),
     ("survey", "photographs=two.csv", "photographs: 'two.csv' cannot be read as a video: it is a text"),

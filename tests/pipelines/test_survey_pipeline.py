@@ -242,10 +242,6 @@ def test_an_audit_names_the_tag_that_is_not_found_where_it_is_predicted(room):
         table = pd.read_csv(cwd / "audit" / f"audit_{name}.csv")
         assert (table[last].diff().dropna() > 0).all()
         assert table.tags.sum() >= tags.detected.sum()
-    places = pd.read_csv(cwd / "audit" / "audit_places.csv")
-    assert places.tags.sum() == table.tags.sum()
-    assert places.column.max() < 4
-    assert places.row.max() < 3
     assert cv2.imread(str(cwd / "audit" / "audit.png")) is not None
 
 
