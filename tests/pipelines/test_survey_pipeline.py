@@ -157,7 +157,6 @@ def test_a_detector_is_calibrated_on_the_frames_of_a_survey(room):
     assert " photographs.\n" in text
     figures = json.loads((cwd / "fit" / "calibration.json").read_text())["figures"]["apriltag"]
     assert figures["views"] == len(pd.read_csv(cwd / "out" / "in_view.csv"))
-    assert figures["pitch_low"] <= figures["pitch_high"]
 
 
 @pytest.mark.usefixtures("surveyed")
