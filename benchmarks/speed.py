@@ -28,13 +28,10 @@ from lmd.incremental.coverage_field import coverage_field
 from lmd.incremental.trial import bound_move, carry_out, finish_move
 from lmd.pipelines.app import CONF
 from lmd.pipelines.building import build_problem
-from lmd.scene.criteria import from_position
 from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.pdf import grid_with_ends
 from lmd.scene.scene import Scene
 from lmd.sight import reference
-from lmd.sight.blocks import BLOCK
-from lmd.sight.directions import band_of
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.poses import candidate_poses, gains
 
@@ -76,18 +73,12 @@ def move_all(poses, surfaces, field, state, scratch, steps):  # type: ignore[no-
             carry_out(field, k, state, scratch)
 
 
-def evaluation(
-    scene: Scene, count: int, threads: int, batch: int = DEPLOYMENTS, occlusion: bool = True, caps: bool = True
-) -> float:
-    """Seconds of one evaluation, in a batch of random deployments; without occlusion, or with no cap in reach."""
+def evaluation(scene: Scene, count: int, threads: int, batch: int = DEPLOYMENTS) -> float:
+    """Seconds of one evaluation, in a batch of random deployments."""
     rng = np.random.default_rng(0)
     drawn = [RandomDeployment(count).draw(scene.room, rng) for _ in range(batch)]
     positions, normals = np.stack([d.positions for d in drawn]), np.stack([d.normals for d in drawn])
     evaluator = Evaluator(scene, threads=threads)
-    if not occlusion:
-        evaluator.sight = evaluator.sight.unhidden()
-    if not caps:
-        evaluator.sight = evaluator.sight._replace(min_depth=np.inf)
     return best_of(5 * DEPLOYMENTS // batch, lambda: evaluator.units(positions, normals, N)) / batch
 
 
@@ -138,40 +129,8 @@ def speed(scene: Scene) -> Iterator[str]:
     yield f"\n`optimiser=ega`, 12,000 evaluations, the whole command: {whole_pipeline():.1f} s."
 
 
-def stages(scene: Scene) -> Iterator[str]:
-    """Time of each stage of one evaluation on one thread, measured by leaving stages out."""
-    full = evaluation(scene, COUNT, 1)
-    unhidden = evaluation(scene, COUNT, 1, occlusion=False)
-    geometry = evaluation(scene, COUNT, 1, occlusion=False, caps=False)
-    pairs, reached, axes = work(scene)
-    rows = [
-        ("offset, distance, facing, band of axes", pairs, geometry),
-        ("hidden by another landmark", reached * COUNT, full - unhidden),
-        ("axis in the cap", axes, unhidden - geometry),
-    ]
-    yield "| stage | milliseconds | share | decisions | nanoseconds each |\n| --- | --- | --- | --- | --- |"
-    for name, decisions, seconds in rows:
-        each = 1e9 * seconds / decisions
-        yield f"| {name} | {1e3 * seconds:.3f} | {seconds / full:.0%} | {decisions:,} | {each:.2f} |"
-
-
-def work(scene: Scene) -> tuple[int, int, int]:
-    """Pairs of position and landmark of a random deployment, those in reach, and axes in the bands of their caps."""
-    drawn = RandomDeployment(COUNT).draw(scene.room, np.random.default_rng(0))
-    evaluator = Evaluator(scene, threads=1)
-    reached = axes = 0
-    for position in evaluator.positions:
-        for offset, normal in zip(drawn.positions - position, drawn.normals, strict=True):
-            in_reach, low, _, _ = from_position(scene.sight, tuple(offset), tuple(normal), 0.0)
-            bottom, top = band_of(tuple(offset), low, 0.0)
-            reached += in_reach
-            first, last = evaluator.bands[bottom] & -BLOCK, (evaluator.bands[top] + BLOCK - 1) & -BLOCK
-            axes += int(last - first) if in_reach else 0
-    return len(evaluator.positions) * COUNT, int(reached), axes
-
-
 def scaling(scene: Scene, picture: Path | None) -> Iterator[str]:
-    """Cost against the number of positions, orientations and landmarks."""
+    """Cost of the smallest and the largest problem; the picture has the others."""
     fine_room = [replace(scene.room, spacing=spacing) for spacing in (1.0, 0.5, 0.25)]
     fine_pdf = [grid_with_ends(divisions) for divisions in (6, 12, 24)]
     sweeps = {
@@ -180,17 +139,15 @@ def scaling(scene: Scene, picture: Path | None) -> Iterator[str]:
         "landmarks": [(scene, count) for count in (45, COUNT, 180, 500)],
         "all": [(scene, COUNT), (replace(scene, room=fine_room[-1], pdf=fine_pdf[-1]), 500)],
     }
-    yield "| varied | positions | orientations | landmarks | evaluation, ms | per product, ns | one moved, ms |"
-    yield "| --- | --- | --- | --- | --- | --- | --- |"
+    yield "| positions | orientations | landmarks | evaluation, ms | one moved, ms |\n| --- | --- | --- | --- | --- |"
     points: dict[str, list[tuple[int, float, float]]] = {}
     for name, cases in sweeps.items():
         for case, count in cases:
             sizes = len(case.room.grid()), len(case.pdf.weight), count
             seconds, moved = evaluation(case, count, 1), moves(case, count, "carried out")
-            product = int(np.prod(sizes))
-            cells = " | ".join(f"{size:,}" for size in sizes)
-            yield f"| {name} | {cells} | {1e3 * seconds:.3f} | {1e9 * seconds / product:.4f} | {1e3 * moved:.3f} |"
-            if name != "all":
+            if name == "all":
+                yield f"| {' | '.join(f'{size:,}' for size in sizes)} | {1e3 * seconds:.3f} | {1e3 * moved:.3f} |"
+            else:
                 points.setdefault(name, []).append((sizes[list(sweeps).index(name)], 1e3 * seconds, 1e3 * moved))
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     yield f"\nPeak memory of the benchmark, all libraries and the largest case included: {peak:.2f} GiB."
@@ -257,7 +214,6 @@ def main() -> None:
     scene, lines = paper_scene(), []
     sections = {
         "## Speed": speed(scene),
-        "## Where the time goes": stages(scene),
         "## Scaling": scaling(scene, page.parent / "images" / "scaling.png" if page else None),
     }
     for title, section in sections.items():

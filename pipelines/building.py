@@ -153,11 +153,11 @@ def _scene(cfg: DictConfig) -> "Scene":
     visibility, crowd = visibility_of(cfg.visibility)
     room, is_recorded = instantiate(cfg.room), bool(cfg.get("poses"))
     if (scan := getattr(room, "scan", None)) and (doubt := scan.doubt):  # the room is a mesh
-        print(f"warning: room.up: is it right for {scan.mesh.path!r}? {doubt[0].upper()}{doubt[1:]}", file=sys.stderr)
+        print(f"warning: room.up: check it for {scan.mesh.path!r}: {doubt}", file=sys.stderr)
     if plan := getattr(room, "plan", None):
         note(plan.note)
     if is_recorded == bool(cfg.pdf):
-        needed = "poses=recorded, which says how the camera looks, needs pdf=recorded"
+        needed = "poses=recorded needs pdf=recorded, the recorded directions"
         cure = "add it to the command line where an experiment has chosen another one"
         raise InputError(f"{needed}; {cure}." if is_recorded else "pdf=recorded needs poses=recorded.")
     recorded = instantiate(cfg.poses, group="poses.") if is_recorded else None

@@ -55,8 +55,8 @@ def calibrate(cfg: DictConfig) -> Study:
                 views = source.views(subject.problem.scene.cameras, renderer.room.tag, detector, renderer.imaging, rng)
                 limits = fit(views, rng, margin)
             if views.seen.all():
-                told_all = f"{key}: {name} finds all of {len(views)} tags, so they tell no limit of it"
-                print(f"warning: {told_all}; images are needed in which it misses some", file=sys.stderr)
+                told_all = f"{key}: {name} finds all of {len(views)} tags, so no limit can be fitted"
+                print(f"warning: {told_all}; give images in which it misses some", file=sys.stderr)
             rooms = frame_scores(predicted_in_frames(limits.limits, renderer, told.poses), seen[name]) if count else {}
             found[name] = DetectorCalibration(views, limits, rooms, source.photographs)
             text += limits.circles_text(name)

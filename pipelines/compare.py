@@ -126,7 +126,7 @@ def problems_of(cfg: DictConfig) -> "Mapping[str, BlackBox]":
 
     for key, _ in task_overrides():
         if key.split(".")[0].split("@")[0] in GROUPS:
-            raise InputError(f"suite = {cfg.suite} has frozen problems: leave {key} out.", "suite")
+            raise InputError(f"suite = {cfg.suite} sets {key} itself: leave {key} out.", "suite")
     asked = plain(cfg.suite)
     families = asked if isinstance(asked, list) else names(asked) if asked in SETS else [asked]
     instances = [integer("instances", each, low=0) for each in cfg.instances]
@@ -168,9 +168,9 @@ def _taken(entry: str, cfg: DictConfig, boxes: "Mapping[str, BlackBox]") -> dict
             taken[name] = composed
         except InputError as error:
             refused = str(error)
-            note(f"{entry} does not take {name}: {error}")
+            note(f"{entry} cannot solve {name}: {error}")
     if not taken:
-        raise InputError(f"optimisers: {entry!r} takes none of the problems: {refused}", "optimisers")
+        raise InputError(f"optimisers: {entry!r} can solve none of the problems: {refused}", "optimisers")
     return taken
 
 

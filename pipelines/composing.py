@@ -206,14 +206,14 @@ def _of_suite(cfg: DictConfig, named: Iterable[str]) -> dict[str, str]:
     frozen: Document = document(cfg.suite)
     nodes, option = with_paths(frozen.problem), f"suite_{frozen.name}"
     if "objective" not in nodes or "second" in nodes:
-        told = f"suite={cfg.suite} has two objectives, which no command takes"
+        told = f"suite={cfg.suite} has two objectives, which no command optimises"
         raise InputError(f"{told}: use lmd.suite.problem({cfg.suite!r}).")
     cameras = ("body", "cameras") if "cameras" in nodes else ()
     if cameras and "varies" not in cfg:
-        raise InputError(f"suite={cfg.suite} places cameras, which optimise suite={cfg.suite} does.")
+        raise InputError(f"suite={cfg.suite} places cameras: use the command optimise.")
     for key in named:
         if key.split(".")[0] in ("run", *FROZEN):
-            raise InputError(f"suite={cfg.suite} has a frozen problem: leave {key} out.")
+            raise InputError(f"suite={cfg.suite} sets {key} itself: leave {key} out.")
     source = "file" if cameras else "random"
     started = {"deployment": {"defaults": [source, "_self_"], **nodes["deployment"]}}
     found = _stored({group: nodes[group] for group in FROZEN} | started, option)
@@ -282,7 +282,7 @@ def _parts_of(
 
     for name in files:
         if not (directory / name).is_file():
-            raise InputError(f"{argument} = '{directory}' is no {argument} to go on from: it holds no {name}.")
+            raise InputError(f"{argument} = '{directory}' is not a run: it has no {name}.")
     before = read_yaml(directory / FILES[0], argument)
     return before, trust.parts(before, f"{argument}: '{directory / FILES[0]}'", groups)
 
@@ -298,7 +298,7 @@ def compared(cfg: DictConfig) -> dict[str, DictConfig]:
     """Configuration for each entry of `deployments`, by the name of the entry; without entries, that of the command
     line.
 
-    An entry is an option of `conf/deployment`, or a name, an option and overrides. From the command line,
+    An entry is an option of `conf/deployment`, or a name, an option and overrides. On the command line,
     `deployment.path` applies to entries with files, and `deployment.count` to all other entries.
 
     Raises:
@@ -327,5 +327,5 @@ def compared(cfg: DictConfig) -> dict[str, DictConfig]:
         words = [*shared, f"deployment={option}", *own]
         composed[name] = _final(recompose(str(HydraConfig.get().job.config_name), words, "deployments", entry))
     if kinds == {PATH} and (unused := [text for key, text in given if key == PATH]):
-        raise InputError(f"{unused[0]} is for none of the deployments {', '.join(composed)}.")
+        raise InputError(f"{unused[0]} belongs to none of the deployments {', '.join(composed)}.")
     return composed

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from .operations.tracking import Tracker
 
-GOING_ON = "the same command goes on with what is in {}"
+GOING_ON = "the same command continues from the results in {}"
 LONGEST = 120  # maximum number of characters of a folder's name; a longer name is cut and ends in a digest
 
 

@@ -121,7 +121,7 @@ def spell_counts(node: DictConfig, tag: DictConfig) -> None:
     edges, counts = tag.get("edges"), [integer("deployment.count", n, low=0) for n in count]
     if edges is None or len(edges) != len(counts):
         sizes = "is not given" if edges is None else f"has {len(edges)}"
-        raise InputError(f"deployment.count = {counts} says how many tags have each of tag.edges, which {sizes}.")
+        raise InputError(f"deployment.count = {counts} must have one number for each of tag.edges, which {sizes}.")
     tag.counts = counts
     node.count = f"+{sum(counts)}" if node.get("fixed") else sum(counts)
 

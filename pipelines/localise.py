@@ -100,9 +100,9 @@ def _map(cfg: DictConfig, tag: "Tag") -> "FixedMap":
 
     node, settings = settings_of(cfg, "deployment"), settings_of(cfg, "localise")
     if "path" not in node:
-        raise InputError("deployment must be a file, deployment.path=tags.csv, or that of a run, run=DIR.")
+        raise InputError("deployment must be a file (deployment.path=tags.csv) or come from a run (run=DIR).")
     if cfg.map is None and node.path is None:
-        raise InputError("map=FILE must be given, a tag map, or run=DIR.")
+        raise InputError("a tag map (map=FILE) or a run (run=DIR) must be given.")
     if cfg.map is not None and node.path is not None and cfg.run is None:
         raise InputError("map and deployment.path both name a map: leave one of the two out.")
     key, path = ("deployment.path", node.path) if cfg.map is None else ("map", cfg.map)

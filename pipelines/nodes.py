@@ -101,7 +101,7 @@ def _refusal(error: Exception, extra: Mapping[str, Any]) -> str:
         return f"{key}: {target[1]} must take the argument {unknown[1]}."
     close = difflib.get_close_matches(unknown[1], takes, 1, LIKENESS)
     likely = f"did you mean {key}.{close[0]}?" if close else f"{target[1]} takes {', '.join(takes) or 'no argument'}"
-    return f"{key}.{unknown[1]} is no setting that is known; {likely}"
+    return f"{key}.{unknown[1]} is not a known setting; {likely}"
 
 
 def plain(node: Any) -> Any:
@@ -119,7 +119,7 @@ def settings_of(cfg: DictConfig, key: str) -> DictConfig:
 
     found = OmegaConf.select(cfg, key)
     if not isinstance(found, DictConfig):
-        raise InputError(f"{key} must be settings or the name of some, got {found!r}.")
+        raise InputError(f"{key} must be a mapping of settings or the name of an option, got {found!r}.")
     return found
 
 

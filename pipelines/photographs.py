@@ -36,18 +36,18 @@ def detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector",
 
     photographs, detections, topic = cfg.photographs, cfg.detections, plain(cfg.topic)
     if (photographs is None) == (detections is None):
-        either = "photographs=DIR, a folder, a video or a bag, or detections=FILE.csv"
-        raise InputError(f"{either} must be given, and not both.")
+        either = "either photographs (a folder, a video or a bag) or detections (a CSV file)"
+        raise InputError(f"{either} must be given.")
     key, source = ("photographs", photographs) if detections is None else ("detections", detections)
     if topic is not None and not is_bag(source):
-        raise InputError(f"topic is for a bag of ROS 2, and {key} is {str(source)!r}.")
+        raise InputError(f"topic is for a bag of ROS 2, but {key} is {str(source)!r}.")
     if detections is not None:
         found = read_detections(detections, topic)
         with keyed(family="tag.family"):
             check_family(detections, found.family, tag.family)
         return without_copies(found if cfg.images is None else with_images(found, cfg.images))
     if cfg.images is not None:
-        raise InputError("images goes with detections=FILE.csv: with photographs it is known which there are.")
+        raise InputError("images is used with detections only: leave it out with photographs.")
     words = {"topic": topic, "rate": cfg.rate, "workers": cfg.workers}
     each = partial(in_batches, cfg.workers)
     with keyed():
@@ -81,7 +81,7 @@ def reader_of(cfg: DictConfig) -> "tuple[str, Detector]":
         raise InputError(f"detectors must name one detector, got {named}.")
     ((name, detector),) = detectors_of(cfg).items()
     if not hasattr(detector, "corner_errors"):
-        raise InputError(f"detectors: {name} does not say corner_errors, how far its corners are off.")
+        raise InputError(f"detectors: {name} has no corner_errors, the errors of its corners.")
     return name, detector
 
 

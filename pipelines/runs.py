@@ -44,7 +44,7 @@ def runs(cfg: DictConfig) -> None:
 
     tracker, last = instantiate(cfg.tracking), integer("last", cfg.last, low=1)
     if not isinstance(tracker, MlflowTracker):
-        raise InputError("runs are read where they were tracked: it needs tracking=mlflow.")
+        raise InputError("the list of runs is read from mlflow: it needs tracking=mlflow.")
     if cfg.sync is not None:
         if not hand_in_below(Path(str(cfg.sync)), tracker.store.uri):
             sys.exit(1)
@@ -62,7 +62,7 @@ def runs(cfg: DictConfig) -> None:
     for run_id, run in table.iterrows():
         if command := going_on(run):
             name = printable(f"{run['name']} ({run_id})")
-            say(f"\n{name} goes on with, by its record:\n{printable(command)}")
+            say(f"\n{name} can be continued with this recorded command:\n{printable(command)}")
     say(f"\nin the browser, while `make ui` runs: {link(cfg.address, tracker.store.experiment_id)}")
 
 
@@ -99,13 +99,13 @@ def hand_in_below(folder: Path, uri: str) -> bool:
     from .operations.tracking.journal import FILE, Journal, hand_in
 
     if not folder.is_dir():
-        raise InputError(f"sync = {str(folder)!r} is no folder.")
+        raise InputError(f"sync = {str(folder)!r} is not a folder.")
     paths, failed, is_named = sorted(folder.rglob(FILE)), False, "tracking.uri" in dict(task_overrides())
     for path in paths:
         try:
             journal = Journal.of(path.parent)
             if journal.store not in (None, uri) and not is_named:
-                raise InputError(f"it is for {journal.store!r}: name tracking.uri, where it shall go.")
+                raise InputError(f"it was recorded for {journal.store!r}: give tracking.uri, the store to send it to.")
             say(printable(hand_in(journal, uri)))
         except InputError as error:
             print(printable(f"error: {path}: {error}"), file=sys.stderr)

@@ -108,7 +108,7 @@ class Source:
             numbers = pd.to_numeric(jobs[key], errors="coerce")
             is_number = numbers.abs() <= LARGEST
             for run_id, value in jobs[key][~is_number].items():
-                note(printable(f"run {run_id} is left out: its {key} is {value!r}, which is no number"))
+                note(printable(f"run {run_id} is left out: its {key} is {value!r}, which is not a number"))
             jobs = jobs[is_number]
         return jobs
 

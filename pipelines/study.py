@@ -117,7 +117,7 @@ def conduct(cfg: DictConfig, study: Study) -> float | None:
             except Stopped:
                 if not is_whole:
                     raise
-                lacking.append("told to stop, it has left out the rest")
+                lacking.append("it was told to stop and has left out the rest")
             records = sorted(path for path in (directory / ".hydra").glob("*") if path.is_file())
             tracker.log_artifacts([*files, *records])
             tracker.finish("KILLED" if is_cut else "FINISHED")

@@ -146,7 +146,7 @@ def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "PriorKnowledg
         floor = tuple(integer("floor", number, low=0) for number in floor)
     node = settings_of(cfg, "deployment")
     if "path" not in node:
-        raise InputError("deployment must be a file, deployment.path=plan.csv, or that of a run, run=DIR.")
+        raise InputError("deployment must be a file (deployment.path=plan.csv) or come from a run (run=DIR).")
     with keyed("deployment", family="tag.family"):
         plan = None if node.path is None else read_deployment(node.path, "path", tag.own_family, **table_in(node))
         fixed = fixed_of(node, tag.own_family)

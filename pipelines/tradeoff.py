@@ -93,7 +93,7 @@ def size(cfg: DictConfig) -> Study:
     criteria, _ = visibility_of(cfg.visibility)
     if others or not isinstance(criteria, Fiducial):
         lack = "one camera: leave camera.rig out" if others else "a detector: it needs visibility=fiducial"
-        raise InputError(f"size is about what is read by {lack}.")
+        raise InputError(f"size needs {lack}.")
     tag.check_edge()
     papers = ((paper, largest_whole(tag.of_size(tag.sizes[0]), paper)) for paper in PAPERS)
     on_sheets = ", ".join(f"{math.floor(1e3 * edge) / 1e3:g} m ({paper})" for paper, edge in papers)
@@ -116,8 +116,10 @@ def _curves(cfg: DictConfig) -> "tuple[str | None, list[float], list[tuple[float
         with keyed(count="counts"):
             counts = sorted({landmark_count("count", count) for count in _listed("counts", cfg.counts)})
         if cfg.tag.get("edges") is not None:
-            cure = "give papers=[...] or budgets=[...] in place of counts; single sizes are given as edges=[...]"
-            raise InputError(f"tag.edges is for tags of several sizes: {cure}.")
+            cure = (
+                "give papers=[...] or budgets=[...] in place of counts, or give edges=[...] for tags of one size each"
+            )
+            raise InputError(f"tag.edges is for mixtures of sizes: {cure}.")
         edges = [cfg.tag.edge or 0.0] if cfg.edges is None else _listed("edges", cfg.edges)
         single = sorted({real("tag.edge" if cfg.edges is None else "edges", edge, low=0.0) for edge in edges})
         return None, [*counts], [(edge,) for edge in single]

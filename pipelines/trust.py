@@ -1,8 +1,8 @@
 """Checks of code named in configurations of other origin, as Hydra would import and call every `_target_`.
 
-A configuration is of other origin if it is neither part of this project nor on the command line: the configuration of
-`run=DIR`, configurations in a tracking store, and the overrides of a resumed run. Such a configuration is read as plain
-data, and checked before any import. docs/trust.md lists the rights of each kind of file.
+A configuration is of other origin if it is neither part of this project nor on the command line. Examples are the
+configuration of `run=DIR`, configurations in a tracking store, and the overrides of a resumed run. Such a configuration
+is read as plain data, and checked before any import. docs/trust.md lists the rights of each kind of file.
 """
 
 import re
@@ -76,14 +76,14 @@ class Trust:
         parts = {group: found[group] for group in groups if found.get(group) is not None}
         for group, part in parts.items():
             if not isinstance(part, dict) or "defaults" in part:  # `defaults` would make Hydra read other files
-                raise InputError(f"{source}: {group} is not written as Hydra writes it.")
+                raise InputError(f"{source}: {group} must be a mapping without the key defaults.")
             self.check(source, group, part)
             length = len(str(part))
             for where, leaf in _leaves(source, group, part, set()):
                 for each in REFERENCE.finditer(str(leaf)):
                     there = str(_place(found, where, each[0][2:-1]))
                     if "${" in there:  # lengths could double with each replacement
-                        raise InputError(f"{source}: {where} leads to a value that leads on ({PAGE}).")
+                        raise InputError(f"{source}: {where} refers to a value that is itself a reference ({PAGE}).")
                     length += len(there)
             bounded(f"characters in {group} after interpolation", length, MOST_CHARACTERS, source)
         return parts
@@ -114,7 +114,7 @@ class Trust:
             if others := {word for word in where.split(".") if SPECIAL.fullmatch(word)} - known:
                 raise InputError(f"{place} has {min(others)}, which no option of {group} has ({PAGE}).")
             if is_target and not (isinstance(leaf, str) and NAME.fullmatch(leaf)):
-                raise InputError(f"{place} is no name of a class or a function ({PAGE}).")
+                raise InputError(f"{place} must name a class or a function ({PAGE}).")
             if is_target and self._trusts(leaf):
                 trusted.append((f"{place} = {leaf[:SHOWN]!r}", leaf))
             elif is_target and leaf not in named:
@@ -122,14 +122,17 @@ class Trust:
                 asked = f"if you trust it, add trust=[{leaf.partition('.')[0]}]"
                 raise InputError(f"{told} search path names; {asked} ({PAGE}).")
             elif isinstance(leaf, str) and "${" in REFERENCE.sub("", leaf):
-                raise InputError(f"{place} = {leaf[:SHOWN]!r} would call a resolver, which no run may ({PAGE}).")
+                raise InputError(f"{place} = {leaf[:SHOWN]!r} would call a resolver, which is not allowed ({PAGE}).")
         for place, leaf in trusted:  # all values are checked before the first import
             try:
                 target = get_object(leaf)
             except Exception:  # an error of the package is reported when the object is built
                 continue
             if not self._trusts(f"{getattr(target, '__module__', '')}.{getattr(target, '__qualname__', '')}"):
-                raise InputError(f"{place} is not defined in what you trust, which only imports it ({PAGE}).")
+                raise InputError(
+                    f"{place} is only imported, not defined, in what you trust: trust the package that defines it "
+                    f"({PAGE})."
+                )
 
     def _texts_of(self, group: str) -> list[str]:
         """Contents of the files of a group, and of command files, which have nodes that are not groups."""
@@ -156,7 +159,7 @@ def read_yaml(file: Path, source: str) -> dict[Any, Any]:
     except Exception as error:  # the parser may raise any error
         raise InputError(f"{source}: '{file}' cannot be read ({' '.join(str(error).split())}).") from None
     if not isinstance(found, dict):
-        raise InputError(f"{source}: '{file}' is no configuration.")
+        raise InputError(f"{source}: '{file}' is not a configuration.")
     return found
 
 
@@ -181,13 +184,13 @@ def _leaves(source: str, key: str, value: Any, seen: set[int]) -> Iterator[tuple
     is_target = key.rpartition(".")[2] == TARGET
     if isinstance(value, Mapping | list | tuple) and not is_target:
         if id(value) in seen:
-            raise InputError(f"{source}: {key} is an alias, which Hydra writes none of.")
+            raise InputError(f"{source}: {key} is a YAML alias, which Hydra never writes.")
         seen.add(id(value))
         for name, inner in value.items() if isinstance(value, Mapping) else enumerate(value):
             if not isinstance(name, str | int | float):
-                raise InputError(f"{source}: {key} has a key that is no text.")
+                raise InputError(f"{source}: {key} has a key that is not a text.")
             yield from _leaves(source, f"{key}.{name}", inner, seen)
     elif isinstance(value, PLAIN) or is_target:
         yield key, value
     else:
-        raise InputError(f"{source}: {key} is no plain value.")
+        raise InputError(f"{source}: {key} is not a plain value.")

@@ -138,14 +138,14 @@ def test_it_is_said_once_that_there_is_no_compiled_half(capsys):
     told = capsys.readouterr()
     assert told.out == ""
     (line,) = told.err.splitlines()
-    assert line.startswith("note: Plain has no compiled half, so its NumPy decides: an evaluation takes some 100 times")
+    assert line.startswith("note: Plain is not compiled, so its NumPy code is used: an evaluation takes some 100 times")
     assert line.endswith('; see docs/extend.md, "Compile a criterion"')
 
 
 def test_bounds_say_that_they_need_the_compiled_half():
     problem, search = alone(), Search(1.0, 10, 0.1)
     for bound in (affordable, average_upper_bound, fitness_upper_bound):
-        with pytest.raises(InputError, match=r"^an upper bound needs the compiled half of Plain, which has none"):
+        with pytest.raises(InputError, match=r"^an upper bound needs a compiled visibility model, but Plain has no"):
             bound(problem, 10, search)
 
 

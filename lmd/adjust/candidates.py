@@ -59,7 +59,9 @@ def single_poses(sightings: Sightings) -> SinglePoses:
         if not turn:
             tag = f"tag {sightings.ids[sightings.tag[index]]}"
             raise InputError(
-                f"detections: the corners of {tag} form no square in a frame; list them around the tag.", "detections"
+                f"detections: the corners of {tag} do not form a square in a frame; list them in their order around "
+                f"the tag.",
+                "detections",
             )
         turns[index], ways[index] = (np.reshape([each[0], each[-1]], (2, 3)) for each in (turn, way))
     found = pose_of(exp(turn_twist(turns))[..., :3, :3], ways)
@@ -222,7 +224,9 @@ def measured_mounts(views: FloatArray, mounts: FloatArray) -> tuple[FloatArray, 
         least = np.maximum((OFF_RAD, OFF_M), np.linalg.norm(sure, axis=1))
         if (np.linalg.norm(off.reshape(2, 3), axis=1) > least).any():
             found[camera] = middle
-            doubts.append(mount_doubt(camera, off, f"by {len(between)} frames in which camera 1 sees tags, too"))
+            doubts.append(
+                mount_doubt(camera, off, f"as estimated from {len(between)} frames in which camera 1 sees tags, too")
+            )
     return found, doubts
 
 
@@ -230,4 +234,4 @@ def mount_doubt(camera: int, off: FloatArray, by: str) -> str:
     """Sentence on a camera whose measured pose is a twist `off` `(6,)` away from its mount."""
     turn, way = np.linalg.norm(off.reshape(2, 3), axis=1)
     where = f"camera {camera + 1} is {1e3 * way:.0f} mm and {np.degrees(turn):.3g} degrees from its mount, {by}"
-    return f"{where}: is the rig right in sign, unit and order?"
+    return f"{where}; check the signs, units and order of the poses of the rig"

@@ -2,11 +2,10 @@
 
 A sighting has 8 residuals e, pixels, see `lmd.adjust.sightings`. Errors are modelled by a multivariate Student
 distribution with nu degrees of freedom. With chi^2 = |e|^2 / sigma^2 of d residuals, the robust loss is (nu + d) / 2
-log(1 + chi^2 / nu), and the weight in iteratively reweighted least squares is (nu + d) / (nu + chi^2).
+log(1 + chi^2 / nu). The weight in iteratively reweighted least squares is (nu + d) / (nu + chi^2).
 
-The variance of a coordinate of a corner is the sum of the detector's variance and of the squared *floor*, which stands
-for errors of lenses and bodies. The floor is estimated so that the weighted mean of chi^2 has the value expected for
-normal errors.
+The variance of a corner's coordinate is the detector's variance plus the squared *floor*, which stands for errors of
+lenses and bodies. The floor is estimated so that the weighted mean of chi^2 has the value expected for normal errors.
 
 Source: Lange et al., "Robust Statistical Modeling Using the t Distribution".
 """

@@ -8,9 +8,9 @@ The spread s of a motion is estimated by maximum evidence: with theta = log s^2,
 where chi^2 and Q are the errors of the links and their covariance, and H is the matrix of all unknowns. The prior of s
 has the weight of `ASSUMED_LINKS` links.
 
-Errors of a constant velocity across gaps are measured in stretches of the drive without gaps. For two frames that are
-as far apart as the gap is long, the velocities before and after predict the relative pose. The error of the prediction
-is the difference from the relative pose that the frames in between give.
+Errors of a constant velocity across gaps are measured in pieces of the drive without gaps. For two frames that are as
+far apart as the gap is long, the velocities before and after predict the relative pose. The error of the prediction is
+the difference from the relative pose that the frames in between give.
 
 The smoothest sequence of poses decides between two poses of a frame that look alike (Viterbi).
 

@@ -105,8 +105,8 @@ class Estimate:
                 break
             if not used.any():
                 raise InputError(
-                    "detections: no two tags of a frame agree with one pose of the camera; are the corners in another "
-                    "order, or the calibration another one?",
+                    "detections: no two tags of a frame agree with one pose of the camera; check the order of the "
+                    "corners and the calibration.",
                     "detections",
                 )
             joint = Adjustment(sightings.of(used), prior, inflation=self.inflation)

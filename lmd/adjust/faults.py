@@ -3,9 +3,9 @@
 *Second poses* are poses on which several outliers of a tag agree: the tag was moved, or two tags have its id.
 
 *Sizes* follow from images that show two tags, as the distance between the tags is constant. Let s be the ratio of the
-edges of tag b and tag a over the stated ratio, and let t_a and t_b be the centres in a camera's frame that follow from
-the stated edges. Then |s t_b - t_a| is constant over images from different places. The ratios of all pairs give the
-size of each tag relative to most others.
+edges of tag b and tag a over the stated ratio. Let t_a and t_b be the centres in a camera's frame that follow from the
+stated edges. Then |s t_b - t_a| is constant over images from different places. The ratios of all pairs give the size of
+each tag relative to most others.
 """
 
 from dataclasses import dataclass, replace
@@ -97,8 +97,9 @@ def _change(first: IntArray, second: IntArray) -> int | None:
 
 
 def odd_sizes(sightings: Sightings, single: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Factor on the stated edge of each tag, `(K,)`, and mask of the tags whose size must be estimated, `(K,)`: tags
-    with a factor other than 1 and, if there are such tags, also tags without a known ratio.
+    """Factor on the stated edge of each tag, `(K,)`, and mask of the tags whose size must be estimated, `(K,)`.
+
+    These are the tags with a factor other than 1 and, if there are such tags, also tags without a known ratio.
 
     Args:
         sightings: sightings in which each camera is a body of its own.

@@ -27,9 +27,9 @@ def diagonal_blocks(covariance: FloatArray, size: int = 6) -> FloatArray:
 def gauge_free(tags: FloatArray) -> FloatArray:
     """Matrix L `(6 n, 6 n)` that removes the best-fitting motion of the whole map from the twists of n tags.
 
-    Let T `(6 n, 6)` be the twists of all tags due to a motion of the world, T_p and x_p the rows of T and of the twists
-    x that belong to the centres. The motion that fits x best is g = T_p^+ x_p, so L x = x - T g. If P is the covariance
-    of the twists, L P L^T is the covariance of the tags relative to each other.
+    Let T `(6 n, 6)` be the twists of all tags due to a motion of the world. T_p and x_p are the rows of T and of the
+    twists x that belong to the centres. The motion that fits x best is g = T_p^+ x_p, so L x = x - T g. If P is the
+    covariance of the twists, L P L^T is the covariance of the tags relative to each other.
 
     Args:
         tags: poses of the tags, `(n, 4, 4)`.

@@ -7,14 +7,14 @@ frames. A frame that shows a single tag thus places the tag relative to the tags
   i is r = log((O_i^-1 O_j)^-1 T_i^-1 T_j). Each short step adds independent errors of rotation and translation, with a
   covariance Q in proportion to the step's length; errors propagate to frame j. With the sum C of Ad_O Q Ad_O^T over all
   steps, the covariance of r is Ad_O_j^-1 (C_j - C_i) Ad_O_j^-T. The bias b per metre, a twist for scale and heading, is
-  an unknown of the drive: with the sum B of Ad_O times the length of each step, r contains Ad_O_j^-1 (B_j - B_i) b.
+  an unknown of the drive. With the sum B of Ad_O times the length of each step, r contains Ad_O_j^-1 (B_j - B_i) b.
 - *Constant velocity*: the velocity u in the world and the turn rate w of the body change by white noise, and are
   unknowns of each frame. A link over dt has the errors phi - dt w_i, p_j - p_i - dt u_i, w_j - w_i, u_j - u_i with phi
   = log(R_i^T R_j), and the covariance s^2 [dt^3 / 3, dt^2 / 2; dt^2 / 2, dt]. The model has the velocity in the world,
   as a camera carried straight ahead may turn on the way.
 
 Real bodies are not driven by white noise, so the errors across long gaps do not follow from the errors of short links.
-They are measured in pieces of the drive without gaps, see `lmd.adjust.drive`.
+These errors are measured in pieces of the drive without gaps, see `lmd.adjust.drive`.
 
 Source: Barfoot, "State Estimation for Robotics".
 """
@@ -140,8 +140,8 @@ class Links:
         return np.asarray(np.einsum("mi,mij,mj->m", error, self.information, error))
 
     def loss(self, poses: FloatArray) -> float:
-        """Sum of the losses of the links and of the bias at poses of the frames, `(F, 4, 4)`; the loss is robust
-        against large errors of odometry, as wheels slip.
+        """Loss of the links and of the bias at poses of the frames, `(F, 4, 4)`; the loss is robust against large
+        errors of odometry, as wheels slip.
         """
         at = self.at(poses)
         squares, bias = self.squares(at.error), float(at.bias @ at.bias)
@@ -163,8 +163,8 @@ class Links:
         off = float((self.squares(at.error) > MOST_SQUARE).mean())
         if off > MOST_OFF or np.abs(at.bias).max() > MOST_BIAS:
             raise InputError(
-                "odometry does not move as the images do: does it need a mount or frame=body, as it describes a body "
-                "and not the (first) camera, or is it of another drive?",
+                "odometry moves differently from the images: give mount or frame=body if its poses are of a body and "
+                "not of the (first) camera, and check that it is of this drive.",
                 "odometry",
             )
 
@@ -204,8 +204,8 @@ class Motion:
         if 2 * covered.sum() < len(times):
             there = f"{np.nanmin(times):.10g} to {np.nanmax(times):.10g} s" if np.isfinite(times).any() else "no time"
             raise InputError(
-                f"odometry has poses from {own[0]:.10g} to {own[-1]:.10g} s, but the frames have {there}: it must be "
-                "of the same drive and clock.",
+                f"odometry has poses from {own[0]:.10g} to {own[-1]:.10g} s, but the frames have {there}: give "
+                f"odometry of the same drive and clock.",
                 "odometry",
             )
         steps = log(inverse(poses[:-1]) @ poses[1:])

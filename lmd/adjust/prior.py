@@ -1,8 +1,8 @@
 """Prior of the unknowns of a bundle adjustment: tags, printed sheets, mounts, motion.
 
 *Sheets* hold several tags. The poses of the tags on a sheet are known; the pose of the sheet is not. Tag k has the pose
-R_k on its sheet (x to the right, y up, z out of the sheet) and the pose T_k = B R_k exp(d_k) in the world, where B is
-the pose of the sheet and d_k a twist due to printing and bending. B is eliminated, so sheets are not unknowns of the
+R_k on its sheet (x to the right, y up, z out of the sheet) and the pose T_k = B R_k exp(d_k) in the world. B is the
+pose of the sheet, and d_k a twist due to printing and bending. B is eliminated, so sheets are not unknowns of the
 bundle adjustment. With A_k = Ad(R_k^-1) and the information D of d, the tags of a sheet have the joint information D -
 D A (A' D A)^-1 A' D.
 """

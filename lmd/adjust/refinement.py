@@ -6,7 +6,7 @@ All nuisance parameters have priors, so that the covariance of the poses account
 projection.
   The derivative of e by theta is d pi(p, theta) / d theta. Each step recomputes the directions.
 - *Shifts*: blur and exposure move all edges in the images of a camera inward or outward by s_1 + s_2 (2 / pitch)^2
-  pixels, in addition to the measured shift of the detector. Tags then look smaller or larger.
+  pixels. This adds to the measured shift of the detector. Tags then look smaller or larger.
 - *Shapes*: see `lmd.adjust.sightings.SHAPES`. The standard deviation of shapes is estimated by
   expectation-maximisation, as the root of the mean of squares plus variances.
 """

@@ -157,7 +157,7 @@ def outside_doubts(seen: "Observations") -> list[str]:
             size = f"{camera.image_width:g} x {camera.image_height:g} pixels"
             some = f"{beyond.sum()} of {len(beyond)} detections of camera {index + 1}"
             doubts.append(
-                f"{some} are not within its image of {size}: is it the calibration of another camera or size?"
+                f"{some} lie outside its image of {size}; check that the calibration is of this camera and image size"
             )
     return doubts
 
@@ -186,7 +186,7 @@ class Observations:
     def __post_init__(self) -> None:
         if len(self.optics) != len(self.detected.cameras):
             named = ", ".join(map(repr, self.detected.cameras))
-            raise InputError(f"cameras must be one for each of {named}, got {len(self.optics)}.", "cameras")
+            raise InputError(f"cameras must have one camera for each of {named}, got {len(self.optics)}.", "cameras")
 
     def renumbered(self, quarters: IntArray | int) -> "Observations":
         """Detections whose first corner moves back by `quarters` corners: one number for each tag, `(K,)`, or for all

@@ -87,7 +87,7 @@ class Body(Checked):
         if not names:
             raise InputError("boxes must have a face that may carry cameras.", "boxes")
         if len(set(names)) < len(names):
-            raise InputError("boxes must have a name each, or two faces have the same one.", "boxes")
+            raise InputError("boxes have two faces of the same name; give each box a name of its own.", "boxes")
         check_surfaces(self._keep_outs, names)
         self.surfaces()
 
@@ -126,7 +126,7 @@ class Body(Checked):
             if not free.is_empty:
                 left.append(face.where(free))
         if not left:
-            raise InputError("boxes leave no place for a camera, with the margin and the keep-outs.", "boxes")
+            raise InputError("boxes leave no place for a camera outside the margin and the keep-outs.", "boxes")
         return tuple(left)
 
     def own_part(self, centre: FloatArray, rays: FloatArray) -> float:

@@ -122,8 +122,8 @@ class MountSpace(Checked):
             if len(genes) == self.count:
                 return np.stack(genes)
         raise InputError(
-            f"count = {self.count} cameras find no places on the body where they are {self.apart:g} m apart and do not "
-            "see it.",
+            f"count = {self.count} cameras do not fit on the body: they must be {self.apart:g} m apart and must not "
+            f"see the body.",
             "count",
         )
 
@@ -152,7 +152,9 @@ class MountSpace(Checked):
             there = self.mount(genes)
             if there is None or not _alike(there, mount):
                 raise InputError(
-                    f"rig[{i}] is not where and how a camera may be mounted, so it cannot be a start.", "rig"
+                    f"rig[{i}] has a position or direction in which no camera may be mounted, so the search cannot "
+                    f"start from it.",
+                    "rig",
                 )
         return np.stack(found)
 

@@ -238,7 +238,7 @@ def bounded(what: str, number: float, most: float, source: str, argument: str | 
         argument: name of the argument that is the cause.
     """
     if not number <= most:
-        raise InputError(f"{source} has {number:.9g} {what}, and at most {most:.9g} are taken.", argument)
+        raise InputError(f"{source} has {number:.9g} {what}; at most {most:.9g} are allowed.", argument)
 
 
 def check_members(name: str, part: Any, protocol: type, page: str) -> None:
@@ -256,7 +256,7 @@ def check_members(name: str, part: Any, protocol: type, page: str) -> None:
     lacking = [member for member in absent if not hasattr(part, member)]
     if lacking:
         kind = f"{type(part).__module__}.{type(part).__qualname__}"
-        raise InputError(f"{name} is a {kind}, which has no {', '.join(lacking)}; {page} has what is needed.", name)
+        raise InputError(f"{name} is a {kind}, which lacks {', '.join(lacking)}; see {page}.", name)
 
 
 def returned(part: Any, method: str, value: Any, *shape: int | None, truth: bool = False) -> Any:

@@ -28,7 +28,7 @@ class CompileClock:
         self._began = self._spent = 0.0
         self._kernels = 0  # number of kernels whose compilation has begun
         self._thresholds = gc.get_threshold()
-        self.cache_note = "it is kept for the next time"  # part of the message about the first compilation
+        self.cache_note = "they are cached for the next run"  # part of the message about the first compilation
 
     @contextmanager
     def stopped(self, function: Any) -> Iterator[None]:
@@ -53,7 +53,7 @@ class CompileClock:
     def _print_progress(self, function: Any) -> None:
         from tqdm import tqdm
 
-        lines = [] if self._kernels else [f"compiling what this needs; {self.cache_note}"]
+        lines = [] if self._kernels else [f"compiling kernels; {self.cache_note}"]
         self._kernels += 1
         lines.append(
             f"compiling kernel {self._kernels}, {self._spent:.0f} s so far: {name_of(function).partition(' (')[0]}"
@@ -93,8 +93,8 @@ class TimedCompiler(Compiler):
         held = counted and not isinstance(returned, types.BaseTuple)
         if not (self.returns_arrays or held) and models[returned].contains_nrt_meminfo():
             raise TypeError(
-                f"{name_of(func)} returns arrays that nothing would hold: write to arrays that it is given, or return "
-                "numbers."
+                f"{name_of(func)} returns arrays, which would be freed too early: write to arrays given as arguments, "
+                f"or return numbers."
             )
         return result
 

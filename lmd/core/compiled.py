@@ -28,7 +28,7 @@ def _inside() -> Any:
     try:
         from lmd.core import inside_numba
     except (AttributeError, ImportError):
-        CLOCK.cache_note = "it cannot be kept with this version of numba"
+        CLOCK.cache_note = "they cannot be cached with this version of numba"
         return None
     return inside_numba
 
@@ -91,7 +91,7 @@ def _made_kernel(function: F, options: Any) -> F:
         try:
             compiled._cache = _numba.Cache(function)  # as njit(cache=True), with another cache class
         except RuntimeError:  # no folder is writable
-            CLOCK.cache_note = "it cannot be kept, as no folder can be written to; NUMBA_CACHE_DIR=DIR names one"
+            CLOCK.cache_note = "they cannot be cached, as no cache folder is writable; set NUMBA_CACHE_DIR to a folder"
     made: F = compiled
     return made
 
@@ -112,8 +112,8 @@ def inlined(function: F) -> F:
     """Like `inner`, but LLVM inlines the function regardless of its size.
 
     Then LLVM vectorises loops that call the function, and moves invariant terms out of the loops. An inlined function
-    also saves the passing of arguments: a field, a state and a scratch are hundreds of numbers, and passing these at
-    each position would take longer than the function's work.
+    also saves the passing of arguments. A field, a state and a scratch are hundreds of numbers; passing these at each
+    position would take longer than the function's work.
     """
     return _made_inner(function, _INNER, _UNCOUNTED | _INLINED)
 

@@ -25,8 +25,8 @@ LARGEST_YAML = 1 << 19
 
 # Binary formats by their first bytes, with advice on converting them to text.
 _BINARIES = {
-    b"PK\x03\x04": "an archive, such as NumPy's .npz: write what it holds as text",
-    b"\x93NUMPY": "an array of NumPy: write what it holds as text",
+    b"PK\x03\x04": "an archive, such as NumPy's .npz: write its contents as text",
+    b"\x93NUMPY": "a NumPy array: write its contents as text",
     b"MATLAB": "a file of MATLAB: for a calibration writelines(jsonencode(toStruct(cameraParams)), 'lens.json')",
     b"\x80\x04": "a pickle of Python, which may run code: write it by numpy.savez('lens.npz', mtx=mtx, dist=dist)",
     b"SQLite format 3": "a database, such as a bag of ROS 2: play it, and ros2 topic echo --csv TOPIC > drive.csv",
@@ -62,7 +62,7 @@ def read_bytes(path: Any, name: str, largest: float = math.inf, first: int | Non
                 raise InputError(f"{refused}: it is {kind}.", name)
             size = status.st_size if first is None else min(first, status.st_size)
             if size > largest:
-                raise InputError(f"{refused}: it has {size:.4g} bytes, and at most {largest:.4g} are taken.", name)
+                raise InputError(f"{refused}: it has {size:.4g} bytes; at most {largest:.4g} are allowed.", name)
             check_memory(MEMORY_PER_BYTE * size, f"{name}: {str(path)!r}, of {size:.4g} bytes,", name)
             with os.fdopen(descriptor, "rb", closefd=False) as file:
                 return file.read(size)
@@ -132,7 +132,7 @@ def parse_keys(path: Any, text: str, name: str) -> dict[str, Any]:
     is_json = plain.lstrip().startswith("{")
     try:
         if not is_json and len(text) > LARGEST_YAML:
-            raise ValueError(f"it has {len(text):.4g} characters, and at most {LARGEST_YAML:.4g} are taken")
+            raise ValueError(f"it has {len(text):.4g} characters; at most {LARGEST_YAML:.4g} are allowed")
         keys = json.loads(_without(_LAST_COMMA, plain)) if is_json else _yaml(_from_opencv(text))
     except Exception as error:  # a parser of a broken file may raise anything
         reason = " ".join(str(error).split())
@@ -174,7 +174,7 @@ _Loader.add_implicit_resolver(
 def _integer(loader: Any, node: Any) -> int:
     """Read an integer; YAML's base-60 integers and integers too long to print are refused."""
     if ":" in node.value:
-        raise ValueError(f"{node.value[:20]!r} is no number")
+        raise ValueError(f"{node.value[:20]!r} is not a number")
     value = loader.construct_yaml_int(node)
     str(value)
     return int(value)
@@ -193,7 +193,7 @@ def check_aliases(text: str) -> None:
     """Raise `ValueError` if YAML with expanded aliases has more values than the text has characters."""
     root = yaml.compose(text, _Loader)
     if root is not None and (values := _values(root, {})) > len(text):
-        raise ValueError(f"its aliases stand for {values:.4g} values")
+        raise ValueError(f"its aliases stand for {values:.4g} values, more than its {len(text)} characters")
 
 
 def _values(node: Any, known: dict[int, float]) -> float:

@@ -141,7 +141,10 @@ class InnerCompiler(KernelCompiler):
         """
         result = super().compile_extra(func)
         if any("missing Environment" in str(each) for each in result.library._final_module.global_variables):
-            raise TypeError(f"{name_of(func)} prints, or uses objects of Python, which only a kernel may do.")
+            raise TypeError(
+                f"{name_of(func)} prints or uses Python objects; only a kernel may do this, not a function that "
+                f"kernels call."
+            )
         return result
 
 

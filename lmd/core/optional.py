@@ -74,7 +74,7 @@ def lack_of(target: str) -> str:
             return f"{lacks}; {hint}".rstrip("; ")
         except Exception as error:  # a user's module may raise any error
             return f"{target} cannot be imported: {failure(error)}"
-    return f"{target} is no class and no function"
+    return f"{target} is neither a class nor a function"
 
 
 def _short(path: str | Path) -> str:

@@ -150,7 +150,7 @@ def csv_rows(path: Any, lines: Sequence[tuple[int, str]], name: str) -> list[tup
         raise InputError(f"{name}: {str(path)!r} cannot be read as CSV ({error}).", name) from None
     first = rows[0][1] if rows else []
     if len(first) == 1 and ";" in first[0]:  # spreadsheets write semicolons in locales with a decimal comma
-        raise InputError(f"{path} has semicolons between its columns: save it with commas, and with points in numbers.")
+        raise InputError(f"{path} has semicolons between its columns: save it with commas, and with decimal points.")
     if len(first) > MOST_COLUMNS:
         raise InputError(f"{path} has {len(first)} columns, more than {MOST_COLUMNS}; the first line is its header.")
     return rows

@@ -82,8 +82,8 @@ def _alone(function: Callable[[Job], Result], job: Job, name: Callable[[Job], st
             return pool.submit(function, job).result()
         except BrokenProcessPool:
             raise InputError(
-                f"workers: the process that worked on {name(job)} was killed, even with nothing beside it; is there "
-                "too little memory?",
+                f"workers: the process that worked on {name(job)} was killed, even when it ran alone; there may be too "
+                f"little memory.",
                 "workers",
             ) from None
 
@@ -107,7 +107,7 @@ def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
         pool = ProcessPoolExecutor(workers, multiprocessing.get_context("forkserver"), _begin)
     except OSError as error:  # if /dev/shm is missing or full
         raise InputError(
-            f"workers need semaphores of the system ({error}); workers=1 does without.", "workers"
+            f"workers need semaphores of the operating system ({error}); set workers=1.", "workers"
         ) from None
     try:
         yield pool

@@ -166,7 +166,7 @@ def fit(views: TagViews, rng: np.random.Generator, margin: float) -> Fit:
     else:
         moments = np.unique(views.placed.moment)
         if len(moments) < 2:
-            raise InputError("views must be of images at two times at least, got one.")
+            raise InputError("views must be of images at two or more times, got one time.")
         early = views.placed.moment < moments[len(moments) // 2]
         train, held_out = views[early], views[~early]
     limits, circles = _best(train, margin)

@@ -222,7 +222,7 @@ class MeasuredCorners:
             InputError: there are fewer than `LEAST_TAGS` tags.
         """
         if len(pitch) < LEAST_TAGS:
-            raise InputError(f"frames: {len(pitch)} tags were detected, and {LEAST_TAGS} are needed.", "frames")
+            raise InputError(f"frames: {len(pitch)} tags were detected, but {LEAST_TAGS} are needed.", "frames")
         unit, count = inward(image), len(pitch)
         shift = (error * unit).sum(axis=(1, 2)) / (unit**2).sum(axis=(1, 2))
         rows, relative = [], np.empty_like(error)

@@ -80,7 +80,7 @@ def read_family(name: str, value: Any, table: str, other: str) -> str:
     family, known = family_named(value), [name for name, kind in FAMILIES.items() if getattr(kind, table)]
     if family in FAMILIES and family not in known:
         reader = f"_target_={__name__}.{other.replace('U', 'u')}Detector"
-        raise InputError(f"{name} {family} is one of {other}'s, which only {reader} reads.", name)
+        raise InputError(f"{name} {family} belongs to {other}: only {reader} reads it.", name)
     return choice(name, family, known)
 
 
@@ -210,7 +210,7 @@ def match(
 ) -> Matches:
     """Assign the detections of one frame to tags by id and corners.
 
-    Of several detections of one tag, the detection nearest to the tag is assigned; the others are false.
+    If a tag has several detections, the nearest one is assigned to the tag; the others are false.
 
     Args:
         detections: detections of the frame.

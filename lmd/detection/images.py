@@ -94,7 +94,7 @@ class Photographs:
     def remarks(self) -> list[str]:
         """See `Images.remarks`."""
         left = self.unread
-        return [f"{len(left)} images of {str(self.folder)!r} are not read, such as {left[0]}"] if left else []
+        return [f"{len(left)} images of {str(self.folder)!r} have an unread format, such as {left[0]}"] if left else []
 
     @property
     def names(self) -> list[str]:
@@ -162,7 +162,7 @@ def read_image(path: Path, camera: Camera, argument: str) -> UInt8Array:
 def wrong_size(path: Path, argument: str, written: tuple[int, ...], size: tuple[int, int]) -> InputError:
     """Error about an image or a video whose size differs from the camera's."""
     found, needed = (" x ".join(map(str, pair)) for pair in (written, size))
-    return InputError(f"{argument}: {str(path)!r} has {found} pixels, the camera {needed}.", argument)
+    return InputError(f"{argument}: {str(path)!r} has {found} pixels, but the camera has {needed}.", argument)
 
 
 def pixels_of(content: bytes) -> tuple[int, ...] | None:

@@ -122,11 +122,13 @@ class BagImages(Checked):
 
     def _converted(self, message: Any, stamp: str) -> UInt8Array:
         if message.encoding not in ENCODINGS:
-            raise self.bag.refused(f"has images of the encoding {message.encoding!r}; read are {', '.join(ENCODINGS)}")
+            raise self.bag.refused(
+                f"has images of the encoding {message.encoding!r}; it must be one of {', '.join(ENCODINGS)}"
+            )
         bytes_each, conversion = ENCODINGS[message.encoding]
         data, row = np.asarray(message.data, dtype=np.uint8), message.width * bytes_each
         if message.step < row or len(data) != message.step * message.height or not len(data):
-            raise self.bag.refused(f"has an image at {stamp} s with {len(data)} bytes, other than its size says")
+            raise self.bag.refused(f"has an image at {stamp} s with {len(data)} bytes, which do not match its size")
         rows = data.reshape(message.height, message.step)[:, :row]
         if message.encoding in DEEP:
             return np.ascontiguousarray(rows[:, (0 if message.is_bigendian else 1) :: 2])
@@ -185,7 +187,7 @@ def detected_in_photographs(
         folders = [entry for entry in folder_entries(given, "photographs") if os.path.isdir(entry)]
         if len(folders) != len(cameras):
             text = f"photographs must be a folder with one folder for each of {len(cameras)} cameras"
-            raise InputError(f"{text}, {str(given)!r} has {len(folders)}.")
+            raise InputError(f"{text}, but {str(given)!r} has {len(folders)}.")
         views = {printable(folder.name): Photographs(folder, "photographs") for folder in folders}
     parts = {
         name: detected_in(images, camera, detector, modules, each, workers)

@@ -85,7 +85,7 @@ def only(cameras: Sequence[Camera]) -> Camera:
         InputError: there are several cameras.
     """
     if len(cameras) > 1:
-        raise InputError(f"views are those of a single camera, not of a rig of {len(cameras)}.")
+        raise InputError(f"views must be of a single camera, not of a rig of {len(cameras)}.")
     return cameras[0]
 
 
@@ -102,9 +102,9 @@ class SurveyedViews:
 
     def __post_init__(self) -> None:
         if self.folder is None:
-            raise InputError("folder is missing: that of a survey is needed.", "folder")
+            raise InputError("folder is missing: give the folder of a survey.", "folder")
         if not (Path(self.folder) / FILE).is_file():
-            raise InputError(f"folder: {str(self.folder)!r} is no survey: it holds no {FILE}.", "folder")
+            raise InputError(f"folder: {str(self.folder)!r} is not a survey: it has no {FILE}.", "folder")
 
     @property
     def photographs(self) -> int:

@@ -112,9 +112,9 @@ class Video(Checked):
         """See `Images.remarks`."""
         index, remarks = self._index, []
         if index.stated > len(index.times) + ROUNDED:
-            remarks.append(f"ends after {len(index.times)} of the {index.stated} frames that it says it has")
+            remarks.append(f"ends after {len(index.times)} of the {index.stated} frames that its header states")
         if not index.is_timed:
-            remarks.append(f"has no times: {index.rate:g} frames a second are taken, as OpenCV says")
+            remarks.append(f"has no times: OpenCV's rate of {index.rate:g} frames a second is assumed")
         return [f"{str(self.path)!r} {remark}" for remark in remarks]
 
     @property
@@ -142,7 +142,7 @@ class Video(Checked):
         finally:
             video.release()
         if not 0.0 < rate < np.inf:
-            raise self._unread("it has neither times nor a number of frames a second")
+            raise self._unread("it has neither times nor a frame rate")
         seconds = [time / 1e3 for time in times] if is_timed else [number / rate for number in range(len(times))]
         return _Index(seconds, rate, int(stated) if 0.0 < stated < MOST_FRAMES else 0, is_timed, seeks)
 
@@ -263,10 +263,10 @@ def refusal(head: bytes) -> str:
     """Reason to refuse a file that begins with `head`: predicate of a sentence about the file."""
     read = ", ".join(dict.fromkeys(kind.name for kind in CONTAINERS))
     if IMAGE.match(head):
-        return "is one image: a folder of photographs is read, or a video."
-    what = "does not begin as a video does" if head else "is empty"
+        return "is a single image: give a folder of photographs, or a video."
+    what = "does not begin like a video" if head else "is empty"
     if head and b"\0" not in head:
         with suppress(UnicodeDecodeError):
             codecs.getincrementaldecoder("utf-8")().decode(head)  # the last character may be cut
-            what = "is a text, as playlists are, which name other files"
-    return f"cannot be read as a video: it {what}; read are {read}."
+            what = "is a text, such as a playlist, which names other files"
+    return f"cannot be read as a video: it {what}; give {read}."

@@ -1,7 +1,7 @@
 """Laws for filters: standard deviations of the pose as functions of the distance and the number of tags.
 
 A law is sd = a d^b / n^c with the mean distance d [m] of the n tags in view. There is one law for a single tag and one
-for several tags: with one tag the position follows from the apparent size and tilt of a small square, with several tags
+for several tags. With one tag the position follows from the apparent size and tilt of a small square, with several tags
 from the angles between the tags. b and c are fitted by least squares to log sd. The scale a is the root mean square of
 sd / (d^b / n^c), so that errors normalised by the law have the mean square 1 over all views.
 

@@ -57,7 +57,7 @@ def filtered(
     if not isinstance(odometry, Odometry):
         raise InputError(f"odometry must be Odometry, got {odometry!r}.", "odometry")
     if scene.crowd is not None:
-        raise InputError("an objective along drives has no crowd in the way: leave it out.")
+        raise InputError("an objective along drives cannot have a crowd: leave visibility.crowd out.")
     count, others = integer("drives", drives, low=1), integer("fresh", fresh, low=0)
     every, length = integer("held_out", held_out, low=2), real("block", block, above=0.0)
     if scene.recorded is not None:
@@ -110,7 +110,7 @@ def _divided(parts: Sequence[Trajectory], every: int) -> tuple[list[Trajectory],
     if not kept:
         raise InputError(
             f"block: the recording gives {len(parts)} drives, but every {every}th is held out for the validation; "
-            "shorter blocks make more.",
+            f"shorten the blocks.",
             "block",
         )
     return [part for i, part in enumerate(parts) if i % every != every - 1], kept

@@ -2,10 +2,10 @@
 
 Consistency of estimators: normalised estimation errors squared (NEES) and their chi-square intervals.
 
-An estimate Xh with the covariance S of the body twist (w, v) of its error Xh^-1 X = exp(w, v) is consistent if (w, v)^T
-S^-1 (w, v) follows the chi-square distribution with 6 degrees of freedom. The blocks of S give the squares of rotation
-and of position, with 3 degrees of freedom each. See Y. Bar-Shalom, X. R. Li and T. Kirubarajan, "Estimation with
-applications to tracking and navigation", 2001, section 5.4.
+Let S be the stated covariance of the body twist (w, v) of the error Xh^-1 X = exp(w, v) of an estimate Xh. The estimate
+is consistent if (w, v)^T S^-1 (w, v) follows the chi-square distribution with 6 degrees of freedom. The blocks of S
+give the squares of rotation and of position, with 3 degrees of freedom each. See Y. Bar-Shalom, X. R. Li and T.
+Kirubarajan, "Estimation with applications to tracking and navigation", 2001, section 5.4.
 """
 
 from collections.abc import Callable, Iterator, Sequence

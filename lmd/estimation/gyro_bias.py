@@ -5,7 +5,7 @@ The state is a pose T and a constant bias b of the measured body twist w, whose 
     T' = T (w - b - n),    b' = walk,    y_i = T^-1 C_i + noise.
 
 Both filters are extended Kalman filters of 12 numbers, and predict by Th <- Th exp(h (w - bh)), which is exact for
-constant w and b. They differ in the coordinates of the error (ad, Ad and J are those of `lmd.geometry.se3`).
+constant w and b. The filters differ in the coordinates of the error (ad, Ad and J are those of `lmd.geometry.se3`).
 
 **Equivariant filter** (P. van Goor, T. Hamel and R. Mahony, "Equivariant filter (EqF)", IEEE Trans. Automatic Control
 68 (6), 2023; A. Fornasier et al., "Overcoming bias: equivariant filter design for biased attitude estimation with

@@ -17,11 +17,12 @@ def paired(figures: pd.DataFrame) -> pd.DataFrame:
         figures: `FlightStudy.figures`, one row for each deployment, estimator and seed.
 
     Returns:
-        A row for each estimator and each other deployment, with the columns `estimator`, `deployment`, `against`;
-        `flights`, the number of flights with estimates for both deployments; `position_ratio`, the median over these
-        flights of the ratio of the position errors; `position_better`, the number of flights in which the other
-        deployment has the smaller error; `within_20mm_gain`, the mean difference of the shares of frames within 20 mm;
-        `position_p` and `within_20mm_p`, two-sided p-values of the Wilcoxon signed-rank test. NaN without a flight.
+        A row for each estimator and each other deployment, with the columns `estimator`, `deployment`, `against`.
+        `flights` is the number of flights with estimates for both deployments. `position_ratio` is the median over
+        these flights of the ratio of the position errors. `position_better` is the number of flights in which the other
+        deployment has the smaller error. `within_20mm_gain` is the mean difference of the shares of frames within 20
+        mm. `position_p` and `within_20mm_p` are two-sided p-values of the Wilcoxon signed-rank test. NaN without a
+        flight.
     """
     rows = []
     for estimator, runs in figures.groupby("estimator", sort=False):

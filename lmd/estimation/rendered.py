@@ -61,7 +61,7 @@ class RenderedDetector(Checked):
     def _validate(self) -> None:
         self.tag.check_edge()
         if not hasattr(self.reader, "corner_errors"):
-            raise InputError(f"reader must state its corner_errors, {type(self.reader).__name__} does not.", "reader")
+            raise InputError(f"reader must have corner_errors, {type(self.reader).__name__} does not.", "reader")
 
     def tags(self, deployment: Deployment) -> FloatArray:
         """See `Sensor.tags`."""

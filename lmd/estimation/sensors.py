@@ -26,8 +26,8 @@ from lmd.scene.tag import Tag
 class PointDetector(Checked):
     """Detector of landmarks that are points; a `lmd.estimation.recording.Sensor`.
 
-    For each landmark three numbers are measured, with independent normal errors: the two image coordinates of the
-    centre, and the apparent length f a / z of the edge, which gives the depth z.
+    For each landmark three numbers are measured, with independent normal errors. Two are the image coordinates of the
+    centre; the third is the apparent length f a / z of the edge, which gives the depth z.
 
     Raises:
         InputError: a value is out of range.

@@ -119,13 +119,13 @@ class FlightStudy:
     def figures(self) -> pd.DataFrame:
         """Table with one row for each deployment, estimator and seed.
 
-        Columns: `mean_visible`, `share_visible_<n>`; `mean_error` (Er over the whole flight); `settling_time` (s, the
-        time after which Er stays below 1 % of its initial value; infinite if there is no such time or a frame has no
-        estimate); `position_error` (m) and `attitude_error` (rad), medians over the second half of the flight;
-        `within_<n>mm`, the share of frames in the second half with a smaller position error, where frames without an
-        estimate count as larger; `nees_joint`, `nees_rotation`, `nees_position`, means over the second half of
-        the normalised errors squared over their degrees of freedom, 1 if the stated covariances are right, NaN without
-        any; `available`, the share of frames with an estimate.
+        Columns: `mean_visible`, `share_visible_<n>`; `mean_error` (Er over the whole flight); `available`, the share of
+        frames with an estimate. `settling_time` (s) is the time after which Er stays below 1 % of its initial value;
+        infinite if there is no such time or a frame has no estimate. `position_error` (m) and `attitude_error` (rad)
+        are medians over the second half of the flight. `within_<n>mm` is the share of frames in the second half with a
+        smaller position error; frames without an estimate count as larger. `nees_joint`, `nees_rotation` and
+        `nees_position` are means over the second half of the normalised errors squared over their degrees of freedom:
+        1 if the stated covariances are right, NaN without any.
         """
         rows = []
         for name, outcome in self.outcomes.items():
@@ -167,8 +167,9 @@ class FlightStudy:
     def curves(self) -> pd.DataFrame:
         """Errors over time, in up to `CURVE_WINDOWS` windows: quantiles over the seeds and the frames of a window.
 
-        Columns: `deployment`, `estimator`, `time` (s, middle of the window), and for each of `error` (Er), `position`
-        (m) and `attitude` (rad) the `_low`, `_median` and `_high` quantile (10, 50 and 90 %), NaN without an estimate.
+        Columns: `deployment`, `estimator`, `time` (s, middle of the window). Each of `error` (Er), `position` (m) and
+        `attitude` (rad) has the columns `_low`, `_median` and `_high`: the 10, 50 and 90 % quantile, NaN without an
+        estimate.
         """
         windows = np.array_split(np.arange(len(self.time)), min(CURVE_WINDOWS, len(self.time)))
         time = [float(self.time[window].mean()) for window in windows]

@@ -71,8 +71,8 @@ class Audit:
     def tags(self) -> pd.DataFrame:
         """Table with a row for each tag: the columns of `by_tag` and three more.
 
-        `confirmed` is the number of images in which the tag was predicted and detected, `expected` is the expected
-        number for a tag like others of its pitch, and `stands_out` is true if `confirmed` is far below `expected`.
+        `confirmed` is the number of images in which the tag was predicted and detected. `expected` is the expected
+        number for a tag like others of its pitch. `stands_out` is true if `confirmed` is far below `expected`.
         """
         chance, cameras = self.expected, len(self.prediction.parts)
         confirmed, expected, variance = (
@@ -122,14 +122,14 @@ class Audit:
         """Lines for a terminal."""
         figures = self.metrics()
         head = (
-            f"audit       {figures['audit/predicted']:.2f} tags a frame predicted, {figures['audit/detected']:.2f} "
-            f"detected; {figures.get('audit/precision', np.nan):.1%} of the predicted ones were, "
-            f"{figures.get('audit/recall', np.nan):.1%} of the detected ones had been predicted"
+            f"audit       {figures['audit/predicted']:.2f} tags per frame predicted, {figures['audit/detected']:.2f} "
+            f"detected; {figures.get('audit/precision', np.nan):.1%} of the predicted tags were detected, "
+            f"{figures.get('audit/recall', np.nan):.1%} of the detected tags were predicted"
         )
         if figures["audit/missed_in_a_row"]:
             missed, runs = figures["audit/missed"], figures["audit/missed_in_a_row"]
             head += (
-                f"\nmissed      {missed:.0f} times, of these {runs:.0f} in {IN_A_ROW} images of a tag in a row or more"
+                f"\nmissed      {missed:.0f} times, of these {runs:.0f} in {IN_A_ROW} or more images of a tag in a row"
             )
         odd = self.tags[self.tags.stands_out]
         named = ", ".join(

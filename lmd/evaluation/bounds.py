@@ -148,7 +148,7 @@ def fewest_landmarks(problem: Problem, target: float, search: Search) -> int:
     while (bound := fitness_upper_bound(problem, count, search)).walls < target - TOLERANCE:
         count = problem.fixed_count + math.ceil((target - bound.dual.constant) / bound.gain - TOLERANCE)
         if count > MOST_LANDMARKS:
-            raise InputError(f"target = {target:g} is out of reach of {MOST_LANDMARKS} landmarks.", "target")
+            raise InputError(f"target = {target:g} cannot be reached with {MOST_LANDMARKS} landmarks.", "target")
     return count
 
 
@@ -210,7 +210,10 @@ def _kinds(problem: Problem, evaluator: Evaluator, count: int, spacing: float) -
     if not problem.scene.has_several_sizes:
         sizes = np.full(count - problem.fixed_count, sizes[0])
     elif count != problem.count:
-        raise InputError(f"of {count} landmarks it is not known how many have each size.")
+        raise InputError(
+            f"for {count} landmarks the number of each size is not known; a bound needs the {problem.count} of the "
+            f"problem."
+        )
     kinds = []
     for edge, number in zip(*np.unique(sizes, return_counts=True), strict=True):
         cells = wall_cells(footprints.inset(footprints.tag.paper_share * edge), spacing)
@@ -284,7 +287,10 @@ def selection_upper_bound(
     evaluator, relevance = problem.fitness_evaluator, problem.fitness_relevance
     several = problem.scene.has_several_sizes
     if several and count != problem.count:
-        raise InputError(f"of {count} landmarks it is not known how many have each size.")
+        raise InputError(
+            f"for {count} landmarks the number of each size is not known; a bound needs the {problem.count} of the "
+            f"problem."
+        )
     sizes = problem.free_sizes if several else np.full(count - problem.fixed_count, problem.sizes[0])
     poses, stock = candidates(footprints, problem.free_edges, spacing), Tags(sizes, problem.scene.tag)
     own = poses.edges_of(problem.scene.tag)

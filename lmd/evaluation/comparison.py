@@ -83,9 +83,9 @@ def compared(runs: Sequence[OptimiserRun], key: str, reference: str | None = Non
     """Compare optimisers by the figure `key`, where runs with the same seed are pairs.
 
     The columns of the table are `optimiser`, `runs`; for `key` the median, the bounds `<key>_low` and `<key>_high` of
-    its bootstrap interval, `<key>_min` and `<key>_max`; `rank`, the mean rank over the seeds that all optimisers have
-    run; the medians of all other figures; `evaluations_to_<i>`, the expected running time to each target; the median
-    wall time in `seconds`; `a12` and `p_value` against the reference.
+    its bootstrap interval, `<key>_min` and `<key>_max`. `rank` is the mean rank over the seeds that all optimisers have
+    run, `evaluations_to_<i>` the expected running time to each target. Further columns are the medians of all other
+    figures and of the wall time in `seconds`, and `a12` and `p_value` against the reference.
 
     Args:
         runs: runs of all optimisers.

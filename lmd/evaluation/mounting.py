@@ -122,7 +122,10 @@ class MountingError(Checked):
             return moved
         apart = problem.scene.footprints.separated(moved[on], fixed=int((on < problem.fixed_count).sum()))
         if apart is None:
-            raise InputError(f"position = {self.position:g} m leaves no room for all papers.", "position")
+            raise InputError(
+                f"position = {self.position:g} m moves tags so far that their papers no longer fit beside each other.",
+                "position",
+            )
         return moved.put(on, apart)
 
 
@@ -214,7 +217,8 @@ def _figures(problem: Problem, deployments: list[Deployment], seed: int, sample:
 def off_grid_figures(problem: Problem, deployments: list[Deployment], seed: int, sample: Sample) -> "pd.DataFrame":
     """Shares of the objective off the grid, a row for each deployment of K landmarks.
 
-    They are means over one sample of random positions; an objective that validates itself computes its own shares.
+    The shares are means over one sample of random positions; an objective that validates itself computes its own
+    shares.
     """
     import pandas as pd
 

@@ -1,9 +1,9 @@
 """Trade-off between the number or size of landmarks and a figure. Searches start from deployments at neighbouring
 points.
 
-The deployment of K landmarks is the best of three searches. These begin from the start of the problem; from the
-deployment with fewer landmarks, after adding landmarks with the largest gain; and from the deployment with more
-landmarks, after removing landmarks with the least loss.
+The deployment of K landmarks is the best of three searches. One begins from the start of the problem. One begins from
+the deployment with fewer landmarks, after adding landmarks with the largest gain. One begins from the deployment with
+more landmarks, after removing landmarks with the least loss.
 
 If paper or cost is limited instead of K, and tags may have several sizes, gains and losses are divided by the paper or
 the cost of the tag. So the searches also find other mixtures of sizes.

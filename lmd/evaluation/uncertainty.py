@@ -1,11 +1,11 @@
 """Standard deviations of the camera pose from one image, at random poses, and tags that raise them.
 
 Rotations are small angles about three axes of a level body with the heading (yaw) of the view: roll about its forward
-axis, pitch about its left axis, yaw about the vertical. They exist for a camera that looks straight up, too.
+axis, pitch about its left axis, yaw about the vertical. These angles exist for a camera that looks straight up, too.
 
-A view has one of three kinds of poses: `one`; `two` if it shows a single tag and the mirrored pose fits better with a
-probability above 1 % (`lmd.objectives.localisation.ambiguity`), in which case the standard deviations are about the
-true pose; `none` if it shows no tag.
+A view has one of three kinds of poses: `one`, `two`, or `none` if the view shows no tag. The kind is `two` if the view
+shows a single tag and the mirrored pose fits better with a probability above 1 %
+(`lmd.objectives.localisation.ambiguity`). The standard deviations are then about the true pose.
 """
 
 from dataclasses import dataclass, replace
@@ -51,8 +51,8 @@ class UncertaintyStudy(Checked):
 
     corners: Annotated[str, partial(choice, options=CORNERS)] = AUTO
     """Noise of corners: a detector in `CORNER_ERRORS`, by pitch, as measured with another camera; `objective` for its
-    constant `pixel_noise`; `rendered` for the errors of the visibility model's detector in rendered images of the
-    deployment; `auto` for `rendered` where that is possible, else for the table of that detector, or `objective` if its
+    constant `pixel_noise`. `rendered` takes the errors of the visibility model's detector in rendered images of the
+    deployment. `auto` is `rendered` where that is possible, else the table of that detector, or `objective` if its
     corner errors are unknown.
     """
     shift: NotNegative | None = None
@@ -114,14 +114,14 @@ class Uncertainty:
 
     views: "pd.DataFrame"
     """A row for each view: `x,y,z` (m), `yaw,pitch,roll` (rad), `tags`, `distance` (mean distance of the tags, m), the
-    standard deviations `SDS` (m, rad; NaN for no pose), `pose` (`one`, `two`, `none`), and `mirrored`, the probability
+    standard deviations `SDS` (m, rad; NaN for no pose), `pose` (`one`, `two`, `none`). `mirrored` is the probability
     that the mirrored pose of a single tag fits better (NaN for another number of tags).
     """
     tags: "pd.DataFrame"
-    """A row for each tag: `id`, `views` (number of views of the tag and others), `improves` (share of these views in
-    which the standard deviation of the position is less without the tag), `ratio` (median ratio of the standard
-    deviation without the tag to the standard deviation with the tag; infinite where another pose or none is left) and
-    `misleads` (ratio below 1).
+    """A row for each tag: `id`, `views` (number of views of the tag and others), `misleads` (`ratio` below 1).
+    `improves` is the share of these views in which the standard deviation of the position is less without the tag.
+    `ratio` is the median ratio of the standard deviation without the tag to the standard deviation with the tag;
+    infinite where another pose or none is left.
     """
     poses: FloatArray
     """X of the views, `(V, 4, 4)`."""

@@ -42,7 +42,7 @@ class UncertaintyLaw:
     """Columns `quantity`, `rule` (`law`, `one law`, and `RULES`), and the figures of `ratio_quantiles`."""
     table: "pd.DataFrame"
     """A row for each class of distance and number of tags: `distance_low`, `distance_high` (m), `tags` (text), `views`,
-    `two_poses` (share of these views), and median and 90 % quantile of `QUANTITIES` over the others (m, rad).
+    `two_poses` (share of these views). For the others, median and 90 % quantile of `QUANTITIES` (m, rad).
     """
     reach: float
     """Distance below which at most half of the single tags are ambiguous, metres; infinite without a limit."""

@@ -55,7 +55,7 @@ def one_edge(edges: Sequence[float]) -> str:
     """Reason why a format with one edge for all tags cannot hold tags with `edges`, metres; the predicate of a
     sentence.
     """
-    return f"it has one edge for all tags, and these have {', '.join(f'{edge:g}' for edge in sorted(edges))} m"
+    return f"it has one edge for all tags, but these have {', '.join(f'{edge:g}' for edge in sorted(edges))} m"
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,9 @@ class Export(Checked):
         for name in self.formats:
             if name not in formats_of(tag):
                 known = ", ".join(all_formats()[name].families)
-                raise InputError(f"formats has {name}, which knows the families {known}, not {tag.family}.", "formats")
+                raise InputError(
+                    f"formats has {name}, which supports the families {known}, not {tag.family}.", "formats"
+                )
             if all_formats()[name].on_paper:
                 check_printing(name)
             if all_formats()[name].edges == ONE and len(tag.sizes) > 1 and not self.fitting:

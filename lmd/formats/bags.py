@@ -179,7 +179,7 @@ class Bag:
             raise self.refused(f"has no topic of {what}; it has {every}")
         if len(asked) != count:
             number = f"{count} topics" if count > 1 else "one topic"
-            raise self.refused(f"has {len(found)} topics of {what}, {told}: topic must choose {number}")
+            raise self.refused(f"has {len(found)} topics of {what}, {told}: set topic to {number} of these")
         return asked
 
     def messages(self, topic: str, first: int | None = None, last: int | None = None) -> Iterator[Message]:
@@ -218,7 +218,7 @@ class Bag:
     def _check_type(self, connection: Any) -> None:
         expected = types().hash_rihs01(connection.msgtype) if connection.msgtype in types().fielddefs else ""
         if connection.digest and expected and connection.digest != expected:
-            raise self.refused(f"has another definition of {connection.msgtype} than the one that is read")
+            raise self.refused(f"defines {connection.msgtype} differently from the definition known here")
 
     @contextmanager
     def _opened(self) -> Iterator[Any]:
@@ -240,7 +240,7 @@ class Bag:
         except GeneratorExit:
             raise
         except Exception as error:  # a broken file may raise any error
-            cut = "; `mcap recover` mends a file that was cut" * (Path(self.path).suffix == ".mcap")
+            cut = "; `mcap recover` repairs a truncated file" * (Path(self.path).suffix == ".mcap")
             raise self.refused(f"cannot be read ({_reason(error)}){cut}") from None
 
 
@@ -280,7 +280,7 @@ def _camera(bag: Bag, topic: str) -> Mapping[str, Any]:
         raise bag.refused(f"has no message on {topic!r}")
     found = bag.content(first.raw, CAMERA_INFO)
     if max(found.binning_x, found.binning_y) > 1 or found.roi.width or found.roi.height:
-        raise bag.refused(f"has images on {topic!r} that are binned or cut; whole images are read")
+        raise bag.refused(f"has images on {topic!r} that are binned or cropped; record whole images")
     keys = {name: getattr(found, name.lower()).tolist() for name in "KD"}
     rest = {name: getattr(found, name) for name in ("width", "height", "distortion_model")}
     return {**keys, **rest}

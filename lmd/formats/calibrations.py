@@ -62,8 +62,8 @@ class Calibration(Checked):
         if any(focal < SHORTEST * side for focal, side in zip(self.focal_pixels, size, strict=True)):
             told = " x ".join(f"{focal:.4g}" for focal in self.focal_pixels)
             raise InputError(
-                f"the focal lengths, {told}, must be in pixels of an image of {size[0]} x {size[1]}: are they divided "
-                "by its size?"
+                f"the focal lengths, {told}, must be in pixels of an image of {size[0]} x {size[1]}; check that they "
+                f"are not divided by its size"
             )
         lens = lens_of(self.distortion_model, self.distortion)
         object.__setattr__(self, "distortion", () if lens is None else lens.coefficients)
@@ -82,9 +82,9 @@ class Calibration(Checked):
             InputError: an aperture or a focus distance lacks a setting that it needs, or `Camera` refuses a value.
         """
         if aperture is not None and focal_length is None:
-            raise InputError("focal_length must be given, in mm, where an aperture is.", "focal_length")
+            raise InputError("focal_length must be given, in mm, if aperture is given.", "focal_length")
         if aperture is None and lens.get("focus_distance", math.inf) != math.inf:
-            raise InputError("aperture must be given, in mm, where a focus distance is.", "aperture")
+            raise InputError("aperture must be given, in mm, if focus_distance is given.", "aperture")
         length = 1.0 if focal_length is None else real("focal_length", focal_length, above=0.0)
         width, height = (length / pixels for pixels in self.focal_pixels)
         u, v = (centre + PIXEL_CENTRE for centre in self.principal_point)
@@ -178,9 +178,8 @@ def lens_model(word: Any, models: Mapping[str, str]) -> str:
         return found
     known = dict.fromkeys(model.partition(":")[0] for model in models.values() if model not in ("", "unsaid"))
     raise InputError(
-        f"the lens model {word!r} is not known here, only {', '.join(known)}: calibrate as pinhole with radial and "
-        "tangential distortion or as Kannala-Brandt fisheye, such as by Kalibr's pinhole-radtan and pinhole-equi, or "
-        "convert it, such as by mrcal-convert-lensmodel."
+        f"the lens model {word!r} is not supported, only {', '.join(known)}: calibrate with Kalibr's pinhole-radtan or "
+        f"pinhole-equi (Kannala-Brandt), or convert the model, for example with mrcal-convert-lensmodel."
     )
 
 

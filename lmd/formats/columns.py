@@ -194,7 +194,7 @@ def standardised(table: Table, of: str, layout: Layout | None = None) -> Named:
         if own == ID or (own == EDGE and not all(map(is_number, filter(None, values)))) or (own in ONCE and literal):
             own = ""
         if own in columns and own not in (TIME, *ONCE):
-            raise InputError(f"its columns {columns[own]!r} and {name!r} may both be {own}: leave one.")
+            raise InputError(f"its columns {columns[own]!r} and {name!r} may both be {own}: keep one of them.")
         if not own or own in columns:
             texts.setdefault(name, values)
             continue
@@ -241,7 +241,7 @@ def named(
     count, rows = len(layout.columns), list[tuple[int, list[str]]]()
     for number, row in others if has_names else lines.rows:
         if (len(row) != lines.width and not (layout.ragged or layout.least)) or not layout.takes(len(row)):
-            said = f"{path} line {number} has {len(row)} values, and the columns are"
+            said = f"{path} line {number} has {len(row)} values, but its columns are"
             raise InputError(f"{said} {','.join(layout.columns)[:SHOWN]}.")
         rows.append((number, row if len(row) == count else [*row[:count], *["0"] * (count - len(row))]))
     return standardised(Table.of(path, layout.columns, rows), of, layout)
@@ -283,7 +283,7 @@ def _commented(lines: Lines, of: str) -> Layout | None:
                 return clover
             has_pose = {"x", *QUATERNION} <= set(known) or {"x", *EULER} <= set(known)
             if has_pose and len(names) > lines.width:
-                said = f"a comment names {len(names)} columns, {', '.join(names)[:SHOWN]}, and line {lines.rows[0][0]}"
+                said = f"a comment names {len(names)} columns, {', '.join(names)[:SHOWN]}, but line {lines.rows[0][0]}"
                 raise InputError(f"{said} has {lines.width} values.")
             few_words = 2 * sum(len(one) <= 3 or not one.isalpha() for one in names) >= len(names)
             fits = 1 < len(names) == lines.width and (sum(map(bool, known)) >= 2 or few_words)

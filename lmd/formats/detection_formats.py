@@ -1,8 +1,8 @@
 """Files of detections: tables, bags, and JSON of PhotonVision and Limelight; and files that list all images.
 
-PhotonVision's corners are counter-clockwise from the tag's bottom left. Its AprilTag pipeline counts pixels from the
+PhotonVision's corners are counter-clockwise from the tag's bottom left. The AprilTag pipeline counts pixels from the
 border of the image, as AprilTag 3 does. (Its ArUco pipeline counts from the centre of the first pixel, but files do not
-name the pipeline.) Limelight documents neither order nor origin. Its corners are assumed to have the order and the
+name the pipeline.) Limelight documents neither order nor origin. The corners are assumed to have the order and the
 origin of AprilTag 3.
 
 Sources: `PhotonPipelineResult`, `PhotonTrackedTarget` and `TrackedTarget` (PhotonVision/photonvision); "JSON Results
@@ -79,7 +79,7 @@ class DetectionsFile(File):
                 return {"": [json.loads(line) for line in lines]}
         except (ValueError, RecursionError) as error:
             reason = " ".join(str(error).split())[:SHOWN]
-            raise InputError(f"{self.argument}: {str(self.path)!r} is no JSON ({reason}).", self.argument) from None
+            raise InputError(f"{self.argument}: {str(self.path)!r} is not JSON ({reason}).", self.argument) from None
 
     @cached_property
     def header(self) -> list[str]:
@@ -149,7 +149,7 @@ class KeyedDetections:
         except KeyError as error:
             raise InputError(f"{where} lacks the key {str(error)[:SHOWN]}.", file.argument) from None
         except (IndexError, TypeError, ValueError, AttributeError, ArithmeticError):
-            raise InputError(f"{where} has a value of another kind than its program writes.", file.argument) from None
+            raise InputError(f"{where} has a value of the wrong type.", file.argument) from None
         if not seen:
             how = f"let the pipeline send {self.corners}"
             raise InputError(f"{where} has no detection of a tag with corners: {how}.", file.argument)
@@ -235,7 +235,7 @@ def _detections(file: File, seen: Sequence[SeenTag]) -> DetectedTags:
         corners = corners[:, FROM_APRILTAG]
     usable = signed_area(corners) >= LEAST_AREA
     if not usable.any():
-        raise InputError(f"{file.path} has no detection with four corners around an area.", file.argument)
+        raise InputError(f"{file.path} has no detection whose four corners enclose an area.", file.argument)
     place = {text: index for index, text in enumerate(in_order(moments))}
     frames = np.array([place[text] for text in moments])
     try:
@@ -271,7 +271,7 @@ def read_bag(file: File) -> DetectedTags:
             for tag in bag.content(stored.raw, DETECTIONS).detections:  # corners count from the border of the image
                 corners = [(float(corner.x), float(corner.y)) for corner in tag.corners]
                 if not np.isfinite(corners).all():
-                    raise bag.refused(f"has a corner that is no number at {stored.stamp} s")
+                    raise bag.refused(f"has a corner that is not a number at {stored.stamp} s")
                 seen.append(SeenTag(camera, stored.stamp, int(tag.id), corners, tag.family))
     if not seen:
         raise bag.refused(f"has no tag on {', '.join(topics)}")
@@ -310,7 +310,7 @@ def with_images(detected: DetectedTags, path: Any) -> DetectedTags:
         raise InputError(f"{IMAGES}: {str(path)!r} has no column {' or '.join(TIMES)}.", IMAGES)
     if not camera and len(detected.cameras) > 1:
         raise InputError(
-            f"{IMAGES}: {str(path)!r} has no column {' or '.join(CAMERAS)}, and detections are of "
+            f"{IMAGES}: {str(path)!r} has no column {' or '.join(CAMERAS)}, but the detections are of "
             f"{len(detected.cameras)} cameras.",
             IMAGES,
         )

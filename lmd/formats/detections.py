@@ -52,7 +52,10 @@ class DetectedTags:
         if not count:
             raise InputError("detections has no tag.", "detections")
         if self.corners.shape != (count, 4, 2) or self.frame.shape != (count,) or self.camera.shape != (count,):
-            raise InputError(f"detections must be as many as their corners, got {self.corners.shape} for {count}.")
+            raise InputError(
+                f"detections must have four corners each, got corners of shape {self.corners.shape} for {count} "
+                f"detections."
+            )
 
     def __len__(self) -> int:
         return len(self.ids)

@@ -132,7 +132,7 @@ def _shapes(
 
     A block on a frozen layer is hidden as a whole. If the layer of a block is off, its shapes on layer 0 are hidden.
     """
-    bounded("blocks in each other", depth, DEEPEST, source, "path")
+    bounded("nested blocks", depth, DEEPEST, source, "path")
     for entity in entities:
         bounded("entities, with those in blocks", next(number), MOST_ENTITIES, source, "path")
         layer = entity.dxf.layer if entity.dxf.layer != "0" else outer
@@ -178,14 +178,14 @@ def _layers(file: File, drawn: Counter[str], hidden: Counter[str]) -> set[str]:
         known = {name.lower(): name for name in drawn}
         for name in asked:
             if name.lower() not in known and name.lower() in map(str.lower, hidden):
-                raise InputError(f"layers: {name!r} of {str(file.path)!r} is among {NOT_SHOWN}.", "layers")
+                raise InputError(f"layers: {name!r} of {str(file.path)!r} belongs to {NOT_SHOWN}.", "layers")
             choice("layers", name.lower(), list(known))
         return {known[name.lower()] for name in asked}
     named = {name for name in drawn if WALL.search(name)}
     if named or len(drawn) == 1:
         return named or set(drawn)
     told = ", ".join(f"{name} ({number} lines)" for name, number in drawn.most_common(12)) or "none"
-    raise InputError(f"layers must name those with the walls of {str(file.path)!r}, which has {told}.", "layers")
+    raise InputError(f"layers must name the layers with the walls; {str(file.path)!r} has {told}.", "layers")
 
 
 def _unit(file: File, code: int, entities: list[Any]) -> str:
@@ -198,5 +198,5 @@ def _unit(file: File, code: int, entities: list[Any]) -> str:
     size = np.ptp(corners, axis=0)
     told = [f"{name} make {size[0] * per:.3g} x {size[1] * per:.3g} m" for name, per in UNITS.items()]
     raise InputError(
-        f"unit is needed, as {str(file.path)!r} names none ($INSUNITS = {code}): {', '.join(told)}.", "unit"
+        f"unit must be given, as {str(file.path)!r} states none ($INSUNITS = {code}): {', '.join(told)}.", "unit"
     )

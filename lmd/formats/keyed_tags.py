@@ -96,7 +96,7 @@ class KeyedTags(Keyed):
         named = key if self.at["id"] == "{key}" else self._value(tag, at["id"])
         known = tag_named(named) if isinstance(named, str) else (None, number_of(named))
         if known is None:
-            raise InputError(f"the name {named[:80]!r} has no number of a tag, as 7, tag_7 or tag36h11:7 have.")
+            raise InputError(f"the name {named[:80]!r} must have the number of a tag, such as 7, tag_7 or tag36h11:7.")
         family, number = known
         if (said := value.get("family", MISSING)) is not MISSING:
             family = one_family((family, family_named(said)))
@@ -177,7 +177,7 @@ def parameters_of(keys: Keys) -> Keys:
     if len(nodes) > 1:
         nodes = [node for node in nodes if not MARKS.isdisjoint(node)] or nodes
     if len(nodes) > 1:
-        raise InputError(f"it has {NODE} of {len(nodes)} nodes: leave those with the tags in the file.")
+        raise InputError(f"it has {NODE} of {len(nodes)} nodes: keep only the nodes with the tags.")
     return nodes[0] if nodes else keys
 
 
@@ -204,14 +204,14 @@ def apriltag_ros(keys: Keys) -> Keys:
     placed = [tag for tag in alone if not tag.keys().isdisjoint(PLACE)]
     if not bundles and not placed:
         raise InputError(
-            "its tags are standalone_tags without places: they need x, y, z, qx, qy, qz, qw, or a bundle of "
-            "tag_bundles with these."
+            "its standalone_tags have no poses: give them x, y, z, qx, qy, qz, qw, or give a bundle of tag_bundles "
+            "with these."
         )
     if bundles and placed:
-        raise InputError("it has places in standalone_tags and in tag_bundles: leave one of the two in the file.")
+        raise InputError("it has poses in both standalone_tags and tag_bundles: remove one of the two.")
     if len(bundles) > 1:
         names = ", ".join(name[:80] for name in bundles)
-        raise InputError(f"it has the bundles {names}, each in a frame of its own: leave one of them in the file.")
+        raise InputError(f"it has the bundles {names}, each in a frame of its own: keep only one.")
     chosen = next(iter(bundles.values())) if bundles else alone
     tags = [_placed(tag if placed else {**DEFAULTS, **tag}) for tag in chosen]
     own = {"family": keys["family"]} if isinstance(keys.get("family"), str) else {}
@@ -261,11 +261,11 @@ def tagslam(keys: Keys) -> list[Keys]:
     with_tags = [(name, body) for name, body in named if body.get("tags") or body.get("board")]
     static = [(name, body) for name, body in with_tags if body.get("is_static")]
     if not static:
-        raise InputError("no body with tags is static: a map is of tags on bodies with is_static: true and a pose.")
+        raise InputError("no body with tags is static: a map needs tags on a body with is_static: true and a pose.")
     found: list[Keys] = []
     for name, body in static:
         if not body.get("pose"):
-            raise InputError(f"the body {name!r} has no pose: give it one, such as that which TagSLAM found.")
+            raise InputError(f"the body {name!r} has no pose: give it one, such as TagSLAM's estimate.")
         pose = _tagslam_pose(mapping("pose", body["pose"]))
         found += [{**tag, TRANSFORM: (pose @ tag[TRANSFORM]).ravel().tolist()} for tag in _on_body(body)]
     return found

@@ -58,16 +58,16 @@ def check_gltf(file: Path, content: bytes, most: int) -> None:
     for buffer in header.get("buffers", []):
         if not buffer.get("uri", "data:").startswith("data:"):
             where = f"path = {str(file)!r} has its triangles in {buffer['uri']!r}"
-            raise InputError(f"{where}; save it as one file, .glb with everything in it.", "path")
+            raise InputError(f"{where}; save mesh and triangles as one .glb file.", "path")
     meshes = [mesh["primitives"] for mesh in header.get("meshes", [])]
     for name, number in (("nodes", len(nodes)), ("pieces of meshes", sum(map(len, meshes)))):
         bounded(name, number, MOST_NODES, source, "path")
     if told := _unread(header, [piece for mesh in meshes for piece in mesh]):
-        how = f"`gltf-transform {'dequantize' if 'integers' in told else 'cp'} {file.name} plain.glb` makes one that is"
-        raise InputError(f"{source} {told}, which is not read; {how}, or an import and an export in Blender.", "path")
+        how = f"run `gltf-transform {'dequantize' if 'quantised' in told else 'cp'} {file.name} plain.glb`"
+        raise InputError(f"{source} {told}, which is not read; {how}, or import and export it in Blender.", "path")
     counts = [part["count"] for part in accessors]
     if not all(isinstance(count, int) and count >= 0 for count in counts):
-        raise ValueError("an accessor has a count that is none")
+        raise ValueError("an accessor has an invalid count")
     numbers = sum(count * NUMBERS_OF_TYPE[part["type"]] for count, part in zip(counts, accessors, strict=True))
     if numbers > len(content):
         raise InputError(f"{source}, of {len(content)} bytes, asks for {numbers:.4g} numbers.", "path")
@@ -93,7 +93,7 @@ def _unread(header: dict[str, Any], pieces: list[dict[str, Any]]) -> str:
     if any("sparse" in part for part in accessors):
         return "has sparse accessors"
     fractions = any(accessors[piece["attributes"]["POSITION"]].get("normalized") for piece in pieces)
-    return "has corners as fractions in integers" if fractions else ""
+    return "has quantised corners" if fractions else ""
 
 
 def _check_tree(children: list[list[int]]) -> None:
@@ -199,11 +199,11 @@ def read_mesh_room(
 def _hint(size: FloatArray) -> str:
     """Advice about the unit of a file, from the extents along x, y and z in the unit of the file, `size` `(3,)`."""
     told = [
-        f"a file in {unit} takes {per:g}, which makes {box_text(per * size)}"
+        f"a file in {unit} needs {per:g}, which makes {box_text(per * size)}"
         for unit, per in UNITS.items()
         if LIKELY[0] <= per * size.max() <= LIKELY[1]
     ]
-    return "; ".join(told) or "no usual unit makes a room of it"
+    return "; ".join(told) or "no usual unit gives it the size of a room"
 
 
 def _turned(points: FloatArray, up: str) -> FloatArray:
@@ -249,11 +249,11 @@ def triangles(room: RoomFile) -> dict[str, Any]:
 def _check_corners(file: Path, name: str, vertices: FloatArray, faces: IntArray) -> None:
     """Raise `InputError` if a corner of a face is not finite, `ValueError` if a face refers to a missing vertex."""
     if not ((faces >= 0) & (faces < len(vertices))).all():
-        raise ValueError("a triangle has a corner that is not there")
+        raise ValueError("a triangle refers to a corner that does not exist")
     corners = vertices[faces].reshape(-1, 3)
     if not (finite := np.isfinite(corners).all(axis=1)).all():
         place = ", ".join(f"{x:g}" for x in corners[~finite][0])
-        raise InputError(f"path: {str(file)!r} has a corner of {name!r} at ({place}), which is no place.", "path")
+        raise InputError(f"path: {str(file)!r} has a corner of {name!r} at ({place}), which is not finite.", "path")
 
 
 def _with_triangles(content: bytes, source: str) -> bytes:
@@ -318,7 +318,7 @@ def _check_ply(name: str, content: bytes, triangles: int) -> None:
     found = _PLY_FACES.search(content[: content.find(b"end_header")])
     if found is not None and triangles > int(found[1]):
         raise InputError(
-            f"path: {name!r} has faces of more than three corners, which may be cut wrongly: export triangles (in "
-            "Blender, `Triangulated Mesh`), or an .obj, whose faces are cut as they are outlined.",
+            f"path: {name!r} has faces of more than three corners, which may be triangulated wrongly: export triangles "
+            f"(in Blender, `Triangulated Mesh`), or an .obj file.",
             "path",
         )

@@ -169,8 +169,8 @@ def edge_of(name: str, value: Any, unit: float = METRE) -> float:
     if not SMALLEST_EDGE <= edge <= LARGEST_EDGE:
         counted = "metres" if unit == METRE else "millimetres"
         raise InputError(
-            f"{name} = {value:g} is in {counted} here, which makes a tag of {edge:g} m: is that meant? Edges of "
-            f"{SMALLEST_EDGE:g} to {LARGEST_EDGE:g} m are taken as they are; a table with a column edge has any."
+            f"{name} = {value:g} is read in {counted}, as an edge of {edge:g} m; edges must be {SMALLEST_EDGE:g} to "
+            f"{LARGEST_EDGE:g} m, except in a table with a column edge."
         )
     return edge
 
@@ -264,8 +264,8 @@ def one_family(named: Iterable[str | None]) -> str | None:
     families = sorted({family for family in named if family is not None})
     if len(families) > 1:
         raise InputError(
-            f"its tags are of the families {' and '.join(families)}, which may have equal ids: leave the tags of one "
-            "family in the file."
+            f"its tags are of the families {' and '.join(families)}, which may have equal ids: keep the tags of one "
+            f"family only."
         )
     return families[0] if families else None
 
@@ -278,7 +278,7 @@ def check_family(path: Any, told: str | None, wanted: str | None) -> None:
         return
     if told not in FAMILIES:
         raise InputError(
-            f"{path}: its tags are of the family {told}, which is not known here: it must be one of "
-            f"{', '.join(FAMILIES)}, or the landmarks be points."
+            f"{path}: its tags are of the family {told}, which is not supported: it must be one of "
+            f"{', '.join(FAMILIES)}, unless tag.edge is null."
         )
-    raise InputError(f"family={told} is needed: the tags of {path} are of that family, and not of {wanted}.", "family")
+    raise InputError(f"family={told} is needed: the tags of {path} are of that family, not of {wanted}.", "family")

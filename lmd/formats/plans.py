@@ -160,7 +160,7 @@ def _picture(path: Path) -> tuple[FloatArray, BoolArray]:
         raise
     except Exception as error:  # a decoder may raise any error for a broken file
         reason = (
-            f"its kind is none of {', '.join(FORMATS)}" if type(error).__name__ == "UnidentifiedImageError" else error
+            f"its format is not {' or '.join(FORMATS)}" if type(error).__name__ == "UnidentifiedImageError" else error
         )
         raise InputError(f"image: {str(path)!r} cannot be read as a picture ({reason}).") from None
 
@@ -248,14 +248,14 @@ def read_plan_room(
         return from_floor_plan(outline, height, reachable, spacing, **plan)
     for name, value in (("outline", outline), ("holes", holes)):
         if value not in (None, (), [], EXAMPLE[name]):
-            raise InputError(f"{name} and path are both given: leave out {name}, or take path=null.", name)
+            raise InputError(f"{name} and path are both given: leave out {name}, or set path=null.", name)
     reading, height, margin = Reading(**asked), real("height", height, above=0.0), real("margin", margin, low=0.0)
     found: ReadPlan = read("floor plan", PlanFile(file_path("path", path), asked=vars(reading)))
     size = [*np.ptp(found.rings[0], axis=0), height]
     check_metres(size, f"path: {str(path)!r} with {found.scale} makes", "check its unit", "path")
     walls, parts = _walls(found, height, margin, reading.least_width)
     if surfaces is None and not walls:
-        raise InputError(f"path: {str(path)!r} has no wall with a free stretch of {reading.least_width:g} m.", "path")
+        raise InputError(f"path: {str(path)!r} has no wall with a free width of {reading.least_width:g} m.", "path")
     outer, *inner = [ring.tolist() for ring in found.rings]
     plan |= {"holes": inner, "surfaces": walls if surfaces is None else surfaces, "margin": margin}
     plan["keep_out"] = [*parts, *([] if keep_out == EXAMPLE["keep_out"] else keep_out)]

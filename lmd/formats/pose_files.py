@@ -81,7 +81,7 @@ def read_rows(path: str, **asked: Any) -> Rows:
             apart = 1000.0 * np.linalg.norm(np.diff(rows.poses[:, :3, 3], axis=0), axis=1)[again[1:]].max()
             first = rows.lines[np.flatnonzero(again)[0]]
             rows = rows.kept(
-                ~again, f"have the time of the one before, at most {apart:.3g} mm away, from line {first} on"
+                ~again, f"repeat the time of the row before, at most {apart:.3g} mm away (first in line {first})"
             )
         check_order(rows.time, rows.lines)
         return rows
@@ -107,15 +107,17 @@ def checked_seconds(source: str, time: FloatArray, unit: float | None, positions
             return time / 1e9
         if latest > UNCLEAR:
             raise InputError(
-                f"time = {latest:.15g} looks like milliseconds, microseconds or nanoseconds: divide it, or let its "
-                "column be called time_ms, time_us or time_ns (in a line above the values such as "
-                "'# time_us x y z qx qy qz qw')."
+                f"time = {latest:.15g} looks like milliseconds, microseconds or nanoseconds: give seconds, or name the "
+                f"column time_ms, time_us or time_ns (in a line above the values such as '# time_us x y z qx qy qz "
+                f"qw')."
             )
     else:
         time = time * unit
         step = float(np.median(np.abs(np.diff(time)))) if len(time) > 1 else 1.0
         if 0.0 < step < FASTEST:
-            raise InputError(f"its times cannot be in the unit that it names: poses would be {step:.2g} s apart.")
+            raise InputError(
+                f"its times cannot be in the unit that their column names: poses would be {step:.2g} s apart."
+            )
     seconds(source, time, positions)
     return time
 
@@ -134,13 +136,13 @@ def given_times(count: int, what: str, times: str | None, rate: float | None) ->
     if (times is None) == (rate is None):
         if times is None:
             raise InputError(f"rate (poses a second) or times (a file) must be given: {what} no times.", "rate")
-        raise InputError("rate must be left out where times is given.", "rate")
+        raise InputError("rate must be left out if times is given.", "rate")
     if rate is not None:
         real("rate", rate, above=0.0)
         return None
     rows = Lines.of(times, File(times, "times").text, "times").rows
     if not rows or len(rows[0][1]) != 1 or not is_number(rows[0][1][0]):
-        raise InputError(f"times: {times} must have one number a line, seconds.", "times")
+        raise InputError(f"times: {times} must have one number per line, in seconds.", "times")
     time = Table.of(times, [TIME], rows).numbers([TIME])[:, 0]
     if len(time) != count:
         raise InputError(f"times: {times} has {len(time)} times for {count} poses.", "times")
@@ -161,7 +163,7 @@ def steep(sines: FloatArray, path: object) -> str:
     if up + down < NEARLY_ALL:
         return ""
     way = "up" if up > down else "down"
-    return f"{up + down:.0%} of the views of {path} look straight {way}, within 30 degrees: does the camera?"
+    return f"{up + down:.0%} of the views of {path} look straight {way}, within 30 degrees: check that the camera does."
 
 
 def of_table(file: File) -> Rows:
@@ -220,7 +222,7 @@ def _oriented(found: Named, place: FloatArray, frame: str) -> tuple[FloatArray, 
     angles = dict(zip(given, table.numbers(given, None).T, strict=True))
     radians("the trajectory", **angles)
     turn = roll_pitch_yaw(np.stack([angles.get(name, np.zeros(len(place))) for name in EULER], axis=1))
-    taken = "are taken as ROS has them, of a body: x ahead, y left, z up, yaw counter-clockwise from x"
+    taken = "are read as ROS's, of a body: x ahead, y left, z up, yaw counter-clockwise from x"
     return pose_of(turn, place), "body", False, f"{', '.join(given)} of {path} {taken}"
 
 
@@ -230,10 +232,10 @@ def _frame_of_ros(table: Table, frame: str) -> tuple[str | None, str]:
     name = found.pop() if len(found) == 1 else ""
     if ROS_OPTICAL.fullmatch(name):
         if frame == "body":
-            raise InputError(f"frame must be optical: the poses of {table.path} are those of {name!r}.", "frame")
+            raise InputError(f"frame must be optical: {table.path} has poses of the frame {name!r}.", "frame")
         return "optical", ""
     if ROS_BODIES.fullmatch(name):
-        return "body", f"poses of {table.path} are those of {name!r}, taken for a body's: x ahead, y left, z up"
+        return "body", f"{table.path} has poses of the frame {name!r}, read as a body's: x ahead, y left, z up"
     return None, ""
 
 
@@ -244,15 +246,15 @@ def _lacking(found: Named) -> InputError:
     hint = ""
     if any(name.endswith("q[0]") for name in found.table.texts):
         hint = (
-            " Columns from q[0] on do not say which is w: PX4 has w first, and axes that point north, east and down. "
+            " The columns q[0] to q[3] do not name w: PX4 has w first, and axes that point north, east and down. "
             "Take time_us,x,y,z,qw,qx,qy,qz from timestamp, position[0], -position[1], -position[2], q[0], q[1], -q[2],"
             " -q[3], and frame=body."
         )
     elif {"x", "y"} <= found.columns.keys() and "z" not in found.columns:
-        hint = " Of a motion in the plane add z, the height, and roll = pitch = 0 beside yaw, of a body, radians."
+        hint = " For a motion in the plane add z, the height, and roll = pitch = 0 beside the body's yaw, radians."
     said = ", ".join(found.columns.get(name, name) for name in found.table.texts)[:300]
     needed = "a pose has time, x, y, z and qx, qy, qz, qw (or roll, pitch, yaw)"
-    return InputError(f"it lacks {', '.join(missing)}: {needed}, and its columns are {said}.{hint}")
+    return InputError(f"it lacks {', '.join(missing)}: {needed}, but its columns are {said}.{hint}")
 
 
 def _of_matrices(file: File, table: Table) -> Rows:
@@ -264,7 +266,7 @@ def _of_matrices(file: File, table: Table) -> Rows:
     numbers, rate = table.numbers(list(table.texts)).reshape(-1, 3, 4), file.asked["rate"]
     turns = numbers[:, :, :3]
     if (bad := np.flatnonzero(~are_rotations(turns))).size:
-        raise InputError(f"line {table.lines[bad[0]]}: the first three columns of its 3 x 4 matrix are no rotation.")
+        raise InputError(f"line {table.lines[bad[0]]}: the first three columns of its 3 x 4 matrix are not a rotation.")
     time = given_times(len(numbers), f"{file.path} has 12 numbers a line, as KITTI, and", file.asked["times"], rate)
     if time is None:
         time = np.arange(len(numbers)) / float(rate)
@@ -318,10 +320,10 @@ def of_images(file: File) -> Rows:
     images, rate = images_of(file), file.asked["rate"]
     for one, other in pairwise(images):
         if one.number == other.number:
-            raise InputError(f"line {other.line}: the image {other.number} is there twice.")
+            raise InputError(f"line {other.line}: the image {other.number} occurs twice.")
         if one.camera != other.camera:
             told = f"{one.camera} and {other.camera} (CAMERA_ID and folder)"
-            raise InputError(f"its images are of several cameras, {told}: leave those of one.")
+            raise InputError(f"its images are of several cameras, {told}: keep the images of one.")
         if _in_words(one.name) > _in_words(other.name):
             raise InputError(
                 f"the order of its images is not clear: {one.name} has the number {one.number}, and {other.name} "

@@ -174,13 +174,13 @@ class Keyed:
 def described(row: Mapping[str, Any], family: str, advice: str = "") -> Format:
     """Make a format from a row of a table.
 
-    A row has `name`, and `row` for the documentation. Its other keys decide which files are of the format, and must all
-    hold: `marks`, paths that lead to a value, which a regular expression after a `=` must match, or, after a `!`, to
-    none; `text`, a regular expression that matches in the text; `when`, a call that returns True; `any`. A row without
-    these keys is only written. `refuse` is the reason for a refusal, in which `{keys}` stands for the keys of the file,
-    `{known}` for the names of the formats that are read, and `{advice}` for the family's advice. `writes` has the
-    fields of a `Writer` and its `name` in `formats`. `read` is a call that reads a file; without `read`, the other keys
-    are the fields of the family's class in `KEYED`.
+    A row has `name`, and `row` for the documentation. The keys `marks`, `text`, `when` and `any` decide which files are
+    of the format, and must all hold. `marks` are paths that lead to a value, which a regular expression after a `=`
+    must match, or, after a `!`, to none. `text` is a regular expression that matches in the text, `when` a call that
+    returns True. A row without these keys is only written. `refuse` is the reason for a refusal. In it `{keys}` stands
+    for the keys of the file, `{known}` for the names of the formats that are read, and `{advice}` for the family's
+    advice. `writes` has the fields of a `Writer` and its `name` in `formats`. `read` is a call that reads a file;
+    without `read`, the other keys are the fields of the family's class in `KEYED`.
 
     Raises:
         InputError: the row lacks its name, or has an unknown key or value.
@@ -188,7 +188,7 @@ def described(row: Mapping[str, Any], family: str, advice: str = "") -> Format:
     rest = {key: value for key, value in row.items() if key != "family"}
     name, why_not, read, written = (rest.pop(key, "") for key in ("name", "refuse", "read", "writes"))
     if not isinstance(name, str) or not name:
-        raise InputError(f"a format must have a name, it has {', '.join(map(str, row))[:200]}.")
+        raise InputError(f"a format must have a name, but its keys are {', '.join(map(str, row))[:200]}.")
     try:
         tests, cells = _tests(rest), rest.pop("row", "")
         called, writer = _writer(**written) if written else ("", None)

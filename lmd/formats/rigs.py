@@ -35,7 +35,7 @@ def read_mount(path: Any, name: str | None = None) -> FloatArray:
     """
     found = {camera or "cam0": poses[BODY] for camera, poses in _poses("mount", path).items() if BODY in poses}
     if not found:
-        raise InputError(f"mount: {path} has {NO_BODY}, so it does not say where a camera sits.", "mount")
+        raise InputError(f"mount: {path} has {NO_BODY}, so the pose of its camera on the body is not known.", "mount")
     if name is None and len(found) > 1:
         raise InputError(
             f"mount: {path} has {', '.join(found)}: name one, as in {{path: {path}, name: cam0}}.", "mount"
@@ -69,7 +69,9 @@ def read_chain(path: Any, names: Any = None, **shared: Any) -> dict[str, FloatAr
     placed = dict(zip(found, chain, strict=True)) if len(chain) > 1 else bodies
     if len(placed) < 2 or (lost := [name for name in names or found if name not in placed]):
         what = f"{NO_BODY} and no T_cn_cnm1 (Kalibr) of {', '.join(lost) if len(placed) > 1 else 'several cameras'}"
-        raise InputError(f"path: {path} has {what}, so it does not say how they sit to each other.", "path")
+        raise InputError(
+            f"path: {path} has {what}, so the poses of its cameras relative to each other are not known.", "path"
+        )
     first = inverse(placed[(names or list(placed))[0]])
     return {name: first @ placed[name] for name in names or placed}
 
@@ -101,7 +103,7 @@ def rig_of(mounts: Any, camera: Camera | None = None) -> Rig:
     Args:
         mounts: list of mappings with the arguments of `Mount`, in which `camera` is a calibration file or a mapping
             with the arguments of `calibrated_camera`. Or one mapping: its `path` is a calibration file with poses, see
-            `read_chain`, with `names`, `image_size` and `distortion_model` if needed; its other keys are arguments of
+            `read_chain`, with `names`, `image_size` and `distortion_model` if needed. Its other keys are arguments of
             `Mount`, the pose of the first camera on the body, by default at the body's origin, looking along the body's
             x axis.
         camera: camera for mounts without a camera of their own.
@@ -205,7 +207,7 @@ def _mount(name: str, entry: Any, camera: Camera | None) -> Mount:
     with argument_of(name):
         own = camera_from(values.pop("camera", None)) or camera
         if own is None:
-            raise InputError("camera is missing: there is no other one to take.", "camera")
+            raise InputError("camera is missing: give a calibration file here, or one for the whole rig.", "camera")
         return Mount(own, **values)
 
 

@@ -50,7 +50,7 @@ class TagMapFile(File):
         if not (IS_JSON.match(self.text) or IS_YAML.match(self.first)):
             return {}
         if len(self.text) > LARGEST_MAP:
-            raise InputError(f"a map has at most {LARGEST_MAP} characters, it has {len(self.text)}.")
+            raise InputError(f"a map has at most {LARGEST_MAP} characters, but this map has {len(self.text)}.")
         return parameters_of(super().data)
 
 
@@ -85,7 +85,7 @@ def read_deployment(
             return deployment
         check_family(path, one_family(tag.family for tag in found.tags), family)
         if not found.tags:
-            raise InputError("it has no tags with places.")
+            raise InputError("it has no tag with a position.")
         turned = found.by_opencv and family is not None and FAMILIES[family].apriltag
         tags = [tag._replace(axes=tag.axes @ HALF_TURN) for tag in found.tags] if turned else found.tags
         return _deployment(path, tags, found.note)
@@ -95,7 +95,7 @@ def read_deployment(
     except KeyError as error:
         raise InputError(f"{path}: the key {error} is missing.") from None
     except (IndexError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
-        raise InputError(f"{path}: a value in it is of another kind than a tag map has there ({error}).") from None
+        raise InputError(f"{path}: one of its values has the wrong type ({error}).") from None
 
 
 def _deployment(path: Any, tags: Sequence[PlacedTag], note: str) -> Deployment:
@@ -126,7 +126,9 @@ def read_map_covariance(path: Any, name: str) -> tuple[IntArray, FloatArray]:
     Raises:
         InputError: the file cannot be read, or is not a covariance of a map.
     """
-    refused = InputError(f"{name}: {str(path)!r} is not a covariance of a map, as a survey writes it.", name)
+    refused = InputError(
+        f"{name}: {str(path)!r} is not the covariance of a map, in the form that a survey writes.", name
+    )
     try:
         arrays = arrays_of(path, name, LARGEST_COVARIANCE, most=LARGEST_COVARIANCE) or {}
         ids, upper = arrays["ids"], arrays["upper"]

@@ -1,8 +1,8 @@
 """Tag maps as tables: texts, and lists of tags in YAML or JSON, whose keys correspond to columns.
 
-A row has id, x, y, z, and one of: a normal nx, ny, nz (and an up ux, uy, uz), a unit quaternion qx, qy, qz, qw, ROS's
-roll, pitch, yaw, or a rotation vector rx, ry, rz, radians; and, if known, edge and family. A rotation is from the tag's
-frame to the map's frame; for the axes of a tag's frame see `lmd.formats.placed_tag.axes_of`.
+A row has id, x, y, z, a rotation and, if known, edge and family. The rotation is a normal nx, ny, nz (and an up ux, uy,
+uz), a unit quaternion qx, qy, qz, qw, ROS's roll, pitch, yaw, or a rotation vector rx, ry, rz, radians. A rotation is
+from the tag's frame to the map's frame; for the axes of a tag's frame see `lmd.formats.placed_tag.axes_of`.
 
 Sources: `ArucoMap::addMarker` of CopterExpress/clover; `Map::saveMap` of UbiquityRobotics/fiducials; `Marker/Priors` of
 RTAB-Map, and the poses that it exports.
@@ -81,7 +81,7 @@ def _landmarks(table: Table) -> list[PlacedTag]:
     numbers = table.numbers([ID], None)[:, 0].tolist()
     chosen = [i for i, number in enumerate(numbers) if number < 0.0]
     if not chosen:
-        raise InputError("it has poses of RTAB-Map, and no tag: a tag has a negative id.")
+        raise InputError("it has poses of RTAB-Map but no tag: a tag has a negative id.")
     texts = {name: [column[i] for i in chosen] for name, column in table.texts.items()}
     texts[ID] = [f"{-numbers[i]:.15g}" for i in chosen]
     return _placed(Table(table.path, [table.lines[i] for i in chosen], texts))
@@ -94,7 +94,7 @@ def _priors(path: object, text: str) -> Found:
     rows = [(1, entry.split()) for entry in entries if entry]
     columns = next(layout.columns for layout in LAYOUTS if layout[:2] == ("rtabmap", TAGS))
     if odd := [row for _, row in rows if len(row) != len(columns)]:
-        raise InputError(f"{' '.join(odd[0])[:200]!r} must be: {' '.join(columns)}.")
+        raise InputError(f"{' '.join(odd[0])[:200]!r} must have the values {' '.join(columns)}.")
     edge = family = None
     if found is not None:
         length, number = (re.search(SETTING.format(name), text, re.MULTILINE) for name in ("Length", "Dictionary"))
@@ -124,7 +124,7 @@ def _turns(table: Table, numbers: Sequence[int]) -> FloatArray:
     for columns in (QUATERNION, VECTOR, EULER):
         if missing := [name for name in columns if name not in table]:
             if len(missing) < len(columns):
-                raise InputError(f"of {', '.join(columns)} it lacks {', '.join(missing)}.")
+                raise InputError(f"it lacks {', '.join(missing)} of the columns {', '.join(columns)}.")
             continue
         values = zip(numbers, table.numbers(columns, None), strict=True)
         if columns == QUATERNION:
@@ -133,7 +133,7 @@ def _turns(table: Table, numbers: Sequence[int]) -> FloatArray:
             return np.array([turn_by_angles(number, *row.tolist()) for number, row in values])
         return np.array([turn_by_vector(f"tag {number}", row) for number, row in values])
     raise InputError(
-        "it says where tags are, and not how they are turned: it needs the columns nx,ny,nz (and ux,uy,uz), or "
+        "it has positions but no rotations of tags: add the columns nx,ny,nz (and ux,uy,uz), or "
         f"qx,qy,qz,qw, or roll,pitch,yaw in radians; it has {', '.join(table.texts)[:200]}."
     )
 
@@ -156,7 +156,7 @@ def deployment_of(table: Table, axes: Sequence[str] | None) -> tuple[Deployment,
     pointing = ", ".join(RIGHT_UP_OUT if axes is None else axes)
     note = (
         f"{table.path} is read as {' '.join((ID, *POSITION, *columns))}; the axes x, y, z of a tag point {pointing}"
-        f"{', and axes can say otherwise' if axes is None else ''}"
+        f"{'; set axes if they point elsewhere' if axes is None else ''}"
     )
     places = table.numbers(POSITION, None)
     found = Deployment(places, turns[:, :, 2], labels=labels, edges=edge_column(table), note=note)
@@ -232,7 +232,9 @@ def listed(file: File) -> Found:
         row = standardised(Table(str(file.path), [1], {column: [text] for column, text in cells.items()}), TAGS)
         number = key if isinstance(tags, dict) else next(entry[one] for one in IDS if entry.get(one) is not None)
         if tag_named(number) is None:
-            raise InputError(f"{at}: the name {number!r} has no number of a tag, as 7, tag_7 or tag36h11:7 have.")
+            raise InputError(
+                f"{at}: the name {number!r} must have the number of a tag, such as 7, tag_7 or tag36h11:7."
+            )
         rows.append(
             {ID: str(number)} | {column: row.table.texts[column][0] for column in row.columns if column != TIME}
         )
@@ -255,7 +257,8 @@ def _cells(at: str, keys: Keys, prefix: str = "") -> Iterator[tuple[str, str]]:
             if (names := PARTS.get(key)) is not None:
                 if names == EULER and len(value) == 4:
                     raise InputError(
-                        f"{at}: the name of a quaternion must say where w is, such as quaternion_xyzw, and not {key}."
+                        f"{at}: the name of a quaternion must show the place of w, such as quaternion_xyzw, unlike "
+                        f"{key}."
                     )
                 yield from zip(names, map(repr, vector(f"{at}: {key}", value, len(names))), strict=True)
         elif value is not None and not isinstance(value, bool):

@@ -38,8 +38,8 @@ class TrajectoryFile(Checked):
         times: file with the time of each pose, one per line, for a trajectory without times (KITTI, COLMAP).
         rate: number of poses per second, instead of `times`.
         align: pose of the recording's frame in the room: [x, y, z, yaw] for a frame with z up, yaw counter-clockwise
-            seen from above; [x, y, z, qx, qy, qz, qw]; or at least three points, each given by its coordinates in the
-            recording's frame and then in the room's frame.
+            seen from above; or [x, y, z, qx, qy, qz, qw]. Or at least three points, each given by its coordinates in
+            the recording's frame and then in the room's frame.
         mount: pose of the camera on the recorded body: a calibration with extrinsics or {path, name}, see
             `lmd.formats.rigs`; or [x, y, z, yaw, pitch, roll] as in a rig (`lmd.scene.rig`).
         columns: for a text that does not name its columns, names of the columns, or name of a program, see
@@ -104,12 +104,12 @@ class TrajectoryFile(Checked):
         trajectory, rows = self._read
         if rows.angles or not (said := steep(trajectory.poses[:, 2, 2], self.path)):
             return ""
-        cures = ["align, of a recording whose z does not point up"]
+        cures = ["align (for a recording whose z does not point up)"]
         if self.mount is not None or rows.frame == "body" or self.frame == "body":
-            cures.insert(0, "mount, of a camera that looks elsewhere on the body")
+            cures.insert(0, "mount (for a camera that does not look ahead on the body)")
         elif rows.frame is None:
-            cures.insert(0, "frame=body, of a body with x ahead and z up")
-        return f"{said} If not, say so by {' or '.join(f'{group}{cure}' for cure in cures)}"
+            cures.insert(0, "frame=body (for poses of a body with x ahead and z up)")
+        return f"{said} If not, give {' or '.join(f'{group}{cure}' for cure in cures)}"
 
     def check_inside(self, room: Space, check: Callable[[Trajectory, Space], None] = check_positions) -> Trajectory:
         """Return the trajectory if it is inside a room.
@@ -178,14 +178,16 @@ def _fitted(points: FloatArray) -> FloatArray:
     for name, side in (("the recording's frame", own), ("the room's frame", room)):
         spread = np.linalg.svd(side - side.mean(axis=0), compute_uv=False)
         if spread[1] <= THIN * spread[0]:
-            raise InputError(f"align: its points lie on a line in {name}, about which it could turn.", "align")
+            raise InputError(
+                f"align: its points are collinear in {name}, so the rotation about their line is not known.", "align"
+            )
     motion = rigid_alignment(own, room)
     missed = np.linalg.norm(act(motion, own) - room, axis=1)
     worst, extent = int(np.argmax(missed)), float(np.linalg.norm(room - room.mean(axis=0), axis=1).max())
     if missed[worst] > MISS * extent:
         raise InputError(
-            f"align: its points do not fit each other: at best, align[{worst}] is {missed[worst]:.3g} m from where it "
-            "should be.",
+            f"align: its points in the two frames do not match: after the best fit, align[{worst}] is "
+            f"{missed[worst]:.3g} m off.",
             "align",
         )
     return motion

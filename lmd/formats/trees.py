@@ -147,14 +147,14 @@ def xml_of(text: str) -> ElementTree.Element | None:
     if not text.lstrip().startswith("<"):
         return None
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        raise InputError("an XML file with a document type or entities is not taken.")
+        raise InputError("an XML file must not have a document type or entities.")
     try:
         root = ElementTree.fromstring(text)
     except (ElementTree.ParseError, ValueError) as error:
         raise InputError(f"it cannot be read as XML ({error}).") from None
     level, depth = [root], 0
     while level:
-        bounded("elements in each other", depth, DEEPEST, "it")
+        bounded("nested elements", depth, DEEPEST, "it")
         level, depth = [child for element in level for child in element], depth + 1
     return root
 

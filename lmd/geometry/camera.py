@@ -49,8 +49,8 @@ class Camera(Checked):
     """Intrinsic parameters (Table I of the paper).
 
     Raises:
-        InputError: a value is out of range, the principal point lies outside the image, the focus distance is not
-            beyond the focal length, the lens model is unknown, or the lens folds before it reaches the nearest border.
+        InputError: a value is out of range, the principal point lies outside the image, or the focus distance is not
+            beyond the focal length; the lens model is unknown, or folds before the nearest border.
     """
 
     focal_length: Positive
@@ -96,15 +96,13 @@ class Camera(Checked):
         object.__setattr__(self, "distortion", () if lens is None else lens.coefficients)
         if lens is not None and lens.widest(nearest := min(self._borders)) >= lens.fold:
             raise InputError(
-                f"distortion must show what is farther from the axis farther from the centre, up to the nearest border "
-                f"of the image at {nearest:.3g} focal lengths, but {list(self.distortion)} turns back "
-                f"{math.degrees(lens.fold):.3g} degrees off the axis, before it.",
+                f"distortion must increase with the angle up to the nearest border of the image, at {nearest:.3g} "
+                f"focal lengths, but {list(self.distortion)} folds back {math.degrees(lens.fold):.3g} degrees off the "
+                f"axis.",
                 "distortion",
             )
         if lens is None and self.image_circle < math.inf:
-            raise InputError(
-                "image_circle needs the distortion of a lens: a pinhole's image has no end.", "image_circle"
-            )
+            raise InputError("image_circle needs distortion: the image of a pinhole is unbounded.", "image_circle")
 
     @property
     def cameras(self) -> "tuple[Camera, ...]":

@@ -188,7 +188,7 @@ def nearest_lens(model: Model, focal: Any, centre: Any, size: Any, guess: Sequen
     inside = ((pixels > -CENTRE) & (pixels < np.reshape(size, (2, 1, 1)) - CENTRE)).all(axis=0)
     shown = np.logical_and.accumulate(inside & rises, axis=0)
     if not shown[1].all():
-        raise InputError("the model images nothing around its axis: its numbers are wrong.")
+        raise InputError("the model projects no points near its axis: check its parameters.")
     points, pixels = tuple(of[shown] for of in points), pixels[:, shown]
     start = [np.hypot(u[1], v[1]).mean() / theta[1, 0] * length for length in (fx, fy)]
     widest = float((theta * shown).max())
@@ -204,8 +204,8 @@ def nearest_lens(model: Model, focal: Any, centre: Any, size: Any, guess: Sequen
         found = min(found, rational, key=lambda fit: fit.worst)
     if found.worst > MOST_PIXELS:
         raise InputError(
-            f"no lens that is known here comes nearer than {found.worst:.2g} pixels to that of the file: calibrate as "
-            "a Kannala-Brandt fisheye, such as by Kalibr's pinhole-equi."
+            f"no supported lens model comes closer than {found.worst:.2g} pixels to the lens of the file: calibrate "
+            "with Kalibr's pinhole-equi (Kannala-Brandt)."
         )
     return found
 

@@ -26,7 +26,7 @@ COEFFICIENT_COUNTS = (4, 5, 8, 12, 14)
 # Index of the first coefficient of the sensor's tilt.
 FIRST_TILT = 12
 ORDER_IN_WORDS = "[] or [k1, k2, p1, p2], with k3, with k3 to k6, or with k3 to k6 and s1 to s4"
-WHY_TILTED = "is that of a tilted sensor, which is not known here: calibrate without CALIB_TILTED_MODEL."
+WHY_TILTED = "is of a tilted sensor, which is not supported: calibrate without CALIB_TILTED_MODEL."
 # Number of angles at which a lens is sampled. Bounds assume that a value between two neighbouring samples differs from
 # each sample by at most the difference of the two samples.
 ANGLE_SAMPLES = 4096

@@ -17,8 +17,7 @@ Only blocks of positions within the horizon of both landmarks are searched, in t
 
 A camera is treated as a mount group with one centre, the position itself, and the radius 0.
 
-A second task is to list the blocks of positions within the horizon of the old place of a landmark or of the place
-tried.
+A second task is to list the blocks of positions whose horizon includes a landmark's old place or the place tried.
 
 A trial works in these blocks alone: from other positions neither place is visible, and neither affects another
 landmark. Each trial clears the entries that the previous trial wrote, so no loop runs over the whole room.
@@ -167,7 +166,7 @@ def note_neighbour(state: Any, groups: Any, near: Any, role: Any, place: Any, fi
 
     Args:
         groups: a `OneCamera`, or a `MountGroup` of a rig, and its fields of a state and of a scratch.
-        near: indices of the centre, of the block, and of landmarks i and k; then, in metres, the offset of the place
+        near: indices of the centre, of the block, and of landmarks i and k. Then, in metres, the offset of the place
             from the centre of the block as seen from that centre, and half the diagonal of the block's box.
         role: `OLD_PLACE`, `NEW_PLACE` or `FIRST_PLACE`.
         place: position (metres) and unit normal.

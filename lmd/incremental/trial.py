@@ -1,8 +1,8 @@
 """Trial of a move of one landmark: an upper bound on P_n with the landmark at another place, then the exact P_n.
 
-A move of landmark k changes the counts at a position in at most four ways: k is no longer covered at its old place;
-landmarks that k hid appear; landmarks that k hides from its new place disappear; k is covered at its new place. The
-decisions repeat the operations of `lmd.sight.kernels`.
+A move of landmark k changes the counts at a position in at most four ways. At its old place k is no longer covered, and
+landmarks that k hid appear. At its new place k is covered, and landmarks that k hides disappear. The decisions repeat
+the operations of `lmd.sight.kernels`.
 
 Sets of axes are bit sets. A state has the axes that cover each landmark and, at each position, the axes that cover
 n - 1 and n landmarks. Only for these axes does P_n depend on the landmark, so a trial tests few axes.

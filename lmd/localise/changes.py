@@ -14,9 +14,9 @@ If a tag was not moved, t^T cov(t)^-1 t has the chi^2 distribution with six degr
 prior, in the order of decreasing chi^2, until no other tag exceeds the threshold.
 
 *Vanished tags* were detected in no image, although several images should show them. A tag should be seen in an image if
-the tag is entirely within the image, is as large and as little oblique as tags that were detected in the drive, and is
-not hidden by a surface of the room. The probability of a detection is the share of such views of other tags in which
-the tag was detected; views from nearly the same pose count once.
+the tag is entirely within the image and is not hidden by a surface of the room. The tag must also be as large and as
+little oblique as tags that were detected in the drive. The probability of a detection is the share of such views of
+other tags in which the tag was detected; views from nearly the same pose count once.
 """
 
 from collections.abc import Sequence

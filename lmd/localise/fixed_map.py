@@ -94,7 +94,7 @@ class FixedMap:
         ids, poses, edges = deployment.ids[order], poses_of(deployment)[order], deployment.edges[order]
         edges = np.where(np.isfinite(edges), edges, np.nan if tag.is_point else tag.size)
         if np.isnan(edges).any():
-            which = f"the map has no edge of tag {ids[np.isnan(edges)][0]}; it is that of the {tag.square}"
+            which = f"the map has no edge of tag {ids[np.isnan(edges)][0]}; measure its {tag.square}"
             raise InputError(f"edge must be given, in metres: {which}.", "edge")
         sigmas, covariance = np.tile(errors.deviations, (len(ids), 1)), None
         if (stated := _stated_sigmas(path)) is not None:
@@ -131,7 +131,9 @@ def surveyed_covariance(path: Any, deployment: Deployment) -> FloatArray | None:
     there = np.isin(stated[0], deployment.ids)
     ids, sigmas = stated[0][there], np.maximum(stated[1][there], LEAST_SIGMA)
     if (lacking := ids[~np.isfinite(sigmas).all(axis=1)]).size:
-        raise InputError(f"map: tag {lacking[0]} in {str(path)!r} has no standard deviation: take it out.", "map")
+        raise InputError(
+            f"map: tag {lacking[0]} in {str(path)!r} has no standard deviation: remove the tag from the file.", "map"
+        )
     among, own = _stated_covariance(path, ids, sigmas), np.flatnonzero(np.isin(deployment.ids, ids))
     whole = np.diag(sigmas.ravel() ** 2) if among is None else among
     joint = spread(whole, np.searchsorted(ids, deployment.ids[own]), own, len(deployment))
@@ -149,7 +151,7 @@ def _stated_sigmas(path: Any) -> tuple[IntArray, FloatArray] | None:
         values = np.array([[float(text) for text in filled[name]] for name in SIGMA_COLUMNS]).T
         ids = np.array([int(text) for text in table.texts[ID]])
     except ValueError as error:
-        raise InputError(f"{path}: a standard deviation of a tag is no number ({error}).", "map") from None
+        raise InputError(f"{path}: a standard deviation of a tag is not a number ({error}).", "map") from None
     if (values < 0.0).any() or np.isnan(values).any():
         raise InputError(f"{path}: the columns {SIGMA_COLUMNS[0]} ... {SIGMA_COLUMNS[-1]} must not be negative.", "map")
     order = np.argsort(ids, kind="stable")
@@ -175,7 +177,9 @@ def _stated_covariance(path: Any, ids: IntArray, sigmas: FloatArray) -> FloatArr
     _, of, there = np.intersect1d(ids, among, return_indices=True)
     own = np.sqrt(np.diag(covariance)).reshape(-1, 6)[there]
     if not np.allclose(np.maximum(own, LEAST_SIGMA), sigmas[of], rtol=SAME_SIGMA):
-        text = f"map: {str(beside)!r} is of another map than {Path(str(path)).name!r}: take both from one survey"
+        text = (
+            f"map: {str(beside)!r} belongs to another map than {Path(str(path)).name!r}: use both files of one survey"
+        )
         raise InputError(f"{text}, or remove it.", "map")
     alone = np.where(np.isin(np.arange(len(ids)), of)[:, None], 0.0, sigmas**2)
     return np.diag(alone.ravel()) + spread(covariance, there, of, len(ids))

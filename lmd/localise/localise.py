@@ -133,7 +133,10 @@ def localise(
     motion, mounts, here = drive.motion(detected), drive.prior, _map_of(detected, tag, known)
     seen = Observations(detected, tuple(map(Optics, cameras)), here.ids, here.edges, tag.modules, errors)
     if not here.has[seen.through().tag].any():
-        raise InputError("detections has no tag of the map wholly within an image; is it another camera?", "detections")
+        raise InputError(
+            "detections has no tag of the map wholly within an image; check that the calibration is of this camera.",
+            "detections",
+        )
     with threadpool_limits(limits=ONE_THREAD):
         seen, quarters = (seen, 0) if detected.in_order else _in_order(seen, here, mounts)
         seen, rough, odd = _begun(seen, here, mounts)
@@ -149,8 +152,8 @@ def localise(
     doubts = outside_doubts(seen) or [*_surprises(found, mounts), *(edge_doubts(found) if calibrate else ())]
     stay = found.misfits & (here.has & ~compared.moved)[found.sightings.tag]
     doubts += [
-        f"tag {here.ids[place.tag]} hangs at ({', '.join(f'{x:.2f}' for x in place.pose[:3, 3])}) as well, by "
-        f"{place.sightings} images: has another tag its id, or was it moved on the way?"
+        f"tag {here.ids[place.tag]} hangs at ({', '.join(f'{x:.2f}' for x in place.pose[:3, 3])}) as well, in "
+        f"{place.sightings} images: another tag has the same id, or the tag was moved during the drive"
         for place in second_places(found, stay)
     ]
     optics = seen.optics if found.lenses is None else found.lenses.optics
@@ -300,11 +303,13 @@ def _surprises(found: Estimate, mounts: Mounts) -> list[str]:
     if mounts.sigmas is not None:
         off = -mounts.off(found.poses.mounts)
         odd = np.flatnonzero((np.abs(off) > SURPRISING * mounts.information**-0.5).any(axis=1)).tolist()
-        said = [mount_doubt(camera + 1, off[camera], "by the images") for camera in odd]
+        said = [mount_doubt(camera + 1, off[camera], "as estimated from the images") for camera in odd]
     for number, camera in enumerate(found.calibrated, 1):
         assert found.lenses is not None
         if (most := np.abs(found.lenses.off[number - 1, :4]).max()) >= SURPRISING:
             name = "the camera" if len(found.calibrated) == 1 else f"camera {number}"
             text = f"{most:.2g} standard deviations of a calibration from the given one"
-            said.append(f"{name} is {text} ({camera.to_text().partition(';')[0]}): is it its own?")
+            said.append(
+                f"{name} is {text} ({camera.to_text().partition(';')[0]}); check that the calibration is of this camera"
+            )
     return said

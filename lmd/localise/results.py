@@ -152,10 +152,10 @@ def to_text(result: Localisation) -> str:
     compared = f"{len(result.compared)} of {len(result.known.ids)} tags could be compared with the map"
     lines["changes"] = f"{len(result.changes) or 'none'}; {compared}"
     if not result.in_room:
-        lines["vanished"] = "not looked for: no room is known that may hide tags; run=DIR or room=... gives one, or a "
+        lines["vanished"] = "not looked for, as a room that is not known may hide tags; give run=DIR, room=..., or a "
         lines["vanished"] += "run with a room as map=DIR"
     if result.contradicted:
-        lines["map"] = f"{result.contradicted} tags differ from it, too many to have been moved: is it another "
-        lines["map"] += "calibration or another edge of the tags, or does the map state too small errors?"
+        lines["map"] = f"{result.contradicted} tags differ from it, too many to have been moved; check the "
+        lines["map"] += "calibration, the edge of the tags, and the standard deviations of the map"
     lines |= lines_of(result.found, result.calibrated, result.detected, result.sizes, result.doubts)
     return "\n".join([labelled(lines), *map(_sentence, result.changes[:MOST_SENTENCES])])

@@ -23,8 +23,8 @@ class Sampling(Checked):
         positions: number of positions drawn in the cell of each grid position; they share the relevance of that
             position.
         divisions: one orientation is drawn in each of 2 `divisions` x `divisions` cells of equal probability of the
-            continuous distribution behind the PDF (fewer cells for a PDF of the yaw alone, see
-            `lmd.scene.pdf.OrientationPdf.stratified`); a PDF from samples is used unchanged.
+            continuous distribution behind the PDF. A PDF of the yaw alone has fewer cells, see
+            `lmd.scene.pdf.OrientationPdf.stratified`. A PDF from samples is used unchanged.
 
     Raises:
         InputError: a number is less than 1, or there is not enough memory for the orientations.

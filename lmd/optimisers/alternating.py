@@ -88,7 +88,7 @@ class Alternating(Optimiser):
             assert self.inner is not None
             self.inner.restore(state["inner"], self.posed)
             if len(self.inner.ledger.history) != len(self.ledger.history) - self.began:
-                raise InputError("inner has another history than the turn that is on.", "inner")
+                raise InputError("inner has a history that does not belong to the current round.", "inner")
 
     @override
     def check(self, problem: Problem) -> None:

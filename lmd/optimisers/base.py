@@ -76,7 +76,7 @@ class Optimiser(ABC):
         Raises:
             InputError: the optimiser cannot be checkpointed; the default.
         """
-        raise InputError("it does not say what its state is")
+        raise InputError("it has no state to be saved")
 
     def restore(self, state: Mapping[str, Any], problem: Problem) -> None:
         """Take over the `state` of an optimiser with equal settings; this one has not run.
@@ -245,8 +245,8 @@ class AskTell(Optimiser):
             asked, genes = len(genes), genes[: len(known)]
             if len(genes) < len(known) or _checksum(genes) != checksum:
                 raise InputError(
-                    f"{type(self).__name__} cannot go on: asked again, it proposes other genes than the checkpoint was "
-                    "made with, as with another version of its library, or random numbers that are not of self.rng."
+                    f"{type(self).__name__} cannot be resumed: it proposes other genes than the checkpoint has. Its "
+                    f"library may have changed, or its random numbers may not come from self.rng."
                 )
             self.ledger.seconds = by_then
             self._note_or_tell(genes, known, asked)
@@ -272,7 +272,7 @@ class AskTell(Optimiser):
         if not ledger.evaluations:
             self._draw_start(problem, budget)
             if genome.varies and len(self.start) < self.start_size:
-                drawn = f"of its {self.start_size} candidates to start from the budget allows {len(self.start)}"
+                drawn = f"the budget allows {len(self.start)} of its {self.start_size} start candidates"
                 print(f"note: {self.called}: {drawn}; no generation will be complete", file=sys.stderr)
 
         def step(_: float) -> None:

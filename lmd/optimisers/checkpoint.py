@@ -77,7 +77,7 @@ class Checkpoint:
         except InputError as error:
             raise InputError(f"{path}: {error}") from error
         except Exception as error:  # a crafted file can raise any error
-            raise InputError(f"{path} cannot be gone on from ({_described(error)}).") from error
+            raise InputError(f"{path} cannot be resumed ({_described(error)}).") from error
         self.run_id = run_id
 
     def _content(self) -> bytes:
@@ -104,8 +104,8 @@ def _without_arrays(name: str, value: Any, arrays: dict[str, Any]) -> Any:
         return {key: _without_arrays(f"{name}.{key}", inner, arrays) for key, inner in value.items()}
     if isinstance(value, list | tuple):
         return [_without_arrays(f"{name}.{i}", inner, arrays) for i, inner in enumerate(value)]
-    kinds = "number, text, array of numbers, nor a list of these or a mapping from texts to them"
-    raise InputError(f"its state{name} is a {type(value).__name__}, which is no {kinds}")
+    kinds = "number, a text or an array of numbers, nor a list or mapping of these"
+    raise InputError(f"its state{name} is a {type(value).__name__}, which is neither a {kinds}")
 
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any], str | None]:
@@ -115,13 +115,13 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any], str | None]:
         state, run_id = document["state"], document["run"]
         settings = json.loads(json.dumps(document["settings"]))  # fails if the settings contain arrays
         if document["format"] != FORMAT or not isinstance(state, dict) or not isinstance(settings, dict):
-            raise ValueError("it is of another kind")
+            raise ValueError("it has another format")
         if not all(map(str.isprintable, settings)):
-            raise ValueError("a setting has no such name")
+            raise ValueError("a setting has an invalid name")
         if run_id is not None and not (isinstance(run_id, str) and run_id.isalnum()):
-            raise ValueError("the tracked run has no such name")
+            raise ValueError("the tracked run has an invalid name")
     except Exception as error:  # a damaged or crafted file can raise any error
-        raise InputError(f"{path} is damaged, or no checkpoint of this version ({_described(error)}).") from error
+        raise InputError(f"{path} is damaged, or is not a checkpoint of this version ({_described(error)}).") from error
     return state, settings, run_id
 
 

@@ -167,7 +167,7 @@ class LandmarkGenome:
 
     def __init__(self, problem: Problem, kind: str, flush: bool) -> None:
         if problem.scene.footprints.edge and not flush:
-            raise InputError("flush must be true where tags have a size: their papers lie flat on the wall.", "flush")
+            raise InputError("flush must be true if tags have a size: their papers lie flat on the wall.", "flush")
         self._problem, self._encoding = problem, make_encoding(kind, problem.scene.footprints.hanging, flush)
 
     @property

@@ -106,7 +106,7 @@ class Access:
         finally:
             server.serve = serve
         if not self._is_asked:
-            raise InputError("this version of viser cannot be kept from talking to every web page; 1.1.1 can.")
+            raise InputError("this version of viser would accept connections from every web page; install viser 1.1.1.")
 
     def _answer(self, hand_on: Answer, connection: Any, request: Any) -> Any:
         """Refuse or forward a request; called by the server as `process_request`."""

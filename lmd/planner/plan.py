@@ -190,7 +190,7 @@ def _nearest_free(
     fixed = 0 if others is None else len(others)
     apart = footprints.separated(one if others is None else others + one, fixed=fixed)
     if apart is None:
-        raise InputError(f"there is no room for one more paper of {footprints.papers(one)[0]:.4g} m.")
+        raise InputError(f"there is no free place for one more paper of {footprints.papers(one)[0]:.4g} m.")
     return apart[fixed:]
 
 
@@ -228,7 +228,7 @@ class TagSearch:
         done: Callable[[], None] = lambda: None,
     ) -> None:
         if not plan.free.size:
-            raise InputError("all tags are pinned, so there is none to move.")
+            raise InputError("all tags are pinned: unpin a tag first.")
         pinned = np.setdiff1d(np.arange(len(plan.deployment)), plan.free)
         self._problem = Problem(
             problem.scene,

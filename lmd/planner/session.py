@@ -158,7 +158,7 @@ class PlanningSession:
             InputError: there is no such tag, the tag is fixed by the problem, or a search is running.
         """
         if number in self._hung:
-            raise InputError(f"tag {number} hangs already, so it stays pinned.")
+            raise InputError(f"tag {number} is fixed by the problem, so it stays pinned.")
         self._become(self.plan.toggled(number))
 
     def undo(self) -> None:

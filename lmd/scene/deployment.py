@@ -130,8 +130,7 @@ class Deployment:
             first = outside[0]
             raise InputError(
                 f"landmark {self._place(first)} lies outside the {room.describe()}, "
-                f"{self._distance(room)[:, first].min():.4g} m from the nearest surface; only with free=true is it "
-                "taken there."
+                f"{self._distance(room)[:, first].min():.4g} m from the nearest surface; set free=true to allow this."
             )
         depth = np.take_along_axis(SurfaceArrays.of(surfaces).heights(self.positions), own[:, None], axis=1)
         normals = np.array([surface.normal for surface in surfaces])[own]
@@ -217,14 +216,14 @@ class Deployment:
         """
         hung = self.with_surfaces(room)
         if fault := hung.fault(room):
-            raise InputError(f"{fault}, so it cannot be a start.")
+            raise InputError(f"{fault}, so the search cannot start from it.")
         hung = hung.before(room)
         normals = np.array([surface.normal for surface in room.surfaces()])[hung.surfaces]
         deviation = np.linalg.norm(self.normals - normals, axis=1)
         if flush and deviation.max() > FLUSH:
             raise InputError(
-                f"landmark {self.ids[np.argmax(deviation)]} is not flush with its wall; only an encoding "
-                "that is not flush can start from it."
+                f"landmark {self.ids[np.argmax(deviation)]} is not flush with its wall; a search with flush = true "
+                f"cannot start from it."
             )
         return hung
 

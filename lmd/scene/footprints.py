@@ -46,8 +46,8 @@ def beside(fixed: Deployment, others: Deployment) -> Deployment:
     if (elsewhere := np.flatnonzero(away > NEAR_SURFACE)).size:
         first = elsewhere[0]
         raise InputError(
-            f"fixed has a landmark {again[first]}, and so has the start, {away[first]:.4g} m away from it; ids must be "
-            "different, and a file without the column id numbers its landmarks from 0.",
+            f"fixed and the start both have a landmark {again[first]}, {away[first]:.4g} m apart; give them different "
+            f"ids (a file without the column id numbers its landmarks from 0).",
             "fixed",
         )
     if len(again) == len(others):
@@ -192,8 +192,8 @@ class Footprints:
         papers = self.papers(drawn)
         if len(drawn) > (most := self.capacity(papers.min())):
             raise InputError(
-                f"count = {len(drawn)} tags do not fit: {most:g} papers of {papers.min():.4g} m are all that the "
-                "surfaces hold.",
+                f"count = {len(drawn)} tags do not fit: the surfaces hold at most {most:g} papers of "
+                f"{papers.min():.4g} m.",
                 "count",
             )
         several = placed and drawn.has_own_edges
@@ -201,7 +201,7 @@ class Footprints:
             apart = self.separated(drawn, fixed=0 if fixed is None else len(fixed))
             if apart is None:
                 raise InputError(
-                    f"count = {len(drawn)} tags with papers of {_named(papers)} m are too many to be hung at random.",
+                    f"count = {len(drawn)} tags with papers of {_named(papers)} m are too many to be placed at random.",
                     "count",
                 )
             return apart
@@ -229,8 +229,8 @@ class Footprints:
         if over.any():
             first = np.argmax(over)
             raise InputError(
-                f"landmark {ids[first]} hangs over the edge of {names[surface[first]]}, or of where tags may hang "
-                f"there: its paper is {paper[first]:.4g} m wide."
+                f"landmark {ids[first]} has a paper {paper[first]:.4g} m wide, which extends beyond "
+                f"{names[surface[first]]} or beyond its part where tags may hang."
             )
         distance = np.abs(at[:, None] - at[None]).max(axis=-1)
         close = (distance < (paper[:, None] + paper) / 2.0 - FILE_TOLERANCE) & (surface[:, None] == surface)

@@ -163,8 +163,8 @@ def in_plane(
     if (wrong := np.flatnonzero(off > IN_PLANE)).size:
         up, normal = (", ".join(f"{value:.4g}" for value in v[wrong[0]]) for v in (ups, normals))
         raise InputError(
-            f"{path}: the up of landmark {ids[wrong[0]]}, ({up}), is no unit vector in the plane of its tag, whose "
-            f"normal is ({normal})."
+            f"{path}: the up vector of landmark {ids[wrong[0]]}, ({up}), must have length 1 and be perpendicular to "
+            f"the normal of its tag, ({normal})."
         )
     level = np.linalg.norm(ups - upright, axis=1, keepdims=True) <= UP_TOLERANCE
     if level.all():

@@ -197,8 +197,8 @@ class RecordedPoses(Checked):
     def _validate(self) -> None:
         if self.held_out is not None and not len(self.kept_back):
             raise InputError(
-                f"held_out = {self.held_out}: no pose of {self.path} lies in a block to be held out, the first of "
-                f"which begins after {(self.held_out - 1) * self.block:g} s.",
+                f"held_out = {self.held_out}: no pose of {self.path} is held out, as the first block to be held out "
+                f"begins after {(self.held_out - 1) * self.block:g} s.",
                 "held_out",
             )
 

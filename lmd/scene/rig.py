@@ -46,8 +46,8 @@ class Mount(Checked):
         camera: intrinsics.
         translation: offset of the camera's centre from the body's origin, body frame, metres.
         yaw, pitch, roll: radians, see the module; with zero angles the camera looks along the body's x axis, upright.
-        quaternion: instead of the angles, x, y, z, w of the rotation to the body's frame from the camera's frame (x
-            along the optical axis, y left and z up in the image).
+        quaternion: instead of the angles, x, y, z, w of the rotation from the camera's frame to the body's frame. The
+            camera's frame has x along the optical axis, y left and z up in the image.
 
     Raises:
         InputError: a number is not finite, the quaternion is not unit, or both quaternion and angles are given.
@@ -62,7 +62,7 @@ class Mount(Checked):
 
     def _validate(self) -> None:
         if self.quaternion is not None and any(getattr(self, name) for name in ANGLES):
-            raise InputError("quaternion must not come with yaw, pitch or roll: it says them already.", "quaternion")
+            raise InputError("quaternion must not be given beside yaw, pitch or roll.", "quaternion")
 
     @cached_property
     def rotation(self) -> FloatArray:

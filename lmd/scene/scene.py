@@ -62,7 +62,7 @@ class Scene:
         seen = getattr(self.visibility, "tag", None)
         object.__setattr__(self, "tag", (seen or Tag()) if self.tag is None else self.tag)
         if seen is not None and seen != self.tag:
-            raise InputError(f"tag is {self.tag}, but visibility is about {seen}.", "tag")
+            raise InputError(f"tag is {self.tag}, but visibility is for {seen}.", "tag")
         if self.rig is not None:
             self.check_no_crowd(f"a rig of {len(self.rig.mounts)} cameras")
 
@@ -104,7 +104,7 @@ class Scene:
     def check_count(self, count: int) -> None:
         """Raise `InputError` if `edges` has one value per landmark and their number is not `count`."""
         if self.edges is not None and len(self.edges) not in (1, count):
-            raise InputError(f"of {count} landmarks the sizes are not known: there are {len(self.edges)} edges.")
+            raise InputError(f"the sizes of {count} landmarks are not known, as there are {len(self.edges)} edges.")
 
     @cached_property
     def footprints(self) -> Footprints:
@@ -208,7 +208,7 @@ class Scene:
         if not self.is_compiled:
             name = type(self.visibility).__name__
             raise InputError(
-                f"{what} needs the compiled half of {name}, which has none: give it `sight`, see docs/extend.md, "
+                f"{what} needs a compiled visibility model, but {name} has no `sight`; see docs/extend.md, "
                 '"Compile a criterion".'
             )
 

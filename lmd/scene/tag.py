@@ -64,8 +64,8 @@ class Tag(Checked):
         budget: total cost of the placed landmarks, instead of `paper`.
 
     Raises:
-        InputError: the edge or the quiet zone is negative; the family is unknown; a value of `edges` is not positive or
-            is repeated; `counts` or `costs` do not have one value for each of `edges`; `paper` is given without
+        InputError: the edge or the quiet zone is negative, or the family is unknown; a value of `edges` is not positive
+            or is repeated; `counts` or `costs` do not have one value for each of `edges`; `paper` is given without
             `edges`; or `budget` is given without `costs` or with `paper`.
     """
 
@@ -85,18 +85,18 @@ class Tag(Checked):
                 raise InputError(f"edges must be different, got {sizes}.", "edges")
             object.__setattr__(self, "edge", self.edge or max(sizes))
         if self.counts is not None and (len(self.counts) != len(sizes) or not any(self.counts)):
-            told = f"counts = {list(self.counts)} must say how many tags have each of edges = {sizes}."
+            told = f"counts = {list(self.counts)} must have a number of tags for each of edges = {sizes}."
             raise InputError(told, "counts")
         if self.paper is not None and not sizes:
             told = f"paper = {self.paper:g} square metres needs edges: the sizes that it may go into."
             raise InputError(told, "paper")
         if self.costs is not None and len(self.costs) != len(sizes):
-            raise InputError(f"costs = {list(self.costs)} must be one for each of edges = {sizes}.", "costs")
+            raise InputError(f"costs = {list(self.costs)} must have one cost for each of edges = {sizes}.", "costs")
         if self.budget is not None and self.costs is None:
             raise InputError(f"budget = {self.budget:g} needs costs: what a tag of each of edges costs.", "budget")
         if self.budget is not None and self.paper is not None:
             raise InputError(
-                "budget and paper must not both be given: one of them says how many tags there are.", "budget"
+                "budget and paper must not both be given: each of them limits the number of tags.", "budget"
             )
 
     def edges_in_order(self, count: int) -> FloatArray:
@@ -108,7 +108,7 @@ class Tag(Checked):
         if self.edges is None or self.counts is None:
             return np.resize(np.nan if self.edges is None else self.edges, count)
         if sum(self.counts) != count:
-            raise InputError(f"counts = {list(self.counts)} are not {count} tags.", "counts")
+            raise InputError(f"counts = {list(self.counts)} must add up to {count} tags.", "counts")
         return np.repeat(self.edges, self.counts)
 
     def filled(self, edges: FloatArray) -> FloatArray:
@@ -142,7 +142,7 @@ class Tag(Checked):
     def check_edge(self) -> None:
         """Raise `InputError` if the tag is a point."""
         if self.is_point:
-            message = f"edge must be given, in metres: a detector cannot read a point; it is that of the {self.square}."
+            message = f"edge must be given, in metres, as a detector cannot read a point: measure the {self.square}."
             raise InputError(message, "edge").within("tag")
 
     @property

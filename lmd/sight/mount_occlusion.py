@@ -66,10 +66,10 @@ def hiding_bound(longest: float, apart: float, radius: float, width: float) -> A
 def _may_occlude(j: Integer, k: Integer, mine: Any, view: Any) -> Any:
     """False only if landmark j does not hide landmark k from any camera within the radius; in float32; True for j = k.
 
-    From a position within the radius of the centre, the direction of a landmark at the distance d turns by at most
-    asin(radius / d), and the landmark hides others within asin(width / (d - radius)) of its direction. So the sine of
-    the angle between occluder j and landmark k is at most `close[j]` + `mine`, where `close[j]` = radius / d_j + width
-    / (d_j - radius) and `mine` = radius / d_k.
+    If a position is within the radius of the centre, the direction of a landmark at the distance d turns by at most
+    asin(radius / d). The landmark hides others within asin(width / (d - radius)) of its direction. So the sine of the
+    angle between occluder j and landmark k is at most `close[j]` + `mine`. Here `close[j]` = radius / d_j + width /
+    (d_j - radius), and `mine` = radius / d_k.
     """
     u, v, w = view.u, view.v, view.w
     cosine, sine = u[j] * u[k] + v[j] * v[k] + w[j] * w[k], view.close[j] + mine

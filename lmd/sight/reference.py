@@ -100,7 +100,7 @@ def _warn_uncompiled(name: str) -> None:
     """Print once per process that the visibility model with this name has no compiled half."""
     slow = "an evaluation takes some 100 times as long, a move of annealing some 1000 times"
     cure = 'see docs/extend.md, "Compile a criterion"'
-    print(f"note: {name} has no compiled half, so its NumPy decides: {slow}; {cure}", file=sys.stderr)
+    print(f"note: {name} is not compiled, so its NumPy code is used: {slow}; {cure}", file=sys.stderr)
 
 
 class ReferenceViews:

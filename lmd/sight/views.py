@@ -53,8 +53,8 @@ def visible(evaluator: Evaluator, deployment: Deployment, positions: FloatArray,
         deployment: K landmarks.
         positions: positions of the camera, or of the body of a rig, `(N, 3)`, world frame, metres.
         axes: optical axis and image's right of the camera (or of the body), two unit vectors in the world frame,
-            `(N, 6)` (`lmd.geometry.se3.axis_and_right`); `(N, 3)` without the right suffices for criteria that need no
-            roll.
+            `(N, 6)` (`lmd.geometry.se3.axis_and_right`). `(N, 3)` without the right suffices for
+            criteria that need no roll.
     """
     return np.asarray(visible_to_each(evaluator, deployment, positions, axes).any(axis=0))
 

@@ -205,8 +205,8 @@ def _draw(crowd: Crowd, room: Space, rng: np.random.Generator) -> FloatArray:
                 break
         else:
             raise InputError(
-                f"number = {crowd.number} cylinders find no free floor to stand on where they walk; cylinder {n + 1} "
-                f"of state {left[0] + 1} has none.",
+                f"number = {crowd.number} cylinders do not fit on the free floor where they walk; cylinder {n + 1} of "
+                f"state {left[0] + 1} finds no place.",
                 "number",
             )
     return people

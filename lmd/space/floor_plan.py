@@ -92,7 +92,7 @@ class FloorPlan(Checked):
             part.check_on(name, face.extent)
             if not self._region(face).intersects(part.region(face)):
                 along, up = face.extent
-                raise InputError(f"{name} lies beside {part.surface}, which is {along:.4g} x {up:.4g} m.", name)
+                raise InputError(f"{name} lies outside {part.surface}, which is {along:.4g} x {up:.4g} m.", name)
 
     @cached_property
     def ground(self) -> Any:
@@ -201,8 +201,8 @@ class FloorPlan(Checked):
         region = free_of(face, self._region(face), self.margin, self.band, taken)
         if region.is_empty:
             raise InputError(
-                f"surfaces: nowhere on {face.name} may anything hang, with its keep_out, band, margin and what stands "
-                "before it.",
+                f"surfaces: nothing may hang on {face.name}: its keep_out, band, margin and the objects in front of it "
+                f"leave no free part.",
                 "surfaces",
             )
         return face.where(region)

@@ -219,8 +219,8 @@ def _simplified(polygon: Any, tolerance: float, grid: OccupancyGrid) -> Any:
             simple.append(corners)
             if (count := sum(map(len, simple))) > MOST_CORNERS:
                 raise InputError(
-                    f"tolerance = {asked * grid.resolution:g} leaves {count} corners of {grid.path!r} or more, of "
-                    f"{MOST_CORNERS} at most; a larger tolerance, speck or passage leaves fewer.",
+                    f"tolerance = {asked * grid.resolution:g} leaves {count} or more corners of {grid.path!r}, but at "
+                    f"most {MOST_CORNERS} are allowed; raise tolerance, speck or passage.",
                     "tolerance",
                 )
             fitted.append(_fitted(corners, contour, own))

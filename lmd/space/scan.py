@@ -173,10 +173,10 @@ class Scan(Checked):
             if surface is not None and region is not None:
                 carriers.append(surface.where(region))
             elif self.surfaces is not None:
-                why = "is seen from nowhere" if surface is None else "has no place left where anything may hang"
+                why = "is seen from no position of the camera" if surface is None else "has no free place for tags"
                 raise InputError(f"surfaces: {name} {why}.", "surfaces")
         if not carriers:
-            raise InputError("surfaces: no patch is seen from where the camera may be.", "surfaces")
+            raise InputError("surfaces: no patch is seen from a position of the camera.", "surfaces")
         return tuple(carriers)
 
     def _facing(self, name: str, positions: FloatArray) -> Surface | None:

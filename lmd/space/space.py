@@ -221,8 +221,8 @@ def check_inside(trajectory: Trajectory, room: Space) -> None:
     if through.size:
         x, y, z = positions[through[0]]
         raise InputError(
-            f"the camera goes straight on from ({x:.9g}, {y:.9g}, {z:.9g}) at {trajectory.time[through[0]]:.16g} s, "
-            f"through something that stands in the {room.describe()}."
+            f"the camera's straight path from ({x:.9g}, {y:.9g}, {z:.9g}) at {trajectory.time[through[0]]:.16g} s "
+            f"passes through an obstacle in the {room.describe()}."
         )
 
 
@@ -237,5 +237,5 @@ def check_file_inside(
         check(trajectory, room)
     except InputError as error:
         lost = ~room.contains(trajectory.poses[:, :3, 3])
-        hint = " If it has a frame of its own, align says where that is in the room." if lost.mean() > 0.5 else ""
+        hint = " If the file has a frame of its own, give its pose in the room as align." if lost.mean() > 0.5 else ""
         raise InputError(f"path: {path}: {error}{hint}", "path") from None

@@ -175,8 +175,8 @@ def _enclosed(path: str, drawing: Drawing, gap: float, start: Sequence[float] | 
     if areas[chosen] == 0.0 or room.buffer(-THICKEST_M / 2.0).is_empty:
         where = "the walls" if start is None else f"start = {list(start)}: the walls"
         raise InputError(
-            f"path: {where} of {path!r} enclose no room; a gap is wider than gap = {gap:g}, or walls are in "
-            "another layer.",
+            f"path: {where} of {path!r} do not enclose a room; a gap is wider than gap = {gap:g}, or walls are in "
+            f"another layer.",
             "path",
         )
     areas[chosen] = 0.0

@@ -38,7 +38,7 @@ def instance_of(name: str) -> int:
     """
     number = name.partition(SEPARATOR)[2] or "0"
     if not number.isdecimal():
-        raise InputError(f"suite: an instance is a number, as in tiny_mean{SEPARATOR}3, got {name!r}.", "suite")
+        raise InputError(f"suite: an instance must be a number, as in tiny_mean{SEPARATOR}3, got {name!r}.", "suite")
     return int(number)
 
 

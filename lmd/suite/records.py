@@ -42,9 +42,9 @@ def verify(path: str | Path) -> dict[str, Any]:
         path: the entry, or a record, which is scored again.
 
     Returns:
-        the record, which adds to the entry: `value`, the fitness, or with two objectives the hypervolume of the front
-        from the origin; `off_grid`, the headline figure off the grid, None for a front; `version` and `hash` of the
-        problem; `scorer`.
+        the record, which adds to the entry `version` and `hash` of the problem, and `scorer`. `value` is the fitness,
+        or with two objectives the hypervolume of the front from the origin. `off_grid` is the headline figure off the
+        grid, None for a front.
 
     Raises:
         InputError: the file cannot be read, a key is missing, the problem is unknown, or the candidate does not belong

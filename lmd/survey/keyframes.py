@@ -2,8 +2,8 @@
 
 Corner errors are correlated in consecutive images. On recordings, a map from five frames a second is as good as a map
 from all frames. Keyframes are evenly spaced in time. The selection must not depend on the motion or on the number of
-tags in view: blurred or oblique images would have more weight than others, and maps would differ by more than their
-stated errors.
+tags in view. Otherwise blurred or oblique images would have more weight than others, and maps would differ by more than
+their stated errors.
 
 Two further kinds of frames are kept:
 

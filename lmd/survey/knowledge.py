@@ -47,7 +47,7 @@ class MeasuredPoints:
         if len(np.unique(self.ids)) < len(self.ids):
             raise InputError("points has a tag twice.", "points")
         if are_in_line(self.places):
-            raise InputError("points must not lie in a line.", "points")
+            raise InputError("points must not be collinear.", "points")
 
     @classmethod
     def from_csv(cls, path: Any) -> "MeasuredPoints":
@@ -84,7 +84,10 @@ class Boards(Checked):
             raise InputError(f"boards has tag {numbers[counts > 1][0]} twice.", "boards")
         sheets, counts = np.unique(self.names, return_counts=True)
         if (counts < FEWEST).any():
-            raise InputError(f"boards has one tag only on board {str(sheets[counts < FEWEST][0])!r}.", "boards")
+            raise InputError(
+                f"boards must have two tags or more on each board, but has one on {str(sheets[counts < FEWEST][0])!r}.",
+                "boards",
+            )
 
     @classmethod
     def from_csv(cls, path: Any, printed: float) -> "Boards":
@@ -148,7 +151,9 @@ class PriorKnowledge:
             integer("edges", number, low=0)
             real(f"edges of tag {number}", edge, above=0.0)
         if self.floor and any(known is not None for known in (self.plan, self.fixed, self.points)):
-            raise InputError("floor says where z = 0 is, but the plan, or the tags that are known, do so too.", "floor")
+            raise InputError(
+                "floor sets z = 0, but the plan or the known tags set it already: leave floor out.", "floor"
+            )
 
     @property
     def ids(self) -> IntArray:

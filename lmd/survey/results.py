@@ -223,17 +223,17 @@ def to_text(survey: Survey) -> str:
     if (motion := found.prior.motion) is not None:
         turn, place = (1e3 * spread for spread in motion.spread)
         if motion.is_odometry:
-            lines["odometry"] = f"drifts {place:.2g} mm and {turn:.2g} mrad within a metre, as the drive tells"
+            lines["odometry"] = f"drifts {place:.2g} mm and {turn:.2g} mrad within a metre, as estimated from the drive"
         else:
-            lines["motion"] = f"the velocity changes by {place:.2g} mm/s and {turn:.2g} mrad/s within a second, as the "
-            lines["motion"] += f"drive tells; frames up to {motion.longest:.2g} s apart are linked"
+            lines["motion"] = f"the velocity changes by {place:.2g} mm/s and {turn:.2g} mrad/s within a second, as "
+            lines["motion"] += f"estimated from the drive; frames up to {motion.longest:.2g} s apart are linked"
         if (count := len(np.unique(survey.joined[survey.joined >= 0]))) > 1:
             lines["joined"] = f"{count} groups of tags that no image connects, by motion alone"
     if "moved/50" in figures:
         lines["they hang"] = f"{both(figures, 'moved', digits='.3g')} mm off their plan"
         away = 1e3 * distances_from_plan(survey)
         if far := [f"{ids[k]} ({away[k]:.3g} mm)" for k in far_from_plan(survey)]:
-            lines["they hang"] += f"; farthest: {a_few(far)}: is the plan right there?"
+            lines["they hang"] += f"; farthest: {a_few(far)}: check the plan there"
     for number, camera in enumerate(found.calibrated, 1):
         if not camera.is_fixed:
             label = "not fixed" + f" {number}" * (len(found.calibrated) > 1)

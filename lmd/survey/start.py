@@ -2,11 +2,10 @@
 
 A single tag has two poses in front of a camera that look alike (IPPE). A group of tags begins with the frame that shows
 the most tags whose pose is beyond doubt. Then two steps alternate: frames that show two or more placed tags are placed,
-and tags that placed frames show are placed. Of the poses that the sightings of a frame or tag propose, the likeliest is
-refined, and is accepted if enough sightings agree. When no frame or tag can be placed this way, the likeliest single
-sighting places a tag or frame. At the end all tags and frames with large errors are tried again. Placed tags and frames
-are adjusted as their number grows. Tags that no frame connects with the group begin another group, in a world of its
-own.
+and tags that placed frames show are placed. The sightings of a frame or tag propose poses. The likeliest is refined,
+and is accepted if enough sightings agree. When no frame or tag can be placed this way, the likeliest single sighting
+places a tag or frame. At the end all tags and frames with large errors are tried again. Placed tags and frames are
+adjusted as their number grows. Tags that no frame connects with the group begin another group, in a world of its own.
 
 With a plan, initialisation starts with the tags at their planned poses, and is accepted if nearly all sightings agree.
 As detectors may begin to number at another corner, all planned tags are tried at each of the four quarter turns.
@@ -100,7 +99,7 @@ def in_one_world(sightings: Sightings, start: Start, prior: Prior, origin: int |
 def _check_groups(group: IntArray) -> None:
     """Raise `InputError` if there is no group."""
     if group.max(initial=-1) < 0:
-        raise InputError("detections never show two tags at once, of which one leaves no doubt.", "detections")
+        raise InputError("detections have no frame with two tags, one of them with an unambiguous pose.", "detections")
 
 
 def _mounted(sightings: Sightings, apart: Poses, mounts: FloatArray | None) -> Poses:
@@ -123,7 +122,9 @@ def _mounted(sightings: Sightings, apart: Poses, mounts: FloatArray | None) -> P
         elif (there & here).any():
             found[camera] = median_pose(inverse(frames[there & here]) @ views[camera, there & here])
         else:
-            raise InputError(f"detections have no frame that shows where camera {camera + 1} is mounted.", "detections")
+            raise InputError(
+                f"detections have no frame that determines the mount of camera {camera + 1}.", "detections"
+            )
         frames[there & ~here] = views[camera, there & ~here] @ inverse(found[camera])
     return Poses(apart.tags, frames, found)
 

@@ -193,9 +193,9 @@ def _believed(detected: DetectedTags, tag: Tag, known: PriorKnowledge) -> IntArr
     often, counts = np.unique(detected.ids[detected.ids < tag.ids], return_counts=True)
     ids = np.union1d(known.ids, often[counts >= FEWEST_BELIEVED])
     if not np.isin(detected.ids, ids).any():
-        raise InputError("detections has no tag of the plan, and no other one twice.", "detections")
+        raise InputError("detections show no tag of the plan, and no other tag twice.", "detections")
     if lacking := set(known.sizes) - {*detected.ids.tolist(), *known.ids.tolist()}:
-        raise InputError(f"edges has tag {min(lacking)}, which no detection and no plan has.", "edges")
+        raise InputError(f"edges has tag {min(lacking)}, which is neither in detections nor in the plan.", "edges")
     return ids
 
 
@@ -301,7 +301,7 @@ def _placed(found: Estimate, known: PriorKnowledge) -> tuple[BoolArray, BoolArra
         loose = placed & (found.sigmas > max(LOOSE_M, LOOSE_SHARE * extent))
     placed &= ~loose
     if not placed.any():
-        text = f"no tag is placed, as no {FEWEST_BELIEVED} sightings of one agree: more frames are needed."
+        text = f"no tag is placed, as no {FEWEST_BELIEVED} sightings of a tag agree: take more frames."
         if loose.any():
             text = f"no tag is known to better than {float(np.nanmin(found.sigmas[loose])):.2g} m beside the others."
         raise InputError(f"detections: {text}", "detections")

@@ -84,11 +84,11 @@ def into_world(
     motions = {g: motion_to_prior(np.where((group == g)[:, None, None], tags, np.nan), prior) for g in order}
     if all(motion is None for motion in motions.values()):
         if prior.known[group >= 0].any():
-            text = "points has too few tags that photographs connect: three that are not in a line."
+            text = "points needs three tags that are not collinear and that photographs connect."
             raise InputError(text, "points")
         among = (group == order[0]) if origin is None else (sightings.ids == origin) & (group >= 0)
         if not among.any():
-            raise InputError(f"origin = {origin} is no tag that could be placed.", "origin")
+            raise InputError(f"origin = {origin} is not among the placed tags.", "origin")
         first = int(np.argmax(np.where(among, counts, -1)))
         motions[int(group[first])] = inverse(tags[first])
         prior = replace(prior, tags=prior.tags.copy(), information=prior.information.copy())
@@ -120,9 +120,9 @@ def motion_to_floor(tags: FloatArray, floor: IntArray, origin: int) -> FloatArra
     """
     places = tags[floor, :3, 3]
     if len(floor) < FEWEST_POINTS or not np.isfinite(places).all():
-        raise InputError(f"floor must be at least {FEWEST_POINTS} tags that are in the map.", "floor")
+        raise InputError(f"floor must name at least {FEWEST_POINTS} tags that are in the map.", "floor")
     if are_in_line(places):
-        raise InputError("floor has tags that lie in a line.", "floor")
+        raise InputError("floor must name tags that are not collinear.", "floor")
     axes = np.linalg.svd(places - places.mean(axis=0))[2]
     up = axes[2] * np.sign((tags[floor, :3, 2] @ axes[2]).sum())
     ahead = np.cross(up, tags[origin, :3, 0])
@@ -230,8 +230,8 @@ def errors_of_fixed(found: Estimate, free: Estimate) -> FloatArray:
         text = f"{1e3 * metres:.3g} mm" if metres > MOST[0] else f"{np.degrees(rad):.3g} degrees"
         others = f", and {count - 1} more" if count > 1 else ""
         raise InputError(
-            f"fixed has tag {found.sightings.ids[worst]} {text} from where the photographs have it beside the other "
-            f"fixed tags{others}: correct the file or leave the tag out; points takes places that are good to 5 mm.",
+            f"fixed has tag {found.sightings.ids[worst]} {text} away from its pose by the photographs and the other "
+            f"fixed tags{others}: correct or remove it, or give inexact places as points.",
             "fixed",
         )
     return off

@@ -107,7 +107,7 @@ def test_odometry_of_another_clock_is_refused():
     drive = Trajectory(np.arange(5.0), np.tile(np.eye(4), (5, 1, 1)))
     with pytest.raises(
         InputError,
-        match=r"from 0 to 4 s, but the frames have 100 to 104 s: it must be of the same drive and clock",
+        match=r"from 0 to 4 s, but the frames have 100 to 104 s: give odometry of the same drive and clock",
     ):
         Motion.by_odometry(100.0 + np.arange(5.0), drive)
 

@@ -139,7 +139,7 @@ def test_methods_are_for_landmarks_or_for_cameras():
 
 
 def test_a_body_that_leaves_the_room_is_refused():
-    with pytest.raises(InputError, match=r"^boxes leave the room: rig has a camera at"):
+    with pytest.raises(InputError, match=r"^boxes: the body leaves the room: rig has a camera at"):
         problem(body=Body([{"low": [-0.2, -0.2, 0.0], "high": [0.2, 0.2, 0.9]}]))
 
 

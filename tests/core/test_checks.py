@@ -75,6 +75,6 @@ class Shape(Protocol):
 def test_a_part_that_lacks_a_method_is_named():
     for part in (SimpleNamespace(sides=None, area=float), MagicMock()):  # one that has it, one that delegates
         check_members("shape", part, Shape, "docs/shapes.md")
-    told = r"^shape is a .*SimpleNamespace, which has no area; docs/shapes\.md has what is needed\.$"
+    told = r"^shape is a .*SimpleNamespace, which lacks area; see docs/shapes\.md\.$"
     with pytest.raises(InputError, match=told):
         check_members("shape", SimpleNamespace(sides=None), Shape, "docs/shapes.md")

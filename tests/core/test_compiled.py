@@ -105,7 +105,7 @@ def _printed(x):
     return x
 
 
-HELD = r"returns arrays that nothing"
+HELD = r"returns arrays, which would be freed"
 ARRAY = np.arange(5.0)
 
 
@@ -118,7 +118,7 @@ ARRAY = np.arange(5.0)
         (_return_what_is_borrowed, ARRAY, "_return_what_is_borrowed", HELD),
         (kernel(lambda n: len(_given([float(n), 2.0]))), 3, "_given", HELD),
         (kernel(lambda n: len(_given(str(n)))), 3, "_given", HELD),
-        (kernel(lambda n: _printed(n)), 3, "_printed", "prints, or uses objects of Python"),
+        (kernel(lambda n: _printed(n)), 3, "_printed", "prints or uses Python objects"),
     ],
 )
 def test_memory_that_nothing_would_hold_is_not_returned_and_nothing_is_printed(refused, argument, name, message):
@@ -166,7 +166,7 @@ def test_the_clock_stands_still_while_kernels_and_their_parts_are_compiled(clock
         assert clock.read() == 11.0
     assert (clock.read(), clock.active) == (12.0, False)
     assert capsys.readouterr().err.splitlines() == [
-        "compiling what this needs; it is kept for the next time",
+        "compiling kernels; they are cached for the next run",
         "compiling kernel 1, 0 s so far: test_compiled._sum_of_roots",
     ]
 
@@ -199,7 +199,7 @@ def test_where_nothing_can_be_written_kernels_are_compiled_all_the_same(monkeypa
     monkeypatch.setattr(compile_clock, "CLOCK", compiled.CLOCK)
     double = kernel(lambda x: 2.0 * x)
     assert double(1.5) == 3.0
-    assert "it cannot be kept, as no folder can be written to; NUMBA_CACHE_DIR=DIR" in capsys.readouterr().err
+    assert "they cannot be cached, as no cache folder is writable; set NUMBA_CACHE_DIR" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("damage", [b"", b"cgone.module\nClass\n.", b"cmath\ngone\n.", b"\x80"])

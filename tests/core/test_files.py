@@ -27,7 +27,7 @@ def test_what_is_too_large_is_not_read(tmp_path):
         file.truncate(1 << 43)  # takes no space
     assert "holes.csv', of 8.796e+12 bytes, would take " in refused(read_text, tmp_path / "holes.csv", "path")
     (tmp_path / "long.yaml").write_bytes(b"#" * (LARGEST_YAML + 1))
-    assert refused(read_keys, tmp_path / "long.yaml", "path").endswith("and at most 5.243e+05 are taken.")
+    assert refused(read_keys, tmp_path / "long.yaml", "path").endswith("at most 5.243e+05 are allowed.")
 
 
 def test_aliases_as_they_are_written_by_programs_are_read(write):

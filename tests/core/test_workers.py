@@ -72,7 +72,9 @@ def test_without_semaphores_a_sentence_says_how_to_go_on(monkeypatch):
         raise FileNotFoundError(2, "No such file or directory")
 
     monkeypatch.setattr("lmd.core.workers.ProcessPoolExecutor", refuse)
-    with pytest.raises(InputError, match=r"^workers need semaphores of the system \(.*No such file.*\); workers=1"):
+    with pytest.raises(
+        InputError, match=r"^workers need semaphores of the operating system \(.*No such file.*\); set workers=1"
+    ):
         list(in_processes(ignores_interrupts, range(2), workers=2, name=str))
 
 

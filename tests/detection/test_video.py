@@ -80,7 +80,7 @@ def test_frames_are_those_of_the_sensor_unless_only_turned_ones_fit(tmp_path, de
     np.testing.assert_array_equal(image, as_stored)
     assert image[:50, :70].mean() > 200.0
     if degrees == 180:
-        with pytest.raises(InputError, match=r"has 320 x 240 pixels, the camera 240 x 320\.$"):
+        with pytest.raises(InputError, match=r"has 320 x 240 pixels, but the camera has 240 x 320\.$"):
             list(Video(path, 5).read(0, 1, UPRIGHT))
     else:
         (image,) = Video(path, 5).read(0, 1, UPRIGHT)
@@ -92,7 +92,7 @@ def test_a_raw_stream_is_read_to_its_end():
     images, camera = Video(RAW, 100), Camera(4.0, 0.02, 0.02, (16.0, 16.0), 32, 32, 0.0)
     assert images.names == [f"{k / 25:.6f}" for k in range(FRAMES)]
     (remark,) = images.remarks
-    assert remark.endswith("raw.h264' has no times: 25 frames a second are taken, as OpenCV says")
+    assert remark.endswith("raw.h264' has no times: OpenCV's rate of 25 frames a second is assumed")
     assert not images.is_random_access
     whole = means(images, 0, FRAMES, camera)
     np.testing.assert_allclose(np.diff(whole), 10.0 * 255 / 219, atol=1.0)  # 16 to 235 are black and white
@@ -132,7 +132,7 @@ def test_a_video_that_was_cut_says_so(tmp_path):
     images = Video(path, 100)
     count = len(images.names)
     assert 10 < count < 15
-    assert images.remarks == [f"'{path}' ends after {count} of the 20 frames that it says it has"]
+    assert images.remarks == [f"'{path}' ends after {count} of the 20 frames that its header states"]
     np.testing.assert_allclose(means(images, 0, count), np.arange(count) * 10.0, atol=3.0)
 
 
@@ -141,7 +141,7 @@ def test_a_file_that_names_another_one_is_refused_before_it_is_opened(tmp_path, 
     other = film(tmp_path / "walk01.mp4", "mp4v")
     monkeypatch.setattr(cv2, "VideoCapture", None)
     (tmp_path / name).write_text(text.format(other))
-    with pytest.raises(InputError, match=r"cannot be read as a video: it is a text, as playlists are, which name"):
+    with pytest.raises(InputError, match=r"cannot be read as a video: it is a text, such as a playlist, which names"):
         Video(tmp_path / name, 5)
 
 
@@ -167,10 +167,10 @@ def test_a_name_that_is_an_address_for_the_decoder_is_a_name_of_a_file(tmp_path,
 @pytest.mark.parametrize(
     ("content", "reason"),
     [
-        (b"", "cannot be read as a video: it is empty; read are MP4 and MOV, "),
-        (b"nothing", "it is a text, as playlists are"),
-        (b"\0\1\2\3nothing", "it does not begin as a video does"),
-        (b"\x89PNG\r\n\x1a\n", "is one image: a folder of photographs is read, or a video"),
+        (b"", "cannot be read as a video: it is empty; give MP4 and MOV, "),
+        (b"nothing", "it is a text, such as a playlist"),
+        (b"\0\1\2\3nothing", "it does not begin like a video"),
+        (b"\x89PNG\r\n\x1a\n", "is a single image: give a folder of photographs, or a video"),
         (b"\0\0\0\x18ftypisom\0\0\0\0isom", "cannot be read as a video: OpenCV cannot open it"),
     ],
 )

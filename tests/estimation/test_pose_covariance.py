@@ -228,5 +228,5 @@ def test_measured_corner_errors_are_recovered():
     assert found.modes == pytest.approx(MEASURED.modes, rel=0.03)
     assert found.independent_sigma(pitches, slants) == pytest.approx(sigma, rel=0.15)
     assert np.abs(found.inward_at(pitches) - shift).max() < 0.02
-    with pytest.raises(InputError, match="frames: 39 tags were detected, and 40 are needed"):
+    with pytest.raises(InputError, match="frames: 39 tags were detected, but 40 are needed"):
         MeasuredCorners.of(pitches[:39], slants[:39], error[:39], image[:39])

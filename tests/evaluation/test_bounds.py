@@ -199,7 +199,7 @@ def test_where_nothing_can_be_seen_the_bound_says_so_and_no_target_is_in_reach()
     bound = average_upper_bound(problem, 12, COARSE)
     assert bound.walls <= COARSE.tolerance
     assert bound.fractional == 0.0
-    with pytest.raises(InputError, match=r"^target = 1 is out of reach of 10000 landmarks\."):
+    with pytest.raises(InputError, match=r"^target = 1 cannot be reached with 10000 landmarks\."):
         fewest_landmarks(problem, 1.0, COARSE)
 
 

@@ -120,7 +120,7 @@ def test_an_interrupted_comparison_keeps_a_table_of_what_is_finished_and_goes_on
     process.send_signal(signal.SIGINT)
     _, err = process.communicate()
     assert process.returncode != 0
-    assert "interrupted; the same command goes on with what is in outputs/compare/kept" in err
+    assert "interrupted; the same command continues from the results in outputs/compare/kept" in err
     (row,) = pd.read_csv(tmp_path / "run" / "comparison.csv").itertuples()
     assert 1 <= row.runs < 500
     assert sorted({run.info.status for run in recorded(tmp_path)}) == ["FINISHED", "KILLED"]

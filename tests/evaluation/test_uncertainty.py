@@ -88,7 +88,7 @@ def test_corner_errors_come_from_the_detector_of_the_scene(lab, settings, reader
         assert 0.1 < sigma[0] < 0.5
         assert 0.15 < inward[0] < 0.4
         assert np.trace(errors.modes) == pytest.approx(8.0)
-        with pytest.raises(InputError, match=r"frames: \d+ tags were detected, and 40 are needed"):
+        with pytest.raises(InputError, match=r"frames: \d+ tags were detected, but 40 are needed"):
             UncertaintyStudy(corners="rendered", frames=5).errors(*lab, 0)
 
 

@@ -117,7 +117,7 @@ def test_one_camera_needs_no_name(tmp_path):
     ("lines", "head", "message"),
     [
         (["left,1.0,1"], "topic,when,tags", r"' has no column time or stamp or timestamp or image\.$"),
-        (["1.0,1"], "stamp,tags", r"' has no column camera or topic or .*, and detections are of 2 cameras\.$"),
+        (["1.0,1"], "stamp,tags", r"' has no column camera or topic or .*, but the detections are of 2 cameras\.$"),
         (["left,1.0,1"], "topic,stamp,tags", r"' lacks the image of right at 3\.0, in which a tag was detected\.$"),
     ],
 )

@@ -74,7 +74,7 @@ def test_the_unit_is_that_of_the_drawing_or_asked_for(draw, code, unit, scale):
     path = draw(lambda space: space.add_lwpolyline(corners, close=True), code)
     assert shapely.Polygon(room_of(path).plan.outline).bounds == pytest.approx((0, 0, 6, 4), abs=1e-3)
     path = draw(lambda space: space.add_lwpolyline(corners, close=True), 0)
-    with pytest.raises(InputError, match=rf"^unit is needed, as '.*plan\.dxf' names none.*{unit} make 6 x 4 m"):
+    with pytest.raises(InputError, match=rf"^unit must be given, as '.*plan\.dxf' states none.*{unit} make 6 x 4 m"):
         room_of(path)
     assert shapely.Polygon(room_of(path, unit=unit).plan.outline).area == pytest.approx(24.0, abs=0.01)
 
@@ -117,7 +117,7 @@ def test_a_drawing_whose_layers_do_not_name_walls_asks_for_them(draw):
 
     path = draw(fill, 6)
     with pytest.raises(
-        InputError, match=r"^layers must name those with the walls of .* has 1 \(1 lines\), 2 \(1 lines\)"
+        InputError, match=r"^layers must name the layers with the walls; .* has 1 \(1 lines\), 2 \(1 lines\)"
     ):
         room_of(path)
     assert len(room_of(path, layers=["1"]).plan.outline) == 4
@@ -144,7 +144,9 @@ def test_a_wall_that_a_cad_program_does_not_show_is_none(tmp_path, within, on, m
     assert shapely.Polygon(room.plan.outline).area == pytest.approx(area, abs=0.01)
     if area == 24.0 and "WALL_OFF" in (within, on):
         assert "does not show" in room_of(tmp_path / "plan.dxf").plan.note
-        with pytest.raises(InputError, match=r"^layers: 'wall_off' of '.*' is among what a CAD program does not show"):
+        with pytest.raises(
+            InputError, match=r"^layers: 'wall_off' of '.*' belongs to what a CAD program does not show"
+        ):
             room_of(tmp_path / "plan.dxf", layers=["WALLS", "wall_off"])
 
 

@@ -97,10 +97,10 @@ def itself(drawing):
 
 DRAWINGS = {
     "circle": (lambda d: d.modelspace().add_circle((0, 0), 1e14), "1e+14 units from the origin"),
-    "large circle": (lambda d: d.modelspace().add_circle((0, 0), 1e10), "tolerances along a shape, and at most"),
+    "large circle": (lambda d: d.modelspace().add_circle((0, 0), 1e10), "tolerances along a shape; at most"),
     "circles": (lambda d: [d.modelspace().add_circle((0, 0), 1e6 + i) for i in range(50)], "5001 vertices of shapes"),
     "blocks": (lambda d: (nested(d, 10), d.modelspace().add_blockref("b0", (0, 0))), "5001 entities"),
-    "itself": (itself, "33 blocks in each other, and at most 32"),
+    "itself": (itself, "33 nested blocks; at most 32"),
     "far": (lambda d: d.modelspace().add_line((-1e308, 0), (1e308, 1e308)), "1e+308 units from the origin"),
 }
 
@@ -124,13 +124,13 @@ def test_a_drawing_that_grows_is_refused(name, tmp_path, monkeypatch):
 def test_a_picture_of_another_kind_or_size_is_not_opened(name, content, tmp_path):
     (tmp_path / name).write_bytes(content)
     (path := tmp_path / "map.yaml").write_text(json.dumps(KEYS | {"image": name}))
-    refused("floor plan", path, "none of PNG, PPM, BMP" if name == "e.png" else "59290000 cells, and at most 36000000")
+    refused("floor plan", path, "not PNG or PPM or BMP" if name == "e.png" else "59290000 cells; at most 36000000")
 
 
 MESHES = {
-    "n.gltf": ({"asset": {}, "nodes": [{}] * 50_001}, "50001 nodes, and at most 50000"),
+    "n.gltf": ({"asset": {}, "nodes": [{}] * 50_001}, "50001 nodes; at most 50000"),
     "m.gltf": ({"asset": {}, "meshes": [{"primitives": [{}]}] * 50_001}, "50001 pieces of meshes"),
-    "f.obj": ("v 0 0 0\n" + "f" + " 1" * 2001, "2001 corners in a face, and at most 2000"),
+    "f.obj": ("v 0 0 0\n" + "f" + " 1" * 2001, "2001 corners in a face; at most 2000"),
     "o.obj": ("usemtl a\n" * 30_001, "30001 names of objects and materials"),
 }
 

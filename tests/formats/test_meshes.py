@@ -63,7 +63,9 @@ def test_triangles_are_in_the_file_that_is_named(name, tmp_path):
     """Else a repeated sweep would not know that they changed."""
     (tmp_path / "room.bin").write_bytes(TRIANGLE)
     for uri in ("room.bin", "../room.bin", f"{tmp_path}/room.bin", "http://localhost/room.bin", "file:///dev/zero"):
-        assert f"has its triangles in '{uri}'; save it as one file" in refused(written(tmp_path / name, gltf(uri)))
+        assert f"has its triangles in '{uri}'; save mesh and triangles as one" in refused(
+            written(tmp_path / name, gltf(uri))
+        )
     assert len(read_mesh(written(tmp_path / name, gltf())).faces) == 1
 
 
@@ -91,9 +93,9 @@ def test_a_mesh_of_too_many_triangles_is_refused(tmp_path, monkeypatch):
     many = gltf(nodes=[{"children": [1, 2]}, {"mesh": 0}, {"mesh": 0}])
     assert len(read_mesh(written(tmp_path / "room.gltf", many)).faces) == 1  # one that is there twice
     monkeypatch.setattr("lmd.formats.meshes.MOST_TRIANGLES", 1)
-    assert "has 2 triangles, and at most 1 are taken" in refused(written(tmp_path / "room.gltf", many))
+    assert "has 2 triangles; at most 1 are allowed" in refused(written(tmp_path / "room.gltf", many))
     trimesh.creation.box().export(tmp_path / "box.ply")
-    assert "has 12 triangles, and at most 1 are taken" in refused(str(tmp_path / "box.ply"))
+    assert "has 12 triangles; at most 1 are allowed" in refused(str(tmp_path / "box.ply"))
 
 
 def test_no_other_file_is_looked_for(tmp_path):
@@ -120,7 +122,7 @@ def test_a_corner_that_is_no_place_is_refused(name, bad, tmp_path):
     box.export(tmp_path / name)
     told = refused(tmp_path / name, up="z")
     assert f"{name}' has a corner of 'geometry" in told
-    assert told.endswith(f"at ({bad:g}, 0.5, 0.5), which is no place.")
+    assert told.endswith(f"at ({bad:g}, 0.5, 0.5), which is not finite.")
 
 
 def test_names_in_a_file_do_not_reach_the_terminal_as_they_are(tmp_path):
@@ -160,7 +162,7 @@ def test_the_unit_of_a_file_is_asked_for(tmp_path):
     for unit, per in {"millimetres": 0.001, "centimetres": 0.01}.items():
         path = tmp_path / f"{unit}.obj"
         path.write_text("".join(f"v {x / per:g} {y / per:g} {z / per:g}\n" for x, y, z in corners) + faces)
-        assert f"a file in {unit} takes {per:g}, which makes 6 x 4 x 2.5 m" in refused(path)
+        assert f"a file in {unit} needs {per:g}, which makes 6 x 4 x 2.5 m" in refused(path)
         assert (read_mesh(path, per).vertices.max(axis=0) - (6, 4, 2.5)).max() < 1e-9
     path.write_text("".join(f"v {x * 1e-9:g} {y * 1e-9:g} {z * 1e-9:g}\n" for x, y, z in corners) + faces)
-    assert refused(path).endswith("; no usual unit makes a room of it.")
+    assert refused(path).endswith("; no usual unit gives it the size of a room.")

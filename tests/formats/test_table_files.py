@@ -140,7 +140,7 @@ def test_repeated_times_are_left_out_with_a_note(tmp_path):
     file = TrajectoryFile(str(write(tmp_path, "\n".join([first, first, *rest]))))
     check_poses(file.trajectory, TABLES["poses"]["tum"])
     assert file.note.startswith(
-        f"1 of 4 rows of {tmp_path / 'file'} have the time of the one before, at most 0 mm away, from line 2"
+        f"1 of 4 rows of {tmp_path / 'file'} repeat the time of the row before, at most 0 mm away (first in line 2)"
     )
 
 

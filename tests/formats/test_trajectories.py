@@ -99,11 +99,11 @@ def test_a_mount_turns_angles_as_it_turns_quaternions(write):
 def test_a_body_that_is_taken_for_a_camera_raises_a_question(write):
     body = TrajectoryFile(write(text(TIME, *AT.T, *np.tile([[0.0], [0.0], [0.0], [1.0]], 3))))
     assert "100% of the views" in body.note
-    assert "look straight up, within 30 degrees: does the camera?" in body.note
+    assert "look straight up, within 30 degrees: check that the camera does." in body.note
     assert "frame=body" in body.note
     assert TrajectoryFile(body.path, "body").note == ""
     down = write(text(TIME, *AT.T, *np.tile([[1.0], [0.0], [0.0], [0.0]], 3)))  # a drone's camera
-    assert "look straight down, within 30 degrees: does the camera?" in TrajectoryFile(down).note
+    assert "look straight down, within 30 degrees: check that the camera does." in TrajectoryFile(down).note
 
 
 def test_the_frame_that_ros_names_is_no_other_one(write):
@@ -112,7 +112,7 @@ def test_the_frame_that_ros_names_is_no_other_one(write):
         f"{i},0,map,cam_optical_frame,{','.join(map(str, at + turn))}\n" for i, (at, turn) in enumerate(rows)
     )
     assert_allclose(poses_of(write(lines))[:, :3, :3], TURN.as_matrix(), atol=1e-12)
-    with pytest.raises(InputError, match=r"^frame must be optical: .* are those of 'cam_optical_frame'"):
+    with pytest.raises(InputError, match=r"^frame must be optical: .* has poses of the frame 'cam_optical_frame'"):
         poses_of(write(lines), "body")
 
 
@@ -126,8 +126,8 @@ def test_a_calibration_without_extrinsics_or_with_several_cameras_is_refused(wri
 def test_a_recording_in_another_frame_says_how_far_it_is_outside(write):
     away = write(text(TIME, *(AT + np.array([100.0, 0.0, 0.0])).T, *TURN.as_quat().T))
     message = (
-        r"is outside the room of 7.5 x 5 x 6 m; so are 3 of 3 poses, up to 94.5 m beyond it. If it has a frame of its "
-        "own, align says where that is in the room.$"
+        r"is outside the room of 7.5 x 5 x 6 m; so are 3 of 3 poses, up to 94.5 m beyond it. If the file has a frame "
+        r"of its own, give its pose in the room as align\.$"
     )
     with pytest.raises(InputError, match=message):
         TrajectoryFile(away).check_inside(paper_room())

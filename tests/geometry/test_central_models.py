@@ -93,7 +93,7 @@ def test_kalibr_vins_and_basalt_say_the_same_of_one_camera(write):
     vins += "projection_parameters:\n   gamma1: 1015.0\n   gamma2: 1014.0\n   u0: 311.0\n   v0: 243.0\n"
     one, other = read_calibration(write(json.dumps({"cam0": kalibr}))), read_calibration(write(vins))
     assert one == other
-    said = r"its lens of the model omni is taken for rational_polynomial, which is up to 0\.0[5-9] pixels off"
+    said = r"its lens model omni is approximated by rational_polynomial, which is up to 0\.0[5-9] pixels off"
     assert re.search(said, one.camera().note)
     sphere = {"xi": -0.24, "alpha": 0.57}
     kalibr = {"camera_model": "ds", "distortion_model": "none", "resolution": SIZE,

@@ -76,7 +76,7 @@ def test_a_tag_that_hangs_no_more_vanished():
     detected = walk.detected.of(np.flatnonzero(walk.detected.ids != 13))
     unknown, result = ld.localised(walk, detected), ld.localised(walk, detected, room=ROOM)
     assert kinds(unknown) == set()
-    assert "not looked for: no room is known" in to_text(unknown)
+    assert "not looked for, as a room that is not known" in to_text(unknown)
     assert kinds(result) == {(13, "vanished")}
     assert f"tag 13 vanished: {result.changes[0].images} views should show it" in to_text(result)
     assert np.isnan(change_columns(result)["x"]).all()

@@ -170,7 +170,7 @@ def test_detections_beyond_the_image_of_a_calibration_are_counted():
     walk = ld.walked(5)
     beyond = int((walk.detected.corners > [800, 600]).any(axis=(1, 2)).sum())
     result = localise(walk.detected, [small], Tag(walks.EDGE), walks.constant_errors(ld.NOISE), walk.known)
-    assert result.doubts[0].startswith(f"{beyond} of {len(walk.detected)} detections of camera 1 are not within")
+    assert result.doubts[0].startswith(f"{beyond} of {len(walk.detected)} detections of camera 1 lie outside")
 
 
 def test_a_surveyed_map_brings_its_standard_deviations(tmp_path):
@@ -181,7 +181,7 @@ def test_a_surveyed_map_brings_its_standard_deviations(tmp_path):
     assert known.ids.tolist() == [2, 5]
     np.testing.assert_allclose(known.sigmas, [[0.05] * 3 + [0.01] * 3, [0.01, 0.02, 0.03, 0.001, 0.002, 0.003]])
     file.write_text(f"{text}5,0,0,1,0,1,0,0.1,.01,.02,.03,.001,.002,x\n")
-    with pytest.raises(InputError, match=r"map\.csv: a standard deviation of a tag is no number"):
+    with pytest.raises(InputError, match=r"map\.csv: a standard deviation of a tag is not a number"):
         FixedMap.read(file, Tag(0.2), Hanging())
     file.write_text("id,x,y,z,nx,ny,nz\n1,0,0,1,0,1,0\n1,1,0,1,0,1,0\n")
     with pytest.raises(InputError, match=r"\b1\b"):
@@ -205,14 +205,14 @@ def test_a_surveyed_map_brings_the_covariance_of_all_its_tags(tmp_path):
     np.testing.assert_allclose(known.joint[12:, 12:], np.diag([0.05**2] * 3 + [0.01**2] * 3))
     assert not known.joint[12:, :12].any()
     write_map_covariance(beside, np.array([2, 5]), 2.0 * covariance)
-    with pytest.raises(InputError, match=r"map\.npz' is of another map than 'map\.csv'"):
+    with pytest.raises(InputError, match=r"map\.npz' belongs to another map than 'map\.csv'"):
         FixedMap.read(file, Tag(0.2), Hanging())
     for content in (b"", b"PK\x03\x04", beside.read_bytes()[:200]):
         beside.write_bytes(content)
-        with pytest.raises(InputError, match=r"map\.npz' is not a covariance of a map"):
+        with pytest.raises(InputError, match=r"map\.npz' is not the covariance of a map"):
             FixedMap.read(file, Tag(0.2), Hanging())
     np.savez(beside, ids=np.array([2, 5]), upper=np.full(78, np.nan))
-    with pytest.raises(InputError, match=r"map\.npz' is not a covariance of a map"):
+    with pytest.raises(InputError, match=r"map\.npz' is not the covariance of a map"):
         FixedMap.read(file, Tag(0.2), Hanging())
 
 
@@ -220,7 +220,7 @@ def test_other_tags_than_those_of_the_map_are_refused():
     walk = ld.walked(1)
     with pytest.raises(InputError, match="detections has no tag of the map, only others such as 100, 101"):
         ld.localised(walk, replace(walk.detected, ids=walk.detected.ids + 100))
-    with pytest.raises(InputError, match="cameras must be one for each"):
+    with pytest.raises(InputError, match="cameras must have one camera for each"):
         localise(walk.detected, [], Tag(walks.EDGE), walks.constant_errors(0.2), walk.known)
 
 

@@ -66,7 +66,7 @@ def test_the_worst_drives_are_the_target_of_moves():
     target = target_of(objective, field, evaluator, relevance)
     assert total_fitness(target, field.state(DEPLOYMENT).units) == pytest.approx(expected, abs=1e-12)
     assert "in the worst 2 of 5 drives" in objective.describe(problem.metrics(DEPLOYMENT), 0, 60)["worst drives"]
-    with pytest.raises(InputError, match=r"^the relevance is 0 all along drive 1, which"):
+    with pytest.raises(InputError, match=r"^the relevance is 0 along the whole of drive 1"):
         objective.fitness(known, np.where(objective.drives.of_frame == 1, 0.0, relevance))
 
 

@@ -58,7 +58,7 @@ def test_no_more_candidates_are_drawn_to_start_from_than_the_budget_can_evaluate
     assert time.process_time() - began < 4.0  # to draw them all would take a minute
     assert found.evaluations <= budget.limit
     assert len(optimiser.start) < 100_000
-    assert f"note: EGA: of its 100000 candidates to start from the budget allows {len(optimiser.start)};" in (
+    assert f"note: EGA: the budget allows {len(optimiser.start)} of its 100000 start candidates;" in (
         capsys.readouterr().err
     )
     Checkpoint(optimiser, {}).save(tmp_path)

@@ -25,7 +25,7 @@ from lmd.optimisers.stored import generator, generator_state
 from lmd.problem import Problem
 from lmd.scene.deployment_sources import UniformDeployment
 
-REFUSED = r"checkpoint\.npz(:| is damaged, or no checkpoint of this version| cannot be gone on from| was made with)"
+REFUSED = r"checkpoint\.npz(:| is damaged, or is not a checkpoint of this version| cannot be resumed| was made with)"
 # Optimisers and where they are stopped: what an annealing keeps depends on its stage.
 STAGES = {"genes": (EGA, 60), "stacks": (Annealing, 30), "single": (Annealing, 60), "walk": (Annealing, 70),
           "ascent": (Annealing, 90)}  # fmt: skip
@@ -173,7 +173,7 @@ def test_every_flipped_bit_is_noticed_or_changes_nothing(tmp_path, small):
     assert noticed > 0.8 * len(places)  # the rest are times and such that nobody reads
     for size in (*range(0, len(content), 97), len(content) - 1):  # and so is what is missing
         path.write_bytes(content[:size])
-        with pytest.raises(InputError, match=r"checkpoint\.npz is damaged, or no checkpoint of this version"):
+        with pytest.raises(InputError, match=r"checkpoint\.npz is damaged, or is not a checkpoint of this version"):
             resumed(tmp_path, small)
 
 
@@ -293,7 +293,9 @@ def deep(levels):
 )  # fmt: skip
 def test_a_crafted_archive_is_refused(craft, tmp_path, small):
     craft(tmp_path / CHECKPOINT_FILE)
-    with pytest.raises(InputError, match=r"checkpoint\.npz is damaged, or no checkpoint of this version") as refused:
+    with pytest.raises(
+        InputError, match=r"checkpoint\.npz is damaged, or is not a checkpoint of this version"
+    ) as refused:
         resumed(tmp_path, small)
     assert str(refused.value).isprintable()
 
@@ -301,7 +303,7 @@ def test_a_crafted_archive_is_refused(craft, tmp_path, small):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"\x1b[31mseed": 1}, r"a setting has no such name"),
+        ({"\x1b[31mseed": 1}, r"a setting has an invalid name"),
         ({"seed": "\x1b[31m"}, r"was made with seed = '\\x1b\[31m', not 0"),
         ({"seed": {"$array": "state.told"}}, r"checkpoint\.npz"),
     ],

@@ -175,8 +175,14 @@ def test_no_choice_exceeds_the_bound_of_a_selection(few):
     ("ask", "message"),
     [
         (lambda few: fewest_landmarks(few, 0.5, Search()), r"works with tags of one size, not with edges of"),
-        (lambda few: average_upper_bound(few, 5, Search(2.0)), r"^of 5 landmarks it is not known how many have each"),
-        (lambda few: selection_upper_bound(few, 5, 2.0), r"^of 5 landmarks it is not known how many have each size\.$"),
+        (
+            lambda few: average_upper_bound(few, 5, Search(2.0)),
+            r"^for 5 landmarks the number of each size is not known",
+        ),
+        (
+            lambda few: selection_upper_bound(few, 5, 2.0),
+            r"^for 5 landmarks the number of each size is not known; a bound needs the 3 of the problem\.$",
+        ),
     ],
 )
 def test_what_has_no_meaning_for_several_sizes_says_so(few, ask, message):

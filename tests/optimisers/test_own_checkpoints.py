@@ -77,15 +77,18 @@ def test_nothing_is_evaluated_to_go_on(tmp_path, small, monkeypatch):
 
 def test_genes_that_cannot_be_had_again_are_a_sentence(tmp_path, small):
     Checkpoint(stopped(Elsewhere(), small), SETTINGS).save(tmp_path)
-    with pytest.raises(InputError, match=r"Elsewhere cannot go on: asked again, it proposes other genes"):
+    with pytest.raises(InputError, match=r"Elsewhere cannot be resumed: it proposes other genes"):
         resumed(tmp_path, small, optimiser=Elsewhere())
 
 
 @pytest.mark.parametrize(
     ("optimiser", "message"),
     [
-        (Own(), r"^Own cannot be checkpointed: it does not say what its state is$"),
-        (Careless(), r"^Careless cannot be checkpointed: its state\.seen\.1\.by is a type, which is no number, text,"),
+        (Own(), r"^Own cannot be checkpointed: it has no state to be saved$"),
+        (
+            Careless(),
+            r"^Careless cannot be checkpointed: its state\.seen\.1\.by is a type, which is neither a number, a text",
+        ),
     ],
 )
 def test_a_class_that_cannot_be_checkpointed_says_so(optimiser, message, tmp_path, small):

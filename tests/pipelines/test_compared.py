@@ -76,12 +76,12 @@ def test_it_goes_on_with_more_optimisers_and_repeats_nothing_but_what_is_damaged
     ("overrides", "message"),
     [
         (("suite=tiny_meen",), "suite must be one of"),
-        (("suite=small", "room=lab"), "suite = small has frozen problems: leave room out"),
+        (("suite=small", "room=lab"), "suite = small sets room itself: leave room out"),
         (("suite=localised_against_tags",), "suite: localised_against_tags has several objectives"),
         (("suite=tiny_mean", "suite_budgets=[4]"), "suite_budgets must be one of 1, 2, 3, got '4'"),
         (
             ("suite=frc_cameras", "optimisers=[greedy]"),
-            "optimisers: 'greedy' takes none of the problems: Greedy places",
+            "optimisers: 'greedy' can solve none of the problems: Greedy places",
         ),
         (("kept=5",), "kept must be the path"),
     ],

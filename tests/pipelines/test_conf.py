@@ -140,7 +140,7 @@ def test_recorded_poses_take_the_place_of_grid_and_pdf(write):
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("pdf=yaw", "poses=recorded, which says how the camera looks, needs pdf=recorded"),
+        ("pdf=yaw", "poses=recorded needs pdf=recorded, the recorded directions"),
         ("poses.path=none.csv", "poses.path: there is no file 'none.csv'"),
         ("poses.path=null", "poses.path is missing"),
         ("poses.bandwidth=0", "poses.bandwidth must be greater than 0"),

@@ -55,7 +55,7 @@ def test_a_run_that_is_stopped_while_it_scores_keeps_all_that_cannot_be_had_agai
     figures = json.loads((tmp_path / "run" / "metrics.json").read_text())
     assert (float(rows[-1]["best_fitness"]), rows[-1]["evaluations"]) == (figures["fitness"], "60")
     assert ended == ["FINISHED"]  # it has spent its budget
-    again = "told to stop, it has left out the rest; to draw and write again: python -m pipelines.evaluate run="
+    again = "it was told to stop and has left out the rest; to draw and write again: python -m pipelines.evaluate run="
     assert again in done.stderr
 
 
@@ -64,7 +64,7 @@ def test_a_run_that_is_stopped_while_it_draws_has_its_figures(ended, tmp_path, m
     done = run(tmp_path)
     assert (ended, left(tmp_path)) == (["FINISHED"], KEPT)
     assert "validation" in json.loads((tmp_path / "run" / "metrics.json").read_text())
-    assert "it has left out the rest" in done.stderr
+    assert "and has left out the rest" in done.stderr
 
 
 def test_a_disk_that_is_full_by_then_takes_nothing_back(ended, tmp_path, monkeypatch):
@@ -91,7 +91,7 @@ def test_a_method_that_cannot_be_checkpointed_is_named_when_the_run_starts(tmp_p
             return None
 
     shown = progress.Progress(Budget(9), NoTracker(), Checkpoint(Mine(), {}), tmp_path, 10.0, logged=False)
-    warning = "warning: no checkpoint can be written (Mine cannot be checkpointed: it does not say what its state is); "
+    warning = "warning: no checkpoint can be written (Mine cannot be checkpointed: it has no state to be saved); "
     assert capsys.readouterr().err.startswith(f"{warning}the run goes on\n")
     shown.flush(Mine())
     shown(Mine())

@@ -210,7 +210,7 @@ def test_a_run_with_a_value_that_is_no_number_is_left_out_and_named(tmp_path, ca
     told = capsys.readouterr().err
     values = {"deployment.count": "many", "seed": "first", "objective.n": "two"}
     for what in (*(f"{key} is {value!r}" for key, value in values.items()), "deployment.count is '1e999'"):
-        assert f"is left out: its params.{what}, which is no number" in told
+        assert f"is left out: its params.{what}, which is not a number" in told
     assert rows(text, ["60"]) == [["1", "60.00%"]]
     assert rows(text, ["2", "0.50"])[0][0] == "1"
     for sweep, (command, more) in COMMANDS.items():

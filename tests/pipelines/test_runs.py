@@ -45,7 +45,7 @@ def test_the_newest_runs_are_listed_and_a_stranger_writes_no_escapes(uri, tmp_pa
     assert "evil\\x1b[2J" in done.stdout
     assert "\x1b" not in done.stdout
     refused = inside("runs", "tracking=none", cwd=tmp_path, settings=())
-    assert refused.stderr == "error: runs are read where they were tracked: it needs tracking=mlflow.\n"
+    assert refused.stderr == "error: the list of runs is read from mlflow: it needs tracking=mlflow.\n"
 
 
 @pytest.fixture(name="reachable")
@@ -160,7 +160,7 @@ def test_a_journal_goes_to_the_store_that_the_command_line_names(uri, folder, mo
     journal_of_a_stranger(folder, "http://127.0.0.1:9/\x1b[2J", "3f")
     done = synced(folder)
     assert done.returncode == 1
-    assert "it is for 'http://127.0.0.1:9/\\x1b[2J': name tracking.uri" in done.stderr
+    assert "it was recorded for 'http://127.0.0.1:9/\\x1b[2J': give tracking.uri" in done.stderr
     assert not asked
     assert synced(folder, f"tracking.uri={uri}").returncode == 0
     assert asked == [uri]
@@ -182,5 +182,5 @@ def test_a_journal_that_no_run_has_written_is_refused(uri, folder, lines):
     (folder / FILE).write_text("\n".join(lines))
     done = synced(folder, f"tracking.uri={uri}")
     assert done.returncode == 1
-    assert done.stderr.startswith(f"error: {FILE}: the journal in . is none that a run has written")
+    assert done.stderr.startswith(f"error: {FILE}: the journal in . was not written by a run")
     assert done.stderr.count("\n") == 1

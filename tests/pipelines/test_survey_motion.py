@@ -68,14 +68,14 @@ def test_odometry_maps_a_drive_whose_images_show_one_tag_each(cwd):
     ("overrides", "said"),
     [
         (["survey.odometry=late.csv"], "survey.odometry has poses from 500 to"),
-        (["survey.odometry=body.csv"], "survey.odometry does not move as the images do"),
+        (["survey.odometry=body.csv"], "survey.odometry moves differently from the images"),
         (["survey.odometry=missing.csv"], "survey.odometry"),
         (["survey.odometry={path: odometry.csv, drift: 3}"], "survey.odometry has the key 'drift'"),
         (["survey.motion=maybe"], "survey.motion must be"),
         (["survey.every=0"], "survey.every must be"),
         (["survey.every=often"], "survey.every must be"),
         (["survey.motion=false"], "detections"),
-        (["detections=family.csv"], "tag.family=16h5 is needed: the tags of family.csv are of that family, and not of"),
+        (["detections=family.csv"], "tag.family=16h5 is needed: the tags of family.csv are of that family, not of"),
     ],
 )
 def test_bad_input_is_named_in_one_sentence(cwd, overrides, said):

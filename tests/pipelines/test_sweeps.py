@@ -183,7 +183,7 @@ def test_the_same_sweep_again_does_only_what_is_missing(faulty):
     again = sweep(cwd, ",".join(REASONS))
     assert again.returncode == 0, again.stderr
     assert f"warning: {damaged.relative_to(cwd)} is damaged (JSONDecodeError" in again.stderr
-    assert "going on after 1 finished jobs" in again.stdout
+    assert "continuing after 1 finished jobs" in again.stdout
     assert "done already: optimiser.fault=none" in again.stdout
     assert again.stdout.count("finished in") == 3
     assert (table(cwd).status == "finished").all()
@@ -204,7 +204,7 @@ def test_a_sweep_grows_by_values_without_the_one_that_is_refused(tmp_path):
     assert "objective.n = 500 exceeds the number of landmarks, 90" in done.stderr
     grown = sweep_n(tmp_path, "3,2")
     assert grown.returncode == 0, grown.stderr
-    assert "going on after 1 finished jobs" in grown.stdout
+    assert "continuing after 1 finished jobs" in grown.stdout
     assert re.search(r"^finished in \d+ s: objective.n=3$", grown.stdout, re.M)
     assert grown.stdout.count("done already: objective.n=2") == 1
     (table,) = tmp_path.glob("outputs/evaluate_sweep/*/jobs.csv")
@@ -285,7 +285,7 @@ def test_an_interrupted_job_goes_on_from_its_checkpoint(work):
     assert process.returncode == 130
     assert "0 of 1 jobs finished: " in out
     sittings = [table(work).seconds["slow"]]
-    assert "the same command again does what is missing" in err
+    assert "run the same command again to finish it" in err
     parent, children = runs(work)
     assert (parent.info.status, parent.data.tags["reason"]) == ("KILLED", "the sweep was stopped")
     (child,) = children["slow"]

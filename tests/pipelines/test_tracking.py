@@ -207,7 +207,5 @@ def test_files_on_a_server_are_not_fetched_for_a_store_that_is_a_file(uri):
     started(uri).finish("FINISHED")
     client = MlflowClient(tracking_uri=uri)
     run = client.create_run(client.create_experiment("evil", artifact_location="http://127.0.0.1:9/files"))
-    with pytest.raises(
-        InputError, match=r"says that its files are at 'http://127\.0\.0\.1:9/files/.*', from where none"
-    ):
+    with pytest.raises(InputError, match=r"has its files at 'http://127\.0\.0\.1:9/files/.*', but only local"):
         MlflowReader(uri, "tests").artifact(run.info.run_id, "config.yaml")

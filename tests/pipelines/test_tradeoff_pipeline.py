@@ -116,7 +116,7 @@ def test_what_was_finished_when_it_was_interrupted_is_kept(tmp_path):
     os.killpg(running.pid, signal.SIGINT)  # as a terminal does
     _, told = running.communicate()
     assert running.returncode == 130, told
-    assert "interrupted; the same command goes on with what is in outputs/tradeoff/kept" in told
+    assert "interrupted; the same command continues from the results in outputs/tradeoff/kept" in told
     assert "Traceback" not in told
     kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "outputs/tradeoff/kept").glob("*.json")}
     assert len(kept) >= 2

@@ -72,8 +72,8 @@ TARGETS = {
     "objective: {_target_: lmd.formats.calibrations.yaml.load}": "lmd.formats.calibrations.yaml.load",  # a walk
     "objective: {_target_: lmd.core.tables.write_table}": "objective._target_ = 'lmd.core.tables.write_table'",
     "pdf: {_target_: lmd.geometry.camera.Camera}": "pdf._target_ = 'lmd.geometry.camera.Camera'",  # of another group
-    "pdf: {_target_: '${optimiser._target_}'}": "pdf._target_ is no name of a class or a function",
-    "pdf: {_target_: evil}": "pdf._target_ is no name",
+    "pdf: {_target_: '${optimiser._target_}'}": "pdf._target_ must name a class or a function",
+    "pdf: {_target_: evil}": "pdf._target_ must name",
     "'room': {'a\\e[2J': {_target_: os.system}}": "error: run: ",
 }
 TEXTS = {
@@ -105,25 +105,28 @@ def test_a_run_of_a_stranger_runs_no_code(strangers, monkeypatch, changes):
         # Hydra would put the room where its callbacks are: it imports and calls them.
         (
             "room: {hydra: {callbacks: {a: 1}}}\nobjective: {defaults: [{/room@_global_: run}]}",
-            "objective is not written as Hydra writes it",
+            "objective must be a mapping without the key defaults",
         ),
-        ("room: [1]", "room is not written as Hydra writes it"),
-        ("room: &a [*a]", "its aliases stand for inf values"),
+        ("room: [1]", "room must be a mapping without the key defaults"),
+        ("room: &a [*a]", "its aliases stand for inf values, more than its 13 characters"),
         ("room: {size: &a [1], walls: *a}", "room.walls is an alias"),
-        ("room: {_target_: [[lmd]]}", "room._target_ is no name"),
+        ("room: {_target_: [[lmd]]}", "room._target_ must name"),
         ("room: {? [1, 2] : 3}", "cannot be read"),
-        ("room: {? !!binary aGk= : 3}", "room has a key that is no text"),
+        ("room: {? !!binary aGk= : 3}", "room has a key that is not a text"),
         ("tag: {family: '${oc.${tag.edge}env:SECRET}'}", "would call a resolver"),
         ("tag: {family: '${tag[edge}'}", "tag.family = '${tag[edge}' would call a resolver"),
-        ("room: {size: !!timestamp 2020-01-01}", "room.size is no plain value"),
-        (f"room: {{{GROWING}}}", "room.a2 leads to a value that leads on"),
+        ("room: {size: !!timestamp 2020-01-01}", "room.size is not a plain value"),
+        (f"room: {{{GROWING}}}", "room.a2 refers to a value that is itself a reference"),
         (f"room: {{a: {'b' * 60_000}, c: '{'${room.a}' * 20}'}}", "has 1260"),
-        ("room: {x: {a: '${...tag.x}', b: '${tag.x}'}}\ntag: {x: '${room.x}'}", "leads to a value that leads on"),
+        (
+            "room: {x: {a: '${...tag.x}', b: '${tag.x}'}}\ntag: {x: '${room.x}'}",
+            "refers to a value that is itself a reference",
+        ),
         ("room: {_recursive_: false}", "room._recursive_ has _recursive_, which no option of room has"),
         ("room: {low: [{_args_: [1]}]}", "room.low.0._args_.0 has _args_, which no option of room has"),
         ("room: !!python/object/apply:os.system [touch imported]", "cannot be read"),
         ("room: {size: " + "[" * 2_000, "cannot be read"),
-        ("- 1", "is no configuration"),
+        ("- 1", "is not a configuration"),
     ],
 )
 def test_what_hydra_has_not_written_is_refused(strangers, text, message):
@@ -160,7 +163,7 @@ def test_a_package_that_is_trusted_may_be_named_but_not_walked_through(strangers
     assert told(*names) == ""
     assert "evil" in sys.modules
     strangers("room: {_target_: evil.os.getcwd}")
-    assert "room._target_ = 'evil.os.getcwd' is not defined in what you trust" in told("evil")
+    assert "room._target_ = 'evil.os.getcwd' is only imported, not defined, in what you trust" in told("evil")
 
 
 def test_what_files_of_ones_own_search_path_name_is_trusted(strangers):

@@ -100,5 +100,5 @@ def test_the_token_is_new_each_time():
 
 
 def test_a_server_without_checks_is_refused():
-    with pytest.raises(InputError, match="cannot be kept from talking to every web page"), Access().checking():
+    with pytest.raises(InputError, match="would accept connections from every web page"), Access().checking():
         pass

@@ -69,7 +69,7 @@ def test_a_paper_hangs_where_its_own_size_has_room(path):
         if fits:  # nearer to the corner than a tag with the edge of all may be
             assert_allclose(Footprints(ROOM, TAG).draw(FileDeployment(path), None).edges[0], edge)
             continue
-        with pytest.raises(InputError, match=r"landmark 4 hangs over the edge of x_min, .* its paper is 0\.25 m wide"):
+        with pytest.raises(InputError, match=r"landmark 4 has a paper 0\.25 m wide, which extends beyond x_min"):
             Footprints(ROOM, TAG).draw(FileDeployment(path), None)
     path.write_text(FILE.replace("0,2,1,1", "0,1.15,1,1"))
     with pytest.raises(InputError, match=r"overlap: their papers are 0\.125 and 0\.25 m wide, .* 0\.15 m apart"):

@@ -64,7 +64,7 @@ def test_the_fixed_ones_may_be_in_the_file_of_all(tmp_path):
 @pytest.mark.parametrize(
     ("fixed", "message"),
     [
-        (UniformDeployment(6), r"^fixed has a landmark 0, and so has the start, .* m away from it; ids"),
+        (UniformDeployment(6), r"^fixed and the start both have a landmark 0, .* m apart; give them different ids"),
         (RandomDeployment(6), r"^fixed has all 6 landmarks, which leaves none to place"),
     ],
 )

@@ -196,7 +196,7 @@ def test_files_and_counts_that_cannot_be_are_refused(tmp_path):
         (lambda: evaluate(problem_of(UniformDeployment(40)), Deployment(at, start.normals)), f"^{overlap}"),
         (
             lambda: problem_of(of(beyond)),
-            "landmark 5 hangs over the edge of y_min, or of where tags may hang there",
+            "m wide, which extends beyond y_min or beyond its part where tags may hang",
         ),
         (lambda: problem_of(RandomDeployment(3000)), r"^count = 3000 tags do not fit: 2440 papers of 0\.3 m are all"),
         (lambda: tagged(Tag(0.1, "16h5"), 40), "^family 16h5 has 30 different tags, too few for 40"),

@@ -159,7 +159,7 @@ def test_flights_go_around_what_stands_there(room):
 
     check_inside(flight([5, 1, 1], [2.5, 0.7, 1], [2.5, 3, 1]), room)
     with pytest.raises(
-        InputError, match=r"goes straight on from \(1, 1\.5, 1\) .* through something .* room from a mesh"
+        InputError, match=r"straight path from \(1, 1\.5, 1\) .* through an obstacle .* room from a mesh"
     ):
         check_inside(flight([1, 1.5, 1], [2, 1.5, 1]), room)
     with pytest.raises(InputError, match=r"\(1\.5, 1\.5, 1\), is outside the room from a mesh of 6 x 4 x 2\.5 m"):

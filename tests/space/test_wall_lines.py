@@ -7,10 +7,10 @@ from lmd.core.checks import InputError
 from lmd.space.wall_lines import Drawing, plan_of
 
 TOO_MANY = {
-    "crossings of two lines, and at most 1000": [
+    "crossings of two lines; at most 1000": [
         ends for i in range(40) for ends in ([(i, -1), (i, 130)], [(-1, i), (130, i)])
     ],
-    "meetings of two lines, and at most 50000": [[(0, 0), (1, i / 1e3)] for i in range(400)],
+    "meetings of two lines; at most 50000": [[(0, 0), (1, i / 1e3)] for i in range(400)],
 }
 
 

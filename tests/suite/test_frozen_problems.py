@@ -128,7 +128,7 @@ def test_an_entry_is_scored_and_its_claim_is_not_read(tmp_path):
         ({"who": ""}, "an entry has the keys problem, who, how, when, candidate; who is missing"),
         ({"when": "yesterday"}, "when must be a date such as 2026-11-29, got 'yesterday'"),
         ({"problem": "tiny"}, "suite must be one of .*, got 'tiny'"),
-        ({"problem": "tiny_mean-x"}, "an instance is a number, as in tiny_mean-3, got 'tiny_mean-x'"),
+        ({"problem": "tiny_mean-x"}, "an instance must be a number, as in tiny_mean-3, got 'tiny_mean-x'"),
         ({"candidate": [0.5] * 3}, r"genes must have the shape \(16,\), got \(3,\)"),
         ({"candidate": "absent.csv"}, "absent.csv"),
         ({"candidate": "few.csv"}, "count = 8, but .*few.csv has 1 landmarks"),

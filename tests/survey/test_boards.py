@@ -58,7 +58,10 @@ def test_a_tag_at_a_wrong_place_of_its_sheet_does_no_harm(room):
         ("id,x,y\n1,0,0\n", "lacks the column board"),
         ("board,id,x,y\na,1,0,0\na,1,0,1\n", r"boards\.csv: id 1 belongs to 2 landmarks"),
         ("board,id,x,y\na,1.5,0,0\na,2,0,1\n", r"line 2: id must be a whole number from 0 to .*, got 1\.5"),
-        ("board,id,x,y\na,1,0,0\na,2,0,1\nb,3,0,0\n", r"^boards has one tag only on board 'b'\.$"),
+        (
+            "board,id,x,y\na,1,0,0\na,2,0,1\nb,3,0,0\n",
+            r"^boards must have two tags or more on each board, but has one on 'b'\.$",
+        ),
     ],
 )
 def test_files_without_valid_sheets_are_refused(tmp_path, text, message):

@@ -145,14 +145,14 @@ def test_tags_of_one_sheet_say_which_corner_is_the_first(rolled):
 def test_a_fixed_tag_that_hangs_elsewhere_is_refused(rolled):
     hangs = PLACES.copy()
     hangs[2] += [0.0, 0.0, 0.3]
-    with pytest.raises(InputError, match=r"^fixed has tag 5 (29|30)\d mm from where the photographs have it"):
+    with pytest.raises(InputError, match=r"^fixed has tag 5 (29|30)\d mm away from its pose"):
         surveyed(seen([0] * 5, hangs, rolled), fixed=plan())
 
 
 def test_two_fixed_tags_that_contradict_each_other_are_refused():
     hangs = PLACES.copy()
     hangs[1] += [0.1, 0.0, 0.0]
-    with pytest.raises(InputError, match=r"^fixed has tag [23] \d\d(\.\d)? mm from where the photographs have it"):
+    with pytest.raises(InputError, match=r"^fixed has tag [23] \d\d(\.\d)? mm away from its pose"):
         surveyed(seen([0] * 5, hangs), fixed=plan()[:2])
 
 

@@ -123,7 +123,7 @@ def update_beyond_rounding(
 ) -> None:
     """Update a covariance in place by an image, ignoring directions whose information is below the rounding error.
 
-    The information is decomposed into directions d h h^T, the largest pivot first, and each updates the covariance as a
+    The information is decomposed into directions d h h^T, the largest pivot first. Each updates the covariance as a
     scalar measurement: P <- P - P h h^T P / (h^T P h + 1 / (scale d)).
 
     Args:

@@ -87,8 +87,8 @@ class Filtered(AtLeast):
     """Share of the time, of all drives or of the worst drives, at which the filtered pose is known to a tolerance.
 
     Each frame of a drive is a position of the problem (`lmd.space.changed.DrivenRoom`). The value of a frame is 1 if
-    the standard deviation of the filtered position, computed from the odometry and from the tags in view of this frame
-    and of the frames before it (`lanes`), is at most the tolerance, otherwise 0.
+    the standard deviation of the filtered position is at most the tolerance, otherwise 0. The filter uses the odometry,
+    and the tags in view of this frame and of the frames before it (`lanes`).
 
     Args:
         n: least number of tags of an image that the filter uses.

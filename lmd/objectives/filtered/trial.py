@@ -1,6 +1,6 @@
 """Moves of single landmarks along drives: the frames that see another landmark, and the filters from there on.
 
-A move changes the information of the frames that see the landmark at its old place or at the place tried. It also
+A move changes the information of the frames that see the landmark at its old place or at the place tried. The move also
 changes the frames in which the landmark begins or ceases to hide another landmark. Each drive with changed frames is
 filtered again from its first changed frame to its end; earlier covariances stay.
 

@@ -2,7 +2,7 @@
 
 Counts and occlusion come from the field of coverage (`lmd.incremental.trial`). The field of localisation adds the sums
 of the numbers of every view (`information`), exact in any order, and the sets of localised views. Further landmarks
-never reduce the information of a view, so a move can change the decision for few views:
+never reduce the information of a view. So a move can change the decision for few views:
 
 - if landmarks only disappear from a view, the view may change if it is localised and still covers n landmarks.
 - if landmarks only appear in a view, the view may change if it is not localised and now covers n landmarks.

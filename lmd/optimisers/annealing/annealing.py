@@ -301,6 +301,6 @@ class Annealing(DeploymentSearch):
             self.mean_places.restore(state["mean_places"], problem)
         if state["ascent"] is not None:
             if self.in_stacks:
-                raise InputError("in_stacks must be false where there is an ascent.", "in_stacks")
+                raise InputError("in_stacks must be false if ascent is given.", "in_stacks")
             self.ascent = Ascent(count)
             self.ascent.restore(state["ascent"])

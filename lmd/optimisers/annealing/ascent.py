@@ -3,11 +3,11 @@
 A walk on samples does not reach a local optimum, as the gain of a small step of one landmark is below the error of the
 sample. Here each sample is used for all landmarks, and the steps average over samples.
 
-The slope of the smoothed objective (`walk`) along u and v of a landmark's surface is a central difference
-(f(x + d) - f(x - d)) / 2 d of values that are exact on the sample, occlusion included. So any objective with a field
-can be maximised. d is a few millimetres. Neighbours are just far enough apart not to hide each other; a larger d would
-smooth the edge at which occlusion begins and push neighbours further apart. The steps follow Adam (Kingma and Ba,
-2015): they are smaller where samples disagree about the direction.
+The slope of the smoothed objective (`walk`) along u and v of a landmark's surface is a central difference (f(x + d) -
+f(x - d)) / 2 d. The values are exact on the sample, occlusion included. So any objective with a field can be maximised.
+d is a few millimetres. Neighbours are just far enough apart not to hide each other; a larger d would smooth the edge at
+which occlusion begins and push neighbours further apart. The steps follow Adam (Kingma and Ba, 2015): they are smaller
+where samples disagree about the direction.
 """
 
 from collections.abc import Mapping

@@ -1,8 +1,8 @@
 """Surrogates of a problem for simulated annealing, and the conversion of their results to deployments.
 
 A surrogate has one or more of these simplifications: *stacks*, groups of n coincident landmarks that do not hide
-others; footprints smaller than their true size; and, for an objective with a sampling, new samples for each phase
-of the walk.
+others, and footprints smaller than their true size. For an objective with a sampling, each phase of the walk has new
+samples.
 """
 
 import math

@@ -64,7 +64,7 @@ class Walker(NamedTuple):
     scratches: Any
     """`layers` of a scratch, one for each landmark of a group."""
     best: Best
-    """Best deployment of the walk. It is the best for the true problem only if a single walker walks on that
+    """Best deployment of the walk. This state is the best for the true problem only if a single walker walks on that
     problem.
     """
 

@@ -129,7 +129,7 @@ def limits_of(detector: str, family: str, changes: Mapping[str, Any]) -> Limits:
     if str(detector).endswith(SUFFIXES):
         known = Preset.from_yaml(detector)
         if known.family not in (family, kind):
-            message = f"detector: {detector!r} is about tags of the family {known.family}, not {family}."
+            message = f"detector: {detector!r} is for tags of the family {known.family}, not {family}."
             raise InputError(message, "detector")
     else:
         known = measured().get((detector, kind))

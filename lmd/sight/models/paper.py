@@ -4,7 +4,7 @@ The NumPy reference has one function per equation; `PaperSight` is the compiled 
 with the shared `TOLERANCE`, and sums are written out term by term. Compiled code repeats the operations in their order,
 so its counts are identical even for a landmark exactly on a boundary.
 
-A landmark at distance d that is not occluded is covered iff its depth z along the optical axis satisfies
+Let z be the depth along the optical axis of a landmark at distance d. The landmark is covered, unless occluded, iff
 
     max(min_cosine d, min_depth) <= z <= max_depth,
 
@@ -135,9 +135,9 @@ class Visibility(Checked):
         thold: coverage-strength threshold, pixel/mm.
         nu: virtual diameter nu_k of a landmark, metres; a landmark closer than this to the line of sight of another
             hides it. 0 switches the test off, so an optimiser may put several landmarks on one point.
-        occlusion: `paper` tests the distance to the whole line through camera and landmark, as printed;
+        occlusion: `paper` tests the distance to the whole line through camera and landmark, as printed.
             `line_of_sight` tests only landmarks in front of the camera that are at most as far away as the hidden
-            landmark; `none` ignores other landmarks. All modes require the landmark to face the camera.
+            landmark. `none` ignores other landmarks. All modes require the landmark to face the camera.
         circle_of_confusion: permissible diameter delta, pixels.
 
     Raises:
@@ -268,7 +268,7 @@ def faces_away(offset: FloatArray, distance: FloatArray, normals: FloatArray) ->
 def hidden_by_others(offset: FloatArray, visibility: Visibility) -> BoolArray:
     """Mask `(K,)` of the landmarks with another landmark within nu of the line of sight (Eq. occlusion2).
 
-    The paper's |s_j - p| sqrt(1 - cos^2) is the distance from s_j to the line through p and s_k, that is
+    The paper's |s_j - p| sqrt(1 - cos^2) is the distance from s_j to the line through p and s_k. Here it is computed as
     |d_j x d_k| / |d_k|, which stays accurate for nearly collinear landmarks.
 
     Args:

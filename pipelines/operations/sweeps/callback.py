@@ -32,7 +32,7 @@ class SweepRecord(Callback):
             before = _begin(config, folder)
         os.environ[SWEEP_VARIABLE] = str(os.getpid())
         atexit.register(_cut_short, config)
-        done = f", going on after {len(folder.jobs())} finished jobs (delete the folder to start afresh)"
+        done = f", continuing after {len(folder.jobs())} finished jobs (delete the folder to start again)"
         say(f"sweep {sweep_name(config)} in {folder.path}{done if before else ''}")
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
@@ -63,7 +63,7 @@ def _begin(config: DictConfig, folder: SweepFolder) -> Sweep | None:
     except InputError as error:
         if before is None:
             folder.discard()
-        sys.exit(f"error: {error}{f' (to start the sweep afresh, delete {folder.path})' if before else ''}")
+        sys.exit(f"error: {error}{f' (to start the sweep again, delete {folder.path})' if before else ''}")
     folder.save(replace(sweep, run_id=tracker.run_id or sweep.run_id))
     return before
 
@@ -80,7 +80,7 @@ def _cut_short(config: DictConfig) -> None:
         folder.discard()
         return
     _close(config, STOPPED if stop.requested else "the sweep was cut short")
-    print("the same command again does what is missing", file=sys.stderr)
+    print("run the same command again to finish it", file=sys.stderr)
 
 
 def _close(config: DictConfig, reason: str = "") -> bool:

@@ -199,4 +199,4 @@ def settle(tracking: DictConfig, folder: JobFolder, job: Job, params: Mapping[st
         run = RunStart(name, folder.path, params or {}, job.tags(folder.name))
         tracker.settle(run, status, job.reason, [folder.output])
     except InputError as error:
-        print(f"not marked as {status} is the run of {job.label}: {error}", file=sys.stderr)
+        print(f"the run of {job.label} could not be marked as {status}: {error}", file=sys.stderr)

@@ -52,7 +52,7 @@ class Journal:
                 entries.append(json.loads(line))
         listed = [entry.get("files", []) if isinstance(entry, dict) else None for entry in entries]
         if not all(isinstance(files, list) and all(isinstance(file, str) for file in files) for files in listed):
-            raise InputError(f"the journal in {folder} is none that a run has written.")
+            raise InputError(f"the journal in {folder} was not written by a run.")
         for file in itertools.chain.from_iterable(filter(None, listed)):
             if os.path.isfile(file) and not Path(file).resolve().is_relative_to(folder.resolve()):
                 raise InputError(f"the journal in {folder} would send {file!r}, which is not in that folder ({PAGE}).")
@@ -124,7 +124,7 @@ def hand_in(journal: Journal, uri: str) -> str:
     except InputError:
         raise
     except (KeyError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
-        told = f"the journal in {journal.path.parent} is none that a run has written"
+        told = f"the journal in {journal.path.parent} was not written by a run"
         raise InputError(f"{told} ({type(error).__name__}: {error}).") from error
     journal.remove()
     return f"{journal.path} is handed in: run {run.info.run_name} in {store.uri}"

@@ -276,7 +276,7 @@ class MlflowReader(Store):
 
         place = str(self._client.get_run(run_id).info.artifact_uri)
         if self.is_local and urlsplit(place).scheme not in ("", "file"):
-            raise InputError(f"run {run_id} says that its files are at {place!r}, from where none are fetched.")
+            raise InputError(f"run {run_id} has its files at {place!r}, but only local files are read.")
         try:
             return Path(self._client.download_artifacts(run_id, name))
         except (MlflowException, OSError) as error:
