@@ -116,9 +116,7 @@ def _curves(cfg: DictConfig) -> "tuple[str | None, list[float], list[tuple[float
         with keyed(count="counts"):
             counts = sorted({landmark_count("count", count) for count in _listed("counts", cfg.counts)})
         if cfg.tag.get("edges") is not None:
-            cure = (
-                "give papers=[...] or budgets=[...] in place of counts, or give edges=[...] for tags of one size each"
-            )
+            cure = "give papers=[...] or budgets=[...] in place of counts, or edges=[...] for single sizes"
             raise InputError(f"tag.edges is for mixtures of sizes: {cure}.")
         edges = [cfg.tag.edge or 0.0] if cfg.edges is None else _listed("edges", cfg.edges)
         single = sorted({real("tag.edge" if cfg.edges is None else "edges", edge, low=0.0) for edge in edges})

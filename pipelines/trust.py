@@ -129,10 +129,7 @@ class Trust:
             except Exception:  # an error of the package is reported when the object is built
                 continue
             if not self._trusts(f"{getattr(target, '__module__', '')}.{getattr(target, '__qualname__', '')}"):
-                raise InputError(
-                    f"{place} is only imported, not defined, in what you trust: trust the package that defines it "
-                    f"({PAGE})."
-                )
+                raise InputError(f"{place} is imported, not defined, by what you trust ({PAGE}).")
 
     def _texts_of(self, group: str) -> list[str]:
         """Contents of the files of a group, and of command files, which have nodes that are not groups."""

@@ -59,8 +59,7 @@ def single_poses(sightings: Sightings) -> SinglePoses:
         if not turn:
             tag = f"tag {sightings.ids[sightings.tag[index]]}"
             raise InputError(
-                f"detections: the corners of {tag} do not form a square in a frame; list them in their order around "
-                f"the tag.",
+                f"detections: the corners of {tag} do not form a square; list them in order around the tag.",
                 "detections",
             )
         turns[index], ways[index] = (np.reshape([each[0], each[-1]], (2, 3)) for each in (turn, way))
@@ -224,9 +223,7 @@ def measured_mounts(views: FloatArray, mounts: FloatArray) -> tuple[FloatArray, 
         least = np.maximum((OFF_RAD, OFF_M), np.linalg.norm(sure, axis=1))
         if (np.linalg.norm(off.reshape(2, 3), axis=1) > least).any():
             found[camera] = middle
-            doubts.append(
-                mount_doubt(camera, off, f"as estimated from {len(between)} frames in which camera 1 sees tags, too")
-            )
+            doubts.append(mount_doubt(camera, off, f"by {len(between)} frames in which camera 1 sees tags, too"))
     return found, doubts
 
 

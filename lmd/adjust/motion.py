@@ -205,7 +205,7 @@ class Motion:
             there = f"{np.nanmin(times):.10g} to {np.nanmax(times):.10g} s" if np.isfinite(times).any() else "no time"
             raise InputError(
                 f"odometry has poses from {own[0]:.10g} to {own[-1]:.10g} s, but the frames have {there}: give "
-                f"odometry of the same drive and clock.",
+                "odometry of the same drive and clock.",
                 "odometry",
             )
         steps = log(inverse(poses[:-1]) @ poses[1:])

@@ -96,9 +96,7 @@ def lines_of(
     if found.used.any():
         lines["corners"] = f"{both(figures_of(found), 'error', 1.0)} pixels off"
         if found.floor > NOTICED:
-            lines["corners"] += (
-                f", of which a standard deviation of {found.floor:.2g} has other causes than the detector"
-            )
+            lines["corners"] += f", of which {found.floor:.2g} (one standard deviation) are not the detector's"
     if found.inflation > 1.0:
         more = f"{found.inflation:.1f} times as much as the noise of corners explains"
         lines["blocks"] = f"of time disagree {more}, which these figures count"

@@ -123,7 +123,7 @@ class MountSpace(Checked):
                 return np.stack(genes)
         raise InputError(
             f"count = {self.count} cameras do not fit on the body: they must be {self.apart:g} m apart and must not "
-            f"see the body.",
+            "see the body.",
             "count",
         )
 
@@ -152,8 +152,7 @@ class MountSpace(Checked):
             there = self.mount(genes)
             if there is None or not _alike(there, mount):
                 raise InputError(
-                    f"rig[{i}] has a position or direction in which no camera may be mounted, so the search cannot "
-                    f"start from it.",
+                    f"rig[{i}] is not a pose that the body allows, so the search cannot start from it.",
                     "rig",
                 )
         return np.stack(found)

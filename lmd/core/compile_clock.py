@@ -94,7 +94,7 @@ class TimedCompiler(Compiler):
         if not (self.returns_arrays or held) and models[returned].contains_nrt_meminfo():
             raise TypeError(
                 f"{name_of(func)} returns arrays, which would be freed too early: write to arrays given as arguments, "
-                f"or return numbers."
+                "or return numbers."
             )
         return result
 

@@ -141,10 +141,7 @@ class InnerCompiler(KernelCompiler):
         """
         result = super().compile_extra(func)
         if any("missing Environment" in str(each) for each in result.library._final_module.global_variables):
-            raise TypeError(
-                f"{name_of(func)} prints or uses Python objects; only a kernel may do this, not a function that "
-                f"kernels call."
-            )
+            raise TypeError(f"{name_of(func)} prints or uses Python objects, which only a kernel may do.")
         return result
 
 

@@ -83,7 +83,7 @@ def _alone(function: Callable[[Job], Result], job: Job, name: Callable[[Job], st
         except BrokenProcessPool:
             raise InputError(
                 f"workers: the process that worked on {name(job)} was killed, even when it ran alone; there may be too "
-                f"little memory.",
+                "little memory.",
                 "workers",
             ) from None
 

@@ -110,7 +110,7 @@ def _divided(parts: Sequence[Trajectory], every: int) -> tuple[list[Trajectory],
     if not kept:
         raise InputError(
             f"block: the recording gives {len(parts)} drives, but every {every}th is held out for the validation; "
-            f"shorten the blocks.",
+            "shorten the blocks.",
             "block",
         )
     return [part for i, part in enumerate(parts) if i % every != every - 1], kept

@@ -104,11 +104,7 @@ class RandomMotion(Checked):
             frames = (self.duration - left) * self.pace.frame_rate
             if len(waypoints) > max(1000.0, MOST_WAYPOINTS * frames):
                 speeds = f"pace.speed = {self.pace.speed:g} m/s with pace.turn_rate = {self.pace.turn_rate:g} rad/s"
-                raise InputError(
-                    f"{speeds} passes {MOST_WAYPOINTS} or more waypoints between two frames; lower the speed or raise "
-                    f"pace.frame_rate.",
-                    "pace.speed",
-                )
+                raise InputError(f"{speeds} passes {MOST_WAYPOINTS} or more waypoints between frames.", "pace.speed")
             waypoints.append(_next_waypoint(scene, waypoints[-1], rng))
             left -= float(self.pace.seconds(_shortest(waypoints[-1] - waypoints[-2])))
         trajectory = self.pace.through(np.array(waypoints), self.duration)
@@ -128,9 +124,7 @@ def _next_waypoint(scene: Scene, before: FloatArray, rng: np.random.Generator) -
         if not np.array_equal(waypoint, before) and scene.room.passable(before[:3], waypoint[:3]):
             return waypoint
     x, y, z = before[:3]
-    raise InputError(
-        f"none of {MOST_DRAWS} random straight paths from ({x:.9g}, {y:.9g}, {z:.9g}) is free of obstacles."
-    )
+    raise InputError(f"none of {MOST_DRAWS} straight paths from ({x:.9g}, {y:.9g}, {z:.9g}) is free of obstacles.")
 
 
 def _shortest(step: FloatArray) -> FloatArray:

@@ -210,10 +210,7 @@ def _kinds(problem: Problem, evaluator: Evaluator, count: int, spacing: float) -
     if not problem.scene.has_several_sizes:
         sizes = np.full(count - problem.fixed_count, sizes[0])
     elif count != problem.count:
-        raise InputError(
-            f"for {count} landmarks the number of each size is not known; a bound needs the {problem.count} of the "
-            f"problem."
-        )
+        raise InputError(f"the number of landmarks of each size is known for {problem.count}, not for {count}.")
     kinds = []
     for edge, number in zip(*np.unique(sizes, return_counts=True), strict=True):
         cells = wall_cells(footprints.inset(footprints.tag.paper_share * edge), spacing)
@@ -287,10 +284,7 @@ def selection_upper_bound(
     evaluator, relevance = problem.fitness_evaluator, problem.fitness_relevance
     several = problem.scene.has_several_sizes
     if several and count != problem.count:
-        raise InputError(
-            f"for {count} landmarks the number of each size is not known; a bound needs the {problem.count} of the "
-            f"problem."
-        )
+        raise InputError(f"the number of landmarks of each size is known for {problem.count}, not for {count}.")
     sizes = problem.free_sizes if several else np.full(count - problem.fixed_count, problem.sizes[0])
     poses, stock = candidates(footprints, problem.free_edges, spacing), Tags(sizes, problem.scene.tag)
     own = poses.edges_of(problem.scene.tag)

@@ -122,10 +122,7 @@ class MountingError(Checked):
             return moved
         apart = problem.scene.footprints.separated(moved[on], fixed=int((on < problem.fixed_count).sum()))
         if apart is None:
-            raise InputError(
-                f"position = {self.position:g} m moves tags so far that their papers no longer fit beside each other.",
-                "position",
-            )
+            raise InputError(f"position = {self.position:g} m leaves no free place for some papers.", "position")
         return moved.put(on, apart)
 
 

@@ -89,9 +89,7 @@ class Export(Checked):
         for name in self.formats:
             if name not in formats_of(tag):
                 known = ", ".join(all_formats()[name].families)
-                raise InputError(
-                    f"formats has {name}, which supports the families {known}, not {tag.family}.", "formats"
-                )
+                raise InputError(f"formats has {name}, which supports families {known}, not {tag.family}.", "formats")
             if all_formats()[name].on_paper:
                 check_printing(name)
             if all_formats()[name].edges == ONE and len(tag.sizes) > 1 and not self.fitting:

@@ -63,7 +63,7 @@ class Calibration(Checked):
             told = " x ".join(f"{focal:.4g}" for focal in self.focal_pixels)
             raise InputError(
                 f"the focal lengths, {told}, must be in pixels of an image of {size[0]} x {size[1]}; check that they "
-                f"are not divided by its size"
+                "are not divided by its size"
             )
         lens = lens_of(self.distortion_model, self.distortion)
         object.__setattr__(self, "distortion", () if lens is None else lens.coefficients)
@@ -179,7 +179,7 @@ def lens_model(word: Any, models: Mapping[str, str]) -> str:
     known = dict.fromkeys(model.partition(":")[0] for model in models.values() if model not in ("", "unsaid"))
     raise InputError(
         f"the lens model {word!r} is not supported, only {', '.join(known)}: calibrate with Kalibr's pinhole-radtan or "
-        f"pinhole-equi (Kannala-Brandt), or convert the model, for example with mrcal-convert-lensmodel."
+        "pinhole-equi (Kannala-Brandt), or convert the model, for example with mrcal-convert-lensmodel."
     )
 
 

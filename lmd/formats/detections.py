@@ -52,10 +52,7 @@ class DetectedTags:
         if not count:
             raise InputError("detections has no tag.", "detections")
         if self.corners.shape != (count, 4, 2) or self.frame.shape != (count,) or self.camera.shape != (count,):
-            raise InputError(
-                f"detections must have four corners each, got corners of shape {self.corners.shape} for {count} "
-                f"detections."
-            )
+            raise InputError(f"detections need four corners each, got {self.corners.shape} for {count} detections.")
 
     def __len__(self) -> int:
         return len(self.ids)

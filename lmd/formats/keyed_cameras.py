@@ -215,7 +215,7 @@ class _Camera:
         asked = self.asked.get("distortion_model")
         if model == INVERSE and any(lens) and asked is None:
             raise InputError(
-                f"distortion_model must be given: its coefficients are of "
+                "distortion_model must be given: its coefficients are of "
                 f"{'the inverse Brown-Conrady model' if word else 'no model that it names'}, which librealsense "
                 f"describes as undistorting ({INVERSE}) and computes as distorting (plumb_bob, as ROS does).",
                 "distortion_model",

@@ -96,7 +96,7 @@ class KeyedTags(Keyed):
         named = key if self.at["id"] == "{key}" else self._value(tag, at["id"])
         known = tag_named(named) if isinstance(named, str) else (None, number_of(named))
         if known is None:
-            raise InputError(f"the name {named[:80]!r} must have the number of a tag, such as 7, tag_7 or tag36h11:7.")
+            raise InputError(f"the name {named[:80]!r} must have a number, such as 7, tag_7 or tag36h11:7.")
         family, number = known
         if (said := value.get("family", MISSING)) is not MISSING:
             family = one_family((family, family_named(said)))

@@ -319,6 +319,6 @@ def _check_ply(name: str, content: bytes, triangles: int) -> None:
     if found is not None and triangles > int(found[1]):
         raise InputError(
             f"path: {name!r} has faces of more than three corners, which may be triangulated wrongly: export triangles "
-            f"(in Blender, `Triangulated Mesh`), or an .obj file.",
+            "(in Blender, `Triangulated Mesh`), or an .obj file.",
             "path",
         )

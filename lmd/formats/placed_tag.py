@@ -265,7 +265,7 @@ def one_family(named: Iterable[str | None]) -> str | None:
     if len(families) > 1:
         raise InputError(
             f"its tags are of the families {' and '.join(families)}, which may have equal ids: keep the tags of one "
-            f"family only."
+            "family only."
         )
     return families[0] if families else None
 

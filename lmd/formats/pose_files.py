@@ -108,16 +108,14 @@ def checked_seconds(source: str, time: FloatArray, unit: float | None, positions
         if latest > UNCLEAR:
             raise InputError(
                 f"time = {latest:.15g} looks like milliseconds, microseconds or nanoseconds: give seconds, or name the "
-                f"column time_ms, time_us or time_ns (in a line above the values such as '# time_us x y z qx qy qz "
-                f"qw')."
+                "column time_ms, time_us or time_ns (in a line above the values such as '# time_us x y z qx qy qz "
+                "qw')."
             )
     else:
         time = time * unit
         step = float(np.median(np.abs(np.diff(time)))) if len(time) > 1 else 1.0
         if 0.0 < step < FASTEST:
-            raise InputError(
-                f"its times cannot be in the unit that their column names: poses would be {step:.2g} s apart."
-            )
+            raise InputError(f"its times cannot be in the unit of their column: poses would be {step:.2g} s apart.")
     seconds(source, time, positions)
     return time
 
@@ -215,7 +213,7 @@ def _oriented(found: Named, place: FloatArray, frame: str) -> tuple[FloatArray, 
     if frame != "body" and ("roll" not in given or order.index("roll") > order.index("yaw")):
         raise InputError(
             f"frame must be body if {', '.join(given)} of {path} are ROS's (x ahead, y left, z up, yaw "
-            f"counter-clockwise from x). If they are a camera's (yaw clockwise from y, pitch up), call them "
+            "counter-clockwise from x). If they are a camera's (yaw clockwise from y, pitch up), call them "
             f"{', '.join(OWN_ANGLES[: len(given)])}.",
             "frame",
         )

@@ -69,9 +69,7 @@ def read_chain(path: Any, names: Any = None, **shared: Any) -> dict[str, FloatAr
     placed = dict(zip(found, chain, strict=True)) if len(chain) > 1 else bodies
     if len(placed) < 2 or (lost := [name for name in names or found if name not in placed]):
         what = f"{NO_BODY} and no T_cn_cnm1 (Kalibr) of {', '.join(lost) if len(placed) > 1 else 'several cameras'}"
-        raise InputError(
-            f"path: {path} has {what}, so the poses of its cameras relative to each other are not known.", "path"
-        )
+        raise InputError(f"path: {path} has {what}, so the relative poses of its cameras are not known.", "path")
     first = inverse(placed[(names or list(placed))[0]])
     return {name: first @ placed[name] for name in names or placed}
 

@@ -126,9 +126,7 @@ def read_map_covariance(path: Any, name: str) -> tuple[IntArray, FloatArray]:
     Raises:
         InputError: the file cannot be read, or is not a covariance of a map.
     """
-    refused = InputError(
-        f"{name}: {str(path)!r} is not the covariance of a map, in the form that a survey writes.", name
-    )
+    refused = InputError(f"{name}: {str(path)!r} is not a covariance of a map, as a survey writes it.", name)
     try:
         arrays = arrays_of(path, name, LARGEST_COVARIANCE, most=LARGEST_COVARIANCE) or {}
         ids, upper = arrays["ids"], arrays["upper"]

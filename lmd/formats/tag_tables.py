@@ -232,9 +232,7 @@ def listed(file: File) -> Found:
         row = standardised(Table(str(file.path), [1], {column: [text] for column, text in cells.items()}), TAGS)
         number = key if isinstance(tags, dict) else next(entry[one] for one in IDS if entry.get(one) is not None)
         if tag_named(number) is None:
-            raise InputError(
-                f"{at}: the name {number!r} must have the number of a tag, such as 7, tag_7 or tag36h11:7."
-            )
+            raise InputError(f"{at}: the name {number!r} must have a number, such as 7, tag_7 or tag36h11:7.")
         rows.append(
             {ID: str(number)} | {column: row.table.texts[column][0] for column in row.columns if column != TIME}
         )
@@ -257,8 +255,7 @@ def _cells(at: str, keys: Keys, prefix: str = "") -> Iterator[tuple[str, str]]:
             if (names := PARTS.get(key)) is not None:
                 if names == EULER and len(value) == 4:
                     raise InputError(
-                        f"{at}: the name of a quaternion must show the place of w, such as quaternion_xyzw, unlike "
-                        f"{key}."
+                        f"{at}: a quaternion's name must show the place of w, as quaternion_xyzw does, not {key}."
                     )
                 yield from zip(names, map(repr, vector(f"{at}: {key}", value, len(names))), strict=True)
         elif value is not None and not isinstance(value, bool):

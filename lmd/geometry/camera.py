@@ -98,7 +98,7 @@ class Camera(Checked):
             raise InputError(
                 f"distortion must increase with the angle up to the nearest border of the image, at {nearest:.3g} "
                 f"focal lengths, but {list(self.distortion)} folds back {math.degrees(lens.fold):.3g} degrees off the "
-                f"axis.",
+                "axis.",
                 "distortion",
             )
         if lens is None and self.image_circle < math.inf:

@@ -131,9 +131,7 @@ def surveyed_covariance(path: Any, deployment: Deployment) -> FloatArray | None:
     there = np.isin(stated[0], deployment.ids)
     ids, sigmas = stated[0][there], np.maximum(stated[1][there], LEAST_SIGMA)
     if (lacking := ids[~np.isfinite(sigmas).all(axis=1)]).size:
-        raise InputError(
-            f"map: tag {lacking[0]} in {str(path)!r} has no standard deviation: remove the tag from the file.", "map"
-        )
+        raise InputError(f"map: tag {lacking[0]} in {str(path)!r} has no standard deviation: remove the tag.", "map")
     among, own = _stated_covariance(path, ids, sigmas), np.flatnonzero(np.isin(deployment.ids, ids))
     whole = np.diag(sigmas.ravel() ** 2) if among is None else among
     joint = spread(whole, np.searchsorted(ids, deployment.ids[own]), own, len(deployment))
@@ -177,9 +175,7 @@ def _stated_covariance(path: Any, ids: IntArray, sigmas: FloatArray) -> FloatArr
     _, of, there = np.intersect1d(ids, among, return_indices=True)
     own = np.sqrt(np.diag(covariance)).reshape(-1, 6)[there]
     if not np.allclose(np.maximum(own, LEAST_SIGMA), sigmas[of], rtol=SAME_SIGMA):
-        text = (
-            f"map: {str(beside)!r} belongs to another map than {Path(str(path)).name!r}: use both files of one survey"
-        )
+        text = f"map: {str(beside)!r} is not of the map {Path(str(path)).name!r}: use both files of one survey"
         raise InputError(f"{text}, or remove it.", "map")
     alone = np.where(np.isin(np.arange(len(ids)), of)[:, None], 0.0, sigmas**2)
     return np.diag(alone.ravel()) + spread(covariance, there, of, len(ids))

@@ -134,7 +134,7 @@ def localise(
     seen = Observations(detected, tuple(map(Optics, cameras)), here.ids, here.edges, tag.modules, errors)
     if not here.has[seen.through().tag].any():
         raise InputError(
-            "detections has no tag of the map wholly within an image; check that the calibration is of this camera.",
+            "detections has no tag of the map wholly within an image; check the calibration.",
             "detections",
         )
     with threadpool_limits(limits=ONE_THREAD):
@@ -309,7 +309,5 @@ def _surprises(found: Estimate, mounts: Mounts) -> list[str]:
         if (most := np.abs(found.lenses.off[number - 1, :4]).max()) >= SURPRISING:
             name = "the camera" if len(found.calibrated) == 1 else f"camera {number}"
             text = f"{most:.2g} standard deviations of a calibration from the given one"
-            said.append(
-                f"{name} is {text} ({camera.to_text().partition(';')[0]}); check that the calibration is of this camera"
-            )
+            said.append(f"{name} is {text} ({camera.to_text().partition(';')[0]}); check the calibration")
     return said

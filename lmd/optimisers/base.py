@@ -246,7 +246,7 @@ class AskTell(Optimiser):
             if len(genes) < len(known) or _checksum(genes) != checksum:
                 raise InputError(
                     f"{type(self).__name__} cannot be resumed: it proposes other genes than the checkpoint has. Its "
-                    f"library may have changed, or its random numbers may not come from self.rng."
+                    "library may have changed, or its random numbers may not come from self.rng."
                 )
             self.ledger.seconds = by_then
             self._note_or_tell(genes, known, asked)

@@ -72,9 +72,7 @@ class Nevergrad(Wrapped):
             known = sorted(families.__all__ if self.options else {*registry, *families.__all__})
             close = ", ".join(difflib.get_close_matches(str(self.name), known, n=5, cutoff=0.3))
             kind = "a family that takes options" if self.options else "an optimiser"
-            raise InputError(
-                f"name = {self.name!r} is not {kind} of nevergrad; similar names: {close or 'none'}.", "name"
-            )
+            raise InputError(f"name = {self.name!r} is not {kind} of nevergrad; similar: {close or 'none'}.", "name")
         try:
             return getattr(families, self.name)(**self.options)  # type: ignore[no-any-return]
         except Exception as error:  # families raise different errors

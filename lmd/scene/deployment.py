@@ -223,7 +223,7 @@ class Deployment:
         if flush and deviation.max() > FLUSH:
             raise InputError(
                 f"landmark {self.ids[np.argmax(deviation)]} is not flush with its wall; a search with flush = true "
-                f"cannot start from it."
+                "cannot start from it."
             )
         return hung
 

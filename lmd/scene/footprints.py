@@ -47,7 +47,7 @@ def beside(fixed: Deployment, others: Deployment) -> Deployment:
         first = elsewhere[0]
         raise InputError(
             f"fixed and the start both have a landmark {again[first]}, {away[first]:.4g} m apart; give them different "
-            f"ids (a file without the column id numbers its landmarks from 0).",
+            "ids (a file without the column id numbers its landmarks from 0).",
             "fixed",
         )
     if len(again) == len(others):

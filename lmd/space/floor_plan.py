@@ -202,7 +202,7 @@ class FloorPlan(Checked):
         if region.is_empty:
             raise InputError(
                 f"surfaces: nothing may hang on {face.name}: its keep_out, band, margin and the objects in front of it "
-                f"leave no free part.",
+                "leave no free part.",
                 "surfaces",
             )
         return face.where(region)

@@ -176,7 +176,7 @@ def _enclosed(path: str, drawing: Drawing, gap: float, start: Sequence[float] | 
         where = "the walls" if start is None else f"start = {list(start)}: the walls"
         raise InputError(
             f"path: {where} of {path!r} do not enclose a room; a gap is wider than gap = {gap:g}, or walls are in "
-            f"another layer.",
+            "another layer.",
             "path",
         )
     areas[chosen] = 0.0

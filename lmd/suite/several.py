@@ -66,10 +66,7 @@ class TagChoice(BlackBox):
     def __init__(self, problem: Problem, name: str = "problem", encoding: str = "wall", by_paper: bool = False) -> None:
         super().__init__(problem, name, encoding)
         if problem.genome is not None or problem.fixed_count:
-            raise InputError(
-                f"{name}: a choice of tags needs a problem without fixed landmarks and without cameras to place.",
-                "problem",
-            )
+            raise InputError(f"{name}: a choice of tags needs a problem that places all of its landmarks.", "problem")
         self._encoding = make_encoding(encoding, problem.scene.footprints.hanging, flush=True)
         self.by_paper = by_paper
         self.objectives = (*self.objectives, f"share of the {'paper' if by_paper else 'tags'} left over")
@@ -88,9 +85,7 @@ class TagChoice(BlackBox):
     def deployment(self, genes: FloatArray) -> Deployment:
         deployment = self._hung(checked_genes(genes, self.dim))
         if deployment is None:
-            raise InputError(
-                f"{self.name}: this candidate has no tag, or its papers do not fit on the surfaces.", "genes"
-            )
+            raise InputError(f"{self.name}: the candidate has no tag, or its papers do not fit.", "genes")
         return deployment
 
     def values_of(self, deployment: Deployment) -> FloatArray:

@@ -84,10 +84,7 @@ class Boards(Checked):
             raise InputError(f"boards has tag {numbers[counts > 1][0]} twice.", "boards")
         sheets, counts = np.unique(self.names, return_counts=True)
         if (counts < FEWEST).any():
-            raise InputError(
-                f"boards must have two tags or more on each board, but has one on {str(sheets[counts < FEWEST][0])!r}.",
-                "boards",
-            )
+            raise InputError(f"boards: {str(sheets[counts < FEWEST][0])!r} has only one tag.", "boards")
 
     @classmethod
     def from_csv(cls, path: Any, printed: float) -> "Boards":
@@ -151,9 +148,7 @@ class PriorKnowledge:
             integer("edges", number, low=0)
             real(f"edges of tag {number}", edge, above=0.0)
         if self.floor and any(known is not None for known in (self.plan, self.fixed, self.points)):
-            raise InputError(
-                "floor sets z = 0, but the plan or the known tags set it already: leave floor out.", "floor"
-            )
+            raise InputError("floor sets z = 0, but the plan or the known tags do so already.", "floor")
 
     @property
     def ids(self) -> IntArray:

@@ -122,9 +122,7 @@ def _mounted(sightings: Sightings, apart: Poses, mounts: FloatArray | None) -> P
         elif (there & here).any():
             found[camera] = median_pose(inverse(frames[there & here]) @ views[camera, there & here])
         else:
-            raise InputError(
-                f"detections have no frame that determines the mount of camera {camera + 1}.", "detections"
-            )
+            raise InputError(f"detections have no frame that gives the mount of camera {camera + 1}.", "detections")
         frames[there & ~here] = views[camera, there & ~here] @ inverse(found[camera])
     return Poses(apart.tags, frames, found)
 

@@ -58,7 +58,7 @@ def test_a_run_that_has_ended_is_not_gone_on_with(tmp_path):
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [
-        ("rig", np.zeros((2, 7)), "has a position or direction in which no camera may be mounted"),
+        ("rig", np.zeros((2, 7)), "is not a pose that the body allows"),
         ("rig", np.full((2, 7), 9.0), "rig must not have the value 9.0"),
         ("rig", None, "rig must be float64 of shape"),
         ("began", -1, "began must be"),

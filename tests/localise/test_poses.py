@@ -205,14 +205,14 @@ def test_a_surveyed_map_brings_the_covariance_of_all_its_tags(tmp_path):
     np.testing.assert_allclose(known.joint[12:, 12:], np.diag([0.05**2] * 3 + [0.01**2] * 3))
     assert not known.joint[12:, :12].any()
     write_map_covariance(beside, np.array([2, 5]), 2.0 * covariance)
-    with pytest.raises(InputError, match=r"map\.npz' belongs to another map than 'map\.csv'"):
+    with pytest.raises(InputError, match=r"map\.npz' is not of the map 'map\.csv'"):
         FixedMap.read(file, Tag(0.2), Hanging())
     for content in (b"", b"PK\x03\x04", beside.read_bytes()[:200]):
         beside.write_bytes(content)
-        with pytest.raises(InputError, match=r"map\.npz' is not the covariance of a map"):
+        with pytest.raises(InputError, match=r"map\.npz' is not a covariance of a map"):
             FixedMap.read(file, Tag(0.2), Hanging())
     np.savez(beside, ids=np.array([2, 5]), upper=np.full(78, np.nan))
-    with pytest.raises(InputError, match=r"map\.npz' is not the covariance of a map"):
+    with pytest.raises(InputError, match=r"map\.npz' is not a covariance of a map"):
         FixedMap.read(file, Tag(0.2), Hanging())
 
 

@@ -163,7 +163,7 @@ def test_a_package_that_is_trusted_may_be_named_but_not_walked_through(strangers
     assert told(*names) == ""
     assert "evil" in sys.modules
     strangers("room: {_target_: evil.os.getcwd}")
-    assert "room._target_ = 'evil.os.getcwd' is only imported, not defined, in what you trust" in told("evil")
+    assert "room._target_ = 'evil.os.getcwd' is imported, not defined, by what you trust" in told("evil")
 
 
 def test_what_files_of_ones_own_search_path_name_is_trusted(strangers):

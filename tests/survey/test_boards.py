@@ -60,7 +60,7 @@ def test_a_tag_at_a_wrong_place_of_its_sheet_does_no_harm(room):
         ("board,id,x,y\na,1.5,0,0\na,2,0,1\n", r"line 2: id must be a whole number from 0 to .*, got 1\.5"),
         (
             "board,id,x,y\na,1,0,0\na,2,0,1\nb,3,0,0\n",
-            r"^boards must have two tags or more on each board, but has one on 'b'\.$",
+            r"^boards: 'b' has only one tag\.$",
         ),
     ],
 )

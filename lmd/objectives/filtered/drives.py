@@ -115,11 +115,7 @@ class Drives(Checked):
         whole = np.add.reduceat(relevance, self.first[:-1])
         if not whole.all():
             drive = int(np.flatnonzero(whole == 0.0)[0])
-            raise InputError(
-                f"the relevance is 0 along the whole of drive {drive}; each drive must pass a region with a positive "
-                f"weight.",
-                "drives",
-            )
+            raise InputError(f"the relevance is 0 along the whole of drive {drive}.", "drives")
         return np.asarray(relevance / whole[self.of_frame])
 
     def share_of(self, values: FloatArray, relevance: FloatArray) -> FloatArray:
