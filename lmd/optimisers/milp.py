@@ -67,8 +67,8 @@ def check_lattice(problem: Problem, poses: Deployment, spacing: float) -> None:
     lattice = f"the lattice of the integer program has {len(poses)} poses, {spacing:g} m apart"
     if len(poses) * views > MOST_PAIRS:
         raise InputError(
-            f"{lattice}, and {views} views: no more than {MOST_PAIRS:.3g} pairs of a pose and a view make a "
-            "program that can be solved."
+            f"{lattice}, which makes {len(poses) * views:.3g} pairs with the {views} views: at most {MOST_PAIRS:.3g} "
+            "can be solved."
         )
     if any(len(of) * per_pose(problem) < count for of, count in by_size(problem, poses)):
         raise InputError(f"{lattice}: too few for {problem.free_count} landmarks.")
@@ -254,8 +254,8 @@ class Milp(DeploymentSearch):
         needed = (not ledger.evaluations) + costs + 1
         if ledger.evaluations + needed > budget.limit:
             raise InputError(
-                f"the lattice of the integer program has {len(poses)} poses: with what they cover it takes "
-                f"{needed:.4g} evaluations, more than the {budget.limit - ledger.evaluations:g} that are left."
+                f"the lattice of the integer program has {len(poses)} poses: it costs {needed:.4g} evaluations to find "
+                f"what they cover, but only {budget.limit - ledger.evaluations:g} are left."
             )
         if not ledger.evaluations:
             note(1, problem.draw(np.random.default_rng(self.seed)))
@@ -270,8 +270,8 @@ class Milp(DeploymentSearch):
         solved = outcome.result()
         if solved.status == INFEASIBLE:
             raise InputError(
-                f"no {problem.free_count} poses of the lattice, {self.spacing:g} m apart, have papers that do not "
-                "overlap."
+                f"{problem.free_count} papers that do not overlap find no place on the lattice with a spacing of "
+                f"{self.spacing:g} m."
             )
         self.proven = {
             "lattice_bound": 1.0 if solved.mip_dual_bound is None else min(-solved.mip_dual_bound / most, 1.0)
