@@ -213,7 +213,7 @@ def page(known: dict[tuple[Cell, str], str]) -> Iterator[str]:
     reasons = list(dict.fromkeys(found for found in known.values() if found != WORKS))
     yield "# What works with what"
     yield ""
-    yield "Each command was run with a tiny budget in every cell of:"
+    yield "Each command was run with a tiny budget for every combination of these parts:"
     yield ""
     yield from (f"- {part}: {', '.join(options)}" for part, options in PARTS.items())
     yield f"- command: {', '.join(COMMANDS)}"
@@ -223,8 +223,8 @@ def page(known: dict[tuple[Cell, str], str]) -> Iterator[str]:
     yield "the settings, and runs what is missing. Optimisers are the default, random search and SGA; `milp` refuses"
     yield "some of these cells, as its program is that of plain coverage with one camera."
     yield ""
-    yield "[People](crowd.md#what-works-with-it) and [the pose along the way](filtered.md#what-works-with-it)"
-    yield "are not among the cells."
+    yield "Not among these: [people in the way](crowd.md#what-works-with-it), [tags for a"
+    yield "filter](filtered.md#what-works-with-it)."
     if works == every:
         return
     yield "In other cells a number is the reason below, and an empty place has not been run."

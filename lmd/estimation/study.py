@@ -287,7 +287,7 @@ def to_markdown(figures: pd.DataFrame, n: int) -> str:
 
 
 def within() -> dict[str, float]:
-    """Position error, metres, of each column `within_<n>mm` of `FlightStudy.figures`, by the name of the column."""
+    """Limit of the position error, metres, keyed by the column `within_<n>mm` of `FlightStudy.figures`."""
     return {f"within_{1e3 * limit:g}mm": limit for limit in ERROR_LIMITS}
 
 

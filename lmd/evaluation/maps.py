@@ -54,8 +54,8 @@ def map_errors(
     """Measure errors of the pose from single images, one row for each pose from which at least n tags are seen.
 
     Args:
-        problem: problem with the scene, n, and the noise of a corner; another objective than `Localisation` has the
-            noise of the default `Localisation`.
+        problem: problem with the scene, n, and the noise of a corner. For another objective than `Localisation`, the
+            noise is that of the default `Localisation`.
         truth: K tags as they hang. The visibility model, which assumes upright tags, decides which tags are seen.
         maps: K tags as the estimates assume them, keyed by the name of the map; all maps are tested with equal noise.
         poses: X, `(N, 4, 4)`.

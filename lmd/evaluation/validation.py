@@ -238,7 +238,7 @@ def exact_values(problem: Problem, deployment: Deployment, records: "Records") -
     """Value of the objective at each of R records, with only the orientation of that record, `(R,)`; with a crowd, the
     mean over its states.
 
-    Records are evaluated in groups as large as a word has bits, one axis for each position.
+    Records are evaluated in groups of 64, one axis for each position, as a word has 64 bits.
     """
     parts = []
     for start in range(0, len(records), BITS):

@@ -40,7 +40,7 @@ class Stock(Protocol):
         """Price of each pose, `(N,)`, by which the gain of the pose is divided."""
 
     def none_left(self, poses: Deployment, chosen: Sequence[int]) -> BoolArray:
-        """Mask `(N,)` of the poses for which no landmark is left after the `chosen` poses."""
+        """Mask `(N,)` of the poses for which no landmark is left once the `chosen` poses have theirs."""
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ class MeasuredPlace(NamedTuple):
     up: float
     """Height above the floor on a wall, else above the lower edge of the surface, metres."""
     from_floor: bool
-    """True if `up` is above the floor."""
+    """True if `up` is measured from the floor."""
 
 
 @dataclass(frozen=True)

@@ -153,7 +153,7 @@ class Canvas:
     def _warp(
         self, picture: Any, homography: FloatArray, window: tuple[int, int, int, int], samples: int, border: int
     ) -> Any:
-        """Warp `picture` by a homography from texels to pixels, both from the border.
+        """Warp `picture` by a homography from texels to pixels, both counted from the border.
 
         The result covers `window` with `samples` per pixel along each axis.
         """

@@ -205,8 +205,10 @@ class Placing:
         return False
 
     def waiting(self, by_frame: bool) -> IntArray:
-        """Sightings of placed tags in frames that are not placed if `by_frame`; otherwise sightings in placed frames of
-        tags that are not placed.
+        """Sightings that could place a frame or a tag.
+
+        If `by_frame`, these are sightings of placed tags in frames that are not placed; otherwise sightings of tags
+        that are not placed, in placed frames.
         """
         tag, frame = self._placed
         return np.flatnonzero(tag & ~frame if by_frame else frame & ~tag)

@@ -249,7 +249,7 @@ UNFIT += [(name, "36h11, .*", "41h12") for name in ("aruco", "rtabmap")]
 
 @pytest.mark.parametrize(("name", "known", "family"), UNFIT)
 def test_readers_are_given_only_families_that_they_know(name, known, family):
-    with pytest.raises(InputError, match=f"^formats has {name}, which supports the families {known}, not {family}"):
+    with pytest.raises(InputError, match=f"^formats has {name}, which supports families {known}, not {family}"):
         Export([name], "a4").check(Tag(EDGE, family))
 
 

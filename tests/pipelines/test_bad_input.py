@@ -177,7 +177,7 @@ CASES = [
     ("export", f"{TAGS} formats=[]", "formats lists none, so there is nothing to write."),
     ("export", f"{TAGS} formats=csv", "formats must be a list of ros2_tf, "),
     ("export", f"{TAGS} formats=[nosuch]", "formats must be one of ros2_tf, "),
-    ("export", f"{TAGS} tag.family=4x4_50 formats=[csv,wpilib]", "formats has wpilib, which supports the families "),
+    ("export", f"{TAGS} tag.family=4x4_50 formats=[csv,wpilib]", "formats has wpilib, which supports families "),
     ("export", f"{TAGS} paper_size=a5", "paper_size must be one of a4, a3, letter, got"),
     ("survey", "photographs=null", "either photographs (a folder, a video or a bag) or detections (a CSV file)"),
     ("survey", "photographs=nowhere", "photographs: there is no folder, video or bag 'nowhere'"),
@@ -204,7 +204,7 @@ CASES = [
     ("localise", "localise.odometry=nowhere.csv", "localise.odometry: there is no file 'nowhere.csv'"),
     ("localise", "detectors=[]", "detectors must name one detector, got []"),
     ("localise", "deployment=random", "deployment must be a file"),
-    ("survey", "\"camera.rig=[{camera: camera.yaml}, {camera: camera.yaml}]\"", "each of 2 cameras, 'photos' has 0"),
+    ("survey", "\"camera.rig=[{camera: camera.yaml}, {camera: camera.yaml}]\"", "each of 2 cameras, but 'photos' has 0"),
 ]  # fmt: skip
 
 

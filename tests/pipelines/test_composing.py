@@ -166,7 +166,7 @@ def test_a_directory_that_is_no_run_gets_one_sentence(earlier):
     for content, told in (
         (b"a: [\n", "cannot be read ("),
         (b"\x80", "cannot be read as text ("),
-        (b"[1]", "is no configuration"),
+        (b"[1]", "is not a configuration"),
         (BOMB, "cannot be read (its aliases stand for"),
     ):
         (earlier / ".hydra" / "config.yaml").write_bytes(content)

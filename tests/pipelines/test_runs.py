@@ -166,7 +166,7 @@ def test_a_journal_goes_to_the_store_that_the_command_line_names(uri, folder, mo
     assert asked == [uri]
     (folder / FILE).unlink()
     assert "nothing to hand in below ." in synced(folder).stdout
-    assert "sync = 'none' is no folder" in inside("runs", "sync=none", cwd=folder, settings=()).stderr
+    assert "sync = 'none' is not a folder" in inside("runs", "sync=none", cwd=folder, settings=()).stderr
 
 
 @pytest.mark.parametrize(

@@ -109,7 +109,7 @@ def test_a_run_of_a_stranger_runs_no_code(strangers, monkeypatch, changes):
         ),
         ("room: [1]", "room must be a mapping without the key defaults"),
         ("room: &a [*a]", "its aliases stand for inf values, more than its 13 characters"),
-        ("room: {size: &a [1], walls: *a}", "room.walls is an alias"),
+        ("room: {size: &a [1], walls: *a}", "room.walls is a YAML alias"),
         ("room: {_target_: [[lmd]]}", "room._target_ must name"),
         ("room: {? [1, 2] : 3}", "cannot be read"),
         ("room: {? !!binary aGk= : 3}", "room has a key that is not a text"),

@@ -19,7 +19,7 @@ class Dataset:
     digest: str
     """Digest of everything that decides the fitness."""
     settings: Mapping[str, str]
-    """Parts, in words."""
+    """Descriptions of the parts of the problem, by their names."""
 
 
 @dataclass(frozen=True)
