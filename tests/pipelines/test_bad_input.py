@@ -204,7 +204,7 @@ CASES = [
     ("localise", "localise.odometry=nowhere.csv", "localise.odometry: there is no file 'nowhere.csv'"),
     ("localise", "detectors=[]", "detectors must name one detector, got []"),
     ("localise", "deployment=random", "deployment must be a file"),
-    ("survey", "\"camera.rig=[{camera: camera.yaml}, {camera: camera.yaml}]\"", "each of 2 cameras, but 'photos' has 0"),
+    ("survey", "\"camera.rig=[{camera: camera.yaml}, {camera: camera.yaml}]\"", "2 cameras, but 'photos' has 0"),
 ]  # fmt: skip
 
 
