@@ -97,14 +97,13 @@ def _on_one_thread(function: Callable[[Any], Any], job: Any) -> Any:
 
 def detect(cfg: DictConfig, own: Own) -> Study:
     """Study of detection: real detectors read rendered images of deployments, from equal random poses."""
-    from lmd.core.checks import integer, vector
+    from lmd.core.checks import integer
     from lmd.core.optional import optional
 
     optional("cv2", "detection")
     count, seed = integer("frames", cfg.frames, low=1), cfg.seed
     pictures = min(integer("pictures", cfg.pictures, low=0), count)
     subjects = {name: rendered(each, count) for name, each in own.items()}
-    moves = None if cfg.nudge is None else vector("nudge", cfg.nudge, 2, low=0.0)
     problem = next(iter(subjects.values())).problem
 
     def run(_: object) -> Report:
@@ -112,12 +111,7 @@ def detect(cfg: DictConfig, own: Own) -> Study:
         from lmd.evaluation.detected import DetectionStudy, sightings
         from lmd.plot.detection_figures import save_calibration_figure
 
-        each = partial(in_batches, cfg.workers)
-        seen, again = sightings(subjects, seed, each), None
-        if moves is not None:
-            moved = {name: subject.nudged(moves[0], moves[1], seed) for name, subject in subjects.items()}
-            again = sightings(moved, seed + 1, each)
-        study = DetectionStudy(subjects, seen, again)
+        study = DetectionStudy(subjects, sightings(subjects, seed, partial(in_batches, cfg.workers)))
         tables, metrics = study.tables, study.metrics()
         markdown, title = to_markdown(tables["figures"]), title_of(problem, f"{count} poses,")
         files = {

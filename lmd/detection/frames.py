@@ -11,7 +11,7 @@ from lmd.detection.corner_errors import apparent_edge, incidence, pitch
 from lmd.detection.detectors import Detector, Matches, match
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import blur_sigma, to_camera
-from lmd.geometry.se3 import camera_pose, exp
+from lmd.geometry.se3 import camera_pose
 from lmd.render.imaging import Imaging, UInt8Array
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
@@ -52,19 +52,6 @@ def draw_crowd(scene: Scene, positions: FloatArray, seed: int) -> tuple[Scene, l
     crowd = each.drawn(scene.room, np.random.default_rng([seed, FRAMES_STREAM, 2]))
     present = crowd.present(positions, np.arange(len(positions)))
     return replace(scene, crowd=crowd), [people[here] for people, here in zip(crowd.people, present, strict=True)]
-
-
-def nudged(poses: FloatArray, position: float, attitude: float, seed: int) -> FloatArray:
-    """Perturb poses X `(N, 4, 4)` by normal errors.
-
-    Args:
-        poses: X.
-        position, attitude: standard deviations along each axis, metres, and about each axis, rad.
-        seed: seed of the errors.
-    """
-    rng = np.random.default_rng([seed, FRAMES_STREAM, 1])
-    turns, shifts = rng.normal(0.0, attitude, (len(poses), 3)), rng.normal(0.0, position, (len(poses), 3))
-    return np.asarray(poses @ exp(np.hstack([turns, shifts])))
 
 
 def tagged_room(room: Space, deployment: Deployment, tag: Tag) -> TaggedRoom:

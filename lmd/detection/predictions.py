@@ -1,7 +1,7 @@
 """Comparison of predictions of a visibility model for frames with detections: figures and tables."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -108,11 +108,6 @@ class Prediction:
         """True for tags that overlap another tag, `(K,)`."""
         return overlapping(self.parts[0].renderer.room)
 
-    def moved(self, poses: FloatArray) -> "Prediction":
-        """The prediction for other poses of the body."""
-        parts = tuple(replace(part, poses=poses @ at) for part, at in zip(self.parts, self.mounted, strict=True))
-        return replace(self, parts=parts, poses=poses)
-
     def by_any(self, which: BoolArray) -> BoolArray:
         """Logical or over the cameras: `(N, C K)` -> `(N, K)`."""
         return np.asarray(which.reshape(len(which), len(self.parts), -1).any(axis=1))
@@ -161,22 +156,6 @@ def figures(prediction: Prediction, seen: Matches) -> dict[str, float]:
     position, attitude = pose_error(prediction.poses, poses)
     row["pose_share"] = float(np.isfinite(position).mean())
     return row | _quantiles("position", position) | _quantiles("attitude", attitude)
-
-
-def repeatability(seen: Matches, again: Matches, prediction: Prediction) -> dict[str, float]:
-    """Agreement of a detector with itself on two renderings of each frame, which bounds the agreement of predictions.
-
-    `repeated_<n>`: share of frames in which both renderings agree on at least n tags; `repeated_tags`: number of tags
-    found in both renderings over the number found in either.
-
-    Args:
-        seen, again: matches in the two renderings.
-        prediction: prediction for the frames.
-    """
-    both, either = seen.detected & again.detected, seen.detected | again.detected
-    share = float(both.sum() / either.sum()) if either.any() else np.nan
-    one, other = prediction.by_any(seen.detected), prediction.by_any(again.detected)
-    return {f"repeated_{n}": agreement(one, other, int(n)) for n in TAG_NUMBERS} | {"repeated_tags": share}
 
 
 def _quantiles(name: str, values: FloatArray) -> dict[str, float]:
@@ -254,7 +233,6 @@ def to_markdown(table: pd.DataFrame) -> str:
     head += ["position: median / 90 % [mm]"]
     blame = [*names, "detected, not predicted", *(escaped(f"of these fail {c.replace('_', ' ')}") for c in criteria)]
     blame += ["predicted, not detected", "of these cut by the border", "of the others overlapping"]
-    repeats = ["detector with itself on >= 2", "tags found both times"] if "repeated_tags" in table else []
     rows, wrong = [], []
     for row in table.to_dict("records"):
         own = [escaped(row[name]) for name in names]
@@ -268,8 +246,7 @@ def to_markdown(table: pd.DataFrame) -> str:
             f"{row['corner_median']:.2f} / {row['corner_90']:.2f}",
             f"{row['pose_share']:.1%}",
             f"{1e3 * row['position_median']:.2f} / {1e3 * row['position_90']:.2f}",
-            *([f"{row['repeated_2']:.1%}", f"{row['repeated_tags']:.1%}"] if repeats else []),
         ])  # fmt: skip
         counts = ["left_out", *(f"left_out_{c}" for c in criteria), "overrated", "overrated_cut"]
         wrong.append([*own, *(f"{row[key]:,.0f}" for key in (*counts, "overrated_overlapping"))])
-    return f"{markdown_table([*head, *repeats], rows)}\n\n{markdown_table(blame, wrong)}\n"
+    return f"{markdown_table(head, rows)}\n\n{markdown_table(blame, wrong)}\n"

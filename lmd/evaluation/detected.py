@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -11,8 +11,8 @@ import numpy as np
 from lmd.core.checks import FloatArray
 from lmd.core.memory import check_memory
 from lmd.detection.detectors import Matches
-from lmd.detection.frames import detect_in_frames, draw_crowd, draw_poses, nudged, tagged_room
-from lmd.detection.predictions import CameraPrediction, Prediction, by_pitch, by_tag, figures, repeatability
+from lmd.detection.frames import detect_in_frames, draw_crowd, draw_poses, tagged_room
+from lmd.detection.predictions import CameraPrediction, Prediction, by_pitch, by_tag, figures
 from lmd.evaluation.verdicts import verdicts
 from lmd.geometry.se3 import axis_and_right
 from lmd.problem import Problem
@@ -87,10 +87,6 @@ class Rendered:
             parts.append(CameraPrediction(Renderer(camera, room, imaging), own, predicted, told, people=people))
         return cls(problem, Prediction(tuple(parts), scene.extrinsics, poses), detectors)
 
-    def nudged(self, position: float, attitude: float, seed: int) -> "Rendered":
-        """Copy with randomly displaced poses; `position` and `attitude` are standard deviations, metres and rad."""
-        return replace(self, prediction=self.prediction.moved(nudged(self.prediction.poses, position, attitude, seed)))
-
 
 class Frames(NamedTuple):
     """Consecutive frames of one camera; the noise of a frame depends on its number."""
@@ -143,8 +139,6 @@ class DetectionStudy:
     """Subjects by name."""
     seen: Mapping[str, Mapping[str, Matches]]
     """Detections, keyed by the name of the subject, then of the detector."""
-    again: Mapping[str, Mapping[str, Matches]] | None = None
-    """Detections from slightly displaced poses; None if there are no such images."""
 
     @cached_property
     def tables(self) -> "dict[str, pd.DataFrame]":
@@ -155,8 +149,7 @@ class DetectionStudy:
         for name, subject in self.subjects.items():
             for detector, found in self.seen[name].items():
                 names, told = dict(zip(NAMES, (name, detector), strict=True)), subject.prediction
-                looks = {} if self.again is None else repeatability(found, self.again[name][detector], told)
-                rows.append({**names, **figures(told, found), **looks})
+                rows.append({**names, **figures(told, found)})
                 pitches.append(by_pitch(told, found).assign(**names))
                 tags.append(by_tag(told, found).assign(**names))
         ordered = [pd.concat(tables, ignore_index=True) for tables in (pitches, tags)]

@@ -132,7 +132,6 @@ CASES = [
     ("detect", "detectors.aruco.preset=best", "detectors.aruco.preset must be one of default, fine, got 'best'"),
     ("detect", "+imaging.noise=-1", "imaging.noise must be at least 0, got -1."),
     ("detect", "camera.distortion=[-3,0,0,0]", "camera.distortion must increase with the angle"),
-    ("detect", "nudge=[0.002]", "nudge must be a list of 2 numbers, got [0.002]."),
     ("detect", "frames=0", "frames must be at least 1, got 0."),
     ("detect", "workers=0", "workers must be at least 1, got 0."),
     ("calibrate_detector", "views.count=1", "views.count must be at least 2, got 1."),

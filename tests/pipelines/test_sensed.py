@@ -57,14 +57,12 @@ def test_the_motivating_example_flies_twice_over_eighty_random_landmarks(tmp_pat
     assert (figures[figures.deployment == "random all visible"].mean_visible == 80).all()
 
 
-def test_detectors_find_what_is_near_and_agree_with_themselves_on_equal_images(tmp_path):
+def test_detectors_find_what_is_near(tmp_path):
     clean = ("imaging.psf_sigma=0.4", "imaging.defocus=false", "imaging.noise=0", "imaging.texture=0")
-    words = ("deployments=[uniform,'tiny: uniform tag.edge=0.02']", "tag.edge=0.3", "frames=12", "nudge=[0,0]")
-    told = conduct("detect", *clean, *words, "pictures=0", cwd=tmp_path)
+    words = ("deployments=[uniform,'tiny: uniform tag.edge=0.02']", "tag.edge=0.3", "frames=12")
+    conduct("detect", *clean, *words, "pictures=0", cwd=tmp_path)
     figures = pd.read_csv(tmp_path / "run" / "figures.csv").set_index(["deployment", "detector"])
     assert figures.detected_2["uniform", "aruco"] > figures.detected_2["tiny", "aruco"]
-    assert (figures.repeated_2 == 1.0).all()
-    assert "| 100.0% |" in told
     document = json.loads((tmp_path / "run" / "detect.json").read_text())
     assert document["figures"]["detected_2/uniform/aruco"] == figures.detected_2["uniform", "aruco"]
 
