@@ -151,7 +151,7 @@ def uncertainty(cfg: DictConfig, own: Own) -> Study:
     error, deployment = mounting_of(alone), problem.draw(np.random.default_rng(cfg.seed))
 
     def run(_: object) -> Report:
-        from lmd.export.filter_code import CLASS, FilterLaws, java, python
+        from lmd.export.filter_code import CLASS, FilterLaws, java
         from lmd.plot.pose_errors import save_uncertainty_figure
 
         places, path = error.covariances(problem, deployment), alone.deployment.get("path")
@@ -170,7 +170,6 @@ def uncertainty(cfg: DictConfig, own: Own) -> Study:
             "uncertainty_law.json": document,
             "uncertainty_tags.csv": found.tags,
             f"{CLASS}.java": java(code),
-            "vision_uncertainty.py": python(code),
         }
         if cfg.picture:
             title = title_of(problem, "uncertainty of the pose from one image,")

@@ -1,4 +1,4 @@
-"""Code that gives filters the standard deviations of poses: WPILib in Java and Python.
+"""Code that gives filters the standard deviations of poses: WPILib in Java.
 
 WPILib's pose estimators receive the standard deviations of a measurement's x [m], y [m] and heading [rad] by
 `setVisionMeasurementStdDevs`, or with each `addVisionMeasurement`. PhotonVision has no such setting: its examples pass
@@ -6,7 +6,7 @@ constants in the robot's code, and AdvantageKit's template scales a baseline by 
 constants. Limelight publishes standard deviations (`stddevs`) and accepts none.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,16 +37,6 @@ class FilterLaws:
     def __post_init__(self) -> None:
         if "\n" in self.about:
             raise InputError("about must be a single line.", "about")
-
-    def deviations(self, distance: float, tags: int, names: Sequence[str] = ("horizontal", "heading")) -> list[float]:
-        """Standard deviations for a mean distance [m], limited to the fitted range, and a number of tags.
-
-        Infinite for a single tag beyond `reach`.
-        """
-        if tags == 1 and distance > self.reach:
-            return [np.inf] * len(names)
-        at = np.array([min(max(distance, self.nearest), self.farthest)]), np.array([tags])
-        return [float(self.laws[name].at(*at)[0]) for name in names]
 
 
 def _number(value: float) -> str:
@@ -124,52 +114,3 @@ public final class {CLASS} {{
 def _triple(rules: Mapping[str, Rule], group: str) -> str:
     position, heading = (_number(getattr(rules[name], group)) for name in ("horizontal", "heading"))
     return f"{position}, {position}, {heading}"
-
-
-def python(laws: FilterLaws) -> str:
-    """Python module for WPILib (RobotPy), which expects a tuple."""
-    h, t = laws.laws["horizontal"], laws.laws["heading"]
-    squared, photon = laws.rules["squared"], laws.rules["photonvision"]
-    reach = "math.inf" if np.isinf(laws.reach) else _number(laws.reach)
-    return f'''\
-"""Standard deviations of a pose from tags in one image, for setVisionMeasurementStdDevs and addVisionMeasurement.
-
-{laws.about}
-"""
-
-import math
-import sys
-
-# Scale, exponent of the distance [m], exponent of the number of tags.
-ONE_POSITION = ({_row(h.one)})  # metres
-ONE_HEADING = ({_row(t.one)})  # radians
-SEVERAL_POSITION = ({_row(h.several)})
-SEVERAL_HEADING = ({_row(t.several)})
-NEAREST, FARTHEST = {_number(laws.nearest)}, {_number(laws.farthest)}  # metres
-SINGLE_TAG_REACH = {reach}  # distance [m] above which the pose from a single tag is ambiguous
-
-# For code that keeps the formula of PhotonVision's example: times 1 + distance * distance / 30.
-SINGLE_TAG_STD_DEVS = ({_triple(photon, "one")})
-MULTI_TAG_STD_DEVS = ({_triple(photon, "several")})
-# For code that keeps the formula of AdvantageKit's template: times distance * distance / tags.
-LINEAR_STD_DEV_BASELINE = {_number(squared["horizontal"].several)}
-ANGULAR_STD_DEV_BASELINE = {_number(squared["heading"].several)}
-
-
-def std_devs(distance: float, tags: int) -> tuple[float, float, float]:
-    """Standard deviations of x [m], y [m] and heading [rad].
-
-    Args:
-        distance: mean distance from the camera to the tags in view, metres.
-        tags: number of tags in view.
-    """
-    if tags < 1 or (tags == 1 and distance > SINGLE_TAG_REACH):
-        return (sys.float_info.max,) * 3
-    at = min(max(distance, NEAREST), FARTHEST)
-
-    def law(scale: float, by_distance: float, by_tags: float) -> float:
-        return scale * at**by_distance / tags**by_tags
-
-    position = law(*(ONE_POSITION if tags == 1 else SEVERAL_POSITION))
-    return position, position, law(*(ONE_HEADING if tags == 1 else SEVERAL_HEADING))
-'''

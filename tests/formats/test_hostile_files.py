@@ -14,7 +14,7 @@ from support.rooms import KEYS
 
 from lmd.core.checks import InputError
 
-LONG, SECONDS = 200_000, 20.0  # characters, and processor time that quadratic work exceeds many times
+LONG, SECONDS = 100_000, 10.0  # characters, and processor time that quadratic work exceeds many times
 RUNS = yaml.safe_load(Path(__file__).with_name("files").joinpath("refused.yaml").read_text(encoding="utf-8"))["long"]
 
 
