@@ -14,12 +14,6 @@ from lmd.core.checks import FloatArray
 from lmd.geometry.camera import MM_PER_M, Camera
 from lmd.geometry.lens_models import depth_of
 
-# For the view of a distorting lens: number of segments per image side, and number of steps from the principal point to
-# the border in the search for the fold.
-BEND, STEPS = 16, 100
-# Largest `Camera.widest_angle` of a view drawn with a flat base, rad; the base of a wider view is a part of a sphere.
-FLAT_BASE = np.radians(75.0)
-
 
 def intrinsics(camera: Camera) -> FloatArray:
     """Intrinsic matrix K, from camera coordinates to homogeneous image coordinates from the border, `(3, 3)`."""
@@ -89,27 +83,6 @@ def bearings(camera: Camera, image: FloatArray) -> FloatArray:
         return np.where(ended, np.nan, seen)
     ahead = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1)
     return np.asarray(ahead / np.linalg.norm(ahead, axis=-1, keepdims=True))
-
-
-def view_edges(camera: Camera, depth: float) -> FloatArray:
-    """Edges of a camera's viewing frustum, camera's frame, metres, `(N, 2, 3)`.
-
-    The base is the border of the image, or of the part of the image within the fold. Its points are at the depth
-    `depth`, metres, or at the distance `depth` for a view wider than `FLAT_BASE`.
-    """
-    width, height = image_size(camera)
-    corners = np.array([[0, 0], [width, 0], [width, height], [0, height]])
-    parts = 1 if camera.lens is None else BEND
-    along = np.arange(parts)[:, None] / parts
-    border = np.concatenate([a + along * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])
-    centre, steps = np.array(camera.principal_point), np.linspace(0.0, 1.0, STEPS)[:, None, None]
-    ways = bearings(camera, centre + steps * (border - centre))
-    shown = np.isfinite(ways[..., 0]).cumsum(axis=0).argmax(axis=0)  # last step within the fold
-    base = depth * ways[shown, np.arange(len(border))]
-    if camera.widest_angle < FLAT_BASE:
-        base *= depth / base[:, 2:]
-    sides = np.stack([np.zeros((len(corners), 3)), base[::parts]], axis=1)
-    return np.concatenate([sides, np.stack([base, np.roll(base, -1, axis=0)], axis=1)])
 
 
 def depth_in_focus(camera: Camera, points: FloatArray) -> FloatArray:

@@ -8,29 +8,25 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, IntArray
 from lmd.core.compiled import is_compiling
-from lmd.geometry.frames import roll_pitch_yaw
 from lmd.optimisers.ledger import Budget
-from lmd.planner.actions import call_in_order
 from lmd.planner.figures import Additions
 from lmd.planner.plan import MeasuredPlace, SearchProgress
-from lmd.planner.viewing import FREE, GAINS, PINNED, SEEN, SELECTED, UNKNOWN, VALUES, Rgb, mapped
+from lmd.planner.viewing import FREE, GAINS, PINNED, SELECTED, UNKNOWN, VALUES, Rgb, mapped
 
 # Gains that surfaces can show: name in the panel, and field of `Additions`.
 ADDITIONS = {"mean value": "value", "fitness": "fitness"}
 NO_ADDITION = "nothing"
-HINT = "drag a tag; click a tag, a position or a surface"
+HINT = "drag a tag; click a tag or a surface"
 UNDO, REDO, PIN, DELETE, SAVE = "Undo", "Redo", "Pin or unpin", "Delete", "Save"
 RESIZE = "Give the tag this size"
 PLACE, FROM_FLOOR, FROM_BELOW = "Hang it there", "from floor, m", "from below, m"
 OFF_GRID_HEIGHT, TWO_LINES = "9em", "min-height: 2.8em"  # constant heights, so that the widgets below do not move
-YAW, PITCH = "yaw, degrees from x to y", "pitch, degrees down"  # angles in ROS's convention
 WIDTH, GAP = 290.0, 12.0  # width of the legend, and its distance from the lower left corner of the picture, pixels
 OPTIMISE, STOP = "Optimise the free tags", "Stop, keep the best"
 COLOUR_STOPS = 9  # number of colours in a scale of the legend
 LEGEND_STYLE = "font-size: 0.75em; padding: 0 0.8em; white-space: nowrap; line-height: 1.4"
-TAGS = {"free": FREE, "pinned": PINNED, "selected": SELECTED, "seen": SEEN}
+TAGS = {"free": FREE, "pinned": PINNED, "selected": SELECTED}
 
 
 class PlannerPanel:
@@ -73,13 +69,6 @@ class PlannerPanel:
             self.optimise = gui.add_button(OPTIMISE)
             self._bar = gui.add_progress_bar(0.0, visible=False)
             self._progress = gui.add_html("")
-        with gui.add_folder("What the camera sees"):
-            self._seen = gui.add_html("")
-            self.yaw = gui.add_slider(YAW, -180.0, 180.0, 1.0, 0.0)
-            self.pitch = gui.add_slider(PITCH, -90.0, 90.0, 1.0, 0.0)
-            for slider in (self.yaw, self.pitch):
-                # `_put_back` runs in viser's thread, which might otherwise send the old value to browsers afterwards.
-                call_in_order(slider.on_update, _put_back)
         with gui.add_folder("Show"):
             self.positions = gui.add_checkbox("positions", initial_value=True)
             self.names = gui.add_checkbox("names of surfaces", initial_value=True)
@@ -93,12 +82,6 @@ class PlannerPanel:
         self.show_tag(None, None)
         self._span = (0.0, 1.0)
         self.show_legend(None)
-        self.show_seen(None)
-
-    @property
-    def view(self) -> FloatArray:
-        """Rotation `(3, 3)` of a body with the yaw and pitch of the sliders; the columns are ahead, left and up."""
-        return roll_pitch_yaw(np.radians([0.0, _within(self.pitch), _within(self.yaw)]))
 
     @property
     def budget(self) -> Budget:
@@ -149,14 +132,6 @@ class PlannerPanel:
         for widget in (self._left, self._up, self.place):
             widget.disabled = measured is None
 
-    def show_seen(self, ids: IntArray | None) -> None:
-        """Show the ids of the tags that the camera sees; None if the camera is not placed."""
-        if ids is None:
-            self._seen.content = _paragraph("seen", "click a position to put the camera there")
-            return
-        listed = ", ".join(map(str, ids)) or "none"
-        self._seen.content = _paragraph("seen", f"{len(ids)} in view: {listed}")
-
     def show_progress(self, progress: SearchProgress | None, running: bool) -> None:
         """Show the progress of a search and the label of its button."""
         self.optimise.label = STOP if running else OPTIMISE
@@ -178,17 +153,6 @@ class PlannerPanel:
         """Show the legend; `most` is the gain at the brightest place, None while surfaces are grey."""
         self._most = most
         self._legend.content = _legend_html(self._value, self._span, most)
-
-
-def _within(slider: Any) -> float:
-    """Value of a slider; 0 if a browser has sent a value outside the slider's range."""
-    value = float(slider.value)
-    return value if slider.min <= value <= slider.max else 0.0
-
-
-def _put_back(event: Any) -> None:
-    """Reset a slider to 0 if a browser has sent a value outside the slider's range."""
-    event.target.value = _within(event.target)
 
 
 def _table(name: str, rows: Mapping[str, str]) -> str:

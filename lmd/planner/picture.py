@@ -6,16 +6,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from lmd.core.checks import BoolArray, FloatArray, IntArray
-from lmd.geometry.camera import Camera
-from lmd.geometry.projection import view_edges
+from lmd.core.checks import FloatArray, IntArray
 from lmd.planner.figures import candidate_cells
 from lmd.planner.plan import Plan
 from lmd.planner.viewing import (
     FREE,
     GAINS,
     PINNED,
-    SEEN,
     SELECTED,
     UNKNOWN,
     VALUES,
@@ -28,7 +25,6 @@ from lmd.planner.viewing import (
 from lmd.plot import common
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
-from lmd.scene.rig import OPTICAL, Mount, Rig
 from lmd.space.surface import FLAT, Surface
 
 SQUARE = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
@@ -42,14 +38,13 @@ CELL_SHARE = 0.97  # coloured share of the width and height of a cell
 LIGHT_INTENSITY = 2.0  # intensity of the light at which viser hardly changes colours
 NAME, ID, CHOSEN = 1.0, 0.75, 1.1  # sizes of letters, relative to viser's default
 MOST_CAPTIONS = 120  # maximum number of ids shown at the start; more ids would hide the tags
-FRUSTUM_DEPTH = 0.08  # depth of drawn frustums, in diagonals of the room
 
 
 class RoomPicture:
-    """Drawing of everything except the robot.
+    """Drawing of a room, its positions and tags.
 
-    `tags`, `cells` and `balls` are handles of viser for callbacks. Instances are the tags of the plan, in its
-    order, the candidate places, and the positions of the grid. `depth` is the length of drawn frustums, metres.
+    `tags` and `cells` are handles of viser for callbacks. Instances are the tags of the plan, in its order, and the
+    candidate places.
 
     Args:
         server: server of viser.
@@ -61,7 +56,6 @@ class RoomPicture:
         self.candidates = candidate_cells(problem)
         low, high = problem.scene.room.bounds()
         self._diagonal = float(np.linalg.norm(high - low))
-        self.depth = FRUSTUM_DEPTH * self._diagonal
         self._framing = Framing(server, low, high)
         # The light is ambient: shading would change the colours, which represent values.
         self._scene.configure_default_lights(enabled=False)
@@ -118,13 +112,12 @@ class RoomPicture:
         unknown, mesh = alike(UNKNOWN, len(positions)), (ball.vertices, ball.faces, upright_all, positions)
         return self._scene.add_batched_meshes_simple("/positions", *mesh, batched_colors=unknown, **MESH_OPTIONS)
 
-    def show_tags(self, plan: Plan, selected: int | None, seen: BoolArray | None, ids: bool) -> bool:
+    def show_tags(self, plan: Plan, selected: int | None, ids: bool) -> bool:
         """Draw the tags of a plan.
 
         Args:
             plan: the plan.
             selected: id of the selected tag; None for none.
-            seen: True for tags that are highlighted, `(K,)`; None for none.
             ids: True to show all ids, False to show only the id of the selected tag.
 
         Returns:
@@ -133,8 +126,6 @@ class RoomPicture:
         deployment = plan.deployment
         painted = alike(FREE, len(deployment))
         painted[np.isin(deployment.ids, list(plan.pinned))] = PINNED
-        if seen is not None:
-            painted[seen] = SEEN
         painted[deployment.ids == selected] = SELECTED
         places = deployment.positions + TAG_OFFSET_M * deployment.normals
         ups = deployment.ups
@@ -234,35 +225,3 @@ def _add_name(scene: Any, surface: Surface) -> Any:
         anchor="center-center" if is_level else "top-center",
         font_screen_scale=NAME,
     )
-
-
-class Robot:
-    """Drawing of the camera, or of the cameras of a rig, at a position that the user has chosen.
-
-    Args:
-        scene: scene of viser.
-        depth: depth of the frustums, metres.
-        camera: the camera, or the rig.
-    """
-
-    def __init__(self, scene: Any, depth: float, camera: Camera | Rig) -> None:
-        mounts = camera.mounts if isinstance(camera, Rig) else (Mount(camera),)
-        self._frame = scene.add_frame("/robot", show_axes=False, visible=False)
-        self.views = [
-            scene.add_line_segments(f"/robot/camera_{i}", view_edges(mount.camera, depth), SEEN)
-            for i, mount in enumerate(mounts)
-        ]
-        for view, mount in zip(self.views, mounts, strict=True):
-            view.position, view.wxyz = mount.translation, _quaternion(mount.rotation @ OPTICAL)
-        self.position: FloatArray | None = None
-        """Position of the body, metres; None before the user has chosen one."""
-
-    def stand(self, position: FloatArray, turn: FloatArray) -> None:
-        """Move the body to a position `(3,)`, metres, and turn it by a rotation `(3, 3)`: ahead, left, up."""
-        self._frame.wxyz = _quaternion(turn)
-        self._frame.position, self._frame.visible, self.position = position, True, position
-
-
-def _quaternion(turn: FloatArray) -> FloatArray:
-    """Quaternion w, x, y, z of a rotation `(3, 3)`."""
-    return np.asarray(Rotation.from_matrix(turn).as_quat(scalar_first=True))

@@ -22,7 +22,7 @@ from lmd.optimisers.ledger import Budget
 from lmd.planner.actions import HOST, Access, ActionQueue, call_in_order
 from lmd.planner.background import Background
 from lmd.planner.panel import DELETE, UNDO, PlannerPanel
-from lmd.planner.picture import MOST_CAPTIONS, Robot, RoomPicture
+from lmd.planner.picture import MOST_CAPTIONS, RoomPicture
 from lmd.planner.plan import Plan
 from lmd.planner.session import PlanningSession
 from lmd.planner.viewing import pointed_at, span_of
@@ -74,7 +74,6 @@ class Planner:
         self._picture, value = RoomPicture(self._server, session.problem), session.problem.objective.value_label
         few, sizes = len(session.deployment) <= MOST_CAPTIONS, session.problem.scene.tag.sizes
         self._panel = PlannerPanel(self._server.gui, value, budget, ids=few, edges=sizes)
-        self._robot = Robot(self._server.scene, self._picture.depth, session.problem.scene.camera)
         self._background = Background(session, self._actions, self._panel, self._picture, seed)
         self._listen()
         self._show()
@@ -111,14 +110,11 @@ class Planner:
             (panel.resize.on_click, self._resize),
             (panel.step.on_click, self._step),
             (panel.optimise.on_click, self._optimise_or_stop),
-            (panel.yaw.on_update, self._look),
-            (panel.pitch.on_update, self._look),
             (panel.positions.on_update, self._show_or_hide),
             (panel.names.on_update, self._show_or_hide),
             (panel.ids.on_update, self._show_or_hide),
             (panel.additions.on_update, self._background.show_additions),
             (self._picture.cells.on_click, self._click_surface),
-            (self._picture.balls.on_click, self._click_position),
         ):
             self._actions.on(register, answer)
 
@@ -231,16 +227,6 @@ class Planner:
             self._show()
         self._panel.say(f"the fitness is {gained:.3%} higher" if gained else "nothing better was found")
 
-    def _click_position(self, event: Any) -> None:
-        position = self._session.problem.evaluator.positions[operator.index(event.instance_index)]
-        self._robot.stand(position, self._panel.view)
-        self._show_tags()
-
-    def _look(self, _: Any) -> None:
-        if self._robot.position is not None:
-            self._robot.stand(self._robot.position, self._panel.view)
-            self._show_tags()
-
     def _save(self, _: Any) -> None:
         try:
             self._panel.say(f"saved in {self._save_files(self._session.plan)}")
@@ -269,9 +255,6 @@ class Planner:
     def _show_tags(self) -> None:
         session = self._session
         deployment, plan = session.deployment, session.plan
-        stands = self._robot.position
-        seen = None if stands is None else session.visible_tags(stands, self._panel.view)
-        self._panel.show_seen(None if seen is None else np.sort(deployment.ids[seen]))
         if self._selected not in deployment.ids:
             self._selected = None
         number, scene = self._selected, session.problem.scene
@@ -279,7 +262,7 @@ class Planner:
             self._panel.show_tag(None, None)
         else:
             self._panel.show_tag(plan.described(number, scene), plan.measured(number, scene.room))
-        if self._picture.show_tags(plan, number, seen, self._panel.ids.value):
+        if self._picture.show_tags(plan, number, self._panel.ids.value):
             self._actions.on(self._picture.tags.on_click, self._click_tag)
             call_in_order(self._picture.tags.on_drag, self._point)
 
@@ -295,4 +278,4 @@ class Planner:
         self._panel.show_progress(search.progress, running=True)
         if search.progress is not None:
             plan = replace(self._session.plan, deployment=search.progress.best)
-            self._picture.show_tags(plan, self._selected, None, self._panel.ids.value)
+            self._picture.show_tags(plan, self._selected, self._panel.ids.value)

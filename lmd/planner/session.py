@@ -10,14 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError
+from lmd.core.checks import FloatArray, InputError
 from lmd.optimisers.base import Optimiser
 from lmd.optimisers.ledger import Budget
 from lmd.planner.figures import Values, additions
 from lmd.planner.plan import Plan, TagSearch
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
-from lmd.sight.views import visible
 from lmd.space.space import lower_edge
 
 PATIENCE_SECONDS = 1.0  # maximum time to wait for the end of a stopped search, seconds; compilation may take longer
@@ -82,19 +81,13 @@ class PlanningSession:
         gained = self.metrics()["fitness"] - self._opened["fitness"]
         return {"since opened": f"{100.0 * gained:+.2f} points of fitness"}
 
-    def visible_tags(self, position: FloatArray, turn: FloatArray) -> BoolArray:
-        """Mask `(K,)` of tags covered by a robot at `position` `(3,)`, metres; `turn` `(3, 3)`: ahead, left, up."""
-        pose = np.hstack([turn[:, 0], -turn[:, 1]])[None]
-        return np.asarray(visible(self.problem.evaluator, self.deployment, position[None], pose)[0])
-
     def warm_up(self) -> None:
         """Compile all kernels, so that the user does not wait for compilation later."""
-        deployment, position = self.deployment, self.problem.evaluator.positions[0]
+        deployment = self.deployment
         turned = replace(deployment, positions=deployment.positions[::-1], normals=deployment.normals[::-1])
         self._values.update(turned)
         self._values.update(deployment)
         self.problem.values(deployment)
-        self.visible_tags(position, np.eye(3))
         additions(self.problem, deployment, deployment[:1])
 
     def drag(self, number: int, surface: int, at: FloatArray) -> None:

@@ -147,7 +147,7 @@ def rgb(colour: str) -> Rgb:
 
 
 FREE, PINNED = rgb(common.LANDMARK), rgb(common.FIXED)
-SELECTED, SEEN = rgb("#ff7f0e"), rgb("#ffdd33")
+SELECTED = rgb("#ff7f0e")
 UNKNOWN = rgb("#cdcdcd")
 WALL = rgb("#ececec")
 VALUES = common.COLOUR_MAP  # colour map of the objective's values

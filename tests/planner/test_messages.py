@@ -10,7 +10,7 @@ from support.tables import rows
 
 from lmd.optimisers.genetic import RandomSearch
 from lmd.optimisers.ledger import Budget
-from lmd.planner.panel import PITCH, YAW, PlannerPanel
+from lmd.planner.panel import PlannerPanel
 from lmd.planner.server import Planner
 from lmd.planner.session import PlanningSession
 
@@ -50,19 +50,15 @@ def widget(messages, label):
     return uuid
 
 
-def odd_messages(of):
+def odd_messages():
     """Invalid messages, and True if the planner must refuse them."""
     for index in (10**9, -(10**9), "3", None, 0.5):
-        yield True, [{**POINTED, "name": "/positions", "instance_index": index}]
         gone = index == 10**9  # a browser may still show a tag that was deleted
         yield not gone, [{**DRAGGED, "phase": "start", "instance_index": index}, {**DRAGGED, "phase": "end"}]
     for ray in ((NAN, 0, 0), (HUGE, -HUGE, HUGE)):
         yield False, [{**POINTED, "name": "/surfaces", "ray_direction": ray}]
         yield False, [{**DRAGGED, "phase": phase, "end_position": ray} for phase in ("start", "update", "end")]
     yield True, [{**POINTED, "name": "/surfaces", "ray_origin": "here"}]
-    for label in (YAW, PITCH):
-        for value in (HUGE, -HUGE, NAN, float("inf"), "east"):
-            yield False, [{"type": "GuiUpdateMessage", "uuid": of(label), "updates": {"value": value}}]
 
 
 def test_invalid_messages_do_no_harm(monkeypatch):
@@ -89,10 +85,9 @@ def test_invalid_messages_do_no_harm(monkeypatch):
         with open_socket() as socket:
             messages = shown_to(socket)
             send(socket, CAMERA)
-            send(socket, {**POINTED, "name": "/positions"})  # places the camera
             said.clear()
             refused = 0
-            for is_refused, odd in odd_messages(lambda label: widget(messages, label)):
+            for is_refused, odd in odd_messages():
                 refused += is_refused
                 for message in odd:
                     send(socket, message)
@@ -102,7 +97,6 @@ def test_invalid_messages_do_no_harm(monkeypatch):
         assert saved[0] is before.deployment
         assert sum(said) == refused
         with open_socket() as socket:
-            values = [m["updates"] for m in shown_to(socket) if m["type"] == "GuiUpdateMessage"]
-        assert all(np.isfinite(update.get("value", 0.0)) and abs(update.get("value", 0.0)) <= 180 for update in values)
+            assert shown_to(socket)
     finally:
         planner.close()

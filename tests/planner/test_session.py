@@ -11,7 +11,6 @@ from support.small import problem
 
 from lmd.core.checks import InputError
 from lmd.formats.tag_maps import FileDeployment
-from lmd.geometry.frames import roll_pitch_yaw
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.sampling import Sampling
@@ -256,17 +255,6 @@ def test_a_search_that_cannot_begin_or_fails_says_why():
     with pytest.raises(InputError, match="is not flush with its wall"):
         planned.take()
     assert planned.plan is before
-
-
-def test_tags_in_view_are_those_of_the_reference():
-    planned = session()
-    scene, position = planned.problem.scene, planned.problem.evaluator.positions[3]
-    for yaw, pitch in ((0.0, 0.0), (2.0, 0.3), (-1.0, -0.5)):
-        axis = np.array([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), -np.sin(pitch)])
-        counts = scene.visibility.covered(
-            scene.camera, position, np.pad(axis, (0, 3))[None], planned.deployment.positions, planned.deployment.normals
-        )
-        assert (planned.visible_tags(position, roll_pitch_yaw([0.0, pitch, yaw])) == counts[0]).all()
 
 
 @pytest.mark.parametrize("of", [lambda: problem(tag=TAG), on_a_floor_plan])

@@ -7,7 +7,7 @@ from lmd.core.checks import InputError
 from lmd.detection.detectors import AprilTagDetector
 from lmd.detection.frames import tagged_room
 from lmd.geometry.camera import Camera
-from lmd.geometry.projection import BEND, project, to_camera, view_edges
+from lmd.geometry.projection import to_camera
 from lmd.geometry.se3 import camera_pose
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
@@ -167,21 +167,6 @@ def test_distorted_corners_are_where_the_picture_has_them():
     found = AprilTagDetector().detect(renderer.frame(ORIGIN, np.random.default_rng(0)))
     np.testing.assert_allclose(found.corners, renderer.corners(ORIGIN), atol=0.15)
     assert np.abs(renderer.corners(ORIGIN) - Renderer(CAMERA, room).corners(ORIGIN)).max() > 1.0
-
-
-def test_a_view_is_drawn_as_its_lens_bends_it():
-    straight = view_edges(CAMERA, 0.5)
-    width, height = CAMERA.image_width, CAMERA.image_height
-    assert straight.shape == (8, 2, 3)
-    np.testing.assert_allclose(straight[:, 1, 2], 0.5)
-    border = np.array([[0, 0], [width, 0], [width, height], [0, height]])
-    np.testing.assert_allclose(project(CAMERA, np.eye(4), straight[:4, 1]), border, atol=1e-9)
-    fisheye = replace(CAMERA, distortion=(0.01, -0.02, 0.005, -0.001), distortion_model="equidistant")
-    bent = view_edges(fisheye, 0.5)
-    assert len(bent) == 4 + 4 * BEND
-    seen = fisheye.lens.project(bent[4:, 0]) * fisheye.focal_pixels + fisheye.principal_point
-    along = np.minimum(np.abs(seen), np.abs(seen - [width, height])).min(axis=1)
-    np.testing.assert_allclose(along, 0.0, atol=1e-9)  # each on one of the four sides
 
 
 # 74 degrees to the borders, 109 to the corners: the picture is made of five faces of a cube.
