@@ -98,7 +98,7 @@ def _refusal(error: Exception, extra: Mapping[str, Any]) -> str:
         at_the_call = "hydra" in raised.parts or raised.name == "typing.py"
         return f"{key}: {cause if at_the_call else f'{target[1]} failed: {failure(cause)}'}"
     if unknown[1] in extra:
-        return f"{key}: {target[1]} must take the argument {unknown[1]}."
+        return f"{key}: {target[1]} must accept the argument {unknown[1]}."
     close = difflib.get_close_matches(unknown[1], takes, 1, LIKENESS)
     likely = f"did you mean {key}.{close[0]}?" if close else f"{target[1]} takes {', '.join(takes) or 'no argument'}"
     return f"{key}.{unknown[1]} is not a known setting; {likely}"

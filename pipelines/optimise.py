@@ -145,7 +145,7 @@ def _how_to_go_on() -> str:
     from lmd.optimisers.checkpoint import CHECKPOINT_FILE
 
     left = (run_directory() / CHECKPOINT_FILE).exists()
-    return f"go on with: {resuming(HydraConfig.get().job.name, run_directory())}" if left else ""
+    return f"resume with: {resuming(HydraConfig.get().job.name, run_directory())}" if left else ""
 
 
 def build_optimiser_of(cfg: DictConfig) -> "Optimiser":

@@ -59,7 +59,7 @@ def observe(cfg: DictConfig, own: Own) -> Study:
             "errors.png": lambda path: save_error_figure(path, curves, study.time, counts, n, title),
         }
         made = " ".join(f"{group}={choices()[group]}" for group in ("trajectory", "sensor"))
-        return Report(files | more, medians, study.over_time(curves), f"{markdown}\nflown with {made}")
+        return Report(files | more, medians, study.over_time(curves), f"{markdown}\nsimulated with {made}")
 
     return Study("observe", run, problem=problem)
 

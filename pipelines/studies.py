@@ -88,7 +88,7 @@ def bound(cfg: DictConfig, own: Own) -> Study:
     if search.spacing > settings.spacing:
         note(f"bound.seconds = {seconds:g} is too little for bound.spacing: poses are {search.spacing:.3g} m apart")
     count, free = problem.count, problem.free_count
-    beside = f" beside {problem.fixed_count} that hang already" if problem.fixed else ""
+    beside = f" beside {problem.fixed_count} fixed landmarks" if problem.fixed else ""
 
     def run(_: object) -> Iterator[Report]:
         document: dict[str, Any] = {"spacing": search.spacing}
@@ -105,7 +105,7 @@ def bound(cfg: DictConfig, own: Own) -> Study:
             choice = selection_upper_bound(problem, count, search.spacing, stage)
         document["selection"] = {"greedy": choice.greedy, "grid": choice.grid, "share": choice.share}
         yield told("greedy choice", f">= {choice.share:.2%} of the best {free} poses of the grid{beside}, by the "
-                   f"{choice.label}: {choice.greedy:.4g} of at most {choice.grid:.4g}; sure before was "
+                   f"{choice.label}: {choice.greedy:.4g} of at most {choice.grid:.4g}; guaranteed in any room: "
                    f"{choice.guarantee:.2%}", stage)  # fmt: skip
         for label, key, method, share in (
             ("fitness", "fitness", fitness_upper_bound, 1 / 2),

@@ -60,7 +60,7 @@ def survey(cfg: DictConfig) -> Study:
     scene = _scene(cfg, room, given, tag) if boolean("audit", cfg.audit) else None
     exports = build_export(cfg, "export", tag)
     if exports.formats and room is None:
-        raise InputError("export needs the room that the tags hang in: run=DIR, or room=... with its keys.")
+        raise InputError("export needs a room: give run=DIR, or room=... with its keys.")
     with keyed("survey"):
         calibrate = None if cfg.survey.calibrate == "auto" else boolean("calibrate", cfg.survey.calibrate)
         every = None if cfg.survey.every == "auto" else integer("every", cfg.survey.every, low=1)

@@ -138,7 +138,7 @@ def test_it_is_said_once_that_there_is_no_compiled_half(capsys):
     told = capsys.readouterr()
     assert told.out == ""
     (line,) = told.err.splitlines()
-    assert line.startswith("note: Plain is not compiled, so its NumPy code is used: an evaluation takes some 100 times")
+    assert line.startswith("note: Plain is not compiled, so its NumPy code is used: an evaluation takes about 100")
     assert line.endswith('; see docs/extend.md, "Compile a criterion"')
 
 

@@ -221,7 +221,7 @@ def _draw_sigmas(axes: Any, survey: "Survey") -> None:
     axes.loglog(seen[survey.placed], sigma[survey.placed], "o", color=LANDMARK, markersize=5)
     for k in np.argsort(-np.where(survey.placed, sigma, -np.inf))[:MOST_NAMED]:
         axes.annotate(f" {survey.ids[k]}", (seen[k], sigma[k]), fontsize=9)
-    dress(axes, xlabel="sightings that place a tag", ylabel="standard deviation beside the others [mm]")
+    dress(axes, xlabel="sightings that place a tag", ylabel="standard deviation relative to the others [mm]")
 
 
 SINGLE, SMOOTHED = "#9e9e9e", "#1f77b4"

@@ -176,7 +176,7 @@ class Deployment:
         if (kept_out := np.flatnonzero(~everywhere & ~hanging.allow(own, at, FILE_TOLERANCE))).size:
             first = int(kept_out[0])
             return (
-                f"landmark {self._place(first)} hangs on {surfaces[own[first]].name} where none may hang "
+                f"landmark {self._place(first)} hangs on {surfaces[own[first]].name} where no tag may hang "
                 f"({len(kept_out)} {some})"
             )
         return None

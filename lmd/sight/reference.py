@@ -98,7 +98,7 @@ def counts(scene: Scene, deployment: Deployment) -> IntArray:
 @cache
 def _warn_uncompiled(name: str) -> None:
     """Print once per process that the visibility model with this name has no compiled half."""
-    slow = "an evaluation takes some 100 times as long, a move of annealing some 1000 times"
+    slow = "an evaluation takes about 100 times as long, a move of annealing about 1000 times"
     cure = 'see docs/extend.md, "Compile a criterion"'
     print(f"note: {name} is not compiled, so its NumPy code is used: {slow}; {cure}", file=sys.stderr)
 

@@ -212,7 +212,7 @@ def to_text(survey: Survey) -> str:
     """Lines for a terminal; those that need attention come last."""
     figures, found, ids, placed = metrics(survey), survey.found, survey.ids, survey.placed
     expected = placed | survey.loose | np.isin(ids, survey.known.ids)
-    sigma = f"{both(figures, 'sigma')} mm beside each other, one standard deviation"
+    sigma = f"{both(figures, 'sigma')} mm relative to each other, one standard deviation"
     lines = {
         "tags": f"{placed.sum()} of {expected.sum()} placed",
         "frames": f"{len(found.frames)} of {len(survey.detected.times)}, with {found.used.sum()} sightings",
@@ -267,7 +267,7 @@ def _troubles(survey: Survey) -> dict[str, str]:
         for number, (metres, rad) in zip(ids, survey.off_fixed, strict=True)
         if metres == metres or rad == rad
     ]
-    asked = "; elsewhere in the photographs: is the file exact, and each edge right?"
+    asked = "; elsewhere in the photographs: check the file, and each edge"
     return {
         "turned": _turned(survey),
         "fixed": a_few(off) + asked * bool(off),
@@ -285,7 +285,7 @@ def _turned(survey: Survey) -> str:
     hung = np.where(turns.beside_plan, turns.beside_plan, turns.beside_sheets)
     return ". ".join(
         f"{words}: {a_few(survey.ids[own])}; {made}"
-        for made, by in (("their corners are renumbered", turns.renumbered), ("they hang so in the map", hung))
+        for made, by in (("their corners are renumbered", turns.renumbered), ("the map has them as they hang", hung))
         for quarters, words in enumerate(TURNS, 1)
         if (own := (by == quarters) & shown).any()
     )

@@ -303,7 +303,7 @@ def _placed(found: Estimate, known: PriorKnowledge) -> tuple[BoolArray, BoolArra
     if not placed.any():
         text = f"no tag is placed, as no {FEWEST_BELIEVED} sightings of a tag agree: take more frames."
         if loose.any():
-            text = f"no tag is known to better than {float(np.nanmin(found.sigmas[loose])):.2g} m beside the others."
+            text = f"no tag is known to better than {float(np.nanmin(found.sigmas[loose])):.2g} m among the others."
         raise InputError(f"detections: {text}", "detections")
     return placed, loose
 

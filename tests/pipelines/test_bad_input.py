@@ -184,7 +184,7 @@ CASES = [
     ("survey", "photographs=cut.mp4", "photographs: 'cut.mp4' cannot be read as a video: OpenCV cannot open it"),
     ("survey", "tag.family=4x4_100", "family"),
     ("survey", "survey.place=0", "survey.place must"),
-    ("survey", "export=[wpilib]", "export needs the room that the tags hang in"),
+    ("survey", "export=[wpilib]", "export needs a room: give run=DIR"),
     ("survey", "detectors=[apriltag,aruco]", "detectors must name one detector, got ['apriltag', 'aruco']"),
     ("survey", "audit=true", "audit needs a visibility model of tags: visibility=fiducial"),
     ("survey", "images=two.csv", "images is used with detections only: leave it out with photographs"),

@@ -69,7 +69,7 @@ COMMANDS = {
     "evaluate observe": (
         f'studies=[observe] room.spacing=3 {FLIGHT} estimator=[observer,bound] "deployments=[{MINE},uniform,random]"',
         "figures.csv curves.csv paired.csv observe.md observe.json errors.png",
-        r"flown with trajectory=random_motion sensor=noisy",
+        r"simulated with trajectory=random_motion sensor=noisy",
     ),
     "compare": (
         f"{SEARCH} deployment.count=20 optimisers=[ega,random_search] seeds=2 workers=1",

@@ -251,7 +251,7 @@ GA = "pymoo.algorithms.soo.nonconvex.ga"
         ("own_module.Mine", {"widht": 2}, "part.widht is not a known setting; did you mean part.width?"),
         ("own_module.Mine", {"step": 2}, "part.step is not a known setting; own_module.Mine takes width"),
         ("own_module.Mine", {"width": 2}, "part: own_module.Mine failed: KeyError: 'wide' (own_module.py, line 5)"),
-        ("lmd.optimisers.ledger.Ledger", {}, "part: lmd.optimisers.ledger.Ledger must take the argument seed."),
+        ("lmd.optimisers.ledger.Ledger", {}, "part: lmd.optimisers.ledger.Ledger must accept the argument seed."),
     ],
 )
 def test_a_misspelt_class_or_argument_is_told_what_there_is(target, given, message, tmp_path, monkeypatch):

@@ -27,7 +27,7 @@ def test_told_to_stop_it_keeps_the_best_and_says_how_to_go_on(endless, number, t
     assert first["fitness"] == pd.read_csv(tmp_path / "run" / "history.csv").best_fitness.max()
     (run,) = runs(tmp_path)
     assert run.info.status == "KILLED"
-    (again,) = re.findall(r"go on with: python -m pipelines\.optimise (.*)", err)
+    (again,) = re.findall(r"resume with: python -m pipelines\.optimise (.*)", err)
     assert again.endswith(f"resume={tmp_path / 'run'}")
     assert not {".reserve", "tracking.jsonl"} & {path.name for path in (tmp_path / "run").iterdir()}
 

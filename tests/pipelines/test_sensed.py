@@ -38,7 +38,7 @@ def test_exact_measurements_leave_no_error(tmp_path):
     exact = ("sensor=exact", "odometry.turn_noise=0", "odometry.motion_noise=0", "start.position=0", "start.attitude=0")
     told = conduct("observe", *exact, "seeds=1", "trajectory.duration=2", cwd=tmp_path)
     assert pd.read_csv(tmp_path / "run" / "figures.csv").position_error.max() < 1e-9
-    assert "flown with trajectory=random_motion sensor=exact" in told
+    assert "simulated with trajectory=random_motion sensor=exact" in told
 
 
 def test_a_real_detector_reads_frames_of_a_flight(tmp_path):

@@ -81,7 +81,7 @@ def test_on_a_floor_plan_they_stay_where_they_are_and_out_of_doors(tag, optimise
     p = Problem(scene, Coverage(1, 0.3), RandomDeployment(8), 1, hangs)
     np.testing.assert_array_equal(make(optimiser).run(p, Budget(30)).deployment.positions[:2], hangs.positions)
     door = Deployment([[5.0, 0.0, 1.0]], [[0.0, 1.0, 0.0]])
-    with pytest.raises(InputError, match=r"^fixed: landmark 0 at \(5, 0, 1\) hangs on wall_0 where none may hang"):
+    with pytest.raises(InputError, match=r"^fixed: landmark 0 at \(5, 0, 1\) hangs on wall_0 where no tag may hang"):
         Problem(scene, Coverage(1, 0.3), RandomDeployment(8), 1, door)
 
 

@@ -90,7 +90,7 @@ def test_planned_tags_that_hang_turned_hang_so_in_the_map(clockwise):
         np.testing.assert_allclose(tags.ups[k], up, atol=0.01)
         if quarters:
             assert f"{WORDS[quarters]}: " in line(found, "turned")
-    assert "they hang so in the map" in line(found, "turned")
+    assert "the map has them as they hang" in line(found, "turned")
 
 
 @pytest.mark.parametrize("clockwise", [(2, 0, 0, 2, 1), (0, 0, 0, 0, 3), (2, 2, 2, 2, 0)])
@@ -118,7 +118,7 @@ def test_corners_of_lmds_own_detectors_are_not_renumbered():
     found = surveyed(replace(own, in_order=True), plan=plan())
     np.testing.assert_allclose(map_of(found).places, PLACES, atol=2e-3)
     np.testing.assert_allclose(map_of(found).ups, np.tile([0.0, 0.0, -1.0], (5, 1)), atol=0.01)
-    assert "they hang so in the map" in line(found, "turned")
+    assert "the map has them as they hang" in line(found, "turned")
 
 
 def test_without_a_plan_the_world_is_that_of_the_tag_as_it_was_seen():
@@ -165,7 +165,7 @@ def test_a_fixed_tag_that_is_a_little_off_stays_and_is_named():
     assert there.sum() >= 4
     np.testing.assert_allclose(tags.places, PLACES[there], atol=1e-6)
     assert re.search(r"7 \(\d(\.\d)? mm\)", line(found, "fixed"))
-    assert line(found, "fixed").endswith(" mm); elsewhere in the photographs: is the file exact, and each edge right?")
+    assert line(found, "fixed").endswith(" mm); elsewhere in the photographs: check the file, and each edge")
 
 
 @pytest.mark.parametrize(
