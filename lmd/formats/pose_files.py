@@ -330,7 +330,7 @@ def of_images(file: File) -> Rows:
     lines = [image.line for image in images]
     world_to_camera = poses_from_rows(np.array([image.numbers for image in images])[:, [4, 5, 6, 1, 2, 3, 0]], lines)
     time = given_times(len(images), f"{file.path} has images of COLMAP, and", file.asked["times"], rate)
-    by = "by their times" if time is not None else f"at {rate:g} numbers a second"
+    by = "by their times" if time is not None else f"at {rate:g} image numbers per second"
     if time is None:
         numbers = np.array([float(image.number) for image in images])
         time = (numbers - numbers[0]) / float(rate)
