@@ -162,7 +162,7 @@ def test_pinned_tags_do_not_move_and_fixed_ones_stay_pinned():
             refused()
     planned.pin(4)
     planned.drag(4, 0, np.ones(2))
-    with pytest.raises(InputError, match="tag 1 hangs already"):
+    with pytest.raises(InputError, match="tag 1 is fixed by the problem"):
         planned.pin(1)
 
 
