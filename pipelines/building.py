@@ -158,7 +158,7 @@ def _scene(cfg: DictConfig) -> "Scene":
         note(plan.note)
     if is_recorded == bool(cfg.pdf):
         needed = "poses=recorded needs pdf=recorded, the recorded directions"
-        cure = "add it to the command line where an experiment has chosen another one"
+        cure = "add it to the command line if an experiment sets another pdf"
         raise InputError(f"{needed}; {cure}." if is_recorded else "pdf=recorded needs poses=recorded.")
     recorded = instantiate(cfg.poses, group="poses.") if is_recorded else None
     pdf = instantiate(cfg.pdf) if recorded is None else recorded.pdf

@@ -61,7 +61,7 @@ def export(cfg: DictConfig) -> Study:
     for name, reason in chosen.unfit(tags).items():
         note(f"{all_formats()[name].file} is not written: {reason}")
     for name in chosen.silent(tags):
-        note(f"{all_formats()[name].file} does not say that tags have {tags.edges_in_words}")
+        note(f"{all_formats()[name].file} does not have the edges of the tags, {tags.edges_in_words}")
     lines = {"tags": f"{len(deployment)} of {scene.tag.family}, {tags.edges_in_words}"}
     if "sheets" in chosen.formats:
         lines["sheets"] = describe_sheets(tags, chosen.paper)

@@ -185,7 +185,7 @@ def read_document(path: Path, content_of: Callable[[dict[str, Any]], Content]) -
         aside = path.with_name(f"{path.name}.damaged")
         os.replace(path, aside)
         reason = " ".join(f"{type(error).__name__}: {error}".split())
-        kept = f"it is kept as {aside.name}, and what it held is done again"
+        kept = f"it is kept as {aside.name}, and its content is computed again"
         print(f"warning: {path} is damaged ({reason}); {kept}", file=sys.stderr)
         return None
 

@@ -55,7 +55,7 @@ def _table_2(source: Source) -> list[str]:
     if not shown:
         return blocks
     rows = [[name, *_beside(printed, found[name])] for name, printed in TABLE_2.items()]
-    title = "Of each row the run in the middle by qualified ratio, the lower one of two"
+    title = "For each row, the run with the median qualified ratio, or the lower of two"
     picture = source.picture("deployments", title, save_deployments_figure, shown, title)
     return [*blocks, markdown_table(["deployment", *_beside_head()], rows), picture]
 

@@ -128,7 +128,7 @@ def conduct(cfg: DictConfig, study: Study) -> float | None:
     say(labelled({**lines, "files": f"{directory}: {names}", "mlflow": tracker.describe()}))
     if lacking:
         again = command_line("evaluate", [f"run={directory}"])
-        hint = f"; to draw and write again: {again}" if (directory / LANDMARKS).is_file() else ""
+        hint = f"; to write the files again: {again}" if (directory / LANDMARKS).is_file() else ""
         print(f"warning: {'; '.join(lacking)}{hint}", file=sys.stderr)
     if is_cut:
         _print_hint(study)

@@ -174,7 +174,7 @@ class _Camera:
         asked = self.asked.get("distortion_model")
         if asked is not None and model != INVERSE and lens_model(asked, LENS_MODELS) != found.model:
             raise InputError(
-                f"distortion_model must be {found.model}: its model is this one, not {asked}.", "distortion_model"
+                f"distortion_model must be {found.model}: it has this model, not {asked}.", "distortion_model"
             )
         off = f"its lens model {model} is approximated by {found.model}, which is up to {found.worst:.2f} pixels off"
         pinhole = (found.focal_pixels, found.principal_point)

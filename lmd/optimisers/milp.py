@@ -58,7 +58,7 @@ def check_lattice(problem: Problem, poses: Deployment, spacing: float) -> None:
     """Raise `InputError` if a problem and the poses of its lattice make no program, or a program that is too large."""
     objective = problem.objective
     if not isinstance(objective, Coverage) or objective.sampling is not None:
-        raise InputError("the integer program needs the objective of plain coverage at the grid's own positions.")
+        raise InputError("the integer program needs the objective Coverage on the grid, without a sampling.")
     if problem.scene.rig is not None:
         raise InputError("the integer program needs a single camera, not a rig.")
     if seeks_worst(problem.evaluator):

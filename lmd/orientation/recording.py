@@ -122,7 +122,7 @@ class OrientationRecording:
             raise InputError(f"{path} line {line}: the quaternion must have length 1, it has {its:g}.")
         axis = Rotation.from_quat(quaternion, scalar_first=True).apply([0.0, 0.0, 1.0])
         yaw, pitch = (-angle for angle in normal_angles(axis))  # `normal_angles` has both signs opposite
-        doubt = f"{said} If not, its quaternions are a body's: turn them" if (said := steep(axis[:, 2], path)) else ""
+        doubt = f"{said} If not, its quaternions are a body's: rotate them" if (said := steep(axis[:, 2], path)) else ""
         return cls(time, yaw, pitch, str(path), doubt)
 
 

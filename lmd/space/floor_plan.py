@@ -49,7 +49,7 @@ class FloorPlan(Checked):
     """Remark on the file from which the plan was read, a sentence; may be empty."""
 
     def _validate(self) -> None:
-        hint = "it is in metres, a thousandth of millimetres"
+        hint = "give metres; divide millimetres by 1000"
         check_metres([*np.ptp(np.array(self.outline), axis=0), self.height], "outline makes", hint, "outline")
         check_surfaces(self.keep_out, list(self._faces))
         if self.band is not None:

@@ -125,8 +125,12 @@ def with_camera(p, camera):
 @pytest.mark.parametrize(
     ("change", "optimiser", "message"),
     [
-        (lambda p: Problem(p.scene, Coverage(2, 0.5, Sampling(2, 4)), p.start, 1), Milp(), "of plain coverage at the"),
-        (lambda p: Problem(p.scene, Localisation(), p.start, 1), Milp(), "plain coverage at the grid's own"),
+        (
+            lambda p: Problem(p.scene, Coverage(2, 0.5, Sampling(2, 4)), p.start, 1),
+            Milp(),
+            "needs the objective Coverage on",
+        ),
+        (lambda p: Problem(p.scene, Localisation(), p.start, 1), Milp(), "objective Coverage on the grid"),
         (
             lambda p: with_camera(p, Rig((Mount(p.scene.camera, (0.1, 0.0, 0.0)), Mount(p.scene.camera)))),
             Milp(),

@@ -45,7 +45,7 @@ def test_what_is_damaged_is_named_and_set_aside(damage, job, tmp_path, capsys):
     assert (job.load(), job.finished(), SweepFolder(tmp_path).load()) == (None, None, None)
     first, second = capsys.readouterr().err.splitlines()
     assert first.startswith(f"warning: {job.record} is damaged (")
-    assert second.endswith("; it is kept as sweep.json.damaged, and what it held is done again")
+    assert second.endswith("; it is kept as sweep.json.damaged, and its content is computed again")
     assert (job.path / "job.json.damaged").read_text() == DAMAGES[damage]
 
 

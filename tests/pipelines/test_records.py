@@ -55,7 +55,7 @@ def test_a_run_that_is_stopped_while_it_scores_keeps_all_that_cannot_be_had_agai
     figures = json.loads((tmp_path / "run" / "metrics.json").read_text())
     assert (float(rows[-1]["best_fitness"]), rows[-1]["evaluations"]) == (figures["fitness"], "60")
     assert ended == ["FINISHED"]  # it has spent its budget
-    again = "it was told to stop and has left out the rest; to draw and write again: python -m pipelines.evaluate run="
+    again = "it was told to stop and has left out the rest; to write the files again: python -m pipelines.evaluate run="
     assert again in done.stderr
 
 
