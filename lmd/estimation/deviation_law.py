@@ -66,7 +66,7 @@ class Rule:
     """Common rule: sd = a times a fixed function of d and n."""
 
     shape: str
-    """Name in `RULES`."""
+    """Name of the rule, a key of `RULES`."""
     one: float
     """Scale a for a single tag, metres or rad."""
     several: float

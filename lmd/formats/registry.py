@@ -105,7 +105,7 @@ class Format(Checked):
     writer: Writer | None = None
     """Writer of the format; None if the format is only read."""
     written: str = ""
-    """Name of the writer in `formats`; empty for `name`."""
+    """Name of the writer in `formats`; empty if it equals `name`."""
 
 
 def begins(mark: str) -> Callable[[File], bool]:

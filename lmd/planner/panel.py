@@ -138,7 +138,7 @@ class PlannerPanel:
         for number in self._limits.values():
             number.disabled = running
         self._bar.visible, self._bar.value = running, 100.0 * progress.used if progress else 0.0
-        text = "compiling what this needs, once" if running and is_compiling() else "begins" if running else ""
+        text = "compiling kernels, once" if running and is_compiling() else "begins" if running else ""
         if running and progress:
             limits = " or ".join(f"{number.value:g} {name}" for name, number in self._limits.items())
             text = f"{progress.used:.0%} of {limits}; best fitness {progress.fitness:.2%}"

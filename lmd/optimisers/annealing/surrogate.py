@@ -255,7 +255,7 @@ class MeanPlaces:
         return Deployment(self._mean, here.normals, here.surfaces)
 
     def state(self) -> dict[str, Any]:
-        """Return the mean as data."""
+        """Return the running mean as plain data, for a checkpoint."""
         return {"mean": self._mean, "surfaces": self._surfaces, "places": self._places}
 
     def restore(self, state: Mapping[str, Any], problem: Problem) -> None:
