@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-GARBAGE = 100_000  # allocations between two garbage collections; with Python's 700 they take a quarter of all imports
+GARBAGE = 1_000_000  # allocations between two garbage collections; with Python's 700 they take a quarter of all imports
 
 try:
     import _signal  # type: ignore[import-not-found]  # built in; an interrupt during `import signal` prints a traceback

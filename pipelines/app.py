@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 import sys
+import threading
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,6 +24,7 @@ EXPERIMENT = "lmd"  # mlflow experiment of the commands in `SHARING`, which find
 SHARING = ("optimise", "evaluate", "report", "runs")
 CONF = str(Path(__file__).resolve().parents[1] / "conf")  # beside this package, in a checkout and when installed
 COUNT = "deployment.count="
+SHOWN_AFTER = 2.0  # time after which a step's name is printed, seconds
 # Keys that change no result of a run: its folder, speed, record and further outputs.
 WITHOUT_EFFECT = (
     "tracking", "trust", "resume", "threads", "workers", "checkpoint_seconds", "picture", "pictures",
@@ -33,12 +35,9 @@ WITHOUT_EFFECT = (
 def lmd_experiment(*, _root_: DictConfig) -> str:
     """mlflow experiment of the composed command: `EXPERIMENT`, or the command's own, such as `lmd compare`."""
     studies = list(_root_.get("studies") or {})
-    if studies and "score" not in studies:
-        name = " ".join(studies)
-    elif "hydra" in _root_:
-        name = _root_.hydra.job.name
-    else:  # the configuration of a job lacks Hydra's part; a configuration composed from Python has no job
-        name = HydraConfig.get().job.name if HydraConfig.initialized() else SHARING[0]
+    # The configuration of a job lacks Hydra's part, and a configuration composed from Python has no job.
+    hydra = HydraConfig.get() if "hydra" not in _root_ and HydraConfig.initialized() else _root_.get("hydra")
+    name = " ".join(studies) if studies and "score" not in studies else hydra.job.name if hydra else SHARING[0]
     return EXPERIMENT if name in SHARING else f"{EXPERIMENT} {name}"
 
 
@@ -56,15 +55,14 @@ def command_of(pipeline: str) -> str:
 def flat_settings(cfg: DictConfig, *keys: str) -> dict[str, Any]:
     """Resolved settings below `keys` (by default all), such as `{"room.spacing": 0.5, ...}`."""
     resolved: Any = OmegaConf.to_container(cfg, resolve=True)
-    return {name: value for key in keys or resolved for name, value in _leaves(key, resolved[key])}
+    return _flat({key: resolved[key] for key in keys or resolved})
 
 
-def _leaves(key: str, value: Any) -> Iterator[tuple[str, Any]]:
-    if isinstance(value, dict):
-        for name, inner in value.items():
-            yield from _leaves(f"{key}.{name}", inner)
-    else:
-        yield key, value
+def _flat(node: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in node.items():
+        flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
+    return flat
 
 
 def run_directory() -> Path:
@@ -72,15 +70,16 @@ def run_directory() -> Path:
     return Path(HydraConfig.get().runtime.output_dir)
 
 
-def choices() -> dict[str, str]:
-    """Option picked in each config group, such as `{"room": "paper_simulation"}`."""
-    return chosen(HydraConfig.get().runtime.choices)
+def choices(picked: Mapping[Any, Any] | None = None) -> dict[str, str]:
+    """Option picked in each config group, such as `{"room": "paper_simulation"}`, without Hydra's own groups.
 
+    A group in another place, such as `odometry@objective.odometry`, gets the name of this place, as mlflow allows no @
+    in names.
 
-def chosen(picked: Mapping[Any, Any]) -> dict[str, str]:
-    """Hydra's `choices` without Hydra's own groups. A group in another place, such as `odometry@objective.odometry`,
-    gets the name of this place, as mlflow allows no @ in names.
+    Args:
+        picked: Hydra's `choices`, by default those of this job.
     """
+    picked = HydraConfig.get().runtime.choices if picked is None else picked
     return {k.rpartition("@")[2]: str(v) for k, v in picked.items() if v is not None and not k.startswith("hydra/")}
 
 
@@ -99,28 +98,37 @@ def ends_reported() -> Iterator[None]:
     except (InputError, MemoryError) as error:
         discard_empty(run_directory())
         lack = "there is not enough memory for these settings: " if isinstance(error, MemoryError) else ""
-        print(f"error: {lack}{error}", file=sys.stderr)
-        sys.exit(1)
+        sys.exit(f"error: {lack}{error}")
     except OSError as error:
         if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EISDIR):
             raise
-        print(f"error: {error.filename or run_directory()}: {error.strerror}", file=sys.stderr)
-        sys.exit(1)
+        sys.exit(f"error: {error.filename or run_directory()}: {error.strerror}")
+
+
+@contextmanager
+def doing(step: str) -> Iterator[None]:
+    """Context of a step whose name is printed if it takes longer than `SHOWN_AFTER` seconds."""
+    shown = threading.Timer(SHOWN_AFTER, print, [f"{step} ..."], {"file": sys.stderr, "flush": True})
+    shown.daemon = True
+    shown.start()
+    try:
+        yield
+    finally:
+        shown.cancel()
 
 
 def say(text: str) -> None:
-    """Print text; if the reader of stdout, such as `head`, has ended, the text is dropped silently."""
+    """Print text unless it is empty; if the reader of stdout, such as `head`, has ended, it is dropped silently."""
     try:
-        print(text, flush=True)
+        print(text, end="\n" if text else "", flush=True)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def discard_empty(directory: Path) -> None:
     """Remove the directory of a run, unless it holds files of the run or is the working directory."""
-    if not directory.is_dir() or directory.samefile(Path.cwd()):
-        return
-    if {path.name for path in directory.iterdir()} <= {".hydra", LOCK}:
+    is_ours = directory.is_dir() and not directory.samefile(Path.cwd())
+    if is_ours and {path.name for path in directory.iterdir()} <= {".hydra", LOCK}:
         shutil.rmtree(directory)
 
 
@@ -129,15 +137,10 @@ def spelled(override: str) -> str:
     return re.sub(r"(?<=[=,])\+(\d+)(?=,|$)", r"'+\1'", override) if override.startswith(COUNT) else override
 
 
-def at(key: str, path: Path) -> str:
-    """Override of a key with a path, in quotes if Hydra needs them."""
-    return f"{key}={path}" if re.fullmatch(r"[\w./-]+", str(path)) else f"{key}={quoted(path)}"
-
-
 def quoted(path: str | Path) -> str:
-    """Path as the value of an override, in quotes."""
+    """Path as the value of an override, in quotes if Hydra needs them."""
     escaped = str(path).replace("\\", "\\\\").replace("'", "\\'")
-    return f"'{escaped}'"
+    return str(path) if re.fullmatch(r"[\w./-]*/[\w./-]*", str(path)) else f"'{escaped}'"
 
 
 def key_and_value(override: str) -> tuple[str, str]:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from omegaconf import DictConfig, OmegaConf
 
+from .app import doing
 from .composing import editable
 from .landmarks import divide_paper, fixed_of, others_of, spell_counts, take_sizes
 from .nodes import instantiate, keyed, note, plain, settings_of
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
 GROUPS = ("room", "camera", "tag", "visibility", "objective", "encoding", "deployment")  # groups of every problem
 SWITCHES = ("encoding.flush", "validate", "picture", "localisation", "losses", "sensitivity", "all_visible")
 RUN_BYTES = 1000  # minimum memory of one of several runs, bytes
-MENTIONED = 8  # maximum number of tags that a note lists
 SAME_EDGE = 1e-6  # maximum difference between edges that count as equal, metres
 
 
@@ -61,8 +61,6 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
     """
     from lmd.problem import Problem
 
-    from .progress import doing
-
     with doing("building the problem"):
         parts = build_parts(cfg, count)
         with keyed("objective", rig="camera.rig"):
@@ -84,8 +82,8 @@ def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
     scene = _scene(cfg)
     threads = None if cfg.threads is None else integer("threads", cfg.threads, low=1, high=MOST_THREADS)
     objective = instantiate(cfg.objective)
-    if not hasattr(objective, "n") and callable(objective):  # an objective along drives is built for the scene
-        with keyed("objective"):
+    with keyed("objective"):
+        if not hasattr(objective, "n") and callable(objective):  # an objective along drives is built for the scene
             objective, scene = objective(scene)
     check_members("objective", objective, Objective, "docs/extend.md")
     names = partial(keyed, "deployment", count=count, counts="tag.counts", family="tag.family")
@@ -105,8 +103,7 @@ def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
         if fixed is not None:
             fixed = scene.footprints.checked_fixed(fixed, start)
         if isinstance(start, partial):  # the source depends on the objective
-            extra = {} if fixed is None else {"fixed": fixed}
-            start = start(scene=scene, objective=objective, threads=threads, **extra)
+            start = start(scene=scene, objective=objective, threads=threads, fixed=fixed)
         parts = Parts(scene, objective, start, threads, fixed)
         drawn = parts.draw(0)
         note(drawn.note)
@@ -162,10 +159,10 @@ def _scene(cfg: DictConfig) -> "Scene":
         raise InputError(f"{needed}; {cure}." if is_recorded else "pdf=recorded needs poses=recorded.")
     recorded = instantiate(cfg.poses, group="poses.") if is_recorded else None
     pdf = instantiate(cfg.pdf) if recorded is None else recorded.pdf
-    if recorded is not None:
-        with keyed("poses"):
+    with keyed("poses"):
+        if recorded is not None:
             room = recorded.visited(room)
-        note(recorded.note)
+            note(recorded.note)
     check_members("room", room, Space, "docs/extend.md")
     with keyed("visibility.crowd", crowd="visibility.crowd"):
         states = None if crowd is None else crowd.drawn(room)
@@ -206,13 +203,11 @@ def visibility_of(node: DictConfig) -> "tuple[Criteria, Crowd | None]":
     from lmd.space.parts import made
 
     alone = editable(node)
-    given = plain(alone.pop("crowd", None))
+    given = plain(alone.pop("crowd", None)) or None
     criteria = instantiate(alone)
     check_members("visibility", criteria, Criteria, "docs/extend.md")
-    if given is None or given == 0:
-        return criteria, None
     settings = given if isinstance(given, dict) else {"number": given}
-    return criteria, made("visibility.crowd", {"number": None, **settings}, Crowd)
+    return criteria, given and made("visibility.crowd", {"number": None, **settings}, Crowd)
 
 
 def refuse_crowd(problem: "Problem", command: str) -> None:
@@ -224,7 +219,7 @@ def refuse_crowd(problem: "Problem", command: str) -> None:
 
 
 def _note_unusual(room: "Space", tag: "Tag", deployment: "Deployment") -> None:
-    """Print the number of tags whose edges are from their file, by edge, and the tags with a corner behind a face."""
+    """Print the number of tags whose edges are from their file, by edge, and of tags with a corner behind a face."""
     from lmd.core.words import few
     from lmd.geometry.squares import corners
 
@@ -236,7 +231,7 @@ def _note_unusual(room: "Space", tag: "Tag", deployment: "Deployment") -> None:
         note(f"tag.edge = {tag.size:g} m ({tag.square}) holds for {holds}; the others have their own: {sizes}")
     points = corners(deployment.positions, deployment.normals, deployment.ups, own)
     if len(behind := deployment.ids[~room.contains(points).all(axis=1)]):
-        note(f"behind a face of the {room.describe()}, where no camera sees them: {few(behind, MENTIONED)}")
+        note(f"behind a face of the {room.describe()}, where no camera sees them: {few(behind, 8)}")
 
 
 def build_optimiser(cfg: DictConfig, seed: int) -> "Optimiser":

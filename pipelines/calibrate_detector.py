@@ -2,7 +2,7 @@
 
 import sys
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from omegaconf import DictConfig
 
@@ -10,9 +10,6 @@ from .command import Command
 from .nodes import instantiate, keyed
 from .sensed import in_batches, rendered
 from .study import Report, Study
-
-if TYPE_CHECKING:
-    pass
 
 VIEWS_STREAM = 0x7669657773  # key that separates the random numbers of views from other uses of the seed
 
@@ -62,9 +59,7 @@ def calibrate(cfg: DictConfig) -> Study:
             text += limits.circles_text(name)
         about, figures = f"views of {key}, seed {seed}", {name: each.figures() for name, each in found.items()}
         files: dict[str, Any] = {
-            f"{family}_{name}.yaml": each.preset(name, family, about) for name, each in found.items()
-        }
-        files |= {
+            **{f"{family}_{name}.yaml": each.preset(name, family, about) for name, each in found.items()},
             "calibration.md": (markdown := limits_markdown(figures)),
             "calibration.json": {"seed": seed, "figures": figures},
             "calibration.png": lambda path: save_limits_figure(path, found, f"{family}, views of {key}"),

@@ -25,11 +25,6 @@ from .study import Study, conduct
 from .trust import Trust
 
 HELP = ("--help", "-h")
-# Launchers that are plugins of Hydra, with their packages.
-LAUNCHERS = {
-    "joblib": "hydra_plugins.hydra_joblib_launcher",
-    **dict.fromkeys(("submitit_local", "submitit_slurm"), "hydra_plugins.hydra_submitit_launcher"),
-}
 PRINTED = {*HELP, "--hydra-help", "--cfg", "-c", "--info", "-i"}  # options with which a command only prints
 
 
@@ -57,7 +52,6 @@ class Command:
         if len(options := [word for word in sys.argv[1:] if word.startswith("-")]) == 1 and options[0] in HELP:
             print(help_of(self.name, [word for word in sys.argv[1:] if word not in HELP]))
             return
-        _check_launcher()
 
         def settle_and_do(cfg: DictConfig) -> float | None:
             final = settled(cfg)
@@ -77,19 +71,6 @@ class Command:
                 compose(run_composed)()
         except Stopped as told:
             sys.exit(told.code)
-
-
-def _check_launcher() -> None:
-    """Exit with a sentence if the package of a launcher is missing, instead of Hydra's messages."""
-    from lmd.core.checks import InputError
-    from lmd.core.optional import optional
-
-    for word in sys.argv[1:]:
-        if (name := word.removeprefix("+").partition("hydra/launcher=")[2]) in LAUNCHERS:
-            try:
-                optional(LAUNCHERS[name], "sweeps")
-            except InputError as error:
-                sys.exit(f"error: {error}")
 
 
 def help_of(command: str, overrides: Iterable[str]) -> str:

@@ -3,7 +3,8 @@
 With `suite=small` the optimisers are compared on the problems of the suite, and `leaderboard.md` ranks them.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+import re
+from collections.abc import Callable, Mapping
 from itertools import product
 from typing import TYPE_CHECKING
 
@@ -16,7 +17,7 @@ from .composing import editable, recompose
 from .contenders import Contender, contend
 from .nodes import note, plain
 from .provenance import parameters
-from .study import Report, Study, dataset_of, derived, log_child, title_of
+from .study import Report, Study, derived, log_child, problem_tag, title_of
 
 if TYPE_CHECKING:
     from lmd.evaluation.comparison import OptimiserRun
@@ -47,22 +48,21 @@ def _on_one_problem(cfg: DictConfig) -> Study:
 
     problem, budget, seeds = build_problem(cfg), budget_of(cfg), seeds_of(cfg)
 
-    def composed(entry: str) -> DictConfig:
+    configs: dict[str, DictConfig] = {}
+    for entry in map(str, cfg.optimisers):
         own = _composed(entry, entry, lambda key: key.split(".")[0] not in OWN_KEYS and changes_results(key))
         own.budget, own.threads = cfg.budget, 1
         build_optimiser(own, cfg.seed).check(problem)  # checked before any search begins
-        return own
-
-    configs = {entry: composed(entry) for entry in map(str, cfg.optimisers)}
+        configs[entry] = own
     reference = None if cfg.reference is None else choice("reference", cfg.reference, list(configs))
-    directory, dataset = run_directory(), dataset_of(cfg, problem)
+    directory, tag = run_directory(), {"problem": problem_tag(cfg, problem)}
     axis, title = "evaluations" if budget.evaluations else "wall_time", title_of(problem, f"{len(seeds)} seeds,")
     # Tables of these runs then have the columns of tables of `optimise`.
     shared = parameters(cfg, choices()) | derived(problem)
 
     def log(job: Contender, run: "OptimiserRun", parent: str | None) -> None:
         folder, params = job.folder(directory), {**shared, "optimiser": run.optimiser, "seed": run.seed}
-        started = RunStart(job.name, folder, params, job.tags, ago=run.history[-1].wall_time, dataset=dataset)
+        started = RunStart(job.name, folder, params, job.tags | tag, ago=run.history[-1].wall_time)
         log_child(cfg.tracking, started, parent, run.metrics, curve(run.history, budget))
 
     def report(done: "Mapping[Contender, OptimiserRun]") -> Report:
@@ -73,13 +73,13 @@ def _on_one_problem(cfg: DictConfig) -> Study:
         runs, fitness = list(done.values()), figure_of("fitness")  # fitness is maximised
         comparison = compared(runs, fitness.key, reference)
         markdown = comparison_markdown(comparison, fitness)
+        pairs = comparison.pairs
         files = {
             "comparison.csv": comparison.table,
             "comparison.md": markdown,
             "comparison.png": lambda path: save_comparison_figure(path, runs, axis, fitness, title),
+            **({} if pairs is None else {"p_values.csv": pairs.rename_axis("optimiser")}),
         }
-        if comparison.pairs is not None:
-            files["p_values.csv"] = comparison.pairs.rename_axis("optimiser")
         return Report(files, text=f"\n{markdown}")
 
     jobs = [Contender(name, configs[name], seed) for seed in seeds for name in configs]
@@ -92,10 +92,20 @@ def _over_suite(cfg: DictConfig) -> Study:
     Raises:
         InputError: a setting is refused.
     """
+    from lmd.core.checks import InputError, choice
     from lmd.suite import document
 
     boxes = problems_of(cfg)
     budgets = {name: list(document(name).budgets) for name in boxes}
+    places = [BUDGETS.index(choice("suite_budgets", str(place), BUDGETS)) for place in cfg.suite_budgets]
+    taken = {entry: _taken(entry, cfg, boxes) for entry in map(str, cfg.optimisers)}
+    if not places:
+        raise InputError("suite_budgets must name at least one.", "suite_budgets")
+    jobs = [
+        Contender(entry, taken[entry][name], seed, name, budgets[name][place])
+        for seed, place, name, entry in product(seeds_of(cfg), places, boxes, taken)
+        if name in taken[entry]
+    ]
 
     def report(done: "Mapping[Contender, OptimiserRun]") -> Report:
         from lmd.plot.leaderboard import leaderboard, write_runs
@@ -109,7 +119,7 @@ def _over_suite(cfg: DictConfig) -> Study:
         return Report(files, found.figures, text=f"\n{found.text}")
 
     about = f"{len(boxes)} problems, {len(cfg.optimisers)} optimisers, {cfg.seeds} seeds"
-    return contend(cfg, list(_jobs(cfg, boxes, budgets)), report, about=about)
+    return contend(cfg, jobs, report, about=about)
 
 
 def problems_of(cfg: DictConfig) -> "Mapping[str, BlackBox]":
@@ -124,9 +134,8 @@ def problems_of(cfg: DictConfig) -> "Mapping[str, BlackBox]":
     from lmd.suite.documents import SETS
     from lmd.suite.families import instance_name
 
-    for key, _ in task_overrides():
-        if key.split(".")[0].split("@")[0] in GROUPS:
-            raise InputError(f"suite = {cfg.suite} sets {key} itself: leave {key} out.", "suite")
+    if chosen := [key for key, _ in task_overrides() if re.split("[.@]", key)[0] in GROUPS]:
+        raise InputError(f"suite = {cfg.suite} sets {chosen[0]} itself: leave {chosen[0]} out.", "suite")
     asked = plain(cfg.suite)
     families = asked if isinstance(asked, list) else names(asked) if asked in SETS else [asked]
     instances = [integer("instances", each, low=0) for each in cfg.instances]
@@ -136,23 +145,6 @@ def problems_of(cfg: DictConfig) -> "Mapping[str, BlackBox]":
     if several and asked not in SETS:
         raise InputError(f"suite: {several[0]} has several objectives; a comparison takes one.", "suite")
     return {name: box for name, box in boxes.items() if name not in several}
-
-
-def _jobs(cfg: DictConfig, boxes: "Mapping[str, BlackBox]", budgets: Mapping[str, list[int]]) -> Iterator[Contender]:
-    """List the runs: first all problems with the first seed, then with the second, and so on.
-
-    Raises:
-        InputError: an optimiser is refused, or supports none of the problems.
-    """
-    from lmd.core.checks import InputError, choice
-
-    places = [BUDGETS.index(choice("suite_budgets", str(place), BUDGETS)) for place in cfg.suite_budgets]
-    taken = {entry: _taken(entry, cfg, boxes) for entry in map(str, cfg.optimisers)}
-    if not places:
-        raise InputError("suite_budgets must name at least one.", "suite_budgets")
-    for seed, place, name, entry in product(seeds_of(cfg), places, boxes, taken):
-        if name in taken[entry]:
-            yield Contender(entry, taken[entry][name], seed, name, budgets[name][place])
 
 
 def _taken(entry: str, cfg: DictConfig, boxes: "Mapping[str, BlackBox]") -> dict[str, DictConfig]:

@@ -21,7 +21,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
-from .app import CONF, COUNT, choices, chosen, keyed_overrides, quoted, search_path, spelled, task_overrides
+from .app import CONF, COUNT, choices, keyed_overrides, quoted, search_path, spelled, task_overrides
 from .trust import Trust, read_yaml
 
 if TYPE_CHECKING:
@@ -29,15 +29,13 @@ if TYPE_CHECKING:
 
 GROUPS = ("room", "camera", "pdf", "poses", "tag", "visibility", "objective")  # groups of the problem of a run
 FROZEN = ("room", "camera", "pdf", "tag", "visibility", "objective")  # groups of a problem of the suite
-PROBLEM_ONLY = ("compare", "tradeoff")  # commands that take no landmarks from an earlier run
 NODES = ("body", "tag")  # nodes of these commands that are not groups of options
 OPTION = "run"  # name of the option of `GROUPS` and of `deployment`
 COUNTED = ("random", "uniform", "greedy")  # options of deployment that need a number of landmarks
 RIG = "rig.yaml"  # file of a run that placed cameras
 FILES = (".hydra/config.yaml", "landmarks.csv")  # files that an earlier run must have
 PATH = "deployment.path"
-CAMERA_KEYS = ("cameras", "body", "rounds", "tag_evaluations")  # keys of `optimise` with varies=cameras
-CAMERA_EVALUATIONS = 2000  # budget of `optimise` with varies=cameras
+CAMERA_EVALUATIONS = "2000"  # budget of `optimise` with varies=cameras
 OPEN = {
     "problem": (*GROUPS, "deployment"),
     "flight": ("trajectory", "sensor", "estimator", "odometry", "start"),
@@ -132,14 +130,12 @@ def _load(config_name: str, overrides: Sequence[str], setting: str, entry: str) 
 
 
 def _without_hydra(composed: DictConfig) -> DictConfig:
-    with open_dict(composed):
-        composed.pop("hydra")
-    return composed
+    return OmegaConf.masked_copy(composed, [str(key) for key in composed if key != "hydra"])
 
 
 def _final(cfg: DictConfig) -> DictConfig:
     """Read-only configuration without the keys that other keys rule out."""
-    left_out = CAMERA_KEYS if cfg.get("varies") == "tags" else ()
+    left_out = ("cameras", "body") if cfg.get("varies") == "tags" else ()
     final = OmegaConf.masked_copy(cfg, [str(key) for key in cfg if key not in left_out])
     OmegaConf.set_readonly(final, True)
     return final
@@ -158,14 +154,11 @@ def _overrides(cfg: DictConfig, command: str, given: Sequence[str], runtime: Any
     from lmd.core.checks import InputError
 
     named = dict.fromkeys(key for key, _ in keyed_overrides(given))  # keyed in the order of the overrides
-    options, trust = chosen(runtime.choices), Trust.of(cfg, runtime)
-    found: dict[str, str] = {}
-    if isinstance(cfg.get("suite"), str) and command != "compare":
-        found |= _of_suite(cfg, named)
-    run = cfg.get("run")
+    options, trust, run = choices(runtime.choices), Trust.of(cfg, runtime), cfg.get("run")
+    found = _of_suite(cfg, named) if isinstance(cfg.get("suite"), str) and command != "compare" else {}
     if "views" in cfg and cfg.survey is not None:
         found |= _of_survey(Path(str(cfg.survey)), trust)
-        run = found.get("run", "").strip("'") or None if run is None else run
+        run = run or found.get("run", "").strip("'") or None
     elif run is not None and options.get("experiment") is not None:
         both = f"run = {str(run)!r} and experiment={options['experiment']}"
         raise InputError(f"{both} both choose the problem: leave one of the two out.")
@@ -177,8 +170,8 @@ def _overrides(cfg: DictConfig, command: str, given: Sequence[str], runtime: Any
         found |= {"deployment": "file"}
     if cfg.get("varies") == "cameras" or "varies" in found:
         ours = {"optimiser": ("annealing", "camera_annealing"), "deployment": ("random", "file")}
-        found = {group: ours[group][1] for group in ours if options[group] == ours[group][0]} | found
-        found.setdefault("budget.evaluations", str(CAMERA_EVALUATIONS))
+        chosen_anew = {group: option for group, (usual, option) in ours.items() if options[group] == usual}
+        found = chosen_anew | {"budget.evaluations": CAMERA_EVALUATIONS} | found
     if "poses" in named:
         named["pdf"] = None  # an option of the group `poses` sets its own pdf
     front = [f"{key}={value}" for key, value in found.items() if key not in named]
@@ -214,9 +207,8 @@ def _of_suite(cfg: DictConfig, named: Iterable[str]) -> dict[str, str]:
     for key in named:
         if key.split(".")[0] in ("run", *FROZEN):
             raise InputError(f"suite={cfg.suite} sets {key} itself: leave {key} out.")
-    source = "file" if cameras else "random"
-    started = {"deployment": {"defaults": [source, "_self_"], **nodes["deployment"]}}
-    found = _stored({group: nodes[group] for group in FROZEN} | started, option)
+    started = {"defaults": ["file" if cameras else "random", "_self_"], **nodes["deployment"]}
+    found = _stored({**{group: nodes[group] for group in FROZEN}, "deployment": started}, option)
     for key in cameras:
         ConfigStore.instance().store(option, {k: v for k, v in nodes[key].items() if k != "_target_"}, key)
         found |= {f"+{key}": option, "varies": "cameras"}
@@ -248,18 +240,15 @@ def _of_run(
     path, free = directory / FILES[1], bool(hung.get("free")) or hung.get("measured") is not None
     _stored({"deployment": {"defaults": ["file", "_self_"], "path": str(path), "free": free}}, OPTION)
     found = _stored(parts, OPTION)
-    start = ("file" if PATH in named else "random") if command in PROBLEM_ONLY else OPTION
+    is_search = command in ("compare", "tradeoff")  # these take no landmarks from an earlier run
+    start = OPTION if not is_search else "file" if PATH in named else "random"
     found["deployment"] = start
     if (options.get("deployment") if "deployment" in named else start) in COUNTED:
         found["deployment.count"] = str(count_of(directory))
     if hung.get("fixed") is not None and "deployment.fixed" not in named:  # the fixed file may have changed
         found |= {"deployment.fixed": quoted(path), "deployment.marked": "true"}
-    if "detectors" in cfg:  # the detector that read the run's images, or for which the run was planned
-        planned = (before.get("visibility") or {}).get("detector")  # file of limits: <family>_<detector>.yaml
-        own = list(before.get("detectors") or [Path(str(planned)).stem])
-        known = [option.stem for option in Path(CONF, "detectors").glob("*.yaml")]
-        if len(own) == 1 and (same := [name for name in known if f"_{own[0]}".endswith(f"_{name}")]):
-            found["detectors"] = f"[{max(same, key=len)}]"
+    if "detectors" in cfg and len(own := list(before.get("detectors") or [])) == 1:  # that read the run's images
+        found["detectors"] = f"[{own[0]}]"
     return found
 
 
@@ -308,14 +297,14 @@ def compared(cfg: DictConfig) -> dict[str, DictConfig]:
 
     if cfg.deployments is None:
         return {choices()["deployment"]: cfg}
-    entries = OmegaConf.to_container(cfg.deployments) if OmegaConf.is_list(cfg.deployments) else []
-    if not entries or not all(str(entry).split() for entry in entries):
+    entries = [str(entry) for entry in cfg.deployments] if OmegaConf.is_list(cfg.deployments) else []
+    if not entries or not all(entry.split() for entry in entries):
         raise InputError(f"deployments must list at least one option of conf/deployment, got {cfg.deployments!r}.")
     composed: dict[str, DictConfig] = {}
     count = [] if cfg.run is None else [(COUNT[:-1], f"{COUNT}{count_of(str(cfg.run))}")]
     given = [*count, *((key, text) for key, text in task_overrides() if key not in ("deployment", "deployments"))]
     kinds = set()
-    for entry in map(str, entries):
+    for entry in entries:
         first, *rest = entry.split()
         name, option, own = (first[:-1], rest[0], rest[1:]) if first.endswith(":") and rest else (first, first, rest)
         if name in composed:

@@ -77,14 +77,16 @@ Told = Callable[["Mapping[Contender, OptimiserRun]"], Report]
 Log = Callable[[Contender, "OptimiserRun", str | None], None]
 
 
-def contend(cfg: DictConfig, jobs: Sequence[Contender], report: Told, log: Log | None = None, **about: Any) -> Study:
+def contend(
+    cfg: DictConfig, jobs: Sequence[Contender], report: Told, log: Log = lambda *_: None, **about: Any
+) -> Study:
     """Study that does the runs of a comparison; results that an equal comparison has stored are reused.
 
     Args:
         cfg: configuration of `compare`.
         jobs: the runs.
         report: function that reports on the finished runs.
-        log: function that records a finished run as a child of the tracked run; None for no records.
+        log: function that records a finished run as a child of the tracked run.
         about: description or problem of the tracked run, see `Study`.
     """
     from lmd.core.checks import file_path
@@ -99,8 +101,7 @@ def contend(cfg: DictConfig, jobs: Sequence[Contender], report: Told, log: Log |
             with closing(in_processes(do, jobs, cfg.workers, lambda job: job.name)) as finished:
                 for name, done in finished:
                     results[job := by_name[name]] = done
-                    if log is not None:
-                        log(job, done, tracker.run_id)
+                    log(job, done, tracker.run_id)
                     yield Report(text=f"{len(results)}/{len(jobs)} {name}: fitness {done.metrics['fitness']:.2%}")
         except KeyboardInterrupt:  # files about the finished runs are written after an interruption, too
             if results:

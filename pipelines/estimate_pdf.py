@@ -33,8 +33,7 @@ def estimate(cfg: DictConfig) -> Study:
         "pdf_estimate.json": {"recording": about, **result.summary(), **settings},
         "pdf.png": lambda path: save_orientation_figure(path, result, f"orientation PDF of {recording.name}"),
     }
-    picture, use = run_directory() / "pdf.png", f"pdf=samples pdf.path={run_directory() / 'pdf.csv'}"
-    lines = {**result.lines(), "picture": str(picture), "use it with": use}
+    lines = {**result.lines(), "use it with": f"pdf=samples pdf.path={run_directory() / 'pdf.csv'}"}
     return Study(f"estimate_pdf {key}", lambda _: Report(files, result.metrics(), lines=lines))
 
 

@@ -32,8 +32,7 @@ def evaluate(cfg: DictConfig) -> Study:
 
     def run(tracker: "Tracker") -> Iterator[Report]:
         for name, study in prepared.items():
-            found = study.run(tracker)
-            for report in (found,) if isinstance(found, Report) else found:
+            for report in study.reports(tracker):
                 yield report if name == "score" else report.below(name)
 
     return Study(" ".join(prepared), run, problem=first.problem, returned=first.returned)

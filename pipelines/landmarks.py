@@ -31,8 +31,7 @@ def fixed_of(node: DictConfig, family: str | None) -> "Deployment | None":
     Raises:
         InputError: the file cannot be read, or holds no deployment of that family.
     """
-    path = node.get("fixed")
-    if path is None:
+    if (path := node.get("fixed")) is None:
         return None
     import numpy as np
 
@@ -65,9 +64,8 @@ def others_of(node: DictConfig, fixed: "Deployment | None") -> tuple[int | None,
     more = MORE.fullmatch(count) if isinstance(count, str) else None
     if fixed is None and more:
         raise InputError(f"count = {count} adds to the landmarks of fixed, which is not given.", "count")
-    table = [key for key in TABLE if node.get(key) is None or "path" not in node]
     source = deepcopy(node)
-    for key in (*NO_SOURCE, *table):
+    for key in (*NO_SOURCE, *(key for key in TABLE if node.get(key) is None or "path" not in node)):
         source.pop(key, None)
     if fixed is None or count is None:
         return None, source
@@ -92,12 +90,11 @@ def take_sizes(node: DictConfig, tag: DictConfig) -> None:
 
     from lmd.formats.tag_maps import read_deployment
 
-    if tag.get("edge") is not None or tag.get("edges") is not None or node.get("path") is None:
-        return
-    files = [(name, node[name]) for name in ("path", "fixed") if node.get(name) is not None]
-    known = np.concatenate([read_deployment(path, name, **table_in(node)).edges for name, path in files])
-    if np.isfinite(known).all():
-        tag.edges = np.unique(known).tolist()
+    if tag.get("edge") is None and tag.get("edges") is None and node.get("path") is not None:
+        files = [name for name in ("path", "fixed") if node.get(name) is not None]
+        known = np.concatenate([read_deployment(node[name], name, **table_in(node)).edges for name in files])
+        if np.isfinite(known).all():
+            tag.edges = np.unique(known).tolist()
 
 
 def spell_counts(node: DictConfig, tag: DictConfig) -> None:
@@ -115,8 +112,7 @@ def spell_counts(node: DictConfig, tag: DictConfig) -> None:
     """
     from lmd.core.checks import InputError, integer
 
-    count = node.get("count")
-    if not isinstance(count, ListConfig):
+    if not isinstance(count := node.get("count"), ListConfig):
         return
     edges, counts = tag.get("edges"), [integer("deployment.count", n, low=0) for n in count]
     if edges is None or len(edges) != len(counts):
@@ -149,8 +145,7 @@ def divide_paper(
     made, node = scene.tag, cfg.deployment
     if made.limit is None or made.counts is not None or "count" not in node or "path" in node:
         return scene
-    counts = composition(scene, objective, threads, fixed)
-    cfg.tag.counts = list(counts)
+    cfg.tag.counts = list(counts := composition(scene, objective, threads, fixed))
     node.count = sum(counts) + (0 if fixed is None else len(fixed))
     made, sight = replace(made, counts=counts), scene.visibility
     visibility = replace(sight, tag=made) if hasattr(sight, "tag") else sight  # type: ignore[type-var]

@@ -5,14 +5,14 @@ from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
 
+from .app import doing
 from .building import camera_of
 from .command import Command
-from .composing import FILES as RUN_FILES
 from .composing import RIG
 from .landmarks import table_in
 from .nodes import instantiate, keyed, note, settings_of
 from .photographs import detected, odometry_of, reader_of, with_camera_of_bag
-from .study import Report, Study
+from .study import LANDMARKS, Report, Study
 from .survey import camera_files
 
 if TYPE_CHECKING:
@@ -20,9 +20,6 @@ if TYPE_CHECKING:
     from lmd.localise.fixed_map import FixedMap
     from lmd.scene.rig import Rig
     from lmd.scene.tag import Tag
-
-DETECTED, PICTURE = "detections.csv", "localise.png"
-SURVEYED = "map.csv"  # map in the folder of a survey
 
 
 def localise(cfg: DictConfig) -> Study:
@@ -35,8 +32,6 @@ def localise(cfg: DictConfig) -> Study:
     from lmd.plot.plans import save_localised_figure
     from lmd.scene.rig import Rig
 
-    from .progress import doing
-
     seed_number(cfg.seed)
     tag, given = instantiate(cfg.tag), _cameras(cfg)
     _, detector = reader_of(cfg)
@@ -45,8 +40,7 @@ def localise(cfg: DictConfig) -> Study:
     odometry = odometry_of(settings.odometry, "localise.odometry")
     with keyed("localise"):
         steady = None if settings.motion == "auto" else boolean("motion", settings.motion)
-        calibrate = boolean("calibrate", settings.calibrate)
-        is_mounted = boolean("mounted", settings.mounted)
+        calibrate, is_mounted = (boolean(name, settings[name]) for name in ("calibrate", "mounted"))
     if steady and odometry is not None:
         raise InputError("localise.motion is for drives without odometry: leave one of the two out.")
     seen = detected(cfg, given.cameras, detector, tag)
@@ -65,9 +59,9 @@ def localise(cfg: DictConfig) -> Study:
     }
     if cfg.picture:
         title = f"{about} in {cfg.map or 'the map'}"
-        files[PICTURE] = lambda path: save_localised_figure(path, found, room, title)
+        files["localise.png"] = lambda path: save_localised_figure(path, found, room, title)
     if cfg.detections is None:
-        files[DETECTED] = lambda path: write_detections(path, seen)
+        files["detections.csv"] = lambda path: write_detections(path, seen)
     report = Report(files, results.metrics(found), text=results.to_text(found))
     return Study("localisation", lambda _: report, about)
 
@@ -107,7 +101,7 @@ def _map(cfg: DictConfig, tag: "Tag") -> "FixedMap":
         raise InputError("map and deployment.path both name a map: leave one of the two out.")
     key, path = ("deployment.path", node.path) if cfg.map is None else ("map", cfg.map)
     if (folder := Path(str(path))).is_dir():
-        path = str(folder / (SURVEYED if (folder / SURVEYED).exists() else RUN_FILES[1]))
+        path = str(folder / ("map.csv" if (folder / "map.csv").exists() else LANDMARKS))
     names = {"axes": "deployment.axes", "columns": "deployment.columns", "edge": "tag.edge", "family": "tag.family"}
     with keyed("localise", map=key, **names):
         errors = Hanging(*2 * (settings.place, settings.turn))

@@ -69,10 +69,8 @@ def instantiate(node: Any, **extra: Any) -> Any:
             cause = cause.__cause__
         if (lacking := missing_of(error)) is not None:
             raise lacking from None
-        if cause is not None:
-            with keyed(str(error).partition("full_key: ")[2].strip(), **{name: name for name in extra}):
-                raise cause from None
-        raise InputError(_refusal(error, extra)) from error
+        with keyed(str(error).partition("full_key: ")[2].strip(), **{name: name for name in extra}):
+            raise cause or InputError(_refusal(error, extra)) from (None if cause else error)
 
 
 def _refusal(error: Exception, extra: Mapping[str, Any]) -> str:

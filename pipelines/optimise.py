@@ -3,6 +3,7 @@
 With `varies=cameras` the tags are given, and the poses of a robot's cameras are optimised.
 """
 
+import sys
 from collections.abc import Iterator, Mapping
 from contextlib import closing
 from functools import partial
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from .app import choices, flat_settings, run_directory
+from .app import choices, flat_settings, quoted, run_directory
 from .building import budget_of, build_optimiser, build_problem, camera_of, refuse_crowd
 from .command import Command
 from .composing import GROUPS, RIG, editable
@@ -20,7 +21,7 @@ from .export import build_export
 from .nodes import instantiate, keyed, note, plain, settings_of
 from .operations.signals import Stopped, stop
 from .outputs import space_reserved
-from .provenance import contents_of, resuming
+from .provenance import command_line, contents_of
 from .score import room_report, scored
 from .study import Report, Study, title_of
 
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
 
 # Settings that must equal those of the run that is resumed; files named in them must have equal contents.
 SAME_WHEN_RESUMED = (*GROUPS, "encoding", "deployment", "optimiser", "seed")
-IN_TURN = ("rounds", "tag_evaluations")
 
 
 def optimise(cfg: DictConfig) -> Study:
@@ -46,7 +46,7 @@ def optimise(cfg: DictConfig) -> Study:
     is_rig = choice("varies", cfg.varies, ("tags", "cameras")) == "cameras"
     cameras = build_camera_problem(cfg) if is_rig else None
     problem: Problem = build_problem(cfg) if cameras is None else cameras[0]
-    optimiser = build_optimiser_of(cfg) if is_rig else build_optimiser(cfg, cfg.seed)
+    optimiser = build_optimiser(cfg, cfg.seed)
     export = build_export(cfg, "export", problem.scene.tag) if cfg.export != [] else None
     budget = budget_of(cfg)
     optimiser.check(problem)
@@ -59,24 +59,20 @@ def optimise(cfg: DictConfig) -> Study:
         yield room_report(cfg, problem)
         found, in_haste = _run(problem, budget, checkpoint, tracker, cfg.checkpoint_seconds)
         summary: dict[str, Any] = {
-            "evaluations": found.evaluations,
-            "wall_time": found.seconds,
-            "stopped": found.stopped,
+            **{"evaluations": found.evaluations, "wall_time": found.seconds, "stopped": found.stopped},
+            **optimiser.figures(),
         }
         result = found.deployment, found.history, subject
         if found.rig is None or cameras is None:
-            summary = {**summary, **optimiser.figures()}
             yield from scored(cfg, problem, *result, summary, partial(_accuracy, cfg, problem, found), export, in_haste)
             return
         from lmd.formats.rigs import write_rig
 
         files: dict[str, Any] = {RIG: partial(write_rig, rig=found.rig, sources=cameras[1])}
-        rounds = {} if cfg.rounds is None else dict(optimiser.figures())
-        text = "\n".join(f"{turn.replace('_', ' '):<19} fitness {fitness:.4%}" for turn, fitness in rounds.items())
         with stop.shielded():
-            yield Report(files, text=text, lines={"rig": str(run_directory() / RIG)})
-        placed = {**summary, "cameras": cfg.cameras.count, **({"rounds": rounds} if rounds else {})}
-        yield from scored(cfg, problem.with_rig(found.rig), *result, placed, export=export, in_haste=in_haste)
+            yield Report(files, lines={"rig": str(run_directory() / RIG)})
+        summary["cameras"] = cfg.cameras.count
+        yield from scored(cfg, problem.with_rig(found.rig), *result, summary, export=export, in_haste=in_haste)
 
     return Study(subject, run, about, problem, earlier, _how_to_go_on, "fitness")
 
@@ -100,8 +96,7 @@ def _checkpoint_of(cfg: DictConfig, optimiser: "Optimiser", problem: "Problem") 
     from lmd.optimisers.checkpoint import Checkpoint
 
     real("checkpoint_seconds", cfg.checkpoint_seconds, above=0.0)
-    further = () if "cameras" not in cfg else ("body", "cameras", *(() if cfg.rounds is None else IN_TURN))
-    settings = flat_settings(cfg, *SAME_WHEN_RESUMED, *further)
+    settings = flat_settings(cfg, *SAME_WHEN_RESUMED, *(("body", "cameras") if "cameras" in cfg else ()))
     checkpoint = Checkpoint(optimiser, settings | contents_of(settings))
     if cfg.resume is not None:
         checkpoint.resume(cfg.resume, problem)
@@ -144,20 +139,10 @@ def _how_to_go_on() -> str:
     """Command that resumes this run; empty if there is no checkpoint."""
     from lmd.optimisers.checkpoint import CHECKPOINT_FILE
 
-    left = (run_directory() / CHECKPOINT_FILE).exists()
-    return f"resume with: {resuming(HydraConfig.get().job.name, run_directory())}" if left else ""
-
-
-def build_optimiser_of(cfg: DictConfig) -> "Optimiser":
-    """Build the optimiser of the cameras, or of cameras and tags in turns if `rounds` is set."""
-    from lmd.core.checks import integer
-    from lmd.optimisers.alternating import Alternating
-    from lmd.optimisers.ledger import Budget
-
-    tag_evaluations = integer("tag_evaluations", cfg.tag_evaluations, low=1)
-    if cfg.rounds is None:
-        return build_optimiser(cfg, cfg.seed)
-    return Alternating(partial(build_optimiser, cfg), cfg.rounds, Budget(tag_evaluations), cfg.seed)
+    if not ((folder := run_directory()) / CHECKPOINT_FILE).exists():
+        return ""
+    given = [word for word in sys.argv[1:] if not word.startswith("resume=")]
+    return f"resume with: {command_line(HydraConfig.get().job.name, [*given, f'resume={quoted(folder)}'])}"
 
 
 def build_camera_problem(cfg: DictConfig) -> "tuple[CameraProblem, dict[Camera, Any]]":
@@ -182,18 +167,17 @@ def build_camera_problem(cfg: DictConfig) -> "tuple[CameraProblem, dict[Camera, 
     sources: dict[Camera, Any] = {}
     for i, source in enumerate(given["lenses"]):
         with keyed(camera=f"cameras.lenses[{i}]"):
-            camera = camera_from(source)
-        if camera is None:
-            raise InputError(f"cameras.lenses[{i}] must be a calibration file, got null.")
+            if (camera := camera_from(source)) is None:
+                raise InputError(f"cameras.lenses[{i}] must be a calibration file, got null.")
         sources[camera] = source
         note(camera.note)
     lenses = list(sources) or [instantiate(alone)]
     tags = build_problem(cfg)
     refuse_crowd(tags, "optimise varies=cameras")
     space = made("cameras", {**given, "body": made("body", body, Body), "lenses": lenses}, MountSpace)
-    start = camera_of(cfg.camera) if rig is not None else None
+    start = None if rig is None else camera_of(cfg.camera)
+    assert start is None or isinstance(start, Rig)
     with keyed("cameras", rig="camera.rig", boxes="body.boxes"):
-        assert start is None or isinstance(start, Rig)
         return CameraProblem(tags, tags.draw(np.random.default_rng(cfg.seed)), space, start), sources
 
 

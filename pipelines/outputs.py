@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from hydra.experimental.callback import Callback as HydraCallback
 from omegaconf import DictConfig
 
-from .app import LOCK, discard_empty
+from .app import LOCK, discard_empty, doing
 
 if TYPE_CHECKING:
     from lmd.optimisers.ledger import Record
@@ -48,22 +48,18 @@ class RunDirectory(HydraCallback):
         directory, resume = Path(config.hydra.run.dir).resolve(), config.get("resume")
         resumed = directory if resume is None else Path(str(resume)).resolve()
         self._check(directory)
-        result = directory / RESULTS.get(str(config.hydra.job.name), "")
-        if JOB_VARIABLE not in os.environ and result.is_file() and (resume is None or resumed != directory):
+        result, is_job = directory / RESULTS.get(str(config.hydra.job.name), ""), JOB_VARIABLE in os.environ
+        if not is_job and result.is_file() and (resume is None or resumed != directory):
             text = f"hydra.run.dir: {str(directory)!r} holds {result.name} of an earlier run"
             go_on = ", or go on with resume=DIR" if "resume" in config else ""
             sys.exit(f"error: {text}: name another folder, or delete this one{go_on}.")
         directory.mkdir(parents=True, exist_ok=True)
         atexit.register(discard_empty, directory)
         # The process that supervises a job has already locked the job's directory.
-        places = {} if JOB_VARIABLE in os.environ else {resumed: "resume", directory: "hydra.run.dir"}
-        for place, key in places.items():
-            lock: int | None = 0
+        for place, key in () if is_job else {resumed: "resume", directory: "hydra.run.dir"}.items():
             with suppress(ImportError, OSError):  # a system without locks, or a directory of another user
-                lock = locks.enter_context(held(place, wait=False))
-            if lock is None:
-                sys.exit(f"error: {key}: another process is at work in {str(place)!r}.")
-            if lock:
+                if locks.enter_context(held(place, wait=False)) is None:
+                    sys.exit(f"error: {key}: another process is at work in {str(place)!r}.")
                 locks.callback((place / LOCK).unlink, missing_ok=True)
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
@@ -124,18 +120,16 @@ def all_or_none(directory: Path, write: Callable[[Path], object]) -> list[Path]:
         shutil.rmtree(left, ignore_errors=True)
     with tempfile.TemporaryDirectory(dir=directory, prefix=PARTIAL) as name:
         write(Path(name))
-        written = sorted(path for path in Path(name).rglob("*") if path.is_file())
-        moves = [(path, directory / path.relative_to(name)) for path in written]
-        for _, target in moves:
+        moves = {path: directory / path.relative_to(name) for path in sorted(Path(name).rglob("*")) if path.is_file()}
+        for target in moves.values():
             if target.is_dir():
                 raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(target))
             target.parent.mkdir(parents=True, exist_ok=True)
-        return [path.replace(target) for path, target in moves]
+        return [path.replace(target) for path, target in moves.items()]
 
 
 def write_all(directory: Path, writers: Mapping[str, Callable[[Path], object]]) -> list[Path]:
     """Write files, given as functions by file name, all or none; see `all_or_none`."""
-    from .progress import doing
 
     def fill(folder: Path) -> None:
         for name, write in writers.items():
@@ -182,8 +176,7 @@ def read_document(path: Path, content_of: Callable[[dict[str, Any]], Content]) -
     try:
         return content_of(dict(json.loads(path.read_text())))
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        aside = path.with_name(f"{path.name}.damaged")
-        os.replace(path, aside)
+        aside = path.replace(path.with_name(f"{path.name}.damaged"))
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         kept = f"it is kept as {aside.name}, and its content is computed again"
         print(f"warning: {path} is damaged ({reason}); {kept}", file=sys.stderr)

@@ -95,14 +95,11 @@ def odometry_of(given: Any, key: str) -> "Trajectory | None":
     Raises:
         InputError: the file cannot be read, or is not a trajectory.
     """
-    from lmd.core.checks import InputError
     from lmd.formats.trajectories import TrajectoryFile
+    from lmd.space.parts import made
 
     if (given := plain(given)) is None:
         return None
     keys = given if isinstance(given, dict) else {"path": given}
-    known = ("path", "frame", "times", "rate", "mount")
-    if unknown := [key for key in keys if key not in known]:
-        raise InputError(f"{key} has the key {unknown[0]!r}, but takes {', '.join(known)}.")
     with keyed(key, **({} if keys is given else {"path": key})):
-        return TrajectoryFile(**keys).trajectory
+        return made(key, keys, TrajectoryFile).trajectory

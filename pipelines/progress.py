@@ -3,8 +3,8 @@
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +16,7 @@ from lmd.optimisers.base import Optimiser
 from lmd.optimisers.checkpoint import Checkpoint
 from lmd.optimisers.ledger import ROUNDING, Budget, Ledger, curve
 
+from . import app
 from .operations.signals import stop
 from .operations.tracking import Tracker
 
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from lmd.survey.survey import SurveyStage
 
 LOG_SECONDS = 15.0  # time between lines of progress in a file, seconds
-SHOWN_AFTER = 2.0  # time after which a step's name is printed, seconds
 
 tqdm.set_lock(threading.RLock())  # tqdm's own lock has a semaphore, which a process that is killed would leave behind
 
@@ -97,18 +97,6 @@ class Progress:
             self.bar.close()
 
 
-@contextmanager
-def doing(step: str) -> Iterator[None]:
-    """Context of a step whose name is printed if it takes longer than `SHOWN_AFTER` seconds."""
-    shown = threading.Timer(SHOWN_AFTER, print, [f"{step} ..."], {"file": sys.stderr, "flush": True})
-    shown.daemon = True
-    shown.start()
-    try:
-        yield
-    finally:
-        shown.cancel()
-
-
 class Stages:
     """Progress of the stages of a survey; a `lmd.survey.survey.Observer`."""
 
@@ -123,7 +111,7 @@ class Stages:
             self.interrupted = self._stage
         if self._bar is None or stage != self._stage:
             self.close()
-            self._bar, self._stage = tqdm(desc=stage.value, unit=" steps", delay=SHOWN_AFTER, leave=False), stage
+            self._bar, self._stage = tqdm(desc=stage.value, unit=" steps", delay=app.SHOWN_AFTER, leave=False), stage
         with suppress(OSError):  # the terminal may be closed
             self._bar.total = most or None
             self._bar.update(done - self._bar.n)

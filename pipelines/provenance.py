@@ -12,13 +12,14 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig
 
-from .app import CONF, IN_CHECKOUT, at, changes_results, command_of, flat_settings
+from lmd import __version__
+
+from .app import CONF, IN_CHECKOUT, changes_results, command_of, flat_settings
 from .operations.sweeps.folder import current_job
 from .outputs import Content, read_document, write_document
 
@@ -29,19 +30,12 @@ RECORD = ".hydra/config.yaml"  # file in a folder with the settings of the run w
 PACKAGES_FILE = "packages.txt"
 DIRTY = "uncommitted changes"  # tag of a run from a checkout with changes
 Computed = Callable[[], dict[str, Any]]
-SHORT_COMMIT = 9  # number of characters of a commit in a description
 LARGEST_READ = 1 << 32  # files up to this size are read, bytes; for larger files only the size counts
 
 
 def command_line(pipeline: str, overrides: Sequence[str]) -> str:
     """Command of this project in the form for a shell."""
     return " ".join([command_of(pipeline), shlex.join(overrides)]).strip()
-
-
-def resuming(pipeline: str, folder: Path) -> str:
-    """Command that resumes the run of this process, whose files are in `folder`."""
-    given = [word for word in sys.argv[1:] if not word.startswith("resume=")]
-    return command_line(pipeline, [*given, at("resume", folder)])
 
 
 def source_tags(pipeline: str) -> dict[str, str]:
@@ -62,12 +56,8 @@ def _user() -> str:
 
 @cache
 def _version() -> dict[str, str]:
-    try:
-        tags = {"version": version("lmd")}
-    except PackageNotFoundError:  # a checkout that is not installed
-        tags = {}
-    commit = _git("rev-parse", "HEAD").strip() if IN_CHECKOUT else ""
-    if commit:
+    tags = {"version": __version__}
+    if commit := _git("rev-parse", "HEAD").strip() if IN_CHECKOUT else "":
         tags |= {"mlflow.source.git.commit": commit, DIRTY: "yes" if _git("status", "-s") else "no"}
     return tags
 
@@ -76,7 +66,7 @@ def repeating(tags: Mapping[str, str]) -> str:
     """Text in Markdown: the command in a run's `source_tags`, and the commit at which to repeat the command."""
     from lmd.core.words import as_code
 
-    commit = tags.get("mlflow.source.git.commit", "")[:SHORT_COMMIT]
+    commit = tags.get("mlflow.source.git.commit", "")[:9]
     changes = f", with {DIRTY}" if tags.get(DIRTY) == "yes" else ""
     return as_code(tags["command"]) + (f"\n\nat commit {commit}{changes}" if commit else "")
 
@@ -112,11 +102,8 @@ def parameters(cfg: DictConfig, choices: Mapping[str, str]) -> dict[str, Any]:
     """Choices of groups, and the settings that have a value below the groups."""
     settings = {key: value for key, value in flat_settings(cfg).items() if value not in (None, [])}
     left_out = ("run", "_target_", "_partial_")  # the settings of an earlier run are themselves parameters
-    return {
-        key: value
-        for key, value in {**choices, **settings}.items()
-        if changes_results(key) and key.split(".")[-1] not in left_out
-    }
+    kept = [key for key in {**choices, **settings} if changes_results(key) and key.split(".")[-1] not in left_out]
+    return {key: settings.get(key, choices.get(key)) for key in kept}
 
 
 def digest(*parts: Any) -> str:

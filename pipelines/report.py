@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
     from .operations.tracking import MlflowReader
 
-TITLE = "The paper's tables and figures, reproduced"
-
 
 def report(cfg: DictConfig) -> None:
     """Write report.md on the newest sweep of each name, with pictures, to the run directory."""
@@ -38,7 +36,7 @@ def report(cfg: DictConfig) -> None:
 
     def write(partial: Path) -> None:
         text = sections(Source(reader, runs, lambda run_id: _load(reader, run_id, trust), partial))
-        (partial / "report.md").write_text(f"# {TITLE}\n\n{text}", encoding="utf-8")
+        (partial / "report.md").write_text(f"# The paper's tables and figures, reproduced\n\n{text}", encoding="utf-8")
 
     all_or_none(run_directory(), write)
     say(f"report  {run_directory() / 'report.md'}")

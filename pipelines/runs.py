@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig
 
-from .app import at, say, task_overrides
+from .app import quoted, say, task_overrides
 from .command import Command
 from .nodes import instantiate
 
@@ -27,7 +27,6 @@ COLUMNS = {
     "metrics.off_grid": "off the grid",
     "metrics.evaluations": "evaluations",
 }
-SHARES = ("metrics.fitness", "metrics.off_grid")  # columns shown in per cent
 
 
 def runs(cfg: DictConfig) -> None:
@@ -46,8 +45,7 @@ def runs(cfg: DictConfig) -> None:
     if not isinstance(tracker, MlflowTracker):
         raise InputError("the list of runs is read from mlflow: it needs tracking=mlflow.")
     if cfg.sync is not None:
-        if not hand_in_below(Path(str(cfg.sync)), tracker.store.uri):
-            sys.exit(1)
+        hand_in_below(Path(str(cfg.sync)), tracker.store.uri)
         return
     reader = MlflowReader(cfg.tracking.uri, cfg.tracking.experiment_name)
     with tracker.store.errors_reported():
@@ -57,7 +55,7 @@ def runs(cfg: DictConfig) -> None:
     for column in ("run", "pipeline"):
         shown[column] = shown[column].fillna("").astype(str).map(printable)
     shown["started (UTC)"] = shown["started (UTC)"].dt.strftime("%Y-%m-%d %H:%M:%S")
-    percent = {COLUMNS[key]: "{:.2%}".format for key in SHARES}
+    percent = dict.fromkeys(("fitness", "off the grid"), "{:.2%}".format)
     say(shown.to_string(index=False, na_rep="", float_format="{:g}".format, formatters=percent))
     for run_id, run in table.iterrows():
         if command := going_on(run):
@@ -83,11 +81,11 @@ def going_on(run: "pd.Series") -> str:
     is_lost = run.get("tags.host") == socket.gethostname() and not left.exists()
     if run["status"] not in ("KILLED", "FAILED") or not isinstance(command, str) or is_lost or (is_sweep and is_job):
         return ""
-    return command if is_sweep else f"{command} {at('resume', folder)}"
+    return command if is_sweep else f"{command} resume={quoted(folder)}"
 
 
-def hand_in_below(folder: Path, uri: str) -> bool:
-    """Send all journals below a folder to a store; False if a journal could not be sent.
+def hand_in_below(folder: Path, uri: str) -> None:
+    """Send all journals below a folder to a store; exit with 1 if a journal could not be sent.
 
     The journal of a run with another store is sent only if the command line gives `tracking.uri`.
 
@@ -112,7 +110,8 @@ def hand_in_below(folder: Path, uri: str) -> bool:
             failed = True
     if not paths:
         say(f"nothing to hand in below {folder}")
-    return not failed
+    if failed:
+        sys.exit(1)
 
 
 main = Command("runs", runs)

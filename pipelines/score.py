@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from omegaconf import DictConfig
 
-from .app import choices, run_directory
+from .app import choices, doing
 from .building import build_problem
 from .landmarks import table_in
 from .nodes import keyed, note, plain
@@ -24,10 +24,8 @@ if TYPE_CHECKING:
     from lmd.problem import Problem
     from lmd.scene.deployment import Deployment
 
-MEASURED, MOUNTING = "deployment.measured", "deployment.mounting_error"
 # Figures of deployments that the terminal shows side by side.
 COMPARED = ("fitness", "off_grid", "qualified_ratio", "average_coverage_probability", "localised_share_20mm")
-FEW_QUALIFIED = 0.1  # below this share of qualified positions, the criteria that exclude positions are printed
 
 
 def room_report(cfg: DictConfig, problem: "Problem") -> Report:
@@ -39,8 +37,7 @@ def room_report(cfg: DictConfig, problem: "Problem") -> Report:
     from lmd.plot.plans import save_room_figure
 
     title = room.describe() if path is None else f"{Path(path).name}: {room.describe()}"
-    draw = partial(save_room_figure, room=room, title=title, people=people)
-    return Report({"room.png": draw}, text=f"room     {run_directory() / 'room.png'}", is_extra=True)
+    return Report({"room.png": partial(save_room_figure, room=room, title=title, people=people)}, is_extra=True)
 
 
 def scored(
@@ -79,13 +76,10 @@ def scored(
     from lmd.plot.charts import save_convergence_figure
     from lmd.plot.scenes import save_scene_figure
 
-    from .progress import doing
-
-    is_cut = summary.get("stopped") == "interrupted"
+    is_cut, settings = summary.get("stopped") == "interrupted", {"settings": problem.settings()}
     with stop.shielded():
         metrics = problem.metrics(deployment)
         document: dict[str, Any] = {**metrics, **summary, "seed": cfg.seed}
-        settings = {"settings": problem.settings()}
         write = partial(deployment.to_csv, ups=not problem.scene.tag.is_point)
         yield Report({"landmarks.csv": write, "metrics.json": document | settings}, is_whole=not is_cut, is_cut=is_cut)
         yield Report({HISTORY_FILE: columns_of(history)}, is_extra=True)
@@ -97,20 +91,15 @@ def scored(
             why = causes(problem.scene, deployment, cfg.seed)
             if cfg.validate:
                 validation = validation_metrics(problem, deployment, cfg.seed)
-    if validation:
-        figures["off_grid"] = validation[headline_off_grid(problem)]
+                figures["off_grid"] = validation[headline_off_grid(problem)]
     groups = {"validation": validation, "criteria": why.metrics() if why else {}}
     document |= figures | {group: found for group, found in groups.items() if found} | settings
     # standard errors would clutter the charts
     charted = {f"validation/{key}": v for key, v in validation.items() if not key.endswith("standard_error")}
     lines = labelled_figures({key: value for key, value in figures.items() if key != "off_grid"})
-    if all(camera.is_pinhole for camera in problem.scene.cameras):
-        lines["focus"] = "no criterion: the camera has no aperture"
-    if cfg.picture and not in_haste:
-        lines["picture"] = str(run_directory() / "scene.png")
     fitness, headline, *others = problem.describe(metrics, problem.count).items()
     off_grid = describe_validation(problem, validation) if validation else {}
-    few = problem.objective.qualified(problem.values(deployment)).mean() < FEW_QUALIFIED
+    few = problem.objective.qualified(problem.values(deployment)).mean() < 0.1  # then the criteria are printed
     yield Report(
         {} if in_haste else {"metrics.json": document},
         metrics | figures | charted,
@@ -120,21 +109,15 @@ def scored(
     )
     if in_haste:
         return
-    title, files = in_words(problem, subject), dict[str, Any]()
+    room, of = problem.scene.room, getattr(problem.scene.visibility, "detector", None)
+    visibility = f"visibility {choices().get('visibility', '')}{f' ({of})' if of else ''}"
+    placed = f"{subject}, {problem.count} landmarks: {problem.objective.value_label}"
+    title, files = f"{placed}; {visibility}; {room.describe()}", dict[str, Any]()
     if cfg.picture:
         files["scene.png"] = lambda path: save_scene_figure(path, problem, deployment, title)
     if cfg.picture and len(history) > 1:
         files["convergence.png"] = lambda path: save_convergence_figure(path, columns_of(history), title)
-    exports = export.writers(problem.scene.room, problem.scene.tag, deployment) if export else {}
-    yield Report(files | exports, is_extra=True)
-
-
-def in_words(problem: "Problem", subject: str) -> str:
-    """Title with placed objects, objective, visibility and room, in words."""
-    scene, of = problem.scene, getattr(problem.scene.visibility, "detector", None)
-    visibility = f"visibility {choices().get('visibility', '')}{f' ({of})' if of else ''}"
-    placed = f"{subject}, {problem.count} landmarks: {problem.objective.value_label}"
-    return f"{placed}; {visibility}; {scene.room.describe()}"
+    yield Report(files | (export.writers(room, problem.scene.tag, deployment) if export else {}), is_extra=True)
 
 
 def score(cfg: DictConfig, own: Mapping[str, DictConfig]) -> Study:
@@ -161,7 +144,14 @@ def score(cfg: DictConfig, own: Mapping[str, DictConfig]) -> Study:
                 named = {f"{key}/{name}": value for key, value in report.figures.items()}
                 yield replace(report.below(name), figures=named, lines=lines, is_whole=False)
             rows[name] = figures
-        yield _side_by_side(rows)
+        import pandas as pd
+
+        from lmd.evaluation.maps import figures_text
+
+        # The terminal shows the figures that all deployments have.
+        shown = {name: {key: row[key] for key in COMPARED if key in row} for name, row in rows.items()}
+        table = pd.DataFrame(rows).T.rename_axis("deployment")
+        yield Report({"scores.csv": table}, text=figures_text(shown), is_whole=True)
 
     problem, subject = first.problem, choices()["deployment"] if is_alone else " ".join(subjects)
     return Study(subject, run, title_of(problem, subject), problem, returned="fitness" if is_alone else "")
@@ -175,7 +165,7 @@ class _Subject(NamedTuple):
     """Planned poses of the tags."""
     deployment: "Deployment"
     """Measured poses of the tags; equal to `plan` if nothing was measured."""
-    error: "MountingError"
+    error: "MountingError | None"
     history: "Sequence[Record]"
 
     @classmethod
@@ -185,19 +175,18 @@ class _Subject(NamedTuple):
         from lmd.core.compiled import clock
         from lmd.optimisers.ledger import Record
 
-        from .progress import doing
-
         began, problem = clock(), build_problem(cfg)
         with doing("placing the landmarks"):
             deployment = plan = problem.draw(np.random.default_rng(cfg.seed))
-        with keyed("deployment", path=MEASURED, family="tag.family"):
-            if cfg.deployment.measured is not None:
-                from lmd.evaluation.mounting import read_measured  # slow to load
+        if cfg.deployment.measured is not None:
+            from lmd.evaluation.mounting import read_measured  # slow to load
 
+            with keyed("deployment", path="deployment.measured", family="tag.family"):
                 deployment = read_measured(cfg.deployment.measured, problem, plan, **table_in(cfg.deployment))
-                note(deployment.note)
+            note(deployment.note)
         history = [Record(1, problem.metrics(deployment)["fitness"], clock() - began)]
-        return cls(problem, plan, deployment, mounting_of(cfg), history)
+        error = mounting_of(cfg) if cfg.deployment.mounting_error else None  # slow to load
+        return cls(problem, plan, deployment, error, history)
 
 
 def mounting_of(cfg: DictConfig) -> "MountingError":
@@ -210,21 +199,19 @@ def mounting_of(cfg: DictConfig) -> "MountingError":
     from lmd.space.parts import made
 
     given = plain(cfg.deployment.mounting_error)
-    return made(MOUNTING, given if isinstance(given, dict) else {"position": given}, MountingError)
+    return made("deployment.mounting_error", given if isinstance(given, dict) else {"position": given}, MountingError)
 
 
 def _studied(cfg: DictConfig, subject: _Subject, name: str) -> Iterator[Report]:
     """Reports on the score and on the studies of a deployment."""
-    from .progress import doing
-
-    texts, summary = list[str](), dict[str, Any]()
+    texts, summary = "", dict[str, Any]()
     with doing("studying the deployment"):
         for key, files, figures, text in _studies(cfg, subject):
             summary |= {key: figures} if key else figures
             yield Report(files, {f"{key}/{figure}": value for figure, value in figures.items()} if key else {})
-            texts += [text] if text else []
+            texts += f"{text}\n\n" if text else ""
     yield from scored(cfg, subject.problem, subject.deployment, subject.history, name, summary)
-    yield Report(text="\n".join(f"{text}\n" for text in texts), is_extra=True)
+    yield Report(text=texts.removesuffix("\n"), is_extra=True)
 
 
 Studied = tuple[str, Mapping[str, Any], Mapping[str, float], str]
@@ -252,12 +239,11 @@ def _studies(cfg: DictConfig, subject: _Subject) -> Iterator[Studied]:
         from lmd.evaluation.accuracy import accuracy_metrics, save_accuracy_map
         from lmd.plot.pose_errors import save_cramer_rao_map
 
-        bounds, about = cramer_rao_map(problem.scene, problem.evaluator, deployment), "Cramer-Rao bound of one frame,"
+        bounds, title = cramer_rao_map(problem.scene, problem.evaluator, deployment), "Cramer-Rao bound of one frame,"
         save_accuracy = partial(save_accuracy_map, problem=problem, deployment=deployment)
+        draw = partial(save_cramer_rao_map, room=problem.scene.room, bounds=bounds, title=title_of(problem, title))
         files: dict[str, Any] = {"localisation.csv": bounds.to_csv, "accuracy.csv": save_accuracy}
-        if cfg.picture:
-            draw = partial(save_cramer_rao_map, room=problem.scene.room, bounds=bounds, title=title_of(problem, about))
-            files["localisation.png"] = draw
+        files |= {"localisation.png": draw} if cfg.picture else {}
         yield "", files, bounds.metrics() | accuracy_metrics(problem, deployment, seed), ""
     if cfg.losses:
         from lmd.evaluation.losses import losses
@@ -277,23 +263,12 @@ def _studies(cfg: DictConfig, subject: _Subject) -> Iterator[Studied]:
         from lmd.plot.pose_errors import save_map_figure
 
         surveyed = as_measured(problem, plan, deployment, seed)
-        about = "maps as planned and as measured,"
-        yield told("survey", surveyed, partial(save_map_figure, views=surveyed.views), about)
-    if not error.is_none:
+        draw = partial(save_map_figure, views=surveyed.views)
+        yield told("survey", surveyed, draw, "maps as planned and as measured,")
+    if error is not None and not error.is_none:
         from lmd.evaluation.mounting import mounted
         from lmd.plot.pose_errors import save_map_figure
 
-        with keyed(MOUNTING):
+        with keyed("deployment.mounting_error"):
             hung = mounted(problem, deployment, error, seed)
         yield told("mounting", hung, partial(save_map_figure, views=hung.views), f"{error.draws} mountings,")
-
-
-def _side_by_side(rows: Mapping[str, Mapping[str, float]]) -> Report:
-    """Table of the figures of several deployments; the terminal shows the figures that all deployments have."""
-    import pandas as pd
-
-    from lmd.evaluation.maps import figures_text
-
-    table = pd.DataFrame(rows).T.rename_axis("deployment")
-    shown = {name: {key: row[key] for key in COMPARED if key in row} for name, row in rows.items()}
-    return Report({"scores.csv": table}, text=figures_text(shown), is_whole=True)

@@ -1,6 +1,7 @@
 """Sections of the reproduction report, in Markdown: results of stored sweeps beside results of the paper."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -12,7 +13,7 @@ from lmd.plot.charts import save_comparison_figure, save_heat_map, save_landmark
 from lmd.plot.scenes import save_deployments_figure
 
 from .app import command_of
-from .stored_runs import BUDGET, COUNT, GRID_FREE, INDICES, PAIR, PARENT, RATIO, TABLE_2, TABLE_3, Printed, Source
+from .stored_runs import BUDGET, COUNT, GRID_FREE, INDICES, PAIR, PARENT, RATIO, TABLE_2, TABLE_3, Source
 
 # Sweeps of a report: for each, the part of the command that follows `experiment=`, and the name.
 COMMANDS = {
@@ -28,7 +29,8 @@ TABLE_2_RUNS = {
     "initial": ("table2_baselines", "tags.choice.deployment", "random"),
 }
 PANELS = ("initial", "EGA", "SGA", "uniform")  # in the order of the paper's figure
-NO_VALUE = "–"  # text of a cell without runs
+COLUMNS = [f"{name}: {of}" for name in INDICES.values() for of in ("paper", "here")]
+OFF_GRID = "qualified ratio off the grid: here"
 
 
 def sections(source: Source) -> str:
@@ -57,12 +59,12 @@ def _table_2(source: Source) -> list[str]:
     rows = [[name, *_beside(printed, found[name])] for name, printed in TABLE_2.items()]
     title = "For each row, the run with the median qualified ratio, or the lower of two"
     picture = source.picture("deployments", title, save_deployments_figure, shown, title)
-    return [*blocks, markdown_table(["deployment", *_beside_head()], rows), picture]
+    return [*blocks, markdown_table(["deployment", "runs", *COLUMNS, OFF_GRID], rows), picture]
 
 
 def _table_3(source: Source, jobs: pd.DataFrame) -> list[str]:
     rows = [[f"{n}", f"{p:.2f}", *_beside(printed, _of_pair(jobs, n, p))] for (n, p), printed in TABLE_3.items()]
-    return [_origin(source, "table3", jobs), markdown_table(["n", "thold_p", *_beside_head()], rows)]
+    return [_origin(source, "table3", jobs), markdown_table(["n", "thold_p", "runs", *COLUMNS, OFF_GRID], rows)]
 
 
 def _each_for_itself(source: Source, own: pd.DataFrame) -> list[str]:
@@ -70,11 +72,10 @@ def _each_for_itself(source: Source, own: pd.DataFrame) -> list[str]:
     for name, jobs in {"one deployment, re-scored": source.jobs("table3"), "each pair for itself": own}.items():
         columns[name] = {pair: _of_pair(jobs, *pair)[RATIO] for pair in TABLE_3}
     rows = [[f"{n}", f"{p:.2f}", *(_spread(column[n, p]) for column in columns.values())] for n, p in TABLE_3]
-    tables = {
-        name: pd.Series({pair: ratios.median() for pair, ratios in column.items()}).unstack()
-        for name, column in columns.items()
-    }
-    tables = {name: table.rename_axis(index="n", columns="thold_p") for name, table in tables.items()}
+    tables = {}
+    for name, column in columns.items():
+        medians = pd.Series({pair: ratios.median() for pair, ratios in column.items()})
+        tables[name] = medians.unstack().rename_axis(index="n", columns="thold_p")
     table, labels = markdown_table(["n", "thold_p", *columns], rows), ("Qualified ratio", "qualified ratio")
     picture = source.picture("pairs", "Qualified ratio over n and thold_p", save_heat_map, tables, *labels)
     return [_origin(source, "table3_reoptimised", own), table, picture]
@@ -96,8 +97,7 @@ def _landmark_count(source: Source, jobs: pd.DataFrame) -> list[str]:
 
 
 def _optimisers(source: Source, jobs: pd.DataFrame) -> list[str]:
-    curves = _curves(source, "optimisers", jobs, "Optimisers")
-    if not curves:
+    if not (curves := _curves(source, "optimisers", jobs, "Optimisers")):
         return []
     table = comparison_markdown(compared(source.optimiser_runs(jobs), Coverage.headline.key), Coverage.headline)
     return [_origin(source, "optimisers", jobs), table, *curves]
@@ -141,12 +141,7 @@ def _typical(jobs: pd.DataFrame) -> str:
     return str(jobs[RATIO].sort_values(kind="stable").index[(len(jobs) - 1) // 2])
 
 
-def _beside_head() -> list[str]:
-    columns = [f"{name}: {what}" for name in INDICES.values() for what in ("paper", "here")]
-    return ["runs", *columns, "qualified ratio off the grid: here"]
-
-
-def _beside(printed: Printed, jobs: pd.DataFrame) -> list[str]:
+def _beside(printed: Any, jobs: pd.DataFrame) -> list[str]:
     """Cells of a row, per cent: printed figures beside medians of runs."""
     cells = [f"{len(jobs)}"]
     for index in INDICES:
@@ -162,4 +157,4 @@ def _spread(ratios: "pd.Series[float]") -> str:
 
 
 def _percent(ratio: float) -> str:
-    return NO_VALUE if np.isnan(ratio) else f"{ratio:.2%}"
+    return "–" if np.isnan(ratio) else f"{ratio:.2%}"

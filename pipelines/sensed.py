@@ -45,12 +45,11 @@ def observe(cfg: DictConfig, own: Own) -> Study:
             each = partial(in_batches, cfg.workers)
             study = conduct(problems, flights, detectors, estimators, cfg.all_visible, odometry, each)
         figures, curves, n = study.figures(), study.curves(), problem.objective.n
-        markdown, paired = to_markdown(figures, n), pairs.paired(figures)
+        markdown, paired, medians = to_markdown(figures, n), pairs.paired(figures), study.medians(figures)
         files = {"figures.csv": figures, "curves.csv": curves}
         if len(paired):
             markdown += f"\n{pairs.to_markdown(paired)}"
             files["paired.csv"] = paired
-        medians = study.medians(figures)
         counts = {name: outcome.counts[0] for name, outcome in study.outcomes.items()}
         title = title_of(problem, f"{len(seeds)} flights: median, band from 10 to 90 %;")
         more = {
@@ -78,9 +77,8 @@ def in_batches(workers: int | None, function: Callable[[Any], Any], jobs: Sequen
 
     from .progress import bar
 
-    results = in_processes(
-        partial(_on_one_thread, function), jobs, workers, lambda _: "a batch of frames", ordered=True
-    )
+    do = partial(_on_one_thread, function)
+    results = in_processes(do, jobs, workers, lambda _: "a batch of frames", ordered=True)
     with bar(len(jobs), "batches of frames") as progress:
         for result in results:
             progress.update()
@@ -158,9 +156,8 @@ def _frames(study: "DetectionStudy", count: int, seed: int) -> dict[str, Callabl
             for i in range(count):
 
                 def draw(path: Path, told: Any = told, i: int = i, c: int = c, its: Any = its) -> None:
-                    among = told.renderer
-                    if told.people is not None:
-                        among = replace(among, room=among.room.among(told.people[i]))
+                    among, people = told.renderer, told.people
+                    among = among if people is None else replace(among, room=among.room.among(people[i]))
                     image = rendered_frame(among, told.poses[i], c * len(told.poses) + i, seed)
                     save_frame(path, image, told.corners[i], told.visible[i], its[i])
 

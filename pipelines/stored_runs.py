@@ -31,39 +31,12 @@ OPTIMISER = "tags.choice.optimiser"
 BUDGET = "params.budget.evaluations"
 COUNT = "params.deployment.count"
 
-# Tables II and III of the paper as fractions: Lei et al., "Optimization of Directional Landmark Deployment for Visual
-# Observer on SE(3)", Sec. V-A: the room of 7.5 x 5 x 6 m, K = 90 landmarks, 400 iterations with populations of 30.
-
-
-@dataclass(frozen=True)
-class Printed:
-    """Row of a table: three indices, fractions in [0, 1], with the names of `Problem.metrics`."""
-
-    qualified_ratio: float
-    average_coverage_probability: float
-    maximum_coverage_probability: float
-
-
-# Table II, for n = 2 and thold_p = 0.65.
-TABLE_2 = {
-    "EGA": Printed(0.8188, 0.7500, 0.9169),
-    "SGA": Printed(0.5344, 0.6445, 0.8431),
-    "uniform": Printed(0.4392, 0.6016, 0.7446),
-    "initial": Printed(0.1111, 0.5231, 0.7108),
-}
-
-# Table III by (n, thold_p), for the deployment that EGA found for (2, 0.65).
-TABLE_3 = {
-    (2, 0.50): Printed(0.9775, 0.7500, 0.9169),
-    (2, 0.65): Printed(0.8188, 0.7500, 0.9169),
-    (2, 0.80): Printed(0.3968, 0.7500, 0.9169),
-    (3, 0.50): Printed(0.7394, 0.5970, 0.8308),
-    (3, 0.65): Printed(0.3704, 0.5970, 0.8308),
-    (3, 0.80): Printed(0.0397, 0.5970, 0.8308),
-    (4, 0.50): Printed(0.3585, 0.4676, 0.7385),
-    (4, 0.65): Printed(0.0741, 0.4676, 0.7385),
-    (4, 0.80): Printed(0.0000, 0.4676, 0.7385),
-}
+# Tables II (for n = 2 and thold_p = 0.65) and III (for the deployment that EGA found for this pair) of the paper, with
+# the names of `Problem.metrics`: Lei et al., "Optimization of Directional Landmark Deployment for Visual Observer on
+# SE(3)", Sec. V-A: the room of 7.5 x 5 x 6 m, K = 90 landmarks, 400 iterations with populations of 30.
+PRINTED: Any = pd.read_csv(Path(__file__).with_name("paper_tables.csv"))
+TABLE_2 = {row.deployment: row for row in PRINTED[PRINTED.table == 2].itertuples()}
+TABLE_3 = {(row.n, row.thold_p): row for row in PRINTED[PRINTED.table == 3].itertuples()}
 
 # Columns that a report reads; a store may lack some columns.
 COLUMNS = [
@@ -76,8 +49,6 @@ NUMBERS = {
     **{"table2": [SEED], "optimisers": [SEED], "landmark_count": [COUNT]},
     **{"table3": PAIR, "table3_reoptimised": PAIR},
 }
-# Function that loads the problem and the deployment of a run, given the id of the run.
-Load = Callable[[str], tuple[Problem, Deployment]]
 
 
 @dataclass(frozen=True)
@@ -88,8 +59,8 @@ class Source:
     """Reader of the tracking store."""
     runs: pd.DataFrame
     """Table of the runs, see `MlflowReader.runs`."""
-    load: Load
-    """Function that loads the problem and the deployment of a run."""
+    load: Callable[[str], tuple[Problem, Deployment]]
+    """Function that loads the problem and the deployment of a run, given the id of the run."""
     folder: Path
     """Folder of the pictures."""
 

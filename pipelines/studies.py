@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from lmd.evaluation.relaxation import TimeLimit
 
 Own = Mapping[str, DictConfig]
-HEADLINE = "localised_share_20mm"  # figure in the headings of panels
-EVERY = 10.0  # minimum time between lines of progress, seconds
 
 
 def accuracy(cfg: DictConfig, own: Own) -> Study:
@@ -43,7 +41,8 @@ def accuracy(cfg: DictConfig, own: Own) -> Study:
 
         figures = {name: accuracy_metrics(*subject, cfg.seed) for name, subject in drawn.items()}
         table = pd.DataFrame(figures).T.rename_axis("deployment")
-        headed = {f"{name}: {table[HEADLINE][name]:.1%} to 20 mm off the grid": drawn[name] for name in drawn}
+        shares = table["localised_share_20mm"]
+        headed = {f"{name}: {shares[name]:.1%} to 20 mm off the grid": drawn[name] for name in drawn}
         title = title_of(problem, "median predicted error of one image,")
         files = {"figures.csv": table, "accuracy.png": lambda path: save_accuracy_figure(path, headed, title)}
         named = {f"{key}/{name}": value for name, row in figures.items() for key, value in row.items()}
@@ -72,7 +71,7 @@ def bound(cfg: DictConfig, own: Own) -> Study:
 
     def tell(text: str) -> None:
         nonlocal told_at
-        if monotonic() - told_at >= EVERY:
+        if monotonic() - told_at >= 10.0:  # seconds
             print(text, file=sys.stderr, flush=True)
             told_at = monotonic()
 
@@ -91,14 +90,12 @@ def bound(cfg: DictConfig, own: Own) -> Study:
     beside = f" beside {problem.fixed_count} fixed landmarks" if problem.fixed else ""
 
     def run(_: object) -> Iterator[Report]:
-        document: dict[str, Any] = {"spacing": search.spacing}
-        early: dict[str, list[str]] = {}
+        document, early = dict[str, Any](spacing=search.spacing), dict[str, list[str]]()
 
         def told(label: str, text: str, stage: "TimeLimit") -> Report:
             if stage.cut:  # a bound holds without the parts that were stopped early
-                early[label] = stage.cut
-            cut = f"\n{'':<20} stopped early: {', '.join(stage.cut)}" if stage.cut else ""
-            return Report(text=f"{label:<20} {text}{cut}")
+                early[label], text = stage.cut, f"{text}\n{'':<20} stopped early: {', '.join(stage.cut)}"
+            return Report(text=f"{label:<20} {text}")
 
         stage = limit.part(1 / 3)
         with keyed("bound"):
@@ -117,8 +114,8 @@ def bound(cfg: DictConfig, own: Own) -> Study:
             yield told(label, f"<= {result.walls:.2%} for any {free} landmarks flush on the walls{beside}; on the grid "
                        f"of poses <= {result.grid:.2%}, where fractions of landmarks reach {result.fractional:.2%}",
                        stage)  # fmt: skip
-        kinds = {part: found for part, found in document.items() if isinstance(found, dict)}
-        figures = {f"bound/{part}/{kind}": value for part, found in kinds.items() for kind, value in found.items()}
+        kinds = [(part, found) for part, found in document.items() if part != "spacing"]
+        figures = {f"bound/{part}/{kind}": value for part, found in kinds for kind, value in found.items()}
         if target is not None:
             stage = limit.part(1)
             with keyed("bound"):
@@ -171,11 +168,10 @@ def uncertainty(cfg: DictConfig, own: Own) -> Study:
             "uncertainty_tags.csv": found.tags,
             f"{CLASS}.java": java(code),
         }
+        title = title_of(problem, "uncertainty of the pose from one image,")
         if cfg.picture:
-            title = title_of(problem, "uncertainty of the pose from one image,")
-            files["uncertainty.png"] = lambda path: save_uncertainty_figure(
-                path, problem, deployment, found, law, title
-            )
+            drawn = problem, deployment, found, law, title
+            files["uncertainty.png"] = lambda path: save_uncertainty_figure(path, *drawn)
         return Report(files, found.metrics(), lines=law.lines(found))
 
     return Study("uncertainty", run, problem=problem)

@@ -18,8 +18,8 @@ from .composing import GROUPS
 from .nodes import instantiate
 from .operations.signals import Stopped, stop
 from .operations.sweeps.folder import current_job, reason_of
-from .operations.sweeps.names import override_tags, short_name
-from .operations.tracking import PARENT_TAG, Dataset, RunStart, Tracker
+from .operations.sweeps.names import DIGEST_LENGTH, override_tags, short_name
+from .operations.tracking import PARENT_TAG, RunStart, Tracker
 from .outputs import write_all, write_document
 from .provenance import command_line, digest, parameters, repeating, source_tags, write_sources
 
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
 LANDMARKS = "landmarks.csv"
 DECIDED = ("fixed", "measured")  # settings of `deployment` that decide the problem, beside the number of landmarks
-DATASET_DIGITS = 16  # number of characters of the digest of a problem; mlflow accepts 36
 Curve = Iterable[tuple[int, float, float]]
 
 
@@ -66,7 +65,7 @@ class Study:
     subject: str
     """Subject of the run, in a word."""
     run: Callable[[Tracker], Report | Iterable[Report]]
-    """Function that conducts the study, and returns a report or yields several."""
+    """Function that conducts the study, and returns a report or yields several; see `reports`."""
     about: str = ""
     """Description of the run; by default the title of its problem."""
     problem: "Problem | None" = None
@@ -77,6 +76,11 @@ class Study:
     """Function that returns a text on how to continue after an interruption."""
     returned: str = ""
     """Name of the figure that a sweep gets; empty for none."""
+
+    def reports(self, tracker: Tracker) -> Generator[Report, None, None]:
+        """Conduct the study; yield its reports."""
+        found = self.run(tracker)
+        yield from (found,) if isinstance(found, Report) else found
 
 
 def conduct(cfg: DictConfig, study: Study) -> float | None:
@@ -95,7 +99,7 @@ def conduct(cfg: DictConfig, study: Study) -> float | None:
     try:
         with tracked(cfg, study) as tracker:
             try:
-                with stop.raising(), closing(_reports(study, tracker)) as reports:
+                with stop.raising(), closing(study.reports(tracker)) as reports:
                     report = next(reports, None)
                     while report is not None:
                         try:
@@ -109,8 +113,7 @@ def conduct(cfg: DictConfig, study: Study) -> float | None:
                                 tracker.log_metrics(report.figures)
                             for name, points in report.curves.items():
                                 tracker.log_curve(name, points)
-                            if report.text:
-                                say(report.text)
+                            say(report.text)
                             report = next(reports, None)
                         except Stopped as told:  # the study may yield a last report
                             report = reports.throw(told)
@@ -136,18 +139,13 @@ def conduct(cfg: DictConfig, study: Study) -> float | None:
     return figures.get(study.returned)
 
 
-def _reports(study: Study, tracker: Tracker) -> Generator[Report, None, None]:
-    found = study.run(tracker)
-    yield from (found,) if isinstance(found, Report) else found
-
-
 def _written(directory: Path, report: Report) -> tuple[list[Path], list[str]]:
     """Write the files of a report; return the files, and a text about each file that does not fit on the disk."""
     writers = {name: _writer(name, content) for name, content in report.files.items()}
+    files, failed = list[Path](), list[str]()
     if not report.is_extra:
         with stop.shielded():
-            return write_all(directory, writers), []
-    files, failed = list[Path](), list[str]()
+            return write_all(directory, writers), failed
     for name, write in writers.items():
         try:
             files += write_all(directory, {name: write})
@@ -196,9 +194,9 @@ def tracked(cfg: DictConfig, study: Study) -> Iterator[Tracker]:
         given = [override for override in overrides if key_and_value(override)[0] not in swept.varied]
         tags |= swept.tags(folder.name)
     tags |= {"pipeline": pipeline} | override_tags(overrides) | source_tags(pipeline)
-    about, dataset, params = study.about or study.subject, None, parameters(cfg, choices())
+    about, params = study.about or study.subject, parameters(cfg, choices())
     if (problem := study.problem) is not None:
-        about, dataset = study.about or title_of(problem, study.subject), dataset_of(cfg, problem)
+        about, tags["problem"] = study.about or title_of(problem, study.subject), problem_tag(cfg, problem)
         params |= derived(problem)
     tags["mlflow.note.content"] = f"{escaped(about)}\n\n{repeating(tags)}\n\nfiles: {as_code(directory)}"
     run_id, before = study.earlier
@@ -208,16 +206,13 @@ def tracked(cfg: DictConfig, study: Study) -> Iterator[Tracker]:
         with stop.raising():
             write_sources(directory / ".hydra")
             name = short_name(study.subject, varied, given)
-            tracker.start(RunStart(name, directory, params, tags, dataset=dataset), run_id)
+            tracker.start(RunStart(name, directory, params, tags), run_id)
             yield tracker
-    except InputError as error:
-        if run_id is None and job is None:
+    except BaseException as error:
+        if isinstance(error, InputError) and run_id is None and job is None:
             tracker.discard()
         else:
-            tracker.finish("FAILED", reason_of(error))
-        raise
-    except BaseException as error:
-        tracker.finish("KILLED" if isinstance(error, KeyboardInterrupt) else "FAILED", reason_of(error))
+            tracker.finish("KILLED" if isinstance(error, KeyboardInterrupt) else "FAILED", reason_of(error))
         raise
 
 
@@ -226,23 +221,15 @@ def title_of(problem: "Problem", subject: str) -> str:
     return f"{subject} {problem.objective.name} K={problem.count}"
 
 
-def dataset_of(cfg: DictConfig, problem: "Problem") -> Dataset:
-    """Problem of a configuration in the form in which mlflow filters datasets.
-
-    Equal problems have equal digests, whichever options compose them. A frozen problem of the suite has its own name
-    and digest.
+def problem_tag(cfg: DictConfig, problem: "Problem") -> str:
+    """Tag by which runs of equal problems are found: title, and a digest of everything that decides the fitness, equal
+    for equal problems, whichever options compose them.
     """
-    if isinstance(suite := cfg.get("suite"), str):
-        from lmd.suite import document
-
-        if (frozen := document(suite)).problem["deployment"].get("count") == problem.count:
-            return Dataset(suite, frozen.hash, {"about": frozen.about})
-    chosen = {group: choices().get(group, "") for group in GROUPS if group in cfg}
     placed = {key: cfg.deployment[key] for key in DECIDED if cfg.deployment.get(key) is not None}
-    settings = flat_settings(cfg, *chosen, *(["cameras", "body", "deployment"] if "cameras" in cfg else []))
-    words = {**chosen, "objective": problem.objective.name, "K": str(problem.count)}
-    called = " ".join(dict.fromkeys([chosen["room"], chosen["camera"]]))
-    return Dataset(title_of(problem, called), digest(settings, placed, problem.count)[:DATASET_DIGITS], words)
+    cameras = ("cameras", "body", "deployment") if "cameras" in cfg else ()
+    settings = flat_settings(cfg, *(group for group in GROUPS if group in cfg), *cameras)
+    called = " ".join(dict.fromkeys([choices().get("room", ""), choices().get("camera", "")]))
+    return f"{title_of(problem, called)} #{digest(settings, placed, problem.count)[:DIGEST_LENGTH]}"
 
 
 def derived(problem: "Problem") -> dict[str, Any]:
@@ -264,7 +251,7 @@ def log_child(
         curve: its best fitness, see `Tracker.log_curve`.
     """
     tracker: Tracker = instantiate(tracking)
-    tracker.start(replace(run, tags={**run.tags, **({} if parent is None else {PARENT_TAG: parent})}))
+    tracker.start(run if parent is None else replace(run, tags={**run.tags, PARENT_TAG: parent}))
     tracker.log_curve("best_fitness", curve)
     tracker.log_metrics(metrics)
     tracker.log_artifacts([run.folder / LANDMARKS])

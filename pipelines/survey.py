@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 
     from .progress import Stages
 
-DOCUMENT, MEASURED, DETECTED = "survey.json", "measured.csv", "detections.csv"
 NO_HANGING = ("calibrate", "every", "odometry")  # keys of `survey` that are not about the tags
 KNOWN = ("origin", "points", "floor", "boards", "printed", "mounted", "motion", "edges")
 
@@ -77,17 +76,15 @@ def survey(cfg: DictConfig) -> Study:
             found = replace(found, interrupted=stages.interrupted)
     about = f"survey of {found.placed.sum()} tags in {len(found.found.frames)} frames"
 
-    def run(_: object) -> Report:
-        files = _files(found, room, tag, about, tags if cfg.detections is None else None)
-        if exports.formats and room is not None:
-            files |= exports.writers(room, tag, map_of(found))
-        figures, text = metrics(found), to_text(found)
-        if audit is not None:
-            files |= _audit_files(audit, name, about)
-            figures, text = figures | audit.metrics(), f"{text}\n{audit.to_text()}"
-        return Report(files, figures, text=text, is_cut=found.interrupted is not None)
-
-    return Study("survey", run, about)
+    files = _files(found, room, tag, about, tags if cfg.detections is None else None)
+    if exports.formats and room is not None:
+        files |= exports.writers(room, tag, map_of(found))
+    figures, text = metrics(found), to_text(found)
+    if audit is not None:
+        files |= _audit_files(audit, name, about)
+        figures, text = figures | audit.metrics(), f"{text}\n{audit.to_text()}"
+    report = Report(files, figures, text=text, is_cut=found.interrupted is not None)
+    return Study("survey", lambda _: report, about)
 
 
 @contextmanager
@@ -126,7 +123,7 @@ def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "PriorKnowledg
         InputError: a file cannot be read, or a number is refused.
     """
     from lmd.adjust.prior import Hanging
-    from lmd.core.checks import InputError, boolean, integer
+    from lmd.core.checks import InputError, boolean, entries, integer
     from lmd.formats.tag_maps import read_deployment
     from lmd.scene.rig import Rig
     from lmd.survey.knowledge import Boards, MeasuredPoints, PriorKnowledge
@@ -141,9 +138,7 @@ def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "PriorKnowledg
         points = None if points is None else MeasuredPoints.from_csv(points)
         mounts = given.mounted if boolean("mounted", mounted) and isinstance(given, Rig) else None
         boards = None if boards is None else Boards.from_csv(boards, printed)
-        if not isinstance(floor, list):
-            raise InputError(f"floor must list the ids of tags, got {floor!r}.", "floor")
-        floor = tuple(integer("floor", number, low=0) for number in floor)
+        floor = entries("floor", floor, partial(integer, low=0))
     node = settings_of(cfg, "deployment")
     if "path" not in node:
         raise InputError("deployment must be a file (deployment.path=plan.csv) or come from a run (run=DIR).")
@@ -189,19 +184,19 @@ def _files(
         "map.csv": map_columns(found),
         FILE: lambda path: write_map_covariance(path, *map_covariance(found)),
         "frames.csv": frame_columns(found),
-        DOCUMENT: survey_document(found),
+        "survey.json": survey_document(found),
         "survey.png": lambda path: save_survey_figure(path, found, room, title),
         VIEWS: view_columns(found, through, tag, room),
     }
     if (measured := measured_of(found)) is not None:
-        files[MEASURED] = partial(measured.to_csv, ups=True)
+        files["measured.csv"] = partial(measured.to_csv, ups=True)
     for file, camera in zip(names, through, strict=True):
         files[file] = partial(write_yaml, keys=camera_info(camera))
     if len(names) > 1:
         rig = Rig.of_poses(list(through), found.found.poses.mounts)
         files[RIG] = partial(write_rig, rig=rig, sources=dict(zip(rig.cameras, names, strict=True)))
     if detected is not None:
-        files[DETECTED] = lambda path: write_detections(path, detected)
+        files["detections.csv"] = lambda path: write_detections(path, detected)
     return files
 
 

@@ -1,8 +1,5 @@
 """Trade number and size of landmarks: `python -m pipelines.tradeoff counts=[20,40,60] edges=[0.1,0.15] [overrides]`.
 
-With a limit on paper or cost in place of counts: `python -m pipelines.tradeoff tag.edges=[0.06,0.1] papers=[0.2,0.4]
-[overrides]`.
-
 The trade-off is one run and not a sweep, as the search at each point also starts from the results of neighbouring
 points. Searches run in parallel, and results are stored on disk.
 """
@@ -20,7 +17,7 @@ from .command import Command
 from .contenders import GOING_ON
 from .nodes import instantiate, keyed, plain
 from .operations.sweeps.names import slug
-from .points import BUDGET, PAPER, Ladder, Points, figures_of, shares_among
+from .points import Ladder, Points, figures_of, shares_among
 from .study import LANDMARKS, Report, Study, log_child
 
 if TYPE_CHECKING:
@@ -31,35 +28,40 @@ if TYPE_CHECKING:
     from .operations.tracking import Tracker
 
 COVERED, LOCALISED = "covered_share", "localised_share_20mm"  # figures off the grid, for every objective
-LIMITS = {PAPER: "papers", BUDGET: "budgets"}  # keys that list values of a limit
-MLFLOW_STEPS = 1e4  # steps of mlflow, which are whole numbers, per unit of a limit: square centimetres of paper
 
 
 def tradeoff(cfg: DictConfig) -> Study:
-    """Prepare searches for every number of landmarks, edge and seed, or for every limit, mixture of edges and seed.
-
+    """Prepare searches for every number of landmarks, edge and seed.
     With `size`, the study of the tags' range takes the place of searches.
     """
     if cfg.size:
         return size(cfg)
     import numpy as np
 
-    from lmd.core.checks import choice, file_path, real
+    from lmd.core.checks import InputError, choice, file_path, real
     from lmd.evaluation.tradeoff import between
     from lmd.evaluation.validation import headline_off_grid
     from lmd.objectives.base import selectable
+    from lmd.scene.deployment_sources import landmark_count
 
-    limited, places, curves = _curves(cfg)
+    from .operations.tracking import RunStart
+
+    with keyed(count="counts"):
+        counts = sorted({landmark_count("count", count) for count in _listed("counts", cfg.counts)})
+    if cfg.tag.get("edges") is not None:
+        cure = "give edges=[...] for single sizes, or sweep over tag.paper or tag.budget with optimise"
+        raise InputError(f"tag.edges is for mixtures of sizes: {cure}.")
+    listed = [cfg.tag.edge or 0.0] if cfg.edges is None else _listed("edges", cfg.edges)
+    edges = sorted({real("tag.edge" if cfg.edges is None else "edges", edge, low=0.0) for edge in listed})
     seeds = seeds_of(cfg)
     wanted = None if cfg.wanted is None else real("wanted", cfg.wanted, low=0.0, high=1.0)
     file_path("kept", cfg.kept)
     budget_of(cfg)
     optimiser = build_optimiser(cfg, seeds[0])  # built to check the settings before any search begins
-    ladders = [Ladder(cfg, edges, seed, limited) for edges, seed in product(curves, seeds)]
-    for ladder, at in product(ladders[:: len(seeds)], (places[0], places[-1])):
-        problem = ladder.problem(at)
-        if limited is None:
-            problem.scene.check_one_size("a trade-off of numbers of landmarks")
+    ladders = [Ladder(cfg, edge, seed) for edge, seed in product(edges, seeds)]
+    for ladder, count in product(ladders[:: len(seeds)], (counts[0], counts[-1])):
+        problem = ladder.problem(count)
+        problem.scene.check_one_size("a trade-off of numbers of landmarks")
         optimiser.check(problem)
         selectable(problem.objective)  # deployments of one point grow from those of another point
     if cfg.figure is not None:
@@ -69,11 +71,17 @@ def tradeoff(cfg: DictConfig) -> Study:
     points = Points(ladders, cfg.workers)
 
     def run(tracker: "Tracker") -> Report:
-        points.look(list(product(range(len(ladders)), places)))
-        while wanted is not None and (halves := between(points.table, figure, wanted, points.axis)):
-            points.look([(number, at) for curve, at in halves for number in points.of(curve)])
-        _log_points(cfg.tracking, points, tracker.run_id)
-        return _report(cfg, points, problem, figure, wanted)
+        points.look(list(product(range(len(ladders)), counts)))
+        while wanted is not None and (halves := dict(between(points.table, figure, wanted))):
+            points.look([(n, halves[each.edge]) for n, each in enumerate(ladders) if each.edge in halves])
+        for ladder, count, name, found, figures in points:  # children of this run
+            folder = run_directory() / "points" / slug(name)
+            folder.mkdir(parents=True, exist_ok=True)  # the folder exists if a sweep repeats a lost job
+            found.deployment.to_csv(folder / LANDMARKS, ups=bool(ladder.edge))
+            params = {"deployment.count": count, "seed": ladder.seed, "tag.edge": ladder.edge}
+            started = RunStart(name, folder, params, {"way": found.way})
+            log_child(cfg.tracking, started, tracker.run_id, figures)
+        return _report(cfg, points.table, problem, figure, wanted)
 
     return Study("tradeoff", run, problem=problem, hint=partial(GOING_ON.format, cfg.kept))
 
@@ -102,36 +110,6 @@ def size(cfg: DictConfig) -> Study:
     return Study("size", lambda _: Report({"size.txt": f"{text}\n"}, text=text))
 
 
-def _curves(cfg: DictConfig) -> "tuple[str | None, list[float], list[tuple[float, ...]]]":
-    """Limit on tags of several sizes, or None; points along the limit, or counts; edges of each curve.
-
-    Raises:
-        InputError: the lists of the configuration are refused, or contradict each other.
-    """
-    from lmd.core.checks import InputError, real
-    from lmd.scene.deployment_sources import landmark_count
-
-    limits = {key: cfg[name] for key, name in LIMITS.items() if cfg[name] is not None}
-    if not limits:
-        with keyed(count="counts"):
-            counts = sorted({landmark_count("count", count) for count in _listed("counts", cfg.counts)})
-        if cfg.tag.get("edges") is not None:
-            cure = "give papers=[...] or budgets=[...] in place of counts, or edges=[...] for single sizes"
-            raise InputError(f"tag.edges is for mixtures of sizes: {cure}.")
-        edges = [cfg.tag.edge or 0.0] if cfg.edges is None else _listed("edges", cfg.edges)
-        single = sorted({real("tag.edge" if cfg.edges is None else "edges", edge, low=0.0) for edge in edges})
-        return None, [*counts], [(edge,) for edge in single]
-    (limited, listed), *more = limits.items()
-    name = LIMITS[limited]
-    if more or cfg.edges is not None:
-        raise InputError(f"{name} must not be given with {'edges' if not more else LIMITS[more[0][0]]}.")
-    if cfg.tag.get("edges") is None or (limited == BUDGET and cfg.tag.get("costs") is None):
-        raise InputError(f"{name} needs tag.edges=[...]{' and tag.costs=[...]' if limited == BUDGET else ''}.")
-    places = sorted({real(name, limit, above=0.0) for limit in _listed(name, listed)})
-    mixed = tuple(instantiate(cfg.tag, paper=None, budget=None, counts=None).edges)
-    return limited, places, [mixed, *((edge,) for edge in mixed if len(mixed) > 1)]
-
-
 def _listed(name: str, value: Any) -> list[Any]:
     from lmd.core.checks import InputError
 
@@ -140,83 +118,49 @@ def _listed(name: str, value: Any) -> list[Any]:
     return list(value)
 
 
-def _report(cfg: DictConfig, points: Points, problem: "Problem", figure: str, wanted: float | None) -> Report:
-    """Report on the points."""
+def _report(cfg: DictConfig, table: "pd.DataFrame", problem: "Problem", figure: str, wanted: float | None) -> Report:
+    """Report on the table of points."""
     from lmd.evaluation.maps import percent_text
-    from lmd.evaluation.tradeoff import fewest, front, mixtures
+    from lmd.evaluation.tradeoff import fewest, front
     from lmd.evaluation.validation import headline_off_grid
     from lmd.objectives.base import figure_of
     from lmd.objectives.localisation import Localisation
-    from lmd.plot.charts import Panel, save_tradeoff_figure
+    from lmd.plot.charts import Panel, curve_name, save_tradeoff_figure
 
-    table, axis, headline = points.table, points.axis, problem.objective.headline
-    off_grid, beside = headline_off_grid(problem), COVERED if isinstance(problem.objective, Localisation) else LOCALISED
+    headline, off_grid = problem.objective.headline, headline_off_grid(problem)
+    beside = COVERED if isinstance(problem.objective, Localisation) else LOCALISED
     shown = dict.fromkeys([off_grid, *(name for name in (beside, figure) if name in table)])
     panels = {name: Panel(figure_of(name).label, name) for name in shown}
     if problem.scene.recorded is None:  # otherwise the grid cannot give the figure, a fraction of recorded time
         panels[off_grid] = Panel(f"{headline.label}, off the grid", off_grid, headline.key)
     panels[figure] = panels[figure]._replace(wanted=wanted)
-    curves = front(table, list(dict.fromkeys([figure, headline.key, *panels])), axis)
-    if (mixed := mixtures(table, axis)) is not None:
-        curves["tags"] = mixed
+    curves = front(table, list(dict.fromkeys([figure, headline.key, *panels])))
     title = f"{problem.objective.name}, {cfg.seeds} seeds"
     document: dict[str, Any] = {"figure": figure, "settings": problem.settings()}
     text = f"medians over {cfg.seeds} seeds, least and greatest of the first, per cent\n{percent_text(curves)}"
     known: dict[str, float] = {}
     if wanted is not None:
-        reached = fewest(table, figure, wanted, axis)
-        least = "fewest landmarks" if points.limited is None else f"least {points.limited}"
-        text += f"\n\n{least} to reach {100.0 * wanted:g}% ({figure_of(figure).label})\n{_told(reached)}"
+        reached = fewest(table, figure, wanted)
+        text += f"\n\nfewest landmarks to reach {100.0 * wanted:g}% ({figure_of(figure).label})"
+        for edge, *numbers in reached.reset_index().to_numpy().tolist():
+            count, least, greatest = (f"{k:.4g}" if isfinite(k) else "more than was tried" for k in numbers)
+            size = f"{curve_name(edge)}: " if edge else ""
+            text += f"\n{size}{count} by the median of the seeds, by single seeds {least} to {greatest}"
         rows = reached.reset_index().to_dict("records")
         finite = [{key: None if value == inf else value for key, value in row.items()} for row in rows]
         document |= {"wanted": wanted, "fewest": finite}
-        known = {f"fewest/{axis.curve}_{_slug(curve)}": at for curve, at in reached[axis.along].items() if isfinite(at)}
-    scale = 1.0 if points.limited is None else MLFLOW_STEPS
+        known = {f"fewest/edge_{edge:g}": count for edge, count in reached["count"].items() if isfinite(count)}
     lines = {
-        f"{name}/{axis.curve}_{_slug(curve)}": [
-            (round(scale * at), value, 0.0) for at, value in same[[axis.along, name]].to_numpy().tolist()
-        ]
-        for name, (curve, same) in product(panels, curves.reset_index().groupby(axis.curve))
+        f"{name}/edge_{edge:g}": [(int(at), value, 0.0) for at, value in same[["count", name]].to_numpy().tolist()]
+        for name, (edge, same) in product(panels, curves.reset_index().groupby("edge"))
     }
     files = {
         "points.csv": table,
         "front.csv": curves.to_csv,
         "tradeoff.json": document,
-        "tradeoff.png": lambda path: save_tradeoff_figure(path, table, list(panels.values()), title, axis),
+        "tradeoff.png": lambda path: save_tradeoff_figure(path, table, list(panels.values()), title),
     }
     return Report(files, known, lines, f"\n{text}\n")
-
-
-def _slug(curve: Any) -> str:
-    """Name of a curve for use in the name of a metric."""
-    return f"{curve:g}" if isinstance(curve, float) else slug(curve)
-
-
-def _told(reached: "pd.DataFrame") -> str:
-    """Text about the result of `lmd.evaluation.tradeoff.fewest`, with a line for each curve."""
-    from lmd.plot.charts import curve_name
-
-    lines = []
-    for curve, *numbers in reached.reset_index().to_numpy().tolist():
-        count, least, greatest = (f"{k:.4g}" if isfinite(k) else "more than was tried" for k in numbers)
-        size = f"{curve_name(curve)}: " if curve else ""
-        lines.append(f"{size}{count} by the median of the seeds, by single seeds {least} to {greatest}")
-    return "\n".join(lines)
-
-
-def _log_points(tracking: DictConfig, points: Points, parent: str | None) -> None:
-    """Record a run for each point as a child of the run `parent`, with the landmarks in a folder of the parent."""
-    from .operations.tracking import RunStart
-
-    for n, at, found, figures in points:
-        ladder, name = points.ladders[n], points.name(n, at)
-        folder = run_directory() / "points" / slug(name)
-        folder.mkdir(parents=True, exist_ok=True)  # the folder exists if a sweep repeats a lost job
-        found.deployment.to_csv(folder / LANDMARKS, ups=bool(ladder.edges[0]))
-        params: dict[str, Any] = {"deployment.count": len(found.deployment), "seed": ladder.seed}
-        several = {"tag.edges": list(ladder.edges), f"tag.{points.limited}": at, **points.counts(found)}
-        params |= {"tag.edge": ladder.edges[0]} if points.limited is None else several
-        log_child(tracking, RunStart(name, folder, params, {"way": found.way}), parent, figures)
 
 
 main = Command("tradeoff", tradeoff)

@@ -22,13 +22,11 @@ TARGET = "_target_"
 NAMED = re.compile(rf"{TARGET}:\s*['\"]?([\w.]+)")  # target in a file of configuration
 NESTED = re.compile(r"^[ \t]*- /(\w+)@", re.MULTILINE)  # group from which a file takes an option for a key of its own
 REFERENCE = re.compile(r"\$\{\.*\w+(\.\w+|\[\w+\])*\}")  # interpolation of another value that uses no resolver
-PLAIN = (str, int, float, bool, type(None))
 SPECIAL = re.compile(r"_[a-z]+_")  # key that Hydra's instantiate reads
 NAME = re.compile(r"\w+(\.\w+)+")
 LARGEST = 1 << 17  # maximum size of a configuration, bytes; larger files would take seconds to parse and are refused
 # Maximum number of characters of a group with its interpolations replaced; a run has 10,000.
 MOST_CHARACTERS = 1_000_000
-SHOWN = 100  # maximum number of characters of a value in a message; longer values are cut
 
 
 @dataclass(frozen=True)
@@ -56,10 +54,9 @@ class Trust:
         names = cfg.get("trust", [])
         if not isinstance(names, list | ListConfig) or not all(isinstance(name, str) and name for name in names):
             raise InputError(f"trust must be a list of names, got {names}.")
-        places = [place for place in runtime.config_sources if place.provider != "hydra"]
-        packages = [place.path.partition(".")[0] for place in places if place.schema == "pkg"]
-        folders = (Path(place.path).resolve() for place in places if place.schema == "file")
-        return cls((*names, *packages), tuple(folders))
+        places = [(place.schema, place.path) for place in runtime.config_sources if place.provider != "hydra"]
+        packages = (path.partition(".")[0] for schema, path in places if schema == "pkg")
+        return cls((*names, *packages), tuple(Path(path).resolve() for schema, path in places if schema == "file"))
 
     def parts(self, found: Mapping[Any, Any], source: str, groups: Sequence[str]) -> dict[str, dict[str, Any]]:
         """Nodes of the `groups` in a configuration of other origin.
@@ -111,18 +108,18 @@ class Trust:
         named = {name for text in texts for name in NAMED.findall(text)}
         for where, leaf in _leaves(source, key, value, set()):
             place, is_target = f"{source}: {where}", where.rpartition(".")[2] == TARGET
+            shown = f"{place} = {str(leaf)[:100]!r}"
             if others := {word for word in where.split(".") if SPECIAL.fullmatch(word)} - known:
                 raise InputError(f"{place} has {min(others)}, which no option of {group} has ({PAGE}).")
             if is_target and not (isinstance(leaf, str) and NAME.fullmatch(leaf)):
                 raise InputError(f"{place} must name a class or a function ({PAGE}).")
             if is_target and self._trusts(leaf):
-                trusted.append((f"{place} = {leaf[:SHOWN]!r}", leaf))
+                trusted.append((shown, leaf))
             elif is_target and leaf not in named:
-                told = f"{place} = {leaf[:SHOWN]!r} would run code that neither this project's configuration nor your"
-                asked = f"if you trust it, add trust=[{leaf.partition('.')[0]}]"
-                raise InputError(f"{told} search path names; {asked} ({PAGE}).")
+                told = f"{shown} would run code that neither this project's configuration nor your search path names"
+                raise InputError(f"{told}; if you trust it, add trust=[{leaf.partition('.')[0]}] ({PAGE}).")
             elif isinstance(leaf, str) and "${" in REFERENCE.sub("", leaf):
-                raise InputError(f"{place} = {leaf[:SHOWN]!r} would call a resolver, which is not allowed ({PAGE}).")
+                raise InputError(f"{shown} would call a resolver, which is not allowed ({PAGE}).")
         for place, leaf in trusted:  # all values are checked before the first import
             try:
                 target = get_object(leaf)
@@ -162,11 +159,10 @@ def read_yaml(file: Path, source: str) -> dict[Any, Any]:
 
 def _place(found: Any, key: str, name: str) -> Any:
     """Value to which the interpolation `${name}` in the value at `key` leads; None if there is none."""
-    plain = name.lstrip(".")
-    up = len(name) - len(plain)
-    for word in [*(key.split(".")[:-up] if up else []), *re.findall(r"\w+", plain)]:
-        inside = found.get(word) if isinstance(found, Mapping) else None
-        found = found[int(word)] if isinstance(found, list) and word.isdecimal() and int(word) < len(found) else inside
+    up = len(name) - len(name.lstrip("."))
+    for word in [*(key.split(".")[:-up] if up else []), *re.findall(r"\w+", name)]:
+        entries = dict(enumerate(found)) if isinstance(found, list) else found if isinstance(found, Mapping) else {}
+        found = entries.get(int(word) if isinstance(found, list) and word.isdecimal() else word)
     return found
 
 
@@ -187,7 +183,7 @@ def _leaves(source: str, key: str, value: Any, seen: set[int]) -> Iterator[tuple
             if not isinstance(name, str | int | float):
                 raise InputError(f"{source}: {key} has a key that is not a text.")
             yield from _leaves(source, f"{key}.{name}", inner, seen)
-    elif isinstance(value, PLAIN) or is_target:
+    elif isinstance(value, str | int | float | None) or is_target:
         yield key, value
     else:
         raise InputError(f"{source}: {key} is not a plain value.")

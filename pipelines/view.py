@@ -15,11 +15,10 @@ from .command import Command
 from .export import build_export
 from .operations.signals import CODES, stop
 from .outputs import write_all
+from .study import LANDMARKS
 
 if TYPE_CHECKING:
     from lmd.planner.plan import Plan
-
-UNSAVED = "unsaved"  # prefix of files with unsaved changes
 
 
 def view(cfg: DictConfig) -> None:
@@ -36,17 +35,16 @@ def view(cfg: DictConfig) -> None:
     refuse_crowd(problem, "view")
     budget, directory, tag = budget_of(cfg), run_directory(), problem.scene.tag
     build_optimiser(cfg, cfg.seed).check(problem)  # checked before the first search
-    unmapped = tag.is_point and cfg.export is None  # points cannot be exported as a map
-    export = None if unmapped else build_export(cfg, "export", tag)
+    # Points cannot be exported as a map.
+    export = None if tag.is_point and cfg.export is None else build_export(cfg, "export", tag)
     session = PlanningSession(problem, problem.draw(np.random.default_rng(cfg.seed)))
     session.warm_up()
 
     def save(plan: "Plan") -> str:
-        files: dict[str, Any] = {"landmarks.csv": partial(plan.deployment.to_csv, ups=not tag.is_point)}
+        files: dict[str, Any] = {LANDMARKS: partial(plan.deployment.to_csv, ups=not tag.is_point)}
         files |= export.writers(problem.scene.room, tag, plan.deployment) if export else {}
         with stop.postponed():
-            written = write_all(directory, files)
-        return f"{directory}: {', '.join(file.name for file in written)}"
+            return f"{directory}: {', '.join(file.name for file in write_all(directory, files))}"
 
     planner = Planner(
         session,
@@ -69,7 +67,7 @@ def _keep_unsaved(directory: Path, plan: "Plan", ups: bool) -> None:
     """Write unsaved tags to the directory or, if that fails, to a temporary directory."""
     for place in (directory.resolve, partial(tempfile.mkdtemp, prefix="lmd_")):
         try:
-            (written,) = write_all(Path(place()), {f"{UNSAVED}.csv": partial(plan.deployment.to_csv, ups=ups)})
+            (written,) = write_all(Path(place()), {"unsaved.csv": partial(plan.deployment.to_csv, ups=ups)})
         except OSError as error:
             print(f"changes that were not saved cannot be written ({error})", file=sys.stderr)
         else:
@@ -85,11 +83,10 @@ def main() -> None:
     try:
         command()
     except SystemExit as ended:
-        if ended.code in CODES:  # otherwise Python would wait for threads that are compiling
-            sys.stdout.flush()
-            sys.stderr.flush()
-            os._exit(int(ended.code))
-        raise
+        if ended.code not in CODES:
+            raise
+        sys.stdout.flush()
+        os._exit(int(ended.code))  # otherwise Python would wait for threads that are compiling
 
 
 if __name__ == "__main__":

@@ -15,8 +15,6 @@ EXTRAS = {
     "cma": "optimisers",
     "cv2": "detection",
     "gtsam": "estimators",
-    "hydra_plugins.hydra_joblib_launcher": "sweeps",
-    "hydra_plugins.hydra_submitit_launcher": "sweeps",
     "nevergrad": "nevergrad",
     "pymoo": "optimisers",
     "rosbags": "bags",

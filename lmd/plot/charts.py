@@ -17,12 +17,11 @@ if TYPE_CHECKING:
 
     from lmd.evaluation.comparison import OptimiserRun
     from lmd.evaluation.sensitivity import Sensitivity
-    from lmd.evaluation.tradeoff import Axis
     from lmd.optimisers.ledger import Record
 
 LEGEND = 12  # most entries of a legend inside a panel
 DARK_ABOVE = 0.6  # share of a heat map's colour scale above which the text of a cell is white
-AXES = {"count": "number of landmarks K", "paper": "paper in all [square metres]", "budget": "cost of all tags"}
+LANDMARKS = "number of landmarks K"
 
 
 def save_convergence_figure(path: str | Path, history: Mapping[str, ArrayLike], title: str) -> None:
@@ -177,7 +176,7 @@ def _is_number(text: str) -> bool:
 
 
 class Panel(NamedTuple):
-    """Panel of a trade-off: a figure against the number of landmarks, or against a limit on paper or cost."""
+    """Panel of a trade-off: a figure against the number of landmarks."""
 
     label: str
     """Label of the vertical axis."""
@@ -189,68 +188,35 @@ class Panel(NamedTuple):
     """Share that is marked by a line; None for none."""
 
 
-def curve_name(curve: float | str) -> str:
-    """Label of a curve of `lmd.evaluation.tradeoff.Axis`."""
-    from lmd.evaluation.tradeoff import MIXED
-
-    edges = [float(edge) for edge in str(curve).split(MIXED)]
-    sizes = ", ".join(f"{1e3 * edge:g}" for edge in edges)
-    return f"{'any mixture' if len(edges) > 1 else 'tags'} of {sizes} mm" if edges[0] else "points"
+def curve_name(edge: float) -> str:
+    """Label of a curve: tags with an edge, metres, or points."""
+    return f"tags of {1e3 * edge:g} mm" if edge else "points"
 
 
-def save_tradeoff_figure(
-    path: str | Path, points: "pd.DataFrame", panels: Sequence[Panel], title: str, axis: "Axis | None" = None
-) -> None:
+def save_tradeoff_figure(path: str | Path, points: "pd.DataFrame", panels: Sequence[Panel], title: str) -> None:
     """Write a PNG, 550 pixels wide for each panel and 450 high: medians over the seeds, bands from least to greatest.
-
-    With mixed sizes, one more panel shows the number of tags of each size.
 
     Args:
         path: path of the PNG.
         points: as for `lmd.evaluation.tradeoff.front`.
         panels: panels from left to right; their figures are shares.
         title: title of the figure.
-        axis: as for `lmd.evaluation.tradeoff.front`.
     """
-    from lmd.evaluation.tradeoff import COUNTS, MIXED
-
-    axis = axis or COUNTS
-    curves = np.unique(points[axis.curve]).tolist()
-    mixed = [curve for curve in curves if MIXED in str(curve)]  # at most one
-    colours = {curve: f"C{i}" for i, curve in enumerate(curve for curve in curves if curve not in mixed)}
-    number = len(panels) + len(mixed)
-    figure, drawn = new_panels((5.5 * number, 4.5), title, 1, number)
-    if mixed:
-        _draw_counts(drawn[0, -1], points[points[axis.curve] == mixed[0]], axis, colours)
-    for axes, panel in zip(drawn[0], panels, strict=False):
-        for curve in [*mixed, *colours]:
-            by_size = points[points[axis.curve] == curve].groupby(axis.along)
-            colour, name, width = colours.get(curve, "0.6"), curve_name(curve), 5 if curve in mixed else 1.5
-            shares = 100.0 * by_size[panel.figure].agg(["min", "median", "max"])
-            style = {"color": colour, "ms": 4, "lw": width}
+    figure, drawn = new_panels((5.5 * len(panels), 4.5), title, 1, len(panels))
+    for axes, panel in zip(drawn[0], panels, strict=True):
+        for i, (edge, same) in enumerate(points.groupby("edge")):
+            by_count, name = same.groupby("count"), curve_name(float(str(edge)))
+            shares = 100.0 * by_count[panel.figure].agg(["min", "median", "max"])
+            style = {"color": f"C{i}", "ms": 4, "lw": 1.5}
             draw_band(axes, shares.index, shares.to_numpy().T, name, "o-", **style)
             if panel.on_grid is not None:
-                on_grid = 100.0 * by_size[panel.on_grid].median()
-                label = None if mixed else f"{name}, on the grid"
-                axes.plot(on_grid.index, on_grid, ":", color=colour, label=label)
+                on_grid = 100.0 * by_count[panel.on_grid].median()
+                axes.plot(on_grid.index, on_grid, ":", color=f"C{i}", label=f"{name}, on the grid")
         if panel.wanted is not None:
             axes.axhline(100.0 * panel.wanted, color="0.5", ls="--", label="wanted")
         axes.set_ylabel(f"{panel.label} [%]")
-    for axes in drawn[0]:
-        dress(axes, legend=True, xlabel=AXES[axis.along], ylim=(0.0, None))
+        dress(axes, legend=True, xlabel=LANDMARKS, ylim=(0.0, None))
     figure.savefig(path)
-
-
-def _draw_counts(axes: Any, points: "pd.DataFrame", axis: "Axis", colours: Mapping[str, str]) -> None:
-    """Draw the number of tags of each size in a mixture, as medians over the seeds, in the colours of curves of one
-    size.
-    """
-    from lmd.evaluation.tradeoff import COUNT_OF
-
-    for edge, colour in colours.items():
-        counts = points.groupby(axis.along)[f"{COUNT_OF}{edge}"].median()
-        axes.plot(counts.index, counts, "o-", color=colour, ms=4, label=curve_name(edge))
-    axes.set_ylabel("tags of each size in the mixture")
 
 
 def save_heat_map(path: str | Path, tables: "Mapping[str, pd.DataFrame]", title: str, label: str) -> None:

@@ -6,11 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lmd.adjust.gauge import in_world
-from lmd.adjust.motion import seconds_of
 from lmd.core.checks import FloatArray
-from lmd.evaluation.accuracy import plan_of_errors
-from lmd.localise.localise import Localisation
 from lmd.plot import common
 from lmd.plot.common import LANDMARK, draw_plan, dress, literal, new_panels, shrink
 from lmd.problem import Problem
@@ -19,6 +15,7 @@ from lmd.space.crowd import RADIUS, X, Y
 from lmd.space.space import Space, outwards
 
 if TYPE_CHECKING:
+    from lmd.localise.localise import Localisation
     from lmd.survey.survey import Survey
 
 NO_MEDIAN_COLOUR = "#c8c8c8"  # colour of places without a finite median
@@ -90,6 +87,8 @@ def save_accuracy_figure(path: str | Path, deployments: Mapping[str, tuple[Probl
     from matplotlib import colormaps
     from matplotlib.colors import LogNorm
 
+    from lmd.evaluation.accuracy import plan_of_errors
+
     # The medians as tables, y by x, in millimetres; NaN where the grid has no position.
     each = (plan_of_errors(problem, deployment) for problem, deployment in deployments.values())
     plans = [1e3 * one.pivot(index="y", columns="x", values="predicted_error_median") for one in each]
@@ -134,6 +133,7 @@ def save_survey_figure(path: str | Path, survey: "Survey", room: Space | None, t
 
 def _draw_above(axes: Any, survey: "Survey", room: Space | None) -> None:
     """Draw tags from above, arrows from their planned places, ellipses, and ids of unseen tags."""
+    from lmd.adjust.gauge import in_world
     from lmd.survey.results import far_from_plan
 
     if room is not None:
@@ -232,7 +232,7 @@ LARGE_SHARE = 0.02  # radius of the median ellipse over the extent of the pictur
 MOST_CHANGED = 12  # largest number of changed tags that are named
 
 
-def save_localised_figure(path: str | Path, result: Localisation, room: Space | None, title: str) -> None:
+def save_localised_figure(path: str | Path, result: "Localisation", room: Space | None, title: str) -> None:
     """Write a PNG of 1500 x 700 pixels: a localisation from above, and the standard deviation of the position over
     time.
 
@@ -249,14 +249,16 @@ def save_localised_figure(path: str | Path, result: Localisation, room: Space | 
     shrink(path)
 
 
-def _ways(result: Localisation) -> list[tuple[str, str, FloatArray, FloatArray]]:
+def _ways(result: "Localisation") -> list[tuple[str, str, FloatArray, FloatArray]]:
     """Name, colour, poses and covariances, of single images and of the smoothed drive."""
     every = ("single images", SINGLE, result.found), ("smoothed", SMOOTHED, result.smoothed)
     return [(name, colour, one.poses.frames, one.frame_covariances) for name, colour, one in every if one is not None]
 
 
-def _draw_way(axes: Any, result: Localisation, room: Space | None) -> None:
+def _draw_way(axes: Any, result: "Localisation", room: Space | None) -> None:
     """Draw the tags, the path of the camera with ellipses, and the tags that changed."""
+    from lmd.adjust.gauge import in_world
+
     if room is not None:
         draw_plan(axes, room, lw=0.8, zorder=1)
         axes.lines[0].set_label("room")
@@ -296,8 +298,10 @@ def _draw_way(axes: Any, result: Localisation, room: Space | None) -> None:
     common.from_above(axes)
 
 
-def _draw_deviations(axes: Any, result: Localisation) -> None:
+def _draw_deviations(axes: Any, result: "Localisation") -> None:
     """Draw the standard deviation of the position in its worst direction, by time."""
+    from lmd.adjust.motion import seconds_of
+
     seconds = seconds_of(result.detected.times)
     timed = bool(np.isfinite(seconds).all())
     along = seconds - seconds.min() if timed else np.arange(len(seconds), dtype=np.float64)

@@ -42,7 +42,7 @@ class Stop:
         self._number = 0  # number of the signal that was received
         self._is_under_way = False  # True from raising `Stopped` until the innermost block is left
         self._terminals: tuple[int, ...] = ()
-        self._act: Callable[[int], None] = _leave
+        self._act: Callable[[int], None] = lambda number: os._exit(128 + number)
 
     @property
     def requested(self) -> bool:
@@ -132,10 +132,6 @@ def tell(text: str) -> None:
     """Write a line to stderr, bypassing Python's buffers, which the signal may have interrupted."""
     with suppress(OSError):  # the reader may have ended
         os.write(2, f"\n{text}\n".encode())
-
-
-def _leave(number: int) -> None:
-    os._exit(128 + number)
 
 
 def _ignore(number: int) -> None:

@@ -3,7 +3,7 @@ import os
 import pytest
 
 from lmd.core.checks import InputError
-from lmd.core.files import LARGEST_YAML, read_bytes, read_keys, read_text
+from lmd.core.files import LARGEST_YAML, read_bytes, read_keys, read_text, write_whole
 
 BOMB = "a0: &a0 [1, 1]\n" + "".join(f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}]\n" for i in range(1, 40))
 
@@ -39,3 +39,22 @@ def test_what_a_file_is_called_does_not_reach_the_terminal_as_it_is(tmp_path):
     assert refused(read_text, tmp_path / "\x1b]0;owned\a.csv", "path").endswith(r"\x1b]0;owned\x07.csv'.")
     assert str(InputError("a \x1b[2J\n\u202e b")) == r"a \x1b[2J\n\u202e b"
     assert len(str(InputError("x" * 10**6))) < 2000
+
+
+def test_a_file_is_on_disk_before_it_takes_the_place_of_another(tmp_path, monkeypatch):
+    done = []
+    monkeypatch.setattr(os, "fsync", lambda _: done.append("fsync"))
+    monkeypatch.setattr(os, "replace", lambda *_: done.append("replace"))
+    write_whole(tmp_path / "a", b"new")
+    assert done == ["fsync", "replace"]
+
+
+def test_on_a_full_disk_the_former_file_stays(tmp_path, monkeypatch):
+    def full(_):
+        raise OSError(28, "No space left on device")
+
+    (tmp_path / "a").write_text("old")
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space left"):
+        write_whole(tmp_path / "a", b"new")
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["old"]

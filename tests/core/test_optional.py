@@ -18,7 +18,7 @@ from pipelines.nodes import instantiate
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 # Names of packages that are not those of their modules.
-NAMES = {"PIL": "pillow", "cv2": "opencv-python-headless", "hydra_plugins": "hydra-joblib-launcher"}
+NAMES = {"PIL": "pillow", "cv2": "opencv-python-headless"}
 
 
 def extras_asked_for():
@@ -32,8 +32,6 @@ def test_every_extra_that_is_named_brings_the_package():
     assert len(asked) > 10
     for package, extra in asked:
         top = package.split(".")[0]
-        if package == "hydra_plugins.hydra_submitit_launcher":
-            top = "hydra-submitit-launcher"
         brought = [re.match(r"[\w-]+", line)[0] for line in PROJECT["optional-dependencies"][extra]]
         assert NAMES.get(top, top) in brought, (package, extra)
 

@@ -10,7 +10,9 @@ from PIL import Image
 from support.tables import rows
 
 from lmd.core.checks import InputError
+from lmd.detection.detectors import Detections
 from lmd.detection.images import Photographs
+from lmd.detection.photographed import detected_in
 from lmd.geometry.camera import Camera
 
 CAMERA = Camera(4.0, 0.02, 0.02, (160.0, 120.0), 320, 240, 0.0)
@@ -68,3 +70,16 @@ def test_images_that_are_traps_are_not_opened(tmp_path):
     os.mkfifo(tmp_path / "a.png")
     with pytest.raises(InputError, match=r"^folder: .*a\.png' cannot be read: it is a pipe"):
         list(Photographs(tmp_path).read(0, 1, CAMERA))
+
+
+class Blind:
+    """Finds no tag."""
+
+    def detect(self, image):
+        return Detections(np.empty(0, dtype=np.int64), np.empty((0, 4, 2)))
+
+
+def test_photographs_without_a_tag_say_so(tmp_path):
+    cv2.imwrite(str(tmp_path / "1.png"), np.zeros((240, 320), dtype=np.uint8))
+    with pytest.raises(InputError, match=r"^photographs: no tag of this family is found in any of 1 images"):
+        detected_in(Photographs(tmp_path), CAMERA, Blind(), 8, map, workers=1)

@@ -9,14 +9,12 @@ from lmd.evaluation.tradeoff import (
     ANEW,
     FEWER,
     MORE,
-    Axis,
     Found,
     between,
     fewest,
     front,
     grown,
     improved,
-    mixtures,
     shrunk,
     started,
 )
@@ -91,38 +89,6 @@ def test_neighbours_lend_what_they_have_found():
     assert {tuple(p) for p in found[8].deployment.positions} < {tuple(p) for p in good.positions}
 
 
-EDGES = (0.1, 0.3)
-
-
-def limited(paper, counts):
-    """A problem whose tags may have two sizes, and so much paper in all; their papers are a quarter larger."""
-    return problem_of(sum(counts), tag=Tag(edges=EDGES, counts=counts, paper=paper))
-
-
-def paper_of(deployment):
-    return ((1.25 * deployment.edges) ** 2).sum()
-
-
-def test_what_is_added_within_a_limit_has_any_size_and_leaves_less_than_a_tag():
-    few, more = limited(0.4, (7, 2)), limited(0.6, (38, 0))
-    deployment = drawn(few)
-    larger = grown(more, deployment)
-    np.testing.assert_array_equal(larger.edges[:9], [0.1] * 7 + [0.3] * 2)  # another mixture than that of the problem
-    assert 0.6 - 0.125**2 < paper_of(larger) <= 0.6
-    again = started(more, larger)
-    np.testing.assert_array_equal(again.edges, larger.edges)
-    more.scene.footprints.check(drawn(again))
-
-
-def test_what_takes_most_for_what_it_gives_goes_first_and_its_paper_is_used_again():
-    """Tags of the paper are seen alike, however large they are: so the large ones go."""
-    few, more = limited(0.25, (7, 1)), limited(0.6, (14, 2))
-    smaller = shrunk(few, drawn(more))
-    assert 0.25 - 0.125**2 < paper_of(smaller) <= 0.25
-    assert set(smaller.edges) == {0.1}
-    few.scene.footprints.check(smaller)
-
-
 def points_of(values, edge=0.1):
     """A table from `{count: figures of the seeds}`."""
     rows = [
@@ -159,27 +125,6 @@ def test_the_gap_below_the_fewest_is_halved_until_it_is_one():
     assert between(SMALL, "share", 0.95) == []
 
 
-PAPER = Axis("edges", "paper", 0.0156)
-ALONG_PAPER = pd.DataFrame([
-    {"edges": edges, "paper": paper, "seed": seed, "share": share, "fitness": share, "count_0.1": few, "count_0.3": big}
-    for edges, paper, seed, share, few, big in [
-        ("0.1", 0.2, 0, 0.3, 12, 0), ("0.1", 0.2, 1, 0.5, 12, 0), ("0.1", 0.4, 0, 0.6, 25, 0),
-        ("0.1+0.3", 0.2, 0, 0.5, 3, 1), ("0.1+0.3", 0.2, 1, 0.4, 12, 0), ("0.1+0.3", 0.4, 0, 0.7, 7, 2),
-    ]
-])  # fmt: skip
-
-
-def test_along_a_limit_there_are_mixtures_and_the_gap_is_halved_by_whole_tags():
-    assert mixtures(ALONG_PAPER, PAPER).to_dict() == {
-        ("0.1", 0.2): "12 of 0.1", ("0.1", 0.4): "25 of 0.1",
-        ("0.1+0.3", 0.2): "3 of 0.1, 1 of 0.3", ("0.1+0.3", 0.4): "7 of 0.1, 2 of 0.3",
-    }  # fmt: skip
-    assert mixtures(SMALL, Axis()) is None
-    assert fewest(ALONG_PAPER, "share", 0.45, PAPER)["paper"].to_dict() == {"0.1": 0.4, "0.1+0.3": 0.2}
-    assert between(ALONG_PAPER, "share", 0.45, PAPER) == [("0.1", pytest.approx(0.2 + 6 * 0.0156))]
-    assert between(ALONG_PAPER, "share", 0.45, PAPER._replace(step=0.11)) == []
-
-
-def test_the_picture_shows_a_mixture_and_what_it_is_made_of(tmp_path):
-    save_tradeoff_figure(tmp_path / "a.png", ALONG_PAPER, [Panel("a", "share")], "T", PAPER)
+def test_the_picture_has_a_panel_for_each_figure(tmp_path):
+    save_tradeoff_figure(tmp_path / "a.png", pd.concat([SMALL, LARGE]), [Panel("a", "share"), Panel("b", "share")], "T")
     assert imread(tmp_path / "a.png").shape[:2] == (450, 1100)

@@ -30,7 +30,7 @@ COMMANDS = {
     "optimise cameras": (
         f"varies=cameras deployment=uniform {COARSE} validate=false budget.evaluations=12 {SMALL_BODY}",
         f"{FIRST} checkpoint.npz rig.yaml",
-        r"rig +\S+/run/rig.yaml",
+        r"files +\S+/run: .*rig.yaml",
     ),
     "evaluate": (
         f"{COARSE} sensitivity=true deployment.mounting_error=0.005",
@@ -100,8 +100,10 @@ COMMANDS = {
         r"\| apriltag_decimate2 \|",
     ),
     "export": (
-        "deployment.path=mine.csv tag.edge=0.15 formats=[wpilib,csv,plan,sheets]",
-        "tags.wpilib.json tags.csv plan.pdf sheets.pdf",
+        "deployment.path=mine.csv tag.edge=0.15",
+        "tags.wpilib.json tags.apriltag_ros.yaml tags.apriltag_ros2.yaml tags.tagslam.yaml tags.aruco.yaml tags.csv "
+        "tags.rtabmap.txt tags.fmap tags.json tags.ros2_tf.launch.py "
+        "plan.pdf sheets.pdf",
         r"tags +3 of 36h11, 150 mm \(black square\)",
     ),
 }

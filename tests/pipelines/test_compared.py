@@ -70,23 +70,3 @@ def test_it_goes_on_with_more_optimisers_and_repeats_nothing_but_what_is_damaged
     tables = [pd.read_csv(cwd / name / "leaderboard.csv", index_col="problem") for name in "ab"]
     assert tables[0].one_plus_one.tolist() == tables[1].one_plus_one.tolist()
     assert "sga" in tables[1]
-
-
-@pytest.mark.parametrize(
-    ("overrides", "message"),
-    [
-        (("suite=tiny_meen",), "suite must be one of"),
-        (("suite=small", "room=lab"), "suite = small sets room itself: leave room out"),
-        (("suite=localised_against_tags",), "suite: localised_against_tags has several objectives"),
-        (("suite=tiny_mean", "suite_budgets=[4]"), "suite_budgets must be one of 1, 2, 3, got '4'"),
-        (
-            ("suite=frc_cameras", "optimisers=[greedy]"),
-            "optimisers: 'greedy' can solve none of the problems: Greedy places",
-        ),
-        (("kept=5",), "kept must be the path"),
-    ],
-)
-def test_what_no_comparison_takes_is_refused(overrides, message, tmp_path):
-    done = call(*overrides, "tracking=none", cwd=tmp_path)
-    assert done.returncode == 1
-    assert message in done.stderr

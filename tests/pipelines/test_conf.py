@@ -19,7 +19,7 @@ from lmd.geometry.camera import Camera
 from lmd.objectives.localisation import Localisation
 from lmd.optimisers.encoding import make_encoding
 from pipelines.app import CONF, flat_settings
-from pipelines.building import budget_of, build_optimiser, build_problem, camera_of
+from pipelines.building import build_optimiser, build_problem, camera_of
 from pipelines.nodes import instantiate
 
 FILES = sorted(Path(CONF).rglob("*.yaml"))
@@ -199,17 +199,3 @@ def test_mlflows_own_variables_name_the_store_and_the_experiment(monkeypatch):
     monkeypatch.setenv("MLFLOW_EXPERIMENT_NAME", "mine")
     store = instantiate(composed("compare").tracking).store
     assert (store.uri, store.experiment_name) == ("http://127.0.0.1:5000", "mine")
-    given = composed("optimise", "tracking.uri=sqlite:///s.db", "+tracking.tags.study=abc").tracking
-    assert (given.uri, given.tags.study) == ("sqlite:///s.db", "abc")
-
-
-def test_the_problem_of_debug_tells_whether_an_optimiser_works():
-    """Random search finds something but far from all, and a method that works finds more."""
-    found = {}
-    for name in ("random_search", "ega", "annealing"):
-        cfg = composed("optimise", "experiment=debug", f"optimiser={name}", "threads=1")
-        problem, budget = build_problem(cfg), budget_of(cfg)
-        found[name] = [build_optimiser(cfg, seed).run(problem, budget).fitness for seed in range(3)]
-    assert min(found["random_search"]) > 0.1
-    assert max(found["random_search"]) < 0.6
-    assert max(found["random_search"]) <= min(found["ega"]) < max(found["ega"]) < 0.6 < min(found["annealing"])

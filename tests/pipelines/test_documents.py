@@ -1,11 +1,9 @@
 """Documents that are damaged, and those that are written while something fails."""
 
-import json
 import os
 
 import pytest
 
-from pipelines import outputs
 from pipelines.operations.sweeps.folder import Job, JobFolder, Sweep, SweepFolder
 from pipelines.outputs import read_document, write_document
 
@@ -60,25 +58,6 @@ def test_a_job_whose_figures_are_damaged_has_not_finished(job, capsys):
     assert job.finished() is None
     assert f"warning: {job.metrics} is damaged" in capsys.readouterr().err
     assert job.figures() == {}
-
-
-def test_a_document_is_on_disk_before_it_takes_the_place_of_another(job, monkeypatch):
-    done = []
-    monkeypatch.setattr(os, "fsync", lambda _: done.append("fsync"))
-    monkeypatch.setattr(os, "replace", lambda *_: done.append("replace"))
-    write_document(job.metrics, {})
-    assert done == ["fsync", "replace"]
-
-
-def test_on_a_full_disk_the_former_document_stays(job, monkeypatch):
-    def full(_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(outputs.os, "fsync", full)
-    with pytest.raises(OSError, match="No space left"):
-        write_document(job.metrics, {"fitness": 1.0})
-    assert json.loads(job.metrics.read_text()) == {"fitness": 0.5}
-    assert sorted(path.name for path in job.path.iterdir()) == ["job.json", "metrics.json"]
 
 
 def test_where_there_is_no_folder_there_is_no_document(tmp_path):

@@ -7,11 +7,6 @@ from support.processes import SMALL, inside
 
 LANDMARKS = "id,x,y,z,nx,ny,nz,note\n7,0,2,3,1,0,0,by the door\n3,0,3,3,1,0,0,\n9,7.5,2,3,-1,0,0,\n"
 TAGS = (*SMALL, "tag.edge=0.15")
-EVERY = {
-    *("tags.wpilib.json", "tags.apriltag_ros.yaml", "tags.apriltag_ros2.yaml", "tags.tagslam.yaml", "tags.aruco.yaml"),
-    *("tags.rtabmap.txt", "tags.fmap", "tags.csv"),
-    *("tags.json", "tags.ros2_tf.launch.py", "plan.pdf", "sheets.pdf"),
-}
 pytestmark = pytest.mark.slow
 
 
@@ -25,22 +20,12 @@ def ids(path):
     return {tag["ID"] for tag in json.loads(path.read_text())["tags"]}
 
 
-def test_a_file_becomes_every_format(work):
-    overrides = ("deployment.path=mine.csv", "tracking=none", "hydra.run.dir=out")
-    done = inside("export", *overrides, cwd=work, settings=TAGS)
-    assert done.returncode == 0, done.stderr
-    assert {path.name for path in (work / "out").iterdir()} == {*EVERY, ".hydra"}
-    assert ids(work / "out" / "tags.wpilib.json") == {3, 7, 9}
-    assert "tags   3 of 36h11, 150 mm (black square)\n" in done.stdout
-    again = inside("export", *overrides, cwd=work, settings=TAGS)
-    assert again.returncode == 0, again.stderr
-
-
 def test_a_run_writes_its_own_maps_and_can_be_exported_later(work):
     overrides = ("deployment.count=6", "objective.n=1", "budget.evaluations=2", "tracking=none", "hydra.run.dir=found")
     done = inside("optimise", *overrides, "export=[wpilib,csv,plan]", cwd=work, settings=TAGS)
     assert done.returncode == 0, done.stderr
-    assert {path.name for path in (work / "found").iterdir()} & EVERY == {"tags.wpilib.json", "tags.csv", "plan.pdf"}
+    assert {"tags.wpilib.json", "tags.csv", "plan.pdf"} < {path.name for path in (work / "found").iterdir()}
+    assert not (work / "found" / "sheets.pdf").exists()
     done = inside("export", "run=found", "formats=[wpilib]", "hydra.run.dir=out", cwd=work, settings=())
     assert done.returncode == 0, done.stderr
     layouts = [work / folder / "tags.wpilib.json" for folder in ("found", "out")]

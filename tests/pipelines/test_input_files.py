@@ -2,10 +2,9 @@
 
 import os
 
-import pandas as pd
 import pytest
 from support.composing import composed
-from support.processes import SMALL, call, refused
+from support.processes import SMALL, inside, refused
 
 from pipelines.app import flat_settings
 from pipelines.provenance import contents_of
@@ -51,41 +50,16 @@ def test_every_file_of_a_run_is_found(work, override):
     assert list(contents_of(settings)) == ["contents of in.csv"]
 
 
-def write_landmarks(path, x):
-    path.write_text(f"id,x,y,z,nx,ny,nz\n0,{x},0,3,0,1,0\n1,{x},5,3,0,-1,0\n2,0,{x},3,1,0,0\n")
-
-
-@pytest.mark.slow
-def test_a_sweep_over_a_file_that_changed_is_run_anew(tmp_path):
-    """Its figure is the new one; what did not change is not done again."""
-    sweep = ("hydra.mode=MULTIRUN", "deployment=file", "deployment.path=in.csv", "objective.n=1,2", "tracking=none",
-             "localisation=false", "losses=false")  # fmt: skip
-    outputs, figures = [], []
-    for x in (1, 2.5, 1):
-        write_landmarks(tmp_path / "in.csv", x)
-        done = call("evaluate", *sweep, cwd=tmp_path)
-        assert done.returncode == 0, done.stderr
-        outputs.append(done.stdout)
-        (folder,) = [line.split()[3].rstrip(",") for line in done.stdout.splitlines() if line.startswith("sweep ")]
-        figures.append(pd.read_csv(tmp_path / folder / "jobs.csv").average_coverage_probability.tolist())
-    assert [output.count("done already") for output in outputs] == [0, 0, 2]
-    assert figures[0] == figures[2] != figures[1]
-
-
 @pytest.mark.slow
 def test_a_run_does_not_go_on_with_another_pdf(tmp_path):
-    settings = (*SMALL, "pdf=samples", "pdf.path=in.csv", "optimiser=ega", "deployment.count=20", "tracking=none",
-                )  # fmt: skip
+    settings = (*SMALL, "pdf=samples", "pdf.path=in.csv", "optimiser=ega", "deployment.count=20", "tracking=none")
     (tmp_path / "in.csv").write_text("yaw,pitch,weight\n0,0,0.5\n1,0,0.5\n")
-    done = call("optimise", "budget.evaluations=30", "hydra.run.dir=run", cwd=tmp_path, settings=settings)
-    assert done.returncode == 0, done.stderr
-    again = ("budget.evaluations=60", "resume=run", "hydra.run.dir=again")
-    done = call("optimise", *again, cwd=tmp_path, settings=settings)
-    assert done.returncode == 0, done.stderr
+    for more in (["budget.evaluations=30", "hydra.run.dir=run"], ["resume=run", "hydra.run.dir=again"]):
+        done = inside("optimise", "budget.evaluations=60", *more, cwd=tmp_path, settings=settings)
+        assert done.returncode == 0, done.stderr
     (tmp_path / "in.csv").write_text("yaw,pitch,weight\n0,0,0.5\n2,0,0.5\n")
     message = "checkpoint.npz was made with contents of in.csv = "
-    refused("optimise", "budget.evaluations=90", "resume=run", "hydra.run.dir=third", message=message, cwd=tmp_path,
-            settings=settings)  # fmt: skip
+    refused("optimise", "resume=run", "hydra.run.dir=third", message=message, cwd=tmp_path, settings=settings)
 
 
 def test_folders_that_cannot_be_read_are_left_to_who_reads_them(tmp_path, monkeypatch):

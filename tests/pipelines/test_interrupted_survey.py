@@ -18,7 +18,7 @@ SETTINGS = ["detections=detections.csv", "camera.path=camera.yaml", f"tag.edge={
 WAITS = """
 import time
 from pathlib import Path
-from pipelines import progress
+from pipelines import app, progress
 from pipelines.operations import signals
 from pipelines.survey import main
 
@@ -36,7 +36,7 @@ def waiting(self, stage, done=0, most=0):
             time.sleep(0.01)
     return observe(self, stage, done, most)
 signals.Stop._handle, progress.Stages.__call__ = counted, waiting
-progress.SHOWN_AFTER = 600.0  # on a loaded machine no survey is short
+app.SHOWN_AFTER = 600.0  # on a loaded machine no survey is short
 signals.stop.listen()
 """
 pytestmark = pytest.mark.slow

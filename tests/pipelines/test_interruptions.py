@@ -1,13 +1,12 @@
 """Runs that a signal stops: their files and messages."""
 
-import os
 import re
 import signal
 import time
 
 import pandas as pd
 import pytest
-from support.processes import ENDLESS, ROOT, SETTINGS, WHOLE, command, ended, metrics_in, runs, wait_for
+from support.processes import ENDLESS, ROOT, SETTINGS, WHOLE, command, ended, metrics_in, runs
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]
 
@@ -64,19 +63,3 @@ def test_told_to_stop_before_there_is_anything_it_leaves_nothing(begin, number, 
         assert not left or "landmarks.csv" in left
     if (tmp_path / "store.db").exists():
         assert not [run for run in runs(tmp_path) if run.info.status == "RUNNING"]
-
-
-@THOROUGH
-def test_a_closed_terminal_is_no_reason_to_lose_the_result(begin, tmp_path):
-    ours, theirs = os.openpty()
-    line = command("optimise", *SETTINGS, *ENDLESS, "picture=true")
-    terminal = dict.fromkeys(("stdin", "stdout", "stderr"), theirs)
-    process = begin(line, tmp_path, start_new_session=True, **terminal)
-    os.close(theirs)
-    wait_for(tmp_path / "run" / "checkpoint.npz", process)
-    os.close(ours)
-    process.send_signal(signal.SIGHUP)
-    assert process.wait(timeout=WHOLE) == 128 + signal.SIGHUP
-    assert (tmp_path / "run" / "scene.png").exists()
-    (run,) = runs(tmp_path)
-    assert run.info.status == "KILLED"

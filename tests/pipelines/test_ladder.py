@@ -15,7 +15,7 @@ RECORDED = "time,x,y,z,yaw,pitch\n" + "".join(f"{t},2,2,2,{0.1 * t},0\n" for t i
 
 
 def ladder_of(*overrides, edge=0.0):
-    return points.Ladder(composed("tradeoff", *SMALL, *overrides), (edge,), 0)
+    return points.Ladder(composed("tradeoff", *SMALL, *overrides), edge, 0)
 
 
 @pytest.fixture

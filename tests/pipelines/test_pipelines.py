@@ -6,7 +6,7 @@ import re
 import pandas as pd
 import pytest
 from mlflow import MlflowClient
-from support.processes import inside
+from support.processes import inside, refused
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]
 
@@ -27,8 +27,15 @@ def test_mlflow_has_the_run(tmp_path):
     assert [point.step for point in curve] == list(range(1, 91))  # each hundredth of the budget, rounded up
     history = pd.read_csv(tmp_path / "run" / "history.csv")
     assert all(point.value == history[history.evaluations <= point.step].best_fitness.max() for point in curve)
-    (problem,) = (given.dataset for given in run.inputs.dataset_inputs)
-    assert (problem.name, json.loads(problem.profile)["K"]) == ("paper_simulation n=2 p=0.5 K=40", "40")
+    assert re.fullmatch(r"paper_simulation n=2 p=0.5 K=40 #[0-9a-f]{8}", run.data.tags["problem"])
+    words = ("optimiser=ega", "budget.evaluations=120", "deployment.count=40", "resume=run")
+    assert inside("optimise", *words, "hydra.run.dir=more", cwd=tmp_path).returncode == 0
+    more, _ = client.search_runs([client.get_experiment_by_name("lmd").experiment_id])
+    assert more.data.tags["continues"] == run.info.run_id  # whose budget is another one
+    curve = client.get_metric_history(more.info.run_id, "best_fitness")
+    assert (curve[0].step, curve[-1].step, more.data.metrics["evaluations"]) == (1, 120, 120)  # it is whole
+    other = ("objective.n=3", "hydra.run.dir=other")
+    refused("optimise", *words, *other, message="was made with objective.n = 2, not 3", cwd=tmp_path)
     told = run.data.tags["mlflow.note.content"]
     assert f"`{run.data.tags['command']}`\n\nat commit {run.data.tags['mlflow.source.git.commit'][:9]}" in told
 
@@ -48,40 +55,6 @@ def test_a_run_is_validated_off_its_grid(tmp_path):
     recorded = {f"validation/{key}": v for key, v in validation.items() if not key.endswith("standard_error")}
     assert recorded == {key: value for key, value in run.data.metrics.items() if key.startswith("validation/")}
     assert re.search(r"on a finer grid +qualified ratio \d+\.\d\d%", done.stdout)
-
-
-@pytest.mark.thorough("pipelines", "conf", "lmd/objectives/localisation", "lmd/optimisers/annealing")
-def test_the_lab_is_optimised_by_one_word(tmp_path):
-    settings = ("room.spacing=1", "deployment.count=12", "tracking=none", "picture=false", "hydra.run.dir=run")
-    done = inside("optimise", "experiment=lab", "budget.evaluations=60", cwd=tmp_path, settings=settings)
-    assert done.returncode == 0, done.stderr
-    metrics, table = (tmp_path / "run" / name for name in ("metrics.json", "landmarks.csv"))
-    assert (pd.read_csv(table).z > 0.075).all()  # nothing on the floor, no tag over an edge
-    found = json.loads(metrics.read_text())
-    assert 0.0 < found["localised_share"] < 1.0
-    assert 0.0 < found["validation"]["grid_free_localised_share"] < 1.0
-
-
-@pytest.mark.thorough("pipelines/optimise.py", "pipelines/composing.py", "lmd/cameras", "lmd/optimisers/alternating.py")
-def test_cameras_and_tags_are_placed_in_turns_from_an_earlier_run(tmp_path):
-    body = "body.boxes=[{low: [-0.1, -0.1, 0], high: [0.1, 0.1, 0.2]}]"
-    tags = ("deployment=uniform", "deployment.count=12", "pdf=yaw", "pdf.divisions=3", "objective.thold_p=0.3")
-    quiet = ("tracking=none", "validate=false", "picture=false")
-    words = ("varies=cameras", *tags, body, "body.margin=0.05", "room.spacing=1.5", "budget.evaluations=12")
-    done = inside("optimise", *words, "hydra.run.dir=run", cwd=tmp_path, settings=quiet)
-    assert done.returncode == 0, done.stderr
-    more = ("varies=cameras", "run=run", "rounds=2", "tag_evaluations=12", "budget.evaluations=6")
-    done = inside("optimise", *more, "hydra.run.dir=rounds", cwd=tmp_path, settings=quiet)
-    assert done.returncode == 0, done.stderr
-    assert "margin: 0.05" in (tmp_path / "rounds" / ".hydra" / "config.yaml").read_text()  # the body is that of the run
-    found, turns = (json.loads((tmp_path / name / "metrics.json").read_text()) for name in ("run", "rounds"))
-    told = list(turns["rounds"].values())
-    assert len(told) == 4
-    assert [found["fitness"], *told] == sorted([found["fitness"], *told])
-    assert turns["fitness"] == told[-1]
-    again = ("run=run", "localisation=false", "losses=false", "hydra.run.dir=again")
-    assert inside("evaluate", *again, cwd=tmp_path, settings=quiet).returncode == 0
-    assert json.loads((tmp_path / "again" / "metrics.json").read_text())["fitness"] == found["fitness"]
 
 
 def test_measured_places_are_scored_in_place_of_the_plan(tmp_path):

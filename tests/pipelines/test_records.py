@@ -12,7 +12,7 @@ from support.processes import inside
 from lmd.optimisers.base import Optimiser
 from lmd.optimisers.checkpoint import CHECKPOINT_FILE, Checkpoint
 from lmd.optimisers.ledger import Budget
-from pipelines import outputs, progress
+from pipelines import app, outputs, progress
 from pipelines.operations.signals import Stopped
 from pipelines.operations.tracking import NoTracker
 
@@ -102,10 +102,10 @@ def test_a_method_that_cannot_be_checkpointed_is_named_when_the_run_starts(tmp_p
 
 
 def test_a_step_is_shown_once_it_takes_long(monkeypatch, capsys):
-    with progress.doing("a short step"):
+    with app.doing("a short step"):
         pass
-    monkeypatch.setattr(progress, "SHOWN_AFTER", 0.2)
-    with progress.doing("a long step"):
+    monkeypatch.setattr(app, "SHOWN_AFTER", 0.2)
+    with app.doing("a long step"):
         time.sleep(0.6)
     said = capsys.readouterr().err
     assert "short" not in said

@@ -137,7 +137,7 @@ def test_the_printed_ratios_count_756_positions_and_the_maxima_325_orientations(
     for printed in (*TABLE_2.values(), *TABLE_3.values()):
         for value, parts in ((printed.qualified_ratio, 756), (printed.maximum_coverage_probability, 325)):
             assert round(np.rint(value * parts) / parts, 4) == value
-    assert TABLE_3[2, 0.65] == TABLE_2["EGA"]
+    assert TABLE_3[2, 0.65][2:] == TABLE_2["EGA"][2:]
 
 
 def test_a_report_is_markdown_and_pictures(reported):

@@ -2,7 +2,7 @@
 
 from pipelines.operations.sweeps.folder import Job, JobFolder, Sweep
 from pipelines.operations.sweeps.names import short_name
-from pipelines.operations.sweeps.summary import Outcome, best_group, by_group, draw_groups
+from pipelines.operations.sweeps.summary import Outcome, by_group, draw_groups
 
 
 def job(fitness=None, off_grid=None, **varied):
@@ -30,15 +30,6 @@ def test_jobs_that_differ_in_their_seed_are_one_group():
     assert by_group(OVER_SEEDS, SEEDS).splitlines() == table
 
 
-def test_figures_are_over_seeds_alone():
-    assert best_group(Sweep("s", ("seed",), None), [job(0.5, seed="0"), job(0.7, seed="1")]) == {
-        "best/fitness": 0.7,
-        "median/fitness": 0.6,
-    }
-    assert best_group(OVER_SEEDS, SEEDS) == {"best/fitness": 0.7, "median/fitness": 0.6}  # of ega, the best
-    assert best_group(OVER_PAIRS, PAIRS) == {}
-
-
 def test_the_picture_of_groups_is_of_finished_searches(tmp_path):
     found = [each._replace(folder=JobFolder(tmp_path / str(i))) for i, each in enumerate(SEEDS)]
     assert draw_groups(tmp_path / "groups.png", OVER_SEEDS, found) == []
@@ -49,14 +40,6 @@ def test_the_picture_of_groups_is_of_finished_searches(tmp_path):
         )
     assert draw_groups(tmp_path / "groups.png", OVER_SEEDS, found) == [tmp_path / "groups.png"]
     assert (tmp_path / "groups.png").stat().st_size > 10_000
-
-
-def test_no_group_is_the_best_of_several_problems():
-    for key in ("experiment", "room", "run", "objective.thold_p", "deployment.count", "deployment.fixed"):
-        of_both = [job(0.5, **{key.replace(".", "__"): value}) for value in ("debug", "hall")]
-        assert best_group(Sweep("s", (key,), None), of_both) == {}
-    alone = [job(0.5, deployment="uniform")]
-    assert best_group(Sweep("s", ("deployment",), None), alone) == {"best/fitness": 0.5, "median/fitness": 0.5}
 
 
 def test_a_pivot_has_the_method_across_and_the_problem_down():

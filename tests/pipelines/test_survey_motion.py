@@ -70,7 +70,7 @@ def test_odometry_maps_a_drive_whose_images_show_one_tag_each(cwd):
         (["survey.odometry=late.csv"], "survey.odometry has poses from 500 to"),
         (["survey.odometry=body.csv"], "survey.odometry moves differently from the images"),
         (["survey.odometry=missing.csv"], "survey.odometry"),
-        (["survey.odometry={path: odometry.csv, drift: 3}"], "survey.odometry has the key 'drift'"),
+        (["survey.odometry={path: odometry.csv, drift: 3}"], "survey.odometry key must be one of path, "),
         (["survey.motion=maybe"], "survey.motion must be"),
         (["survey.every=0"], "survey.every must be"),
         (["survey.every=often"], "survey.every must be"),

@@ -11,10 +11,6 @@ import pandas as pd
 import pytest
 from support import bags, processes, walks
 
-from lmd.core.checks import InputError
-from lmd.detection.detectors import Detections
-from lmd.detection.images import Photographs
-from lmd.detection.photographed import detected_in
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import exp
 from lmd.scene.deployment import Deployment
@@ -242,19 +238,6 @@ def test_an_audit_names_the_tag_that_is_not_found_where_it_is_predicted(room):
         assert (table[last].diff().dropna() > 0).all()
         assert table.tags.sum() >= tags.detected.sum()
     assert cv2.imread(str(cwd / "audit" / "audit.png")) is not None
-
-
-class Blind:
-    """Finds no tag."""
-
-    def detect(self, image):
-        return Detections(np.empty(0, dtype=np.int64), np.empty((0, 4, 2)))
-
-
-def test_photographs_without_a_tag_say_so(tmp_path):
-    cv2.imwrite(str(tmp_path / "1.png"), np.zeros((480, 640), dtype=np.uint8))
-    with pytest.raises(InputError, match=r"^photographs: no tag of this family is found in any of 1 images"):
-        detected_in(Photographs(tmp_path), CAMERA, Blind(), 8, map, workers=1)
 
 
 @pytest.mark.usefixtures("surveyed")

@@ -155,7 +155,6 @@ def test_a_sweep_is_one_parent_run_with_a_child_for_each_job(faulty):
     assert re.search(r"\n\| none \| 1 of 1 \| [\d.]+% \| [\d.]+% \|\n\| raise \| 0 of 1 \|  \|  \|\n", told)
     assert (parent.info.status, parent.data.tags["reason"]) == ("FAILED", "3 of 4 jobs failed")
     assert (parent.data.metrics["jobs"], parent.data.metrics["failed"]) == (4.0, 3.0)
-    assert parent.data.metrics["median/qualified_ratio"] == table(cwd).qualified_ratio["none"]  # of the best group
     client = MlflowClient(tracking_uri=f"sqlite:///{cwd}/store.db")
     assert artifacts(client, parent) == ["by_group.md", "groups.png", "jobs.csv"]
     for mode in ("TABLE", "CHART"):  # views of the jobs, grouped by what varies
@@ -214,7 +213,6 @@ def test_a_sweep_grows_by_values_without_the_one_that_is_refused(tmp_path):
     assert rows.off_grid.tolist() == [metrics["off_grid"] for metrics in figures]
     (parent,) = [run for run in found_in(tmp_path) if PARENT not in run.data.tags]
     assert (parent.info.status, parent.data.metrics["jobs"]) == ("FINISHED", 2.0)
-    assert "best/off_grid" not in parent.data.metrics  # each was of another problem
 
 
 def test_a_sweep_that_cannot_be_composed_leaves_nothing(tmp_path):
@@ -264,18 +262,6 @@ def test_a_sweep_killed_with_its_job_goes_on_with_what_is_missing(work):
     parent, children = runs(work)
     assert parent.info.status == "FINISHED"
     assert statuses(children) == {"none": ["FINISHED"], "slow": ["FINISHED"]}
-
-
-@THOROUGH
-def test_the_jobs_of_a_sweep_that_is_killed_under_joblib_stop(work):
-    process = start_sweep(work, "slow", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2", tracking="tracking=none")
-    process.kill()
-    process.wait(timeout=60)
-    (record,) = work.glob("outputs/optimise_sweep/*/*/job.json")
-    deadline = time.monotonic() + 60
-    while (status := json.loads(record.read_text())["status"]) == "running" and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert status == "interrupted"
 
 
 def test_an_interrupted_job_goes_on_from_its_checkpoint(work):

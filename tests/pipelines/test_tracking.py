@@ -10,7 +10,7 @@ from mlflow import MlflowClient
 from support.stores import ANOTHER, started, stored
 
 from lmd.core.checks import InputError
-from pipelines.operations.tracking import Dataset, MlflowReader, MlflowTracker, RunStart
+from pipelines.operations.tracking import MlflowReader, MlflowTracker, RunStart
 from pipelines.operations.tracking.journal import GONE, is_gone, this_process
 from pipelines.operations.tracking.store import DESCRIPTION
 
@@ -27,14 +27,6 @@ def test_a_run_keeps_its_params_tags_metrics_and_name(uri):
     assert run.data.metrics == {"qualified_ratio": 0.5}
     assert run.info.run_name == f"a run #{tracker.run_id[:4]}"
     assert run.info.status == "FINISHED"
-
-
-def test_a_run_has_the_tags_of_its_user(uri, folder):
-    tracker = MlflowTracker(uri, "tests", {"study": "first", "batch": 3})
-    tracker.start(RunStart("a run", folder, tags={"pipeline": "optimise"}))
-    assert {"study": "first", "batch": "3", "pipeline": "optimise"}.items() <= stored(tracker).data.tags.items()
-    with pytest.raises(InputError, match=r"tags must be texts or numbers by their names, got \{'study': \[1\]\}"):
-        MlflowTracker(uri, "tests", {"study": [1]})
 
 
 def test_a_failed_run_says_why(uri):
@@ -140,7 +132,7 @@ def state_of(client, name="lmd"):
 def test_the_pages_of_an_experiment_and_of_a_sweep_show_its_figures(folder):
     uri = f"sqlite:///{folder}/mlflow.db"
     client, tracker = MlflowClient(tracking_uri=uri), started(uri)
-    assert {"metrics.`off_grid`", "metrics.`best/off_grid`", "params.`room`"} <= {*state_of(client)["selectedColumns"]}
+    assert {"metrics.`off_grid`", "params.`room`"} <= {*state_of(client)["selectedColumns"]}
     table, charts = tracker.views(["optimiser"])
     assert f"viewStateShareKey={tracker.run_id}" in table
     assert "compareRunsMode=CHART" in charts
@@ -151,13 +143,6 @@ def test_the_pages_of_an_experiment_and_of_a_sweep_show_its_figures(folder):
     tracker.log_metrics({"tags": 3.0})
     tracker.finish("FINISHED")
     assert "metrics.`tags`" in state_of(client)["selectedColumns"]  # no figure of deployments
-
-
-def test_the_problem_of_a_run_is_a_dataset(uri):
-    tracker = started(uri, dataset=Dataset("hall n=2 K=40", "3f2a", {"room": "hall"}))
-    (given,) = stored(tracker).inputs.dataset_inputs
-    assert (given.dataset.name, given.dataset.digest) == ("hall n=2 K=40", "3f2a")
-    assert json.loads(given.dataset.profile) == {"room": "hall"}
 
 
 @pytest.mark.parametrize("uri", [None, 5, "", "sqlite:///"])

@@ -127,27 +127,3 @@ def test_what_was_finished_when_it_was_interrupted_is_kept(tmp_path):
     again = tradeoff(tmp_path, *points, "workers=1", "tracking=none", directory="again")
     assert again.returncode == 0, again.stderr
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
-
-
-def test_along_paper_the_best_mixture_is_no_worse_than_each_size_alone(tmp_path):
-    sizes = ("tag.edge=0.1", "tag.edges=[0.1,0.3]", "papers=[0.3,0.5]", "objective.thold_p=0.1", "wanted=0.001")
-    run = tradeoff(tmp_path, *sizes, "seeds=1", "workers=1", "optimiser=random_search")
-    assert run.returncode == 0, run.stderr
-    points = pd.read_csv(tmp_path / "run" / "points.csv").set_index(["edges", "paper"])
-    assert set(points.index.get_level_values("edges")) == {"0.1", "0.1+0.3", "0.3"}
-    used = 1.25**2 * (0.01 * points["count_0.1"] + 0.09 * points["count_0.3"])
-    paper = points.index.get_level_values("paper")
-    assert ((used <= paper) & (used > paper - 0.375**2)).all()
-    assert (points["count_0.1"] + points["count_0.3"] == points["count"]).all()
-    mixed = points.loc["0.1+0.3"]
-    for edges in ("0.1", "0.3"):
-        alone = points.loc[edges]
-        assert (mixed.fitness.reindex(alone.index).dropna() >= alone.fitness.reindex(mixed.index).dropna()).all()
-    assert "least paper to reach 0.1% (qualified ratio, off the grid)\n" in run.stdout
-    landmarks = pd.read_csv(tmp_path / "run" / "points" / "paper-0.5-edges-0.1-0.3-seed-0" / "landmarks.csv")
-    assert (landmarks.edge == 0.1).sum() == mixed["count_0.1"][0.5]
-    client = MlflowClient(tracking_uri=f"sqlite:///{tmp_path}/outputs/mlflow.db")
-    runs = client.search_runs([client.get_experiment_by_name("lmd tradeoff").experiment_id])
-    (parent,) = (run for run in runs if "mlflow.parentRunId" not in run.data.tags)
-    curve = client.get_metric_history(parent.info.run_id, "grid_free_qualified_ratio/edges_0.1-0.3")
-    assert {3000, 5000} <= {each.step for each in curve}

@@ -4,7 +4,6 @@ import errno
 import os
 import shutil
 import signal
-from pathlib import Path
 
 import pytest
 from support.chromium import LANDMARKS, SETTINGS, UNSAVED
@@ -34,50 +33,30 @@ def test_what_is_unsaved_is_kept_before_anything_is_waited_for(tmp_path, monkeyp
 
     monkeypatch.setattr("lmd.planner.server.Planner", Ended)
     monkeypatch.setattr("pipelines.view.run_directory", lambda: tmp_path)
-    mine = write_lines(tmp_path / "mine.csv", LANDMARKS.splitlines())
-    cfg = compose("view", *SETTINGS, f"deployment.path={mine}")
+    (tmp_path / "mine.csv").write_text(LANDMARKS)
+    cfg = compose("view", *SETTINGS, f"deployment.path={tmp_path}/mine.csv")
     with pytest.raises(Stopped):
         view(cfg)
     assert kept == [[7, 9, 4]]
 
 
-def full(path):
-    """Writes something, and finds the disk full."""
-    Path(path).write_text("id,")
-    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
-
-
-def on_full_disks(monkeypatch, *disks):
-    """Let no deployment be written below some folders."""
-    to_csv = Deployment.to_csv
+def test_changes_are_kept_elsewhere_when_the_disk_is_full_or_gone(tmp_path, monkeypatch, capsys):
+    run, temporary, to_csv = tmp_path / "run", tmp_path / "temporary", Deployment.to_csv
 
     def written(deployment, file, ups=False):
-        if isinstance(file, Path) and any(file.is_relative_to(disk) for disk in disks):
-            full(file)
+        if file.is_relative_to(run):
+            file.write_text("id,")
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(file))
         to_csv(deployment, file, ups)
 
     monkeypatch.setattr(Deployment, "to_csv", written)
-
-
-def folders(tmp_path, monkeypatch):
-    """A run's directory, and that to which changes go that cannot be written there."""
-    made = _, temporary = tmp_path / "run", tmp_path / "temporary"
-    for folder in made:
-        folder.mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(temporary))
-    return made
-
-
-def test_changes_are_kept_elsewhere_when_the_disk_is_full_or_gone(tmp_path, monkeypatch, capsys):
-    run, temporary = folders(tmp_path, monkeypatch)
     tags, earlier = Deployment([[0.0, 2.0, 3.0]], [[1.0, 0.0, 0.0]]), "id,x,y,z,nx,ny,nz\n"
-    (run / UNSAVED).write_text(earlier)
-    on_full_disks(monkeypatch, run)
-    for gone in (False, True):
-        if gone:
-            shutil.rmtree(run)
-        else:
-            assert (run / UNSAVED).read_text() == earlier
+    temporary.mkdir()
+    for is_there in (True, False):
+        if is_there:
+            run.mkdir()
+            (run / UNSAVED).write_text(earlier)
         _keep_unsaved(run, Plan(tags), ups=False)
         (kept,) = temporary.rglob(UNSAVED)
         assert (Deployment.from_csv(kept).positions == tags.positions).all()
@@ -85,11 +64,9 @@ def test_changes_are_kept_elsewhere_when_the_disk_is_full_or_gone(tmp_path, monk
         assert f"changes that were not saved are in {kept}\n" in err
         assert str(run) in err
         kept.unlink()
-
-
-def write_lines(path, lines):
-    path.write_text("\n".join(lines) + "\n")
-    return path
+        if is_there:
+            assert (run / UNSAVED).read_text() == earlier
+            shutil.rmtree(run)
 
 
 def test_a_folder_with_the_name_of_a_file_is_no_place_to_save(tmp_path):

@@ -121,16 +121,6 @@ def test_a_page_of_another_site_cannot_talk_to_it_whatever_it_knows(planner, bro
     assert not page.connects_to(address.replace("127.0.0.1", chromium.FOREIGN))
 
 
-def test_what_cannot_be_is_refused_in_one_sentence(work):
-    for overrides, message in (
-        (("port=70000",), "port must be in [0, 65535], got 70000."),
-        (("budget.evaluations=0",), "budget.evaluations must be at least 1, got 0."),
-        (("export=[nosuch]",), "export must be one of ros2_tf, "),
-        (("+optimiser.growth=2",), "optimiser.growth must be in [0, 1], got 2."),
-    ):
-        refused("view", *OVERRIDES, *overrides, message=message, cwd=work, settings=SETTINGS)
-
-
 def test_a_port_that_is_taken_is_refused(work):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))

@@ -12,7 +12,6 @@ from selenium.webdriver.common.keys import Keys
 
 from lmd.planner.background import ESTIMATE
 from lmd.planner.viewing import FIELD_OF_VIEW, framed
-from pipelines.view import UNSAVED as BEGIN
 from support.paper import paper_room
 from support.processes import SMALL
 
@@ -181,4 +180,4 @@ LANDMARKS = """id,x,y,z,nx,ny,nz,note
 4,3,5,5,0,-1,0,
 """
 SETTINGS = (*SMALL[:2], "tag.edge=0.15", "objective.n=1", "objective.thold_p=0.1", "deployment=file")
-UNSAVED = f"{BEGIN}.csv"
+UNSAVED = "unsaved.csv"

@@ -17,7 +17,7 @@ from ..signals import stop
 from ..tracking import RunStart, Tracker
 from .folder import Sweep, SweepFolder, reason_of
 from .names import override_tags, pin_sweep_folder, sweep_name, sweep_title, swept, varied_keys
-from .summary import best_group, by_group, draw_groups, grouping_keys, outcomes, write_jobs
+from .summary import by_group, draw_groups, grouping_keys, outcomes, write_jobs
 from .supervisor import STOPPED, SWEEP_VARIABLE, lost, settle
 
 
@@ -29,11 +29,11 @@ class SweepRecord(Callback):
         folder = SweepFolder(pin_sweep_folder(config))
         folder.path.mkdir(parents=True, exist_ok=True)
         with held(folder.path):  # another process may begin an equal command
-            before = _begin(config, folder)
-        os.environ[SWEEP_VARIABLE] = str(os.getpid())
+            is_extended = _begin(config, folder)
+        os.environ[SWEEP_VARIABLE] = "begun"
         atexit.register(_cut_short, config)
         done = f", continuing after {len(folder.jobs())} finished jobs (delete the folder to start again)"
-        say(f"sweep {sweep_name(config)} in {folder.path}{done if before else ''}")
+        say(f"sweep {sweep_name(config)} in {folder.path}{done if is_extended else ''}")
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Write the table, end the parent run, and exit with 1 if a job has failed."""
@@ -46,8 +46,8 @@ class SweepRecord(Callback):
             sys.exit(1)
 
 
-def _begin(config: DictConfig, folder: SweepFolder) -> Sweep | None:
-    """Start the parent run, or continue that of the previous sweep in this folder; return this previous sweep."""
+def _begin(config: DictConfig, folder: SweepFolder) -> bool:
+    """Start the parent run, or continue that of the previous sweep in this folder; True if there is one."""
     from lmd.core.checks import InputError
 
     before, overrides = folder.load(), swept(config)
@@ -58,14 +58,14 @@ def _begin(config: DictConfig, folder: SweepFolder) -> Sweep | None:
     tags = {"sweep": sweep.name, "pipeline": config.hydra.job.name} | override_tags(overrides)
     try:
         tracker: Tracker = instantiate(config.tracking)
-        run = RunStart(sweep_title(config), folder.path, tags=tags | source_tags(config.hydra.job.name))
-        tracker.start(run, sweep.run_id)
+        tags |= source_tags(config.hydra.job.name)
+        tracker.start(RunStart(sweep_title(config), folder.path, tags=tags), sweep.run_id)
     except InputError as error:
         if before is None:
             folder.discard()
         sys.exit(f"error: {error}{f' (to start the sweep again, delete {folder.path})' if before else ''}")
     folder.save(replace(sweep, run_id=tracker.run_id or sweep.run_id))
-    return before
+    return before is not None
 
 
 def _cut_short(config: DictConfig) -> None:
@@ -114,9 +114,8 @@ def _close(config: DictConfig, reason: str = "") -> bool:
     command = repeating(source_tags(config.hydra.job.name))
     about = f"{done}\n\n{groups}\n\n{command}\n\nfiles: {as_code(folder.path)}"
     tracker.start(RunStart(sweep.name, folder.path, tags={"mlflow.note.content": about}), sweep.run_id)
-    tracker.log_metrics({"jobs": len(found), "failed": len(failed)} | best_group(sweep, found))
+    tracker.log_metrics({"jobs": len(found), "failed": len(failed)})
     tracker.log_artifacts([folder.groups, folder.table, *draw_groups(folder.picture, sweep, found)])
     tracker.finish("KILLED" if reason == STOPPED else "FAILED" if reason else "FINISHED", reason)
-    for line in tracker.views(grouping_keys(sweep)):
-        say(line)
+    say("\n".join(tracker.views(grouping_keys(sweep))))
     return bool(reason)

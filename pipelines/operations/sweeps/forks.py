@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterable, Mapping
 from multiprocessing.context import ForkServerProcess
 from multiprocessing.reduction import DupFd
+from operator import methodcaller
 from typing import Any
 
 from ..signals import stop
@@ -25,11 +26,7 @@ class Descriptor:
         self._number = number
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _handed_on, (DupFd(self._number),)
-
-
-def _handed_on(descriptor: Any) -> int:
-    return int(descriptor.detach())
+        return methodcaller("detach"), (DupFd(self._number),)
 
 
 def process(

@@ -33,10 +33,9 @@ def short_name(subject: str, overrides: Sequence[str], given: Sequence[str] = ()
         overrides: overrides that vary.
         given: further overrides of the command line.
     """
-    varies = in_name(overrides, subject)
+    varies = in_name(overrides, subject)[: NAME_LENGTH - len(subject) - 1]
     is_first = any(value.strip("'\"") == subject for _, value in map(key_and_value, overrides))
-    left = NAME_LENGTH - len(subject) - 1
-    words = [subject, varies[:left]] if is_first else [varies[:left], subject]
+    words = [subject, varies] if is_first else [varies, subject]
     return " ".join(filter(None, [*words, in_name(given, subject)]))[:NAME_LENGTH].rstrip()
 
 

@@ -99,19 +99,6 @@ def by_group(sweep: Sweep, found: list[Outcome]) -> str:
     return f"Medians over {SEED}s, on the grid and off it:\n\n{medians}\n\n{table}"
 
 
-def best_group(sweep: Sweep, found: list[Outcome]) -> dict[str, float]:
-    """For the group with the highest median fitness, best value and median of each figure over the seeds; empty if
-    problems differ.
-    """
-    known = [members for members in _groups(sweep, found).values() if _values(members, "fitness")]
-    if not known or any(map(_is_of_problem, grouping_keys(sweep))):
-        return {}
-    best = max(known, key=lambda members: median(_values(members, "fitness")))
-    values = {key: _values(best, key) for key in FIGURES if _values(best, key)}
-    best_of = {f"best/{key}": max(each) for key, each in values.items()}
-    return best_of | {f"median/{key}": median(each) for key, each in values.items()}
-
-
 def grouping_keys(sweep: Sweep) -> list[str]:
     """Varied keys except the seed: first keys of the method, such as the optimiser, then keys of the problem."""
     return sorted((key for key in sweep.varied if key != SEED), key=_is_of_problem)

@@ -7,24 +7,13 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import cache
 from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from ...app import (
-    PACKAGE,
-    choices,
-    config_dir,
-    ends_reported,
-    key_and_value,
-    quoted,
-    run_directory,
-    say,
-    search_path,
-)
+from ...app import PACKAGE, choices, config_dir, ends_reported, key_and_value, quoted, run_directory, say, search_path
 from ...nodes import instantiate
 from ...outputs import JOB_VARIABLE, held
 from ...provenance import parameters
@@ -34,7 +23,7 @@ from . import forks
 from .folder import Job, JobFolder, SweepFolder, current_job, reason_of
 from .names import short_name
 
-SWEEP_VARIABLE = "LMD_SWEEP"  # environment variable with the id of the process that began the sweep
+SWEEP_VARIABLE = "LMD_SWEEP"  # environment variable that is set while a sweep goes on
 THREAD_VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 STOPPED = "the sweep was stopped"
 LOST = "its process was killed, and the sweep with it"
@@ -78,8 +67,6 @@ def _supervise(cfg: DictConfig) -> float | None:
     A failure is recorded but not raised, so that no job can end a sweep, whichever launcher is used.
     """
     folder, job, launcher = JobFolder(run_directory()), _job(), HydraConfig.get().launcher
-    if launcher._target_.endswith("JoblibLauncher"):
-        _end_with_the_sweep()
     # Number of threads: as configured, else 1 if jobs share a machine; None stands for every processor.
     alone = None if launcher._target_.endswith("BasicLauncher") else int(launcher.get("cpus_per_task") or 1)
     threads = alone if cfg.get("threads") is None else int(cfg.threads)
@@ -88,44 +75,27 @@ def _supervise(cfg: DictConfig) -> float | None:
             folder.save(replace(done, number=job.number, varied=job.varied, round=job.round))
             say(f"done already: {job.label}")
             return done.value
-        own, spent = ["hydra.mode=RUN", f"hydra.run.dir={quoted(folder.path)}"], 0.0
+        own = ["hydra.mode=RUN", f"hydra.run.dir={quoted(folder.path)}"]
         if threads is not None and "threads" in cfg:  # some pipelines lack the key
             own.append(f"threads={threads}")
         if (before := folder.load()) is not None:
             settle(cfg.tracking, folder, lost(job))
             if before.status != "failed" and folder.checkpoint.exists():
-                spent = before.seconds
                 own.append(f"resume={quoted(folder.path)}")
-        folder.save(replace(job, seconds=spent))
+                job = replace(job, seconds=before.seconds)  # earlier attempts count
+        folder.save(job)
         began = time.monotonic()
         code, interrupted = _execute([*config_dir(), *search_path(), *job.overrides, *own], threads, folder, lock)
-        job = _settled(folder.load() or job, code)
+        job, seconds = _settled(folder.load() or job, code), time.monotonic() - began
         if interrupted and job.status in ("killed", "interrupted"):
             job = lost(job, stopped=True)
-        job = replace(job, seconds=spent + time.monotonic() - began)
-        folder.save(job)
-        if is_done := job.status == "finished":
-            say(f"finished in {job.seconds - spent:.0f} s: {job.label}")
-        else:
-            say(f"{job.status}: {job.label}: {job.reason} ({folder.output})")
+        folder.save(job := replace(job, seconds=job.seconds + seconds))
+        failure = f"{job.status}: {job.label}: {job.reason} ({folder.output})"
+        say(f"finished in {seconds:.0f} s: {job.label}" if (is_done := job.status == "finished") else failure)
         settle(cfg.tracking, folder, job, {} if job.status == "interrupted" else parameters(cfg, choices()))
         if interrupted and not is_done:
             sys.exit(128 + signal.SIGINT)
         return job.value if is_done else float("nan")
-
-
-@cache
-def _end_with_the_sweep() -> None:
-    """End a process of joblib, and thereby the process's job, when the process of the sweep ends, even by `kill -9`."""
-    sweep = int(os.environ[SWEEP_VARIABLE])
-
-    def watch() -> None:
-        while os.getppid() == sweep:
-            time.sleep(1.0)
-        os._exit(1)
-
-    if os.getpid() != sweep:
-        threading.Thread(target=watch, daemon=True).start()
 
 
 def _job() -> Job:
@@ -156,7 +126,6 @@ def _execute(arguments: list[str], threads: int | None, folder: JobFolder, lock:
                 with stop.postponed():  # otherwise an unknown process could remain
                     process.start()
                 process.join()
-                return int(process.exitcode or 0), False
         except KeyboardInterrupt:
             its_stdin.close()
             try:
@@ -165,7 +134,7 @@ def _execute(arguments: list[str], threads: int | None, folder: JobFolder, lock:
             except KeyboardInterrupt:
                 process.kill()
                 process.join()
-            return int(process.exitcode or 0), True
+        return int(process.exitcode or 0), its_stdin.closed
 
 
 def _settled(job: Job, code: int) -> Job:

@@ -4,18 +4,17 @@ import os
 
 from .mlflow_tracker import MlflowTracker
 from .store import MlflowReader
-from .tracker import PARENT_TAG, Dataset, NoTracker, RunStart, Tracker
+from .tracker import PARENT_TAG, NoTracker, RunStart, Tracker
 
-__all__ = ["PARENT_TAG", "Dataset", "MlflowReader", "MlflowTracker", "NoTracker", "RunStart", "Tracker"]
+__all__ = ["PARENT_TAG", "MlflowReader", "MlflowTracker", "NoTracker", "RunStart", "Tracker"]
 
 # mlflow, which is imported later, reads these variables. No data leaves the machine unless tracking.uri is a remote
 # server. Attempts to reach a server end after seconds; mlflow's default is eight minutes.
-for _name, _value in {
+os.environ |= {
     "MLFLOW_DISABLE_TELEMETRY": "true",
     "DO_NOT_TRACK": "true",
     "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false",
     "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "2",
     "MLFLOW_HTTP_REQUEST_BACKOFF_FACTOR": "1",
     "MLFLOW_HTTP_REQUEST_TIMEOUT": "10",
-}.items():
-    os.environ.setdefault(_name, _value)
+} | os.environ

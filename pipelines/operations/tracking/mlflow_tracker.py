@@ -3,11 +3,8 @@
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
-
-from lmd.core.checks import InputError
 
 from .journal import GONE, Journal, end_those_gone, hand_in, this_process
 from .store import PARAM_LENGTH, Store, first_line, is_of_store, now
@@ -27,18 +24,13 @@ class MlflowTracker(NoTracker):
     Args:
         uri: tracking store: `sqlite:///path` (relative to the working directory) or the address of a server.
         experiment_name: mlflow experiment that holds the runs.
-        tags: user's tags for every run, texts or numbers by name.
 
     Raises:
-        InputError: the address or the tags are refused.
+        InputError: the address is refused.
     """
 
-    def __init__(self, uri: str, experiment_name: str, tags: Mapping[str, str | float] | None = None) -> None:
+    def __init__(self, uri: str, experiment_name: str) -> None:
         self.store = Store(uri, experiment_name)
-        given = {} if tags is None else tags
-        if not isinstance(given, Mapping) or not all(isinstance(tag, str | float | int) for tag in given.values()):
-            raise InputError(f"tags must be texts or numbers by their names, got {tags!r}.", "tags")
-        self._tags = {key: str(value) for key, value in given.items()}
         self._run_id: str | None = None
         self._journal: Journal | None = None
         self._sent, self._lost = 0, False  # number of entries already sent; True after the store failed to answer
@@ -51,33 +43,26 @@ class MlflowTracker(NoTracker):
     def start(self, run: RunStart, run_id: str | None = None) -> None:
         """See `Tracker.start`."""
         store, place = self.store, {"folder": _absolute(run.folder), **this_process()}
-        tags = {**self._tags, **run.tags, **place}
+        tags = {**run.tags, **place}
         known = None if run_id is None else store.find(run_id)
         with store.errors_reported() if known is None else nullcontext():
             if known is None:
-                self._hand_in_left(run.folder)
+                hand_in(Journal.of(run.folder), store.uri)
                 end_those_gone(store)
             with store.undisturbed():
                 run_id = store.create(run.name, _written(run.params), tags, run.ago) if known is None else run_id
                 self._run_id, self._journal, self._sent = run_id, Journal.of(run.folder), 0
         began = {"uri": store.uri, "experiment": store.experiment_name, "run_id": run_id, **place}
         self._record(began if known is None else {**began, "reopen": tags})
-        if run.dataset is not None:
-            self._record({"dataset": asdict(run.dataset)})
 
     def goes_on(self, run_id: str, folder: Path, params: Mapping[str, Any]) -> bool:
         """See `Tracker.goes_on`."""
         with self.store.errors_reported():
-            self._hand_in_left(folder)
+            hand_in(Journal.of(folder), self.store.uri)
         run = self.store.find(run_id)
         if run is None or run.data.tags.get("folder") != _absolute(folder):
             return False
         return run.info.status != "FINISHED" and run.data.params == _written(params)
-
-    def _hand_in_left(self, folder: Path) -> None:
-        """Send the journal that a killed run left in a folder."""
-        if (left := Journal.of(folder)).entries:
-            hand_in(left, self.store.uri)
 
     def _record(self, entry: Entry) -> None:
         """Write an entry to the journal, and send it unless the store no longer answers."""

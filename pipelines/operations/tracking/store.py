@@ -1,6 +1,5 @@
 """Tracking store: the only module that writes to mlflow and reads runs back."""
 
-import json
 import logging
 import os
 import tempfile
@@ -49,7 +48,7 @@ class Store:
             raise InputError(f"uri must be {SQLITE}PATH or the address of a server, got {uri!r}.", "uri")
         self.uri, self.experiment_name, self.is_local = uri, experiment_name, uri.startswith(SQLITE)
 
-    @property
+    @cached_property
     def experiment_id(self) -> str:
         """Id of the experiment; a missing experiment is created."""
         return _prepared(self.client, self.experiment_name)
@@ -127,8 +126,7 @@ class Store:
 
     def send(self, run_id: str, entry: Entry) -> None:
         """Send one entry of a journal; sending an entry again changes nothing."""
-        from mlflow.entities import Dataset, DatasetInput, InputTag, Metric, RunTag
-        from mlflow.exceptions import MlflowException
+        from mlflow.entities import Metric, RunTag
 
         client, metrics, tags = self.client, list[Metric](), dict[str, str]()
         with self.undisturbed():
@@ -159,14 +157,6 @@ class Store:
                 client.set_terminated(run_id, entry["end"], entry["at"])
             for file in filter(os.path.isfile, entry.get("files", ())):
                 client.log_artifact(run_id, file)
-            if "dataset" in entry:
-                name, digest, settings = (entry["dataset"][key] for key in ("name", "digest", "settings"))
-                problem = Dataset(name, digest, "code", "{}", profile=json.dumps(settings))
-                given = [DatasetInput(problem, [InputTag("mlflow.data.context", "problem")])]
-                try:
-                    client.log_inputs(run_id, given)
-                except MlflowException:  # another process has recorded an equal problem in the meantime
-                    client.log_inputs(run_id, given)
 
 
 def _prepared(client: "MlflowClient", name: str, artifacts: str | None = None) -> str:

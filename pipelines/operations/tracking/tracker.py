@@ -11,18 +11,6 @@ Entry = dict[str, Any]  # entry of a journal
 
 
 @dataclass(frozen=True)
-class Dataset:
-    """Problem of a run, called a dataset by mlflow."""
-
-    name: str
-    """Name in mlflow's filter of datasets."""
-    digest: str
-    """Digest of everything that decides the fitness."""
-    settings: Mapping[str, str]
-    """Descriptions of the parts of the problem, by their names."""
-
-
-@dataclass(frozen=True)
 class RunStart:
     """Description of a run at its beginning."""
 
@@ -36,8 +24,6 @@ class RunStart:
     """Further tags, by which runs can be found."""
     ago: float = 0.0
     """Time since the run began, seconds."""
-    dataset: Dataset | None = None
-    """Problem of the run, or None."""
 
 
 class NoTracker:

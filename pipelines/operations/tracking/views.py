@@ -17,12 +17,6 @@ if TYPE_CHECKING:
 
 SHARED = "mlflow.sharedViewState."  # prefix of the tag for a shared view
 VIEW = "lmd"  # name of the shared view in links
-NAME = "attributes.`Run Name`"
-# Widths of columns, pixels.
-WIDTHS = {NAME: 280, "metrics.`off_grid`": 85} | {
-    f"params.`{name}`": 90 for name in ("optimiser", "room", "camera", "objective")
-}
-NARROW = 58  # width of the column of any other setting, pixels
 MOST_FIGURES = 12  # number of columns of figures in the view of an experiment
 # Columns of runs in order: settings that often vary, the figure off the grid, further figures, then costs.
 VARIED = (
@@ -30,13 +24,12 @@ VARIED = (
     *("budget.evaluations", "budget.seconds", "seed"),
 )
 FIGURES = ("off_grid", "qualified_ratio", "localised_share", "evaluations", "wall_time")
-OF_SWEEPS = ("best/off_grid", "median/off_grid")
 
 
 def view_of(figures: Sequence[str] = ()) -> str:
-    """View of an experiment whose runs have these figures; by default figures of deployments and of sweeps."""
+    """View of an experiment whose runs have these figures; by default figures of deployments."""
     if not figures or {*figures} & {*FIGURES}:
-        figures = (FIGURES[0], *OF_SWEEPS, *FIGURES[1:])
+        figures = FIGURES
     return _state(VARIED, figures[:MOST_FIGURES], "page")
 
 
@@ -77,10 +70,8 @@ def link(address: str, experiment_id: str, view: str = VIEW, mode: str = "TABLE"
 def _state(params: Sequence[str], figures: Sequence[str], *parts: str, **changes: Any) -> str:
     """State of mlflow's page of runs in the form used in links: columns of parameters, then columns of figures."""
     states = json.loads(Path(__file__).with_suffix(".json").read_text())
-    settings = [f"params.`{param}`" for param in params]
-    columns = [*settings, *(f"metrics.`{figure}`" for figure in figures)]
-    state: dict[str, Any] = {"selectedColumns": columns, "columnOrder": [NAME, *columns]}
-    state |= {"columnWidths": dict.fromkeys(settings, NARROW) | WIDTHS}
+    columns = [*(f"params.`{param}`" for param in params), *(f"metrics.`{figure}`" for figure in figures)]
+    state: dict[str, Any] = {"selectedColumns": columns, "columnOrder": ["attributes.`Run Name`", *columns]}
     for part in parts:
         state |= states[part]
     return f"deflate;{base64.b64encode(zlib.compress(json.dumps(state | changes).encode())).decode()}"
