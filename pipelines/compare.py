@@ -108,14 +108,14 @@ def _over_suite(cfg: DictConfig) -> Study:
     ]
 
     def report(done: "Mapping[Contender, OptimiserRun]") -> Report:
-        from lmd.plot.leaderboard import leaderboard, write_runs
+        from lmd.suite.leaderboard import leaderboard, write_runs
 
         by_place: dict[int, list[OptimiserRun]] = {0: [], 1: [], 2: []}
         for job, run in done.items():
             by_place[budgets[job.problem].index(job.evaluations)].append(run)
         write_runs(run_directory() / "iohprofiler", by_place, boxes)
         found = leaderboard(by_place, boxes)
-        files = {**found.pictures, "leaderboard.md": found.text, "leaderboard.csv": found.table}
+        files = {"leaderboard.md": found.text, "leaderboard.csv": found.table}
         return Report(files, found.figures, text=f"\n{found.text}")
 
     about = f"{len(boxes)} problems, {len(cfg.optimisers)} optimisers, {cfg.seeds} seeds"

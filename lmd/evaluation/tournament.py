@@ -1,7 +1,7 @@
-"""Optimisers over several problems: mean ranks, tests of Friedman and Nemenyi, critical difference, profiles.
+"""Optimisers over several problems: mean ranks, tests of Friedman and Nemenyi, critical difference.
 
-Sources: Demsar, "Statistical Comparisons of Classifiers over Multiple Data Sets" (2006): a problem is a row, its value
-the median over seeds; Dolan and More, "Benchmarking Optimization Software with Performance Profiles" (2002).
+Source: Demsar, "Statistical Comparisons of Classifiers over Multiple Data Sets" (2006): a problem is a row, its value
+the median over seeds.
 
 Runs are also written in the format of IOHprofiler, which IOHanalyzer and iohinspector read.
 
@@ -24,11 +24,9 @@ from lmd.evaluation.comparison import (
     SIGNIFICANCE,
     OptimiserRun,
     attainable,
-    expected_running_time,
     friedman,
     mann_whitney,
     mean_ranks,
-    nemenyi,
 )
 
 HEADER = "evaluations raw_y"
@@ -81,28 +79,6 @@ def write_iohprofiler(folder: Path, runs: Sequence[OptimiserRun], problem: str, 
     return path
 
 
-def attained_share(runs: Sequence[OptimiserRun], at: FloatArray, low: float, high: float) -> FloatArray:
-    """Share of all targets between two values that the runs have reached, `(N,)`: the ECDF of IOHprofiler.
-
-    Targets are uniform in [low, high], so the share of a run is its best fitness by then, scaled to [0, 1].
-
-    Args:
-        runs: runs, each with equal weight.
-        at: whole evaluations, `(N,)`.
-        low, high: least and greatest target.
-    """
-    shares = []
-    for run in runs:
-        best = np.array([low, *(record.best_fitness for record in run.history)])
-        by_then = best[np.searchsorted(whole_evaluations(run), at, side="right")]
-        shares.append(np.clip((by_then - low) / (high - low), 0.0, 1.0))
-    return np.asarray(np.mean(shares, axis=0))
-
-
-TARGET_SHARE = 0.9
-"""Target of a profile: share of the best value known."""
-
-
 @dataclass(frozen=True)
 class Tournament:
     """Medians of a figure over seeds, and the tests of these medians."""
@@ -115,8 +91,6 @@ class Tournament:
     """Number of problems on which every optimiser has run, which the tests use."""
     friedman: float
     """P-value of Friedman's test that all optimisers are alike; NaN for fewer than three optimisers or two problems."""
-    nemenyi: pd.DataFrame
-    """P-values of Nemenyi's test of every pair of optimisers."""
     critical: float
     """Difference of two mean ranks that is significant at `SIGNIFICANCE`; NaN without complete problems."""
     leads: Mapping[str, float]
@@ -144,13 +118,11 @@ def tournament(runs: Sequence[OptimiserRun], key: str) -> Tournament:
     ranks = pd.Series(mean_ranks(complete.to_numpy()) if rows else np.full(count, np.nan), names).sort_values()
     values, complete = values[ranks.index], complete[ranks.index]
     is_tested, seeds = count > 2 and rows > 1, int(table.groupby(["row", "name"]).size().max())
-    several = nemenyi(complete.to_numpy()) if is_tested else np.full((count, count), np.nan)
     return Tournament(
         values.rename_axis(index="problem", columns=None),
         ranks,
         rows,
         friedman(complete.to_numpy()) if is_tested else np.nan,
-        pd.DataFrame(several, ranks.index, ranks.index),
         critical_difference(count, rows),
         {str(problem): _lead(own) for problem, own in table.groupby("row")},
         attainable(lambda number: mann_whitney(np.linspace(0.0, 1.0, number), np.linspace(2.0, 3.0, number)), seeds),
@@ -176,46 +148,3 @@ def rank_correlation(one: pd.Series, other: pd.Series) -> float:
     """Kendall's tau-b between the mean ranks of the optimisers in two tournaments; NaN for fewer than two."""
     both = one.index.intersection(other.index)
     return float(stats.kendalltau(one[both], other[both]).statistic) if len(both) > 1 else np.nan
-
-
-def running_time_ratios(runs: Sequence[OptimiserRun], best: Mapping[str, float]) -> pd.DataFrame:
-    """Expected running times to `TARGET_SHARE` of the best known value, divided by the shortest one of the problem.
-
-    Args:
-        runs: runs of all optimisers.
-        best: best value known of each problem.
-
-    Returns:
-        A row for each problem, a column for each optimiser; infinity if none of its runs reached the target.
-    """
-    groups: dict[str, dict[str, list[OptimiserRun]]] = {}
-    for run in runs:
-        groups.setdefault(run.problem, {}).setdefault(run.optimiser, []).append(run)
-    times = pd.DataFrame(
-        {
-            problem: {
-                name: expected_running_time(group, TARGET_SHARE * best[problem]) for name, group in by_name.items()
-            }
-            for problem, by_name in groups.items()
-        }
-    ).T
-    ratios: pd.DataFrame = times.div(times.min(axis=1), axis=0).fillna(np.inf)
-    return ratios
-
-
-def attained_curve(runs: Sequence[OptimiserRun], best: Mapping[str, float], shares: FloatArray) -> FloatArray:
-    """ECDF over the budget, `(N,)`: the mean of `attained_share` over runs, for targets from 0 to the best value known.
-
-    Args:
-        runs: runs of an optimiser, on any problems.
-        best: best value known of each problem.
-        shares: shares of the evaluations that a run has done at its end, `(N,)`.
-    """
-    ends = [(run, max(run.history[-1].evaluations, 1.0)) for run in runs]
-    each = [attained_share([run], np.ceil(shares * end), 0.0, best[run.problem]) for run, end in ends]
-    return np.asarray(np.mean(each, axis=0))
-
-
-def profile(ratios: FloatArray, at: FloatArray) -> FloatArray:
-    """Performance profile of an optimiser: share of problems whose ratio `(P,)` is at most each of `at` `(N,)`."""
-    return np.asarray((ratios[:, None] <= at).mean(axis=0))

@@ -8,11 +8,7 @@ from scipy import stats
 
 from lmd.evaluation.comparison import OptimiserRun, expected_running_time
 from lmd.evaluation.tournament import (
-    attained_curve,
-    attained_share,
     critical_difference,
-    profile,
-    running_time_ratios,
     tournament,
     write_iohprofiler,
 )
@@ -76,23 +72,6 @@ def test_the_critical_difference_is_that_of_demsar():
     assert critical_difference(4, 14) == pytest.approx(1.25, abs=0.005)
 
 
-def test_profiles_count_the_problems_that_are_solved_within_a_ratio():
-    fast, slow = [0.0, 1.0], [0.0, 0.0, 0.0, 1.0]
-    values = {"pa": fast, "pb": slow, "qa": [0.0, 0.0], "qb": fast, "ra": [0.0], "rb": [0.0]}
-    runs = [run_of(*both, 0, each) for both, each in values.items()]
-    ratios = running_time_ratios(runs, {"p": 1.0, "q": 1.0, "r": 1.0})
-    assert ratios.loc["p"].to_dict() == {"a": 1.0, "b": 2.0}
-    assert ratios.loc["q"].to_dict() == {"a": math.inf, "b": 1.0}
-    assert ratios.loc["r"].to_dict() == {"a": math.inf, "b": math.inf}
-    assert profile(ratios["b"].to_numpy(), np.array([1.0, 1.9, 2.0])).tolist() == [1 / 3, 1 / 3, 2 / 3]
-
-
-def test_a_curve_is_the_mean_share_of_targets_at_shares_of_the_own_budget():
-    half, whole = run_of("p", "a", 0, [0.0, 1.0]), run_of("q", "a", 0, [0.5, 0.5, 0.5, 2.0], step=2.0)
-    curve = attained_curve([half, whole], {"p": 1.0, "q": 2.0}, np.array([0.25, 0.5, 1.0]))
-    assert curve.tolist() == [(0.0 + 0.25) / 2, (0.0 + 0.25) / 2, 1.0]
-
-
 @pytest.fixture(scope="module")
 def read(runs, tmp_path_factory):
     """The runs as iohinspector reads them."""
@@ -113,18 +92,6 @@ def read(runs, tmp_path_factory):
 COLUMNS = ["data_id", "algorithm_name", "evaluations", "raw_y"]
 
 
-def test_iohinspector_draws_the_ecdf_that_we_draw(read, runs):
-    from iohinspector.metrics import get_data_ecdf
-
-    at = np.arange(1, 21)
-    how = {"f_min": 0.0, "f_max": 0.6, "scale_f_log": False, "scale_eval_log": False, "maximization": True}
-    theirs = get_data_ecdf(read.select(COLUMNS), eval_values=at, **how)
-    for name in "abc":
-        own = [run for run in runs if run.optimiser == name]
-        column = theirs[theirs.algorithm_name == name].set_index("evaluations")["eaf"]
-        assert attained_share(own, at, 0.0, 0.6) == pytest.approx(column[at].to_numpy(), abs=1e-12)
-
-
 def test_iohinspector_has_our_expected_running_times(read, runs):
     from iohinspector.metrics import aggregate_running_time
 
@@ -138,7 +105,7 @@ def test_iohinspector_has_our_expected_running_times(read, runs):
 
 
 def test_the_rankings_on_instances_held_out_and_not_are_set_side_by_side():
-    from lmd.plot.leaderboard import leaderboard
+    from lmd.suite.leaderboard import leaderboard
 
     level = {"tiny_mean": {"a": 0.3, "b": 0.2, "c": 0.1}, "tiny_mean-1000": {"a": 0.3, "b": 0.1, "c": 0.2}}
     runs = [run_of(problem, name, 0, [value]) for problem, own in level.items() for name, value in own.items()]
@@ -147,4 +114,3 @@ def test_the_rankings_on_instances_held_out_and_not_are_set_side_by_side():
     assert found.figures["tau_1/fitness"] == pytest.approx(1 / 3)  # two pairs of three are in the same order
     assert "### Fitness, held-out instances" in found.text
     assert "Kendall's tau between the two rankings by fitness: 0.33." in found.text
-    assert set(found.pictures) == {"profiles_1.png"}
