@@ -237,13 +237,10 @@ def _studies(cfg: DictConfig, subject: _Subject) -> Iterator[Studied]:
     if cfg.localisation:
         from lmd.estimation.cramer_rao import cramer_rao_map
         from lmd.evaluation.accuracy import accuracy_metrics, save_accuracy_map
-        from lmd.plot.pose_errors import save_cramer_rao_map
 
-        bounds, title = cramer_rao_map(problem.scene, problem.evaluator, deployment), "Cramer-Rao bound of one frame,"
+        bounds = cramer_rao_map(problem.scene, problem.evaluator, deployment)
         save_accuracy = partial(save_accuracy_map, problem=problem, deployment=deployment)
-        draw = partial(save_cramer_rao_map, room=problem.scene.room, bounds=bounds, title=title_of(problem, title))
         files: dict[str, Any] = {"localisation.csv": bounds.to_csv, "accuracy.csv": save_accuracy}
-        files |= {"localisation.png": draw} if cfg.picture else {}
         yield "", files, bounds.metrics() | accuracy_metrics(problem, deployment, seed), ""
     if cfg.losses:
         from lmd.evaluation.losses import losses

@@ -94,12 +94,11 @@ def write_text(
     canvas.restoreState()
 
 
-def write_on_white(canvas: Any, x: float, y: float, text: str, *, size: float, turn: float = 0.0) -> None:
+def write_on_white(canvas: Any, x: float, y: float, text: str, *, size: float) -> None:
     """Write a line of text centred on (x, y), on a white background that hides the drawing below."""
     width = width_of(text, size)
     canvas.saveState()
     canvas.translate(x, y)
-    canvas.rotate(turn)
     canvas.setFillGray(1.0)
     canvas.rect(-width / 2.0 - 0.3, -0.6 * size, width + 0.6, 1.2 * size, stroke=0, fill=1)
     canvas.setFillGray(0.0)

@@ -143,21 +143,10 @@ class PdfEstimate:
                 "samples": len(self.samples),
                 "mean_interval": self.samples.mean_interval,
                 "correlation_time": self.samples.correlation_time,
-                "intervals": "half fixed, half exponential; that none is shorter than the correlation time (where the "
-                "mean is chosen automatically) is what corrects for the autocorrelation of the motion",
             },
-            "independence": None
-            if test is None
-            else {
-                **asdict(test),
-                "rejected": test.rejected,
-                "test": "Pearson's chi-squared of the table of yaw by pitch in bins of equal frequency, Monte Carlo p "
-                "value at fixed margins",
-            },
+            "independence": None if test is None else {**asdict(test), "rejected": test.rejected},
             "form": self.form,
             "joint": None if self.joint is None else self.joint.parameters,
-            "criterion": "10-fold cross-validated log-likelihood per sample (probabilities of fine cells); the "
-            "simplest family within one standard error of the best",
             "yaw": self.yaw.summary(),
             "pitch": self.pitch.summary(),
         }

@@ -7,14 +7,12 @@ import numpy as np
 import pandas as pd
 
 from lmd.core.checks import FloatArray, IntArray
-from lmd.estimation.cramer_rao import CramerRaoMap
 from lmd.evaluation.accuracy import TOLERANCES
 from lmd.evaluation.uncertainty import ONE
 from lmd.evaluation.uncertainty_law import UncertaintyLaw, per_axis
 from lmd.plot import common
 from lmd.plot.common import LANDMARK, draw_band, draw_plan, dress, literal, new_figure, new_panels, series, shrink
 from lmd.plot.plans import NO_MEDIAN_COLOUR
-from lmd.space.space import Space
 
 if TYPE_CHECKING:
     from lmd.evaluation.uncertainty import Uncertainty
@@ -68,45 +66,6 @@ def save_error_figure(
         axes.step(time, counts[name], where="post", lw=0.8, alpha=0.8, **series(i))
     axes.axhline(n, color="green", linestyle=":", lw=2.0)
     dress(axes, xlabel="time [s]", ylabel="landmarks in view, first flight")
-    figure.savefig(path)
-
-
-def save_cramer_rao_map(path: str | Path, room: Space, bounds: CramerRaoMap, title: str) -> None:
-    """Write a PNG: at each position the share of single frames that determine the pose, and their median position
-    bound.
-
-    Args:
-        path: path of the PNG.
-        room: room, drawn as a box.
-        bounds: bounds for one deployment.
-        title: title of the figure.
-    """
-    from matplotlib.colors import LogNorm
-
-    figure = new_figure((15.0, 7.0), title)
-    finite = np.isfinite(bounds.position)
-    size = 49.0 * common.ball_scale(room, bounds.positions) ** 2
-    shown: tuple[tuple[FloatArray, str, dict[str, Any]], ...] = (
-        (bounds.share, "share of orientations in which one frame fixes the pose", {"vmin": 0.0, "vmax": 1.0}),
-        (1e3 * np.where(finite, bounds.position, np.nan), "median position bound there [mm per pixel of noise]",
-         {"norm": LogNorm()}),
-    )  # fmt: skip
-    for i, (values, label, scale) in enumerate(shown, start=1):
-        axes = figure.add_subplot(1, 2, i, projection="3d")
-        axes.set_box_aspect(common.size_of(room))
-        for edges in room.outline().values():
-            for edge in edges:
-                axes.plot(*edge.T, color=common.REACHABLE, lw=0.8)
-        axes.set(**dict(zip(("xlabel", "ylabel", "zlabel"), common.AXIS_LABELS, strict=True)))
-        drawn = np.isfinite(values)
-        colours = common.COLOUR_MAP if i == 1 else f"{common.COLOUR_MAP}_r"  # bright is good in both panels
-        balls = axes.scatter(
-            *bounds.positions[drawn].T, c=values[drawn], s=size, cmap=colours, linewidths=0, depthshade=False, **scale
-        )
-        if drawn.any():
-            bar = figure.colorbar(balls, ax=axes, orientation="horizontal", shrink=0.6, pad=0.02, label=label)
-            if "norm" in scale:
-                common.set_log_ticks(bar, np.nanmin(values), np.nanmax(values))
     figure.savefig(path)
 
 
