@@ -111,7 +111,7 @@ def test_figures_of_an_evaluation_are_those_of_the_compiled_half(objective):
             **losses(problem, deployment).metrics(),
             **accuracy_metrics(problem, deployment, 0, SAMPLE),
             **{f"dragged {key}": value for key, value in session.metrics().items()},
-            "added": additions(problem, deployment, hung(problem.scene, 1, 5)).value[0],
+            "added": additions(problem, deployment, hung(problem.scene, 1, 5))[0],
         })  # fmt: skip
     assert found[0] == pytest.approx(found[1], rel=1e-9, abs=1e-12)
 

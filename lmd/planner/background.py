@@ -7,11 +7,11 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from lmd.core.checks import InputError
+from lmd.core.checks import FloatArray, InputError
 from lmd.evaluation.validation import Sample, describe_validation, validation_metrics
 from lmd.planner.actions import ActionQueue
-from lmd.planner.figures import Additions, additions
-from lmd.planner.panel import ADDITIONS, PlannerPanel
+from lmd.planner.figures import additions
+from lmd.planner.panel import PlannerPanel
 from lmd.planner.picture import RoomPicture
 from lmd.planner.session import PlanningSession, Posed
 from lmd.problem import Problem
@@ -126,7 +126,7 @@ class Background:
         seed: int | None,
     ) -> None:
         self._session, self._actions, self._panel, self._picture, self._seed = session, actions, panel, picture, seed
-        self.additions: Additions | None = None
+        self.additions: FloatArray | None = None
         self._worker = Worker(self._work, lambda *failure: actions.put(partial(self._take_failure, *failure)))
 
     def announce(self) -> None:
@@ -147,9 +147,8 @@ class Background:
         self._worker.close()
 
     def show_additions(self, _: Any = None) -> None:
-        """Colour the surfaces by the gain that the user has chosen."""
-        key = ADDITIONS.get(self._panel.additions.value)
-        gains = None if self.additions is None or key is None else getattr(self.additions, key)
+        """Colour the surfaces by the gains, if the user wants these."""
+        gains = self.additions if self._panel.additions.value else None
         self._picture.show_additions(gains)
         self._panel.show_legend(None if gains is None else float(np.nanmax(gains, initial=0.0)))
 
@@ -166,7 +165,7 @@ class Background:
         if rows is not None:
             self._actions.put(partial(self._take_off_grid, posed, rows))
 
-    def _take_additions(self, found: Additions) -> None:
+    def _take_additions(self, found: FloatArray) -> None:
         self.additions = found
         self.show_additions()
 

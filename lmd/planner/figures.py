@@ -2,14 +2,14 @@
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import kernel
 from lmd.core.layers import layers
-from lmd.incremental.field import BOUND, NO_UNITS, SETTLE, in_order, moved, perform, places_of, runner, total_fitness
+from lmd.incremental.field import BOUND, NO_UNITS, SETTLE, in_order, moved, perform, places_of, runner
 from lmd.objectives.base import incremental
 from lmd.objectives.reference_field import field_of
 from lmd.objectives.without import AWAY
@@ -90,25 +90,13 @@ class _FieldValues:
         return np.asarray(self._state.units[self._field.index_of] / PROBABILITY_ONE)
 
 
-class Additions(NamedTuple):
-    """Gains by one more tag at each of N places; NaN where the new tag's paper would overlap another paper."""
-
-    fitness: FloatArray
-    """`(N,)` gain of the fitness."""
-    value: FloatArray
-    """`(N,)` gain of the objective's mean value over positions, weighted by relevance. Unlike the fitness, the mean
-    value also ranks places where a tag lifts no position over a threshold.
-    """
-
-
 @kernel
-def _add_up(units, target, fitness, value):  # type: ignore[no-untyped-def]
-    """Write the fitness and the mean value of each row of `units` `(N, Q)`."""
+def _add_up(units, relevance, value):  # type: ignore[no-untyped-def]
+    """Write the mean value of each row of `units` `(N, Q)`."""
     for i in range(len(units)):
-        fitness[i] = total_fitness(target, units[i])
         total = 0.0
         for p in range(units.shape[1]):
-            total += target.relevance[p] * (units[i, p] / PROBABILITY_ONE)
+            total += relevance[p] * (units[i, p] / PROBABILITY_ONE)
         value[i] = total
 
 
@@ -123,8 +111,10 @@ def candidate_cells(problem: Problem) -> Cells:
 
 def additions(
     problem: Problem, deployment: Deployment, poses: Deployment, wanted: Callable[[], bool] = lambda: True
-) -> Additions | None:
-    """Gains by one more tag at each of N poses.
+) -> FloatArray | None:
+    """Gains by one more tag at each of N poses, of the objective's mean value over positions, weighted by relevance.
+
+    Unlike the fitness, the mean value also ranks places where a tag lifts no position over a threshold.
 
     A landmark that is invisible at first is moved from place to place (`lmd.incremental.field`). Moves are settled, so
     that occlusion counts, but never accepted.
@@ -136,7 +126,7 @@ def additions(
         wanted: called repeatedly; returns False to stop.
 
     Returns:
-        gains; None if `wanted` returned False.
+        `(N,)` gains, NaN where the new tag's paper would overlap another; None if `wanted` returned False.
 
     Raises:
         InputError: the objective has no field.
@@ -150,17 +140,16 @@ def additions(
     steps = np.zeros((len(poses), 2, 4), dtype=np.int64)
     steps[:, :, 0], steps[:, :, 1], steps[:, :, 2] = (BOUND, SETTLE), len(deployment), poses.surfaces[:, None]
     units = np.empty((2 * CANDIDATE_BATCH, field.size), dtype=np.int64)
-    fitness, value = np.empty(len(poses)), np.empty(len(poses))
+    value = np.empty(len(poses))
     for first in range(0, len(poses), CANDIDATE_BATCH):
         if not wanted():
             return None
         part = slice(first, first + CANDIDATE_BATCH)
         tried = steps[part].reshape(-1, 4)
         runner(field, perform)(tried, np.repeat(places[part], 2, axis=0), field, state, scratches, units)
-        _add_up(units[1 : len(tried) : 2], target, fitness[part], value[part])
+        _add_up(units[1 : len(tried) : 2], target.relevance, value[part])
     before = float((target.relevance * (state.units / PROBABILITY_ONE)).sum())
     taken = np.zeros(len(poses), dtype=np.bool_)
     for k in range(len(deployment)):
         taken |= problem.scene.footprints.touched(poses, deployment[k : k + 1])
-    gained = (fitness - total_fitness(target, state.units), value - before)
-    return Additions(*(np.where(taken, np.nan, gain) for gain in gained))
+    return np.where(taken, np.nan, value - before)

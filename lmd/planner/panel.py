@@ -10,16 +10,11 @@ import numpy as np
 
 from lmd.core.compiled import is_compiling
 from lmd.optimisers.ledger import Budget
-from lmd.planner.figures import Additions
 from lmd.planner.plan import MeasuredPlace, SearchProgress
 from lmd.planner.viewing import FREE, GAINS, PINNED, SELECTED, UNKNOWN, VALUES, Rgb, mapped
 
-# Gains that surfaces can show: name in the panel, and field of `Additions`.
-ADDITIONS = {"mean value": "value", "fitness": "fitness"}
-NO_ADDITION = "nothing"
 HINT = "drag a tag; click a tag or a surface"
 UNDO, REDO, PIN, DELETE, SAVE = "Undo", "Redo", "Pin or unpin", "Delete", "Save"
-RESIZE = "Give the tag this size"
 PLACE, FROM_FLOOR, FROM_BELOW = "Hang it there", "from floor, m", "from below, m"
 OFF_GRID_HEIGHT, TWO_LINES = "9em", "min-height: 2.8em"  # constant heights, so that the widgets below do not move
 WIDTH, GAP = 290.0, 12.0  # width of the legend, and its distance from the lower left corner of the picture, pixels
@@ -58,7 +53,6 @@ class PlannerPanel:
             self.step = gui.add_button_group("step", (UNDO, REDO))
             self.adds = gui.add_checkbox("a click on a surface adds a tag", initial_value=False)
             self._size = gui.add_dropdown("size", tuple(self._edges) or ("",), visible=len(self._edges) > 1)
-            self.resize = gui.add_button(RESIZE, visible=len(self._edges) > 1)
         with gui.add_folder("Optimise"):
             # Limits are floats: for an integer, viser makes a widget that cannot receive fractions.
             self._limits = {
@@ -73,7 +67,7 @@ class PlannerPanel:
             self.positions = gui.add_checkbox("positions", initial_value=True)
             self.names = gui.add_checkbox("names of surfaces", initial_value=True)
             self.ids = gui.add_checkbox("ids of tags", initial_value=ids)
-            self.additions = gui.add_dropdown("what a tag adds to", (*ADDITIONS, NO_ADDITION))
+            self.additions = gui.add_checkbox("what a tag adds", initial_value=True)
         colours = gui.add_panel()
         with colours.add_tab("Colours"):
             self._legend = gui.add_html("")
@@ -115,13 +109,9 @@ class PlannerPanel:
         colour = "#c92a2a" if refused else "inherit"
         self._message.content = _paragraph("message", text, f"color: {colour}; {TWO_LINES}")
 
-    def say_additions(self, found: Additions, index: int) -> None:
-        """Show the gains by a tag at the place `index`."""
-        gains = {name: float(getattr(found, key)[index]) for name, key in ADDITIONS.items()}
-        if any(map(math.isnan, gains.values())):
-            self.say("a tag here would overlap another")
-        else:
-            self.say(f"a tag here adds {', '.join(f'{gain:+.3%} to the {name}' for name, gain in gains.items())}")
+    def say_addition(self, gain: float) -> None:
+        """Show the gain by a tag at a place; NaN if the tag would overlap another."""
+        self.say("a tag here would overlap another" if math.isnan(gain) else f"a tag here adds {gain:+.3%}")
 
     def show_tag(self, text: str | None, measured: MeasuredPlace | None) -> None:
         """Show the text and place of the selected tag; both are None without a tag, the place also off all surfaces."""

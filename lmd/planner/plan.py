@@ -103,21 +103,6 @@ class Plan:
         there = _nearest_free(footprints, others, surface, at, self.deployment.edges[k])
         return replace(self, deployment=self.deployment.put(slice(k, k + 1), there))
 
-    def resized(self, footprints: Footprints, number: int, edge: float) -> "Plan":
-        """Change the edge of a tag, metres, and move it to the nearest free place.
-
-        Raises:
-            InputError: as for `moved`, or the tag hangs on no surface.
-        """
-        k = self._movable(number)
-        edges = self.deployment.edges.copy()
-        edges[k] = edge
-        surface = int(self.deployment.surfaces[k])
-        if surface < 0:
-            raise InputError(f"tag {number} hangs on no surface.")
-        at = np.stack(footprints.hanging.surfaces()[surface].coordinates(self.deployment.positions[k]))
-        return replace(self, deployment=replace(self.deployment, edges=edges)).moved(footprints, number, surface, at)
-
     def added(self, scene: Scene, surface: int, at: FloatArray, edge: float | None = None) -> tuple["Plan", int]:
         """Add a tag at the free place nearest to `at`; return the plan and the tag's id, the least unused one.
 

@@ -107,7 +107,6 @@ class Planner:
             (panel.save.on_click, self._save),
             (panel.tag.on_click, self._change_tag),
             (panel.place.on_click, self._place),
-            (panel.resize.on_click, self._resize),
             (panel.step.on_click, self._step),
             (panel.optimise.on_click, self._optimise_or_stop),
             (panel.positions.on_update, self._show_or_hide),
@@ -177,7 +176,7 @@ class Planner:
             self._panel.say(f"tag {self._selected} was added")
             self._show()
         elif self._background.additions is not None:
-            self._panel.say_additions(self._background.additions, event.instance_index)
+            self._panel.say_addition(float(self._background.additions[event.instance_index]))
 
     @property
     def _chosen(self) -> int:
@@ -188,12 +187,6 @@ class Planner:
 
     def _place(self, _: Any) -> None:
         self._session.place(self._chosen, *self._panel.typed)
-        self._show()
-
-    def _resize(self, _: Any) -> None:
-        if self._panel.edge is None:
-            raise InputError("choose a size first.")
-        self._session.resize(self._chosen, self._panel.edge)
         self._show()
 
     def _change_tag(self, event: Any) -> None:

@@ -117,14 +117,6 @@ class PlanningSession:
         """End a drag."""
         self._dragged = None
 
-    def resize(self, number: int, edge: float) -> None:
-        """Change the edge of a tag, see `Plan.resized`.
-
-        Raises:
-            InputError: as for `Plan.resized`, or a search is running.
-        """
-        self._become(self.plan.resized(self.problem.scene.footprints, number, edge))
-
     def add(self, surface: int, at: FloatArray, edge: float | None = None) -> int:
         """Add a tag, see `Plan.added`, and return its id.
 
