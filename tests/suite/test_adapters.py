@@ -1,14 +1,9 @@
-"""The suite as other libraries take it, each run from its side. CARP-S alone takes 6 s to import."""
+"""The suite as other libraries take it, each run from its side."""
 
 import json
-import os
-import re
-import subprocess
-import sys
 
 import numpy as np
 import pytest
-from support.processes import ROOT
 
 import lmd.suite
 from lmd.core.checks import InputError
@@ -88,20 +83,6 @@ def test_scipy_minimises_the_negative_values(box, vectorized):
         lmd.suite.scipy_function(box), bounds, maxiter=1, popsize=1, rng=0, polish=False, **updating
     )
     assert found.fun == -box(found.x)
-
-
-@pytest.mark.thorough("lmd/suite/carps", "lmd/suite/adapters.py")
-def test_carps_runs_a_problem_as_its_task(box, tmp_path):
-    options = ["hydra.searchpath=[pkg://lmd.suite.carps]", "+task=lmd", "problem=tiny_mean", "trials=5", "loggers=[]"]
-    command = [sys.executable, "-m", "carps.run", *options, "+optimizer/randomsearch=config"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "200"}
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "Solution found" in done.stdout
-    found = done.stdout[done.stdout.index("Solution found") :]
-    genes = {name: float(value) for name, value in re.findall(r"'(x\d+)': ([-+.e\d]+)", found)}
-    cost = float(re.search(r"cost=([-+.e\d]+)", found)[1])
-    assert cost == pytest.approx(-box(np.array([genes[f"x{i}"] for i in range(box.dim)])), abs=1e-9)
 
 
 def test_libraries_of_one_objective_refuse_two(two):
