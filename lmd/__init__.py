@@ -55,35 +55,21 @@ if TYPE_CHECKING:
 
 # Modules of the names. A module is imported at the first use of a name, as numba alone takes a second to load.
 _HOMES = {
-    "Annealing": "lmd.optimisers.annealing",
-    "Budget": "lmd.optimisers.ledger",
-    "Camera": "lmd.geometry.camera",
-    "Coverage": "lmd.objectives.coverage",
-    "Localisation": "lmd.objectives.localisation",
-    "Cuboid": "lmd.space.cuboid",
-    "Deployment": "lmd.scene.deployment",
-    "Fiducial": "lmd.sight.models.fiducial",
-    "FileDeployment": "lmd.formats.tag_maps",
-    "FloorPlan": "lmd.space.floor_plan",
-    "InputError": "lmd.core.checks",
-    "MeshRoom": "lmd.space.mesh_room",
-    "Mount": "lmd.scene.rig",
-    "Prism": "lmd.space.prism",
-    "Problem": "lmd.problem",
-    "RandomDeployment": "lmd.scene.deployment_sources",
-    "Reachable": "lmd.space.parts",
-    "Result": "lmd.optimisers.base",
-    "Rig": "lmd.scene.rig",
-    "Sampling": "lmd.objectives.sampling",
-    "Scan": "lmd.space.scan",
-    "Scene": "lmd.scene.scene",
-    "Tag": "lmd.scene.tag",
-    "UniformDeployment": "lmd.scene.deployment_sources",
-    "Visibility": "lmd.sight.models.paper",
-    "evaluate": "lmd.run",
-    "optimise": "lmd.run",
-    "read_mesh": "lmd.formats.meshes",
-    "save_scene_figure": "lmd.plot.scenes",
+    name: module
+    for module, names in {
+        "lmd.core.checks": "InputError",
+        "lmd.formats.meshes": "read_mesh",
+        "lmd.formats.tag_maps": "FileDeployment",
+        "lmd.objectives": "Coverage Localisation Sampling",
+        "lmd.optimisers": "Annealing Budget Result",
+        "lmd.plot.scenes": "save_scene_figure",
+        "lmd.problem": "Problem",
+        "lmd.run": "evaluate optimise",
+        "lmd.scene": "Camera Deployment Mount RandomDeployment Rig Scene Tag UniformDeployment",
+        "lmd.sight.models": "Fiducial Visibility",
+        "lmd.space": "Cuboid FloorPlan MeshRoom Prism Reachable Scan",
+    }.items()
+    for name in names.split()
 }
 
 __version__ = "0.1.0"

@@ -321,19 +321,6 @@ class Checked:
         """Raise `InputError` if fields that are valid one by one are invalid together."""
 
 
-def check_fields(instance: Any, check: Callable[..., Any], *names: str, **bounds: Any) -> None:
-    """Replace fields of a frozen dataclass by the results of a check.
-
-    Args:
-        instance: the dataclass.
-        check: called with the name and the value of each field, and with `bounds`.
-        names: names of the fields.
-        bounds: further keyword arguments of the check.
-    """
-    for name in names:
-        object.__setattr__(instance, name, check(name, getattr(instance, name), **bounds))
-
-
 def file_path(name: str, value: Any) -> Path:
     """Return `value` as a path.
 

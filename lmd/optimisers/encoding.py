@@ -3,7 +3,7 @@
 A black box varies genes in [0, 1]; an encoding maps them to landmarks. Genes are ordered by landmark.
 """
 
-from typing import Protocol
+from typing import TypeAlias
 
 import numpy as np
 
@@ -20,24 +20,6 @@ ON_SURFACE = 1e-6
 BORDER_SHARE = 1e-12
 
 KINDS = ("wall", "paper")
-
-
-class Encoding(Protocol):
-    """Map between genes and landmarks."""
-
-    @property
-    def genes_per_landmark(self) -> int:
-        """Number of genes of a landmark."""
-
-    def decode(self, genes: FloatArray) -> tuple[FloatArray, FloatArray, np.ndarray]:
-        """Positions and normals `(B, K, 3)` and surfaces `(B, K)` of genes `(B, K * genes_per_landmark)` in [0, 1]."""
-
-    def encode(self, deployment: Deployment) -> FloatArray:
-        """Genes `(K * genes_per_landmark,)` that decode to `deployment`.
-
-        Raises:
-            InputError: a landmark is on no surface that may carry it, or is tilted while the encoding is flush.
-        """
 
 
 class PaperEncoding:
@@ -60,7 +42,7 @@ class PaperEncoding:
         self.planes_tell = room.blockers() is None and not np.triu(alike, 1).any()
 
     def decode(self, genes: FloatArray) -> tuple[FloatArray, FloatArray, np.ndarray]:
-        """See `Encoding.decode`."""
+        """Positions and normals `(B, K, 3)` and surfaces `(B, K)` of genes `(B, K * genes_per_landmark)` in [0, 1]."""
         g = genes.reshape(len(genes), genes.shape[1] // 5, 5)
         points = self.low + g[..., :3] * self.size
         surface = np.argmin(self._distance(points), axis=-1)
@@ -71,7 +53,11 @@ class PaperEncoding:
         return positions, landmark_normal(yaw, pitch), surface
 
     def encode(self, deployment: Deployment) -> FloatArray:
-        """See `Encoding.encode`."""
+        """Genes `(K * genes_per_landmark,)` that decode to `deployment`.
+
+        Raises:
+            InputError: a landmark is on no surface that may carry it, or is tilted while the encoding is flush.
+        """
         surface = deployment.movable(self.room, self.flush).surfaces
         points = np.clip(deployment.positions, self.low, self.low + self.size)
         # A point on an edge of two surfaces is moved away from the second surface, so that decoding finds the
@@ -115,7 +101,7 @@ class WallEncoding:
         return 2 if self.flush else 4
 
     def decode(self, genes: FloatArray) -> tuple[FloatArray, FloatArray, np.ndarray]:
-        """See `Encoding.decode`."""
+        """See `PaperEncoding.decode`."""
         g, s = genes.reshape(len(genes), genes.shape[1] // (n := self.genes_per_landmark), n), self.surfaces
         piece = np.clip(np.searchsorted(self.edges, g[..., 0], side="right") - 1, 0, len(s.shares) - 1)
         along = (g[..., 0] - self.edges[piece]) / (self.edges[piece + 1] - self.edges[piece])
@@ -128,7 +114,7 @@ class WallEncoding:
         return positions, np.cos(tilt) * level + np.sin(tilt) * s.v[surface], surface
 
     def encode(self, deployment: Deployment) -> FloatArray:
-        """See `Encoding.encode`."""
+        """See `PaperEncoding.encode`."""
         s, normals = self.surfaces, deployment.normals
         surface = deployment.movable(self.room, self.flush).surfaces
         at, piece = s.nearest(surface, s.coordinates(surface, deployment.positions))
@@ -141,6 +127,9 @@ class WallEncoding:
         tilt = np.arcsin(np.clip((normals * s.v[surface]).sum(axis=1), -1.0, 1.0))
         genes = np.stack([first, height, turn / np.pi + 0.5, tilt / np.pi + 0.5], axis=1)
         return np.clip(genes, 0.0, 1.0).reshape(-1)
+
+
+Encoding: TypeAlias = PaperEncoding | WallEncoding
 
 
 def make_encoding(kind: str, room: Space, flush: bool) -> Encoding:

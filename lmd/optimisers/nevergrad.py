@@ -3,7 +3,7 @@
 import difflib
 import math
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
@@ -21,9 +21,7 @@ class Nevergrad(Wrapped):
     """Optimiser of nevergrad on the unit box; the optimiser gets the start as a suggestion.
 
     Args:
-        name: a registered optimiser, e.g. `TwoPointsDE`, `NGOpt`, `RLSOnePlusOne`, or a family to be configured by
-            `options`, e.g. `DifferentialEvolution`, `EvolutionStrategy`.
-        options: parameters of the family.
+        name: a registered optimiser, e.g. `TwoPointsDE`, `NGOpt`, `RLSOnePlusOne`.
         workers: number of deployments asked for at a time; 1 for methods that cannot take more.
         budget: number of evaluations that the method plans with; None for `PLANNED`, after which it restarts.
         step: standard deviation of a step (genes span 1); None for nevergrad's default, 1/6.
@@ -37,7 +35,6 @@ class Nevergrad(Wrapped):
     def __init__(
         self,
         name: str,
-        options: Mapping[str, Any] | None = None,
         workers: int = 1,
         budget: int | None = None,
         step: float | None = None,
@@ -46,7 +43,6 @@ class Nevergrad(Wrapped):
     ) -> None:
         super().__init__(seed, encoding)
         self.name = name
-        self.options = dict(options or {})
         self.workers = self.start_size = integer("workers", workers, low=1)
         self.budget = None if budget is None else integer("budget", budget, low=1)
         self.step = None if step is None else real("step", step, above=0.0)
@@ -61,22 +57,16 @@ class Nevergrad(Wrapped):
         """Return the function that makes the optimiser.
 
         Raises:
-            InputError: nevergrad has no optimiser of that name, or the optimiser refuses the options.
+            InputError: nevergrad has no optimiser of that name.
         """
         optional("nevergrad", "nevergrad")
-        from nevergrad.optimization import families, registry
+        from nevergrad.optimization import registry
 
-        if self.name in registry and not self.options:
-            return registry[self.name]  # type: ignore[no-any-return]
-        if self.name not in families.__all__:
-            known = sorted(families.__all__ if self.options else {*registry, *families.__all__})
-            close = ", ".join(difflib.get_close_matches(str(self.name), known, n=5, cutoff=0.3))
-            kind = "a family that takes options" if self.options else "an optimiser"
-            raise InputError(f"name = {self.name!r} is not {kind} of nevergrad; similar: {close or 'none'}.", "name")
-        try:
-            return getattr(families, self.name)(**self.options)  # type: ignore[no-any-return]
-        except Exception as error:  # families raise different errors
-            raise InputError(f"options do not suit nevergrad's {self.name}: {error}", "options") from error
+        if self.name not in registry:
+            close = ", ".join(difflib.get_close_matches(str(self.name), sorted(registry), n=5, cutoff=0.3))
+            told = f"name = {self.name!r} is not an optimiser of nevergrad; similar: {close or 'none'}."
+            raise InputError(told, "name")
+        return registry[self.name]  # type: ignore[no-any-return]
 
     def _open(self, start: FloatArray, rng: np.random.Generator) -> LibraryOptimiser:
         return _Running(self, start, rng)

@@ -12,7 +12,7 @@ import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
-from typing import Protocol
+from typing import TypeAlias
 
 import numpy as np
 
@@ -33,16 +33,6 @@ GRID_SPACING = 0.25  # spacing of the grid of poses, metres
 ROUNDING = 1e-9  # relative tolerance of a limit
 
 
-class Stock(Protocol):
-    """Landmarks that can be chosen."""
-
-    def prices(self, poses: Deployment) -> FloatArray:
-        """Price of each pose, `(N,)`, by which the gain of the pose is divided."""
-
-    def none_left(self, poses: Deployment, chosen: Sequence[int]) -> BoolArray:
-        """Mask `(N,)` of the poses for which no landmark is left once the `chosen` poses have theirs."""
-
-
 @dataclass(frozen=True)
 class Tags:
     """A number of landmarks of each size."""
@@ -53,11 +43,11 @@ class Tags:
     """Tag at poses without an edge of their own."""
 
     def prices(self, poses: Deployment) -> FloatArray:
-        """See `Stock.prices`."""
+        """Price of each pose, `(N,)`, by which the gain of the pose is divided."""
         return np.ones(len(poses))
 
     def none_left(self, poses: Deployment, chosen: Sequence[int]) -> BoolArray:
-        """See `Stock.none_left`."""
+        """Mask `(N,)` of the poses for which no landmark is left after the `chosen` poses."""
         sizes, of = np.unique(poses.edges_of(self.tag), return_inverse=True)
         left = (self.sizes == sizes[:, None]).sum(axis=1) - np.bincount(of[list(chosen)], minlength=len(sizes))
         return np.asarray((left <= 0)[of])
@@ -73,13 +63,16 @@ class Limited:
     """Returns the price of each pose, `(N,)`."""
 
     def prices(self, poses: Deployment) -> FloatArray:
-        """See `Stock.prices`."""
+        """See `Tags.prices`."""
         return self.prices_of(poses)
 
     def none_left(self, poses: Deployment, chosen: Sequence[int]) -> BoolArray:
-        """See `Stock.none_left`."""
+        """See `Tags.none_left`."""
         prices = self.prices(poses)
         return np.asarray(prices > self.total * (1.0 + ROUNDING) - prices[list(chosen)].sum())
+
+
+Stock: TypeAlias = Tags | Limited  # landmarks that can be chosen
 
 
 def select(

@@ -1,22 +1,19 @@
-"""Optimisers of other libraries behind `AskTell`: seeds, suppressed output and restarts; any object with `ask` and
-`tell`.
-"""
+"""Optimisers of other libraries behind `AskTell`: seeds, suppressed output and restarts."""
 
 import inspect
 import io
 import random
 import warnings
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
 from functools import partial
 from typing import Any, Protocol, TypeVar
 from unittest.mock import patch
 
 import numpy as np
-from typing_extensions import override
 
-from lmd.core.checks import FloatArray, InputError, choice, failure, integer
+from lmd.core.checks import FloatArray, InputError, failure
 from lmd.core.threads import in_daemon
 from lmd.optimisers.base import AskTell
 
@@ -27,7 +24,6 @@ LOSS_OF_FAILURE = 1e3
 # Amount by which the loss of equal fitness decreases with each evaluation, far less than one position contributes. Many
 # deployments have equal fitness, and most libraries reject ties; the decrease lets them cross plateaus.
 TIE_BONUS = 1e-12
-STOP_METHODS = ("stop", "should_stop")  # methods of an object that return True after it has ended by its own rules
 
 
 class LibraryOptimiser(Protocol):
@@ -160,73 +156,3 @@ def _global_state_of(seed: int) -> tuple[Any, Any]:
     """Global state after seeding with `seed`."""
     legacy = np.random.RandomState(seed % 2**32)
     return random.Random(seed).getstate(), legacy.get_state()
-
-
-class AskAndTell(Wrapped):
-    """Any object with `ask` and `tell` behind `AskTell`: the object proposes genes in the unit box, and learns their
-    losses.
-
-    Args:
-        make: makes the object; in YAML a node with `_target_` (the class), `_partial_: true` and its parameters. `make`
-            is called with the start `(dim,)`, and with a `seed` and with `bounds` `(dim, 2)` if it has such arguments.
-        start: name of the argument for the start, such as `x0` or `mean`.
-        batch: number of calls of `ask` before `tell`, for an object that proposes one set of genes at a time.
-        told: arguments of `tell`: `arrays` for genes and losses, `pairs` for a list of (genes, loss).
-        encoding: see `AskTell`.
-        seed: see `Optimiser`.
-
-    Raises:
-        InputError: `make` is not a function with the argument `start`, or a parameter is out of range.
-    """
-
-    def __init__(
-        self,
-        make: Callable[..., Any],
-        start: str = "x0",
-        batch: int = 1,
-        told: str = "arrays",
-        encoding: str | None = None,
-        seed: int = 0,
-    ) -> None:
-        super().__init__(seed, encoding)
-        if not callable(make):
-            raise InputError(f"make must be a class or a function, got {make!r}.", "make")
-        self.make, self.takes = with_tuples(make), inspect.signature(make).parameters
-        self.starts_at = choice("start", start, list(self.takes))
-        self.batch, self.pairs = integer("batch", batch, low=1), choice("told", told, ("arrays", "pairs")) == "pairs"
-
-    @property
-    @override
-    def called(self) -> str:
-        return name_of(self.make)
-
-    def _open(self, start: FloatArray, rng: np.random.Generator) -> LibraryOptimiser:
-        given = {"seed": int(rng.integers(1, 2**31)), "bounds": np.tile([0.0, 1.0], (start.shape[1], 1))}
-        arguments = {key: value for key, value in given.items() if key in self.takes}
-        made = self.make(**{self.starts_at: start[0], **arguments})
-        for method in ("ask", "tell"):
-            if not callable(getattr(made, method, None)):
-                raise InputError(f"make: {self.called} makes an object without the method {method}.", "make")
-        return _Asked(made, self.batch, self.pairs)
-
-
-class _Asked:
-    """Object with `ask` and `tell` as a `LibraryOptimiser`."""
-
-    def __init__(self, made: Any, batch: int, pairs: bool) -> None:
-        self.made, self.batch, self.pairs = made, batch, pairs
-
-    def ask(self) -> Any:
-        if any(getattr(self.made, name, bool)() for name in STOP_METHODS):
-            return None
-        asked = self.made.ask()
-        first = asked[0] if isinstance(asked, Sequence | np.ndarray) and len(asked) else asked
-        if np.ndim(first):
-            return asked
-        return [asked, *(self.made.ask() for _ in range(self.batch - 1))] if self.batch > 1 else asked
-
-    def tell(self, genes: FloatArray, losses: FloatArray) -> None:
-        if self.pairs:
-            self.made.tell(list(zip(genes, losses.tolist(), strict=True)))
-        else:
-            self.made.tell(list(genes), losses.tolist())

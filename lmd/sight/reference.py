@@ -79,11 +79,6 @@ def qualified(probability: FloatArray, thold_p: float) -> BoolArray:
     return np.asarray(probability >= thold_p - TOLERANCE)
 
 
-def cost(is_qualified: BoolArray, relevance: FloatArray) -> float:
-    """H = sum over positions of Qual(p) Rel(p), the discrete cost (Eq. H2). Both `(P,)`."""
-    return float((is_qualified * relevance).sum())
-
-
 def counts(scene: Scene, deployment: Deployment) -> IntArray:
     """Number of landmarks covered at every grid position and orientation of the PDF, `(P, A)`.
 

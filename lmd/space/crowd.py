@@ -34,7 +34,6 @@ from lmd.core.checks import (
     span,
 )
 from lmd.core.memory import check_memory
-from lmd.space.blockers import checked_ring
 from lmd.space.space import Space, floor_of
 
 ROUNDING = 1e-9  # rounding tolerance of a share times a number, before it is rounded up
@@ -69,16 +68,6 @@ def number_or_span(name: str, value: Any) -> float | tuple[float, float]:
     return span(name, value, above=0.0)
 
 
-def polygons(name: str, value: Any) -> tuple[Any, ...]:
-    """Return one polygon or several as a tuple of polygons; raise `InputError` for another value."""
-    if not isinstance(value, Sequence) or isinstance(value, str) or not len(value):
-        raise InputError(f"{name} must be a polygon [[x, y], ...] or several, got {value!r}.", name)
-    first = value[0]
-    if isinstance(first, Sequence) and len(first) > 0 and isinstance(first[0], Sequence):
-        return tuple(checked_ring(f"{name}[{i}]", ring, either_way=True) for i, ring in enumerate(value))
-    return (checked_ring(name, value, either_way=True),)
-
-
 @dataclass(frozen=True)
 class Crowd(Checked):
     """Settings of a crowd: cylinders on the floor of a room.
@@ -93,8 +82,6 @@ class Crowd(Checked):
     """Radius, metres: a number, or the least and the greatest of a uniform distribution."""
     height: Annotated[float | tuple[float, float], number_or_span] = 1.75
     """Height above the floor, metres, as `radius`."""
-    walk: Annotated[Any, polygons] | None = None
-    """Polygon `[[x, y], ...]` or several in which the axes stand, metres; None for the whole free floor."""
     clearance: NotNegative = 0.3
     """Least distance of a cylinder from the camera, metres; a closer cylinder is left out."""
     states: Count = 20
@@ -191,7 +178,7 @@ def _draw(crowd: Crowd, room: Space, rng: np.random.Generator) -> FloatArray:
     spans = (np.broadcast_to(span, 2).tolist() for span in (crowd.radius, crowd.height))
     people[..., RADIUS], height = (rng.uniform(least, most, shape) for least, most in spans)
     people[..., BOTTOM], people[..., TOP] = floor, floor + height
-    low, high, walks = _ground(crowd, room)
+    low, high = (corner[:2] for corner in room.bounds())
     for n in range(crowd.number):
         left = np.arange(crowd.states)
         for _ in range(ROUNDS):
@@ -199,34 +186,17 @@ def _draw(crowd: Crowd, room: Space, rng: np.random.Generator) -> FloatArray:
             away = people[left, n, None, :2] - people[left, :n, :2]
             apart = people[left, n, None, RADIUS] + people[left, :n, RADIUS]
             good = ((away**2).sum(axis=-1) >= apart**2).all(axis=-1)
-            good[good] &= walks(people[left[good], n])
+            good[good] &= stands(room, people[left[good], n])
             left = left[~good]
             if not len(left):
                 break
         else:
             raise InputError(
-                f"number = {crowd.number} cylinders do not fit on the free floor where they walk; cylinder {n + 1} of "
-                f"state {left[0] + 1} finds no place.",
+                f"number = {crowd.number} cylinders find no free floor to stand on; cylinder {n + 1} of state "
+                f"{left[0] + 1} has none.",
                 "number",
             )
     return people
-
-
-def _ground(crowd: Crowd, room: Space) -> Any:
-    """Corners of the box in which axes are drawn, `(2,)` each, and a test of the places of cylinders `(M, 5)`."""
-    import shapely
-
-    if crowd.walk is None:
-        return *(corner[:2] for corner in room.bounds()), lambda cylinders: stands(room, cylinders)
-    ground = shapely.union_all([shapely.Polygon(ring) for ring in crowd.walk])
-    x, y, x_end, y_end = ground.bounds
-
-    def walks(cylinders: FloatArray) -> BoolArray:
-        good: BoolArray = np.array(shapely.intersects_xy(ground, *cylinders[:, :2].T))
-        good[good] = stands(room, cylinders[good])
-        return good
-
-    return np.array([x, y]), np.array([x_end, y_end]), walks
 
 
 def stands(room: Space, cylinders: FloatArray) -> BoolArray:

@@ -15,7 +15,7 @@ that touches an edge or a corner, or runs along a face, is clear, as in `lmd.spa
 Landmarks lie in the planes of their own triangles, which therefore never hide them.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -155,11 +155,7 @@ class Triangles(NamedTuple):
 
     def clear(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
         """Mask of the lines between points `(..., 3)` that cross no triangle, `(...)`."""
-        starts, ends = np.broadcast_arrays(starts, ends)
-        crossed = np.empty(starts.shape[:-1], dtype=np.bool_)
-        first, last = (np.ascontiguousarray(p).reshape(-1, 3) for p in (starts, ends))
-        _find_crossed(self, first, last, crossed.reshape(-1))
-        return ~crossed
+        return ~self._of_each(_find_crossed, starts, ends)
 
     def distance(self, points: FloatArray, most: float) -> FloatArray:
         """Distances of points `(..., 3)` from the nearest triangle, at most `most`, metres, `(...)`."""
@@ -172,11 +168,15 @@ class Triangles(NamedTuple):
 
         The function uses sphere tracing with steps of at least `STEP`.
         """
+        return self._of_each(_find_kept, starts, ends, clearance)
+
+    def _of_each(self, find: Callable[..., None], starts: FloatArray, ends: FloatArray, *more: float) -> BoolArray:
+        """Result of a kernel for each line between points `(..., 3)`, `(...)`."""
         starts, ends = np.broadcast_arrays(starts, ends)
-        kept = np.empty(starts.shape[:-1], dtype=np.bool_)
+        found = np.empty(starts.shape[:-1], dtype=np.bool_)
         first, last = (np.ascontiguousarray(p).reshape(-1, 3) for p in (starts, ends))
-        _find_kept(self, first, last, clearance, kept.reshape(-1))
-        return kept
+        find(self, first, last, *more, found.reshape(-1))
+        return found
 
 
 # Least step and largest search distance of sphere tracing, metres.

@@ -8,31 +8,28 @@ import numpy as np
 import pytest
 from scipy.optimize import differential_evolution
 from support.paper import paper_room
-from support.small import OneByOne, pymoo, run
+from support.small import pymoo, run
 from support.tables import refusals
 
 from lmd.core.checks import InputError
 from lmd.optimisers.annealing import Stage
+from lmd.optimisers.base import AskTell
 from lmd.optimisers.encoding import make_encoding
 from lmd.optimisers.nevergrad import Nevergrad
 from lmd.optimisers.scipy import Scipy
-from lmd.optimisers.wrapped import AskAndTell
 from lmd.scene.deployment import Deployment
 from lmd.scene.tag import Tag
 
 PAIRS = {"temperature": [1e-3, 1e-4], "width": [0.1, 0.01], "step": [1.0, 0.1]}
 
 
-class Asking:
+class Asking(AskTell):
     """Asks for what it is told to."""
 
-    def __init__(self, x0, asked):
-        self.asked = asked
-
-    def ask(self):
+    def _ask(self):
         return self.asked
 
-    def tell(self, genes, losses):
+    def _tell(self, genes, fitness):
         pass
 
 
@@ -49,28 +46,16 @@ class Asking:
     ],
 )
 def test_what_is_no_genes_is_refused_at_once_with_the_name_of_what_asked(asked, message):
-    optimiser = AskAndTell(partial(Asking, asked=asked))
+    optimiser = Asking()
+    optimiser.asked = asked
     with pytest.raises(InputError) as told:
         run(optimiser, 1)
     assert str(told.value).startswith(message)
-    optimiser = AskAndTell(partial(Asking, asked=[0.5] * 12))
+    optimiser.asked = [0.5] * 12
     run(optimiser, 3)
-    optimiser.session.made.asked = asked
+    optimiser.asked = asked
     with pytest.raises(InputError, match=re.escape(message.replace("after 0", "after 3"))):
         run(optimiser, 1)
-
-
-class Broken(list):
-    """Candidates that cannot be looked at."""
-
-    def __len__(self):
-        raise KeyError(3)
-
-
-class Mute(Asking):
-    """An optimiser without `tell`."""
-
-    tell = None
 
 
 def start(place, normal, kind="wall", flush=True):
@@ -94,19 +79,9 @@ test_what_cannot_be_is_refused_in_one_sentence = refusals(__file__, **CALLS)
     ("make", "message"),
     [
         (lambda: Scipy(np.linalg.norm), r"^minimise must be a function of an objective and bounds, got <function norm"),
-        (lambda: AskAndTell(OneByOne), r"^start must be one of mean, step, seed, bounds, got 'x0'"),
-        (lambda: AskAndTell(OneByOne, start="mean"), r"^OneByOne failed: TypeError: .*step"),
-        (
-            lambda: AskAndTell(partial(Mute, asked=[0.5])),
-            r"^make: .*Mute makes an object without the method tell\.",
-        ),
         (
             lambda: Nevergrad("DS9", workers=2),
             r"^nevergrad's DS9 failed: ValueError: .* support parallelization \(base\.py, line \d+\)\.$",
-        ),
-        (
-            lambda: AskAndTell(partial(Asking, asked=Broken())),
-            r"^Asking failed: KeyError: 3 \(test_.*\.py, line \d+\)\.$",
         ),
         (
             lambda: Scipy(partial(differential_evolution, strategy="best")),

@@ -9,7 +9,7 @@ import pytest
 from contracts.optimiser import check_going_on
 from scipy.optimize import differential_evolution, direct, dual_annealing, minimize, shgo
 from support.composing import composed
-from support.small import OneByOne, problem, pymoo, run
+from support.small import problem, pymoo, run
 
 from lmd.core.checks import InputError
 from lmd.optimisers.genetic import RandomSearch
@@ -17,7 +17,7 @@ from lmd.optimisers.ledger import Budget
 from lmd.optimisers.nevergrad import Nevergrad
 from lmd.optimisers.pycma import PyCma
 from lmd.optimisers.scipy import Scipy
-from lmd.optimisers.wrapped import AskAndTell, Wrapped
+from lmd.optimisers.wrapped import Wrapped
 from lmd.scene.deployment_sources import RandomDeployment
 from pipelines.building import budget_of, build_optimiser
 from pipelines.nodes import instantiate
@@ -53,21 +53,9 @@ class Stubborn(Wrapped):
         return Session()
 
 
-def one_by_one():
-    return AskAndTell(partial(OneByOne, step=0.05), start="mean", batch=4, told="pairs")
-
-
-def strategy(x0, step):
-    import cma
-
-    return cma.CMAEvolutionStrategy(x0, step, {"bounds": [0, 1], "verbose": -9})
-
-
 @pytest.mark.parametrize(
     ("make", "batches", "least"),
     [
-        (one_by_one, 60, -2.0),
-        (lambda: AskAndTell(partial(strategy, step=0.2)), 60, -2.0),
         *((partial(pymoo, name), 60, -2.0) for name in ("GA", "CMAES", "PatternSearch", "DIRECT", "MixedVariableGA")),
         (partial(pymoo, "Optuna"), 60, -3.0),
         *((partial(PyCma, variant, step=0.2), 40, -1.0) for variant in ("full", "separable", "vkd")),
@@ -113,18 +101,9 @@ def test_a_nevergrad_method_that_cannot_work_in_parallel_is_asked_one_by_one():
     assert [len(genes) for genes in run(Nevergrad("TwoPointsDE", workers=5), 3)] == [5, 5, 5]
 
 
-def forgetful(x0):
-    """Strategy of pycma that starts a thread which waits for ever, as soon as it is asked."""
-    made = strategy(x0, 0.2)
-    ask = made.ask
-    made.ask = lambda: threading.Thread(target=threading.Event().wait).start() or ask()
-    return made
-
-
-@pytest.mark.parametrize("make", [lambda: Nevergrad("ChainCMAPowell", budget=20), lambda: AskAndTell(forgetful)])
-def test_no_thread_of_a_library_keeps_a_process_from_its_end(make):
-    before, optimiser = set(threading.enumerate()), make()
-    run(optimiser, 15)
+def test_no_thread_of_a_library_keeps_a_process_from_its_end():
+    before = set(threading.enumerate())
+    run(Nevergrad("ChainCMAPowell", budget=20), 15)
     waiting = set(threading.enumerate()) - before
     assert waiting
     assert all(thread.daemon for thread in waiting)
@@ -192,7 +171,6 @@ def test_pycma_goes_on_after_it_has_converged():
         lambda: PyCma("vkd"),
         lambda: Scipy(differential_evolution),
         lambda: pymoo("G3PCX", pop_size=10),
-        one_by_one,
         lambda: Stubborn(),
     ],
 )

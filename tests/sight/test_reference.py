@@ -20,7 +20,6 @@ from support.strategies import cameras, free_deployments, pitches, points, seeds
 from lmd.geometry.frames import optical_axis, rotation
 from lmd.scene import pdf
 from lmd.scene.criteria import TOLERANCE
-from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import UniformDeployment
 from lmd.sight import reference
 from lmd.sight.models import paper
@@ -177,23 +176,13 @@ def test_hiding_is_the_printed_distance_to_the_line(seed, nu):
     assert_array_equal(paper.hidden_by_others(d, Visibility(0.28, nu)), (distance <= nu).any(axis=1))
 
 
-def strengths(deployment):
-    scene = paper_scene()
-    landmarks = deployment.positions, deployment.normals
-    return paper.coverage_strength(scene.camera, scene.visibility, ORIGIN, Y[None], *landmarks)
-
-
-def test_coverage_strength_is_the_resolution_where_every_criterion_holds():
-    points = [[0, 2, 0], [0, 0.9, 0.3], [2, 1, 0], [0, -2, 0.5], [0.5, 2.5, 0]]
-    deployment = facing(ORIGIN, *points)
-    turned = Deployment(deployment.positions, np.vstack([deployment.normals[:4], -deployment.normals[4:]]))
-    strength = strengths(turned)
-    assert_allclose(strength, [[5 * 1778 / (1773 * 5.8 * 2), 0, 0, 0, 0]])
-
-
-def test_coverage_strength_is_zero_however_small_the_depth():
-    strength = strengths(facing(ORIGIN, [0.0, 1e-310, 1.0]))
-    assert strength.tolist() == [[0.0]]
+def test_a_landmark_is_covered_where_every_criterion_holds():
+    scene, points = paper_scene(), [[0, 2, 0], [0, 0.9, 0.3], [2, 1, 0], [0, -2, 0.5], [0.5, 2.5, 0], [0, 1e-310, 1]]
+    towards = facing(ORIGIN, *points)
+    normals = np.where(np.arange(6)[:, None] == 4, -towards.normals, towards.normals)
+    covered = scene.visibility.covered(scene.camera, ORIGIN, Y[None], towards.positions, normals)
+    assert covered.tolist() == [[True, False, False, False, False, False]]
+    assert paper.resolution(scene.camera, np.array([2.0])) == pytest.approx(5 * 1778 / (1773 * 5.8 * 2))
 
 
 def test_counts_add_up_the_caps_each_axis_passes_through():

@@ -5,7 +5,7 @@ import shapely
 from numpy.testing import assert_array_equal
 from support.rooms import lab
 
-from lmd.space.crowd import RADIUS, TOP, Crowd, CrowdStates, X, Y, worst_mean
+from lmd.space.crowd import RADIUS, TOP, Crowd, CrowdStates, worst_mean
 from lmd.space.cuboid import Cuboid
 
 ROOM = Cuboid((6.0, 4.0, 2.5), (5.0, 3.0, 1.5), 1.0)
@@ -22,15 +22,6 @@ def test_cylinders_stand_apart_on_the_free_floor():
         assert all(disc.buffer(-0.02).within(free) for disc in discs)
         assert all(one.disjoint(other) for i, one in enumerate(discs) for other in discs[:i])
     assert_array_equal(crowd.people, Crowd(4, radius=(0.2, 0.4), height=(0.5, 1.9), states=30).drawn(room).people)
-
-
-def test_they_walk_where_they_are_told():
-    square = [[1, 1], [2, 1], [2, 2], [1, 2]]
-    other = [[4, 1], [5, 1], [5, 2], [4, 2]]
-    for walk, polygons in ((square, [square]), ([square, other], [square, other])):
-        people = Crowd(2, walk=walk, states=20).drawn(ROOM).people
-        ground = shapely.union_all([shapely.Polygon(ring) for ring in polygons])
-        assert shapely.covers(ground, shapely.points(people[..., X], people[..., Y])).all()
 
 
 def test_the_worst_share_of_the_states_is_rounded_up_to_whole_states():

@@ -89,22 +89,3 @@ def pymoo(name, **parameters):
     module = modules.get(name, name.lower())
     within = "pymoo." if "." in module else "pymoo.algorithms.soo.nonconvex."
     return Pymoo(partial(getattr(import_module(within + module), name), **parameters))
-
-
-class OneByOne:
-    """Proposes one set of genes at a time, is told pairs, and ends after five rounds, as the package cmaes does it."""
-
-    def __init__(self, mean, step, seed, bounds):
-        assert bounds.shape == (len(mean), 2)
-        self.best, self.step, self.rng, self.rounds = (np.inf, mean), step, np.random.default_rng(seed), 0
-
-    def ask(self):
-        return self.best[1] + self.rng.normal(0.0, self.step, len(self.best[1]))
-
-    def tell(self, pairs):
-        self.rounds += 1
-        assert len(pairs) == 4
-        self.best = min([self.best, *((loss, genes) for genes, loss in pairs)], key=lambda pair: pair[0])
-
-    def should_stop(self):
-        return self.rounds >= 5

@@ -164,9 +164,9 @@ class Visibility(Checked):
     def covered(
         self, camera: Camera, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
     ) -> BoolArray:
-        """See `Criteria.covered`: Cs_k >= thold, the coverage spherical caps S_k^C(p) (Definition 1)."""
-        strength = coverage_strength(camera, self, position, axes, landmarks, normals)
-        return np.asarray(strength >= self.thold * (1.0 - TOLERANCE))
+        """See `Criteria.covered`: Cs_k = C^R C^FOV C^F C^O >= thold, the coverage caps S_k^C(p) (Definition 1)."""
+        met = self.verdicts(camera, position, axes, landmarks, normals)
+        return np.asarray(np.logical_and.reduce(list(met.values())))
 
     def verdicts(
         self, camera: Camera, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
@@ -290,26 +290,3 @@ def hidden_by_others(offset: FloatArray, visibility: Visibility) -> BoolArray:
         hides &= squared[None, :] <= squared[:, None] * (1.0 + TOLERANCE)
     hides[np.arange(count), np.arange(count)] = False
     return np.asarray(hides.any(axis=1))
-
-
-def occlusion(offset: FloatArray, distance: FloatArray, normals: FloatArray, visibility: Visibility) -> BoolArray:
-    """C^O: mask `(K,)` of the landmarks that are not occluded (Eq. C_k^O); args as in the two tests above."""
-    return ~(faces_away(offset, distance, normals) | hidden_by_others(offset, visibility))
-
-
-def coverage_strength(
-    camera: Camera,
-    visibility: Visibility,
-    position: FloatArray,
-    axes: FloatArray,
-    landmarks: FloatArray,
-    normals: FloatArray,
-) -> FloatArray:
-    """Cs = C^R C^FOV C^F C^O (Eq. Cs_k), pixel/mm, `(A, K)`. Args as in `Criteria.covered`; `(A, 3)` axes suffice."""
-    offset = landmarks - position
-    distance = np.sqrt(dot(offset, offset))
-    depth = dot(axes[:, None, :], offset[None, :, :])
-    seen = field_of_view(camera, depth, distance[None, :])
-    seen &= focus(camera, visibility.circle_of_confusion, depth)
-    seen &= occlusion(offset, distance, normals, visibility)[None, :]
-    return np.where(seen, resolution(camera, depth), 0.0)
