@@ -64,7 +64,7 @@ MUTATIONS = (
         "test_reference.py",
     ),
     Mutation("space/surface.py", "a[..., None] * self.u + b[", "a[..., None] * self.v + b[", "test_cuboid.py"),
-    Mutation("suite/adapters.py", "lambda x: -problem(", "lambda x: problem(", "test_adapters.py"),
+    Mutation("suite/adapters.py", "] = -problem(", "] = problem(", "test_adapters.py"),
     Mutation("survey/keyframes.py", "following - since <= LONG", "following - since >= LONG", "test_keyframes.py"),
 )
 

@@ -18,7 +18,7 @@ class MeanSeen(AtLeast):
 
     sampling = None
     headline = Headline("seen", "seen")
-    value_name, value_label = "P", "probability of seeing enough landmarks"
+    value_label = "probability of seeing enough landmarks"
 
     @property
     def name(self) -> str:

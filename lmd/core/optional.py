@@ -1,9 +1,7 @@
 """Optional packages, imported at their first use, and messages for packages, modules and classes that are missing."""
 
-import difflib
 import importlib
 import os
-import pkgutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -19,8 +17,6 @@ EXTRAS = {
     "pymoo": "optimisers",
     "rosbags": "bags",
 }
-MOST_NAMES = 12  # greatest number of a module's names in a message
-LIKENESS = 0.75  # least similarity, by `difflib`, of a suggested class or module
 
 
 def optional(package: str, extra: str) -> Any:
@@ -53,7 +49,7 @@ def missing_of(error: BaseException | None) -> InputError | None:
 
 
 def lack_of(target: str) -> str:
-    """Sentence that names the missing part of a dotted path to a class, and similar names that exist."""
+    """Sentence that names the missing part of a dotted path to a class."""
     found, parts = None, target.split(".")
     for i, part in enumerate(parts):
         whole = ".".join(parts[: i + 1])
@@ -62,14 +58,7 @@ def lack_of(target: str) -> str:
         except ModuleNotFoundError as error:
             if not f"{whole}.".startswith(f"{error.name}."):  # an alias of a module is not a package
                 return failure(error)
-            below = pkgutil.iter_modules(getattr(found, "__path__", None if found is None else []))
-            callables = [name for name, value in vars(found or object).items() if name[0] != "_" and callable(value)]
-            names = {name.lower(): name for name in [*(module.name for module in below), *callables]}
-            close = difflib.get_close_matches(part.lower(), names, 3, LIKENESS)
-            there = f"it has {', '.join(sorted(names.values())[:MOST_NAMES])}" if i and names else ""
-            hint = f"did you mean {' or '.join(names[name] for name in close)}?" if close else there
-            lacks = f"{'.'.join(parts[:i])} has no {part}" if i else f"there is no module {part}"
-            return f"{lacks}; {hint}".rstrip("; ")
+            return f"{'.'.join(parts[:i])} has no {part}" if i else f"there is no module {part}"
         except Exception as error:  # a user's module may raise any error
             return f"{target} cannot be imported: {failure(error)}"
     return f"{target} is neither a class nor a function"

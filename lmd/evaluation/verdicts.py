@@ -6,7 +6,6 @@ landmarks that meet it, and the share that would be covered without this criteri
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
 
 import numpy as np
 
@@ -20,18 +19,6 @@ from lmd.sight.obstacles import half_edge, required_points, unobstructed
 # Separates the random numbers of the poses from other uses of the seed.
 CAUSES_STREAM = 0x7768790A
 POSITIONS, VIEWS = 256, 16  # number of random positions, and of random orientations at each position
-
-
-class Explained(Protocol):
-    """Optional methods of a visibility model that give the verdicts of its criteria."""
-
-    def verdicts(
-        self, camera: Any, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
-    ) -> Mapping[str, BoolArray]:
-        """Verdicts `(A, K)` of each criterion by itself, keyed by the name of the criterion; args as in `covered`."""
-
-    def limits_for(self, camera: Camera) -> Mapping[str, str]:
-        """Limits of each criterion for a camera, in a few words, keyed by its name."""
 
 
 def verdicts(
@@ -120,7 +107,7 @@ def causes(scene: Scene, deployment: Deployment, seed: int) -> Causes | None:
     """Measure the shares of sightings that meet each criterion.
 
     Args:
-        scene: scene whose visibility model has `verdicts`, see `Explained`.
+        scene: scene whose visibility model has `verdicts`, as `lmd.sight.models.fiducial.Fiducial` has.
         deployment: K landmarks.
         seed: seed of the poses: positions uniform where the camera may be, orientations from the PDF.
 

@@ -118,10 +118,6 @@ class Objective(Protocol):
         """Settings as a short text for titles, such as `n=2 p=0.65`."""
 
     @property
-    def value_name(self) -> str:
-        """Name of the value of a position, such as `P_2`."""
-
-    @property
     def value_label(self) -> str:
         """Meaning of the value, for the legend of a picture."""
 

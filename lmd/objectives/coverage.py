@@ -84,11 +84,6 @@ class Coverage(AtLeast):
         return f"n={self.n} p={self.thold_p:g}"
 
     @property
-    def value_name(self) -> str:
-        """See `Objective.value_name`."""
-        return f"P_{self.n}"
-
-    @property
     def value_label(self) -> str:
         """See `Objective.value_label`."""
         return f"probability of seeing at least {self.n} landmark{'s' if self.n > 1 else ''}"

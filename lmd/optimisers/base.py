@@ -40,7 +40,7 @@ class Result:
     history: tuple[Record, ...]
     """Best fitness against evaluations and wall time: each improvement, and the end of each batch."""
     stopped: str
-    """`budget` if the budget is used up, `interrupted` by the callback."""
+    """`budget` if the budget is used up, `interrupted` by the callback, `proven` if the result is proved optimal."""
     rig: Rig | None = None
     """Best cameras found if cameras are placed and the deployment is given, else None."""
 
@@ -94,6 +94,10 @@ class Optimiser(ABC):
         """Raise `InputError` if this optimiser cannot handle a problem; called before a run writes anything."""
         if problem.genome is not None and type(self).found_rig is Optimiser.found_rig:
             raise InputError(f"{type(self).__name__} places landmarks, not cameras; use a black box.")
+
+    def figures(self) -> Mapping[str, float]:
+        """Further figures of this optimiser, recorded beside the fitness; none by default."""
+        return {}
 
     @abstractmethod
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:

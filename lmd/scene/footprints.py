@@ -8,6 +8,7 @@ checked.
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 
@@ -94,7 +95,7 @@ class Footprints:
         if not paper:
             return self.room
         with said_of("edge is too large", "edge"):
-            return Inset(self.room, paper / 2.0)
+            return cast(Space, Inset(self.room, paper / 2.0))
 
     @cached_property
     def _surfaces(self) -> SurfaceArrays:

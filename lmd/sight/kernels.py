@@ -18,7 +18,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from lmd.core.bits import ALL, BITS, ONE, ZERO, Integer, lowest
+from lmd.core.bits import ALL, BITS, ONE, ZERO, Integer, WordArray, lowest
 from lmd.core.compiled import inlined, inner, kernel
 from lmd.geometry.vectors import pair3, row3
 from lmd.scene.criteria import covering, covers, frame_of, sized
@@ -48,6 +48,16 @@ def sum_weights(before: Any, after: Any, weights: Any, p: Integer, w: Integer) -
         change += weight if after >> bit & ONE else -weight
         left &= left - ONE
     return change
+
+
+@inlined
+def count_set(at_least: WordArray, w: Integer, visible: Any) -> None:
+    """Count a set of orientations of word w; `at_least[j]` of `(n, W)` has the orientations counted more than j
+    times.
+    """
+    for j in range(len(at_least) - 1, 0, -1):
+        at_least[j, w] |= at_least[j - 1, w] & visible
+    at_least[0, w] |= visible
 
 
 @kernel
@@ -116,10 +126,7 @@ def evaluate_range(
                 for m in range(found):
                     sure_row = np.uint64(bottom[shown[m]])
                     for i in range(words):
-                        visible = certain[sure_row, i]
-                        for j in range(n - 1, 0, -1):
-                            at_least[j, i] |= at_least[j - 1, i] & visible
-                        at_least[0, i] |= visible
+                        count_set(at_least, i, certain[sure_row, i])
                 for m in range(found):
                     k = shown[m]
                     mine, offset, (_, normal) = sized(sight, index[k]), (x[k], y[k], z[k]), pair3(near, k)
@@ -131,9 +138,7 @@ def evaluate_range(
                         if left:
                             well = certain[cell, i]
                             visible = covering(mine, left, i, offset, frame, depths, well, axes)
-                            for j in range(n - 1, 0, -1):
-                                at_least[j, i] |= at_least[j - 1, i] & visible
-                            at_least[0, i] |= visible
+                            count_set(at_least, i, visible)
                         visible |= certain[sure_row, i]
                         while keep and visible:
                             counts[b, p, i * np.uint64(BITS) + lowest(visible)] += 1

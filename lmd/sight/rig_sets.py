@@ -13,6 +13,7 @@ from lmd.core.checks import FloatArray
 from lmd.core.compiled import for_kernels, inlined, inner, kernel
 from lmd.geometry.vectors import Vector, dot3, minus3, pair3, plus3, row3
 from lmd.scene.criteria import covers, frame_of, from_position, sized
+from lmd.sight.kernels import count_set
 from lmd.sight.mount_occlusion import find_suspects, hidden_bits, list_occluders
 from lmd.sight.mounts import (
     ANY,
@@ -130,7 +131,7 @@ def _add_covered(
                     for m in range(begin, end if not doubtful[k] else begin):
                         seen[m if each else 0, p, index_of_k, w] |= sure[k, m, w]
                     if not keep:
-                        _count_set(at_least, w, seen[0, p, index_of_k, w])
+                        count_set(at_least, w, seen[0, p, index_of_k, w])
             for e in range(listed):
                 k = shown[e]
                 index_of_k, occluders = index[k], -1
@@ -157,19 +158,9 @@ def _add_covered(
                         if visible:
                             seen[s, p, index_of_k, w] = mine | visible
                             if not keep:
-                                _count_set(at_least, w, visible)
+                                count_set(at_least, w, visible)
             if not keep:
                 at_least[:] = ZERO
-
-
-@inlined
-def _count_set(at_least: WordArray, w: Integer, visible: Any) -> None:
-    """Count a set of orientations of word w; `at_least[j]` of `(n, W)` has the orientations counted more than j
-    times.
-    """
-    for j in range(len(at_least) - 1, 0, -1):
-        at_least[j, w] |= at_least[j - 1, w] & visible
-    at_least[0, w] |= visible
 
 
 @inner

@@ -14,7 +14,7 @@ from lmd.core.checks import FloatArray
 from lmd.core.compiled import kernel
 from lmd.core.threads import in_parts
 from lmd.sight.blocks import in_blocks
-from lmd.sight.kernels import weights_row
+from lmd.sight.kernels import count_set, weights_row
 from lmd.sight.mounts import MountGroup, with_sight
 from lmd.sight.rig_sets import Blocking, covered_sets
 
@@ -38,9 +38,7 @@ def _sum_probability(seen: Any, weights: Any, n: Integer, units: Any, counts: An
                 visible = seen[p, k, w]
                 if visible == ZERO:
                     continue
-                for j in range(n - 1, 0, -1):
-                    at_least[j, w] |= at_least[j - 1, w] & visible
-                at_least[0, w] |= visible
+                count_set(at_least, w, visible)
                 while keep and visible:
                     counts[p, w * np.uint64(BITS) + lowest(visible)] += 1
                     visible &= visible - ONE

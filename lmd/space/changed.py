@@ -1,60 +1,30 @@
 """Rooms derived from another room: with smaller surfaces, or with the positions of a recording."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, wraps
-from typing import Any, NamedTuple, TypeVar, cast
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
-from typing_extensions import override
 
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.space.gridded import checked_spacing, latin_hypercube
 from lmd.space.space import Space, Weighing
 from lmd.space.surface import Surface
 
-Method = TypeVar("Method", bound=Callable[..., Any])
-
-
-def _asked(method: Method) -> Method:
-    """Make a method that calls the original room's method with the name of `method`."""
-
-    @wraps(method)
-    def ask(changed: "Changed", *arguments: Any, **named: Any) -> Any:
-        return getattr(changed.original, method.__name__)(*arguments, **named)
-
-    return cast(Method, ask)
-
 
 class Changed:
-    """Base of rooms derived from another room: methods of `Space` call the other room's methods unless overridden."""
+    """Base of rooms derived from another room: members are those of that room, unless a subclass has its own."""
 
     def __init__(self, room: Space) -> None:
         self.original = room
         """Room from which this room is derived."""
 
-    @property
-    def relevance(self) -> Weighing:
-        """See `Space.relevance`."""
-        return self.original.relevance
-
-    surfaces = _asked(Space.surfaces)
-    surfaces_of = _asked(Space.surfaces_of)
-    surface_near = _asked(Space.surface_near)
-    bounds = _asked(Space.bounds)
-    contains = _asked(Space.contains)
-    blockers = _asked(Space.blockers)
-    faces = _asked(Space.faces)
-    passable = _asked(Space.passable)
-    clear = _asked(Space.clear)
-    grid = _asked(Space.grid)
-    finer = _asked(Space.finer)
-    jittered_grid = _asked(Space.jittered_grid)
-    sample = _asked(Space.sample)
-    sample_evenly = _asked(Space.sample_evenly)
-    outline = _asked(Space.outline)
-    fixtures = _asked(Space.fixtures)
-    describe = _asked(Space.describe)
+    def __getattr__(self, name: str) -> Any:
+        """Public member of the original room."""
+        if name.startswith("_") or name == "original":  # neither a dataclass nor a room that is still being unpickled
+            raise AttributeError(name)
+        return getattr(self.original, name)
 
 
 class Inset(Changed):
@@ -74,7 +44,6 @@ class Inset(Changed):
         super().__init__(room)
         self._surfaces = tuple(surface.inset(margin) for surface in room.surfaces())
 
-    @override
     def surfaces(self) -> tuple[Surface, ...]:
         """Surfaces, inset by the margin, in the order of the room's surfaces."""
         return self._surfaces
@@ -150,27 +119,23 @@ class RecordedRoom(Changed):
         return _Cells(of, seconds, chosen)
 
     @property
-    @override
     def relevance(self) -> Weighing:
         """Time spent in the cells times the relevance of the room."""
         return TimeSpent(self.grid(), self._cells.seconds, self.original.relevance)
 
-    @override
     def grid(self) -> FloatArray:
         """Position of the record nearest to the mean of each visited cell, `(P, 3)`."""
         return self._positions[self._cells.chosen]
 
-    @override
     def passable(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
         """Mask of the lines that are `clear`; the clearance is ignored, as recorded poses may violate the clearance."""
-        return self.clear(starts, ends)
+        return np.asarray(self.clear(starts, ends))
 
-    @override
     def finer(self) -> "RecordedRoom":
+        """See `Space.finer`: cells of half the edge."""
         half = tuple(np.broadcast_to(self._spacing, 3) / 2.0)
         return RecordedRoom(self.original, self._positions, self._seconds, half)
 
-    @override
     def jittered_grid(self, repeats: int, rng: np.random.Generator) -> FloatArray:
         """Draw `repeats` records of each cell in proportion to their duration, `(repeats P, 3)`."""
         of, total, _ = self._cells
@@ -180,20 +145,18 @@ class RecordedRoom(Changed):
         drawn = np.searchsorted(ends, ends[last] - latin_hypercube(repeats, total.shape, rng) * total)
         return np.asarray(self._positions[by_cell[np.minimum(drawn, last)]]).reshape(-1, 3)
 
-    @override
     def sample(self, size: int, rng: np.random.Generator) -> FloatArray:
         """Draw records in proportion to their duration, `(size, 3)`."""
         return self._positions[rng.choice(len(self._seconds), size, p=self._seconds / self._seconds.sum())]
 
-    @override
     def sample_evenly(self, size: int, rng: np.random.Generator) -> FloatArray:
         """Draw one record from each of `size` equal parts of the recorded time, `(size, 3)`."""
         ends = np.cumsum(self._seconds)
         times = (np.arange(size) + rng.random(size)) / size * ends[-1]
         return np.asarray(self._positions[np.searchsorted(ends[:-1], times, side="right")])
 
-    @override
     def describe(self) -> str:
+        """See `Space.describe`."""
         return f"{self.original.describe()} along a recording"
 
 
@@ -203,7 +166,6 @@ SPACING = 1.0  # edge of the base class's cells, metres; not used by a driven ro
 class FrameTime(TimeSpent):
     """Relevance of the frames of drives: duration of the frame times the relevance of the room."""
 
-    @override
     def weights(self, points: FloatArray) -> FloatArray:
         """See `Weighing.weights`; points other than the frames have the relevance of the room."""
         seconds = self.seconds if np.array_equal(points, self.positions) else np.float64(1.0)
@@ -226,20 +188,18 @@ class DrivenRoom(RecordedRoom):
         return f"{self.original!r}, along {len(self._positions)} frames"
 
     @property
-    @override
     def relevance(self) -> Weighing:
         """Duration of the frames times the relevance of the room."""
         return FrameTime(self._positions, self._seconds, self.original.relevance)
 
-    @override
     def grid(self) -> FloatArray:
         """Position of each frame, `(F, 3)`; frames may coincide."""
         return self._positions
 
-    @override
     def finer(self) -> "DrivenRoom":
+        """See `Space.finer`: the frames are as fine as can be."""
         return self
 
-    @override
     def describe(self) -> str:
+        """See `Space.describe`."""
         return f"{self.original.describe()} along drives"

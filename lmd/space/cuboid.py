@@ -8,11 +8,11 @@ from typing import Annotated
 import numpy as np
 from typing_extensions import override
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, vector
+from lmd.core.checks import BoolArray, FloatArray, InputError, vector
 from lmd.space.gridded import Gridded, GridKind, checked_spacing, grid_counts, kronecker
 from lmd.space.parts import box_surfaces, checked_names
 from lmd.space.space import Relevance
-from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, SurfaceArrays
+from lmd.space.surface import PLACEMENT_TOLERANCE, Surface
 
 Size = Annotated[tuple[float, float, float], partial(vector, size=3, above=0.0)]
 WALLS = ("x_min", "x_max", "y_min", "y_max", "floor", "ceiling")
@@ -78,14 +78,6 @@ class Cuboid(Gridded):
         """Walls that may carry landmarks, in the order of `walls`."""
         walls = _walls(self.size)
         return tuple(walls[name] for name in self.walls)
-
-    @override
-    def surfaces_of(self, positions: FloatArray, normals: FloatArray) -> IntArray:
-        """See `Space.surfaces_of`; a landmark at an edge of walls belongs to the wall with the most similar normal."""
-        walls = SurfaceArrays.of(self.surfaces())
-        on_wall = (np.abs(walls.heights(positions)) <= PLACEMENT_TOLERANCE) & self.contains(positions)[..., None]
-        nearest = np.argmax(np.where(on_wall, normals @ walls.normal.T, -np.inf), axis=-1)
-        return np.where(on_wall.any(axis=-1), nearest, -1)
 
     @override
     def bounds(self) -> tuple[FloatArray, FloatArray]:

@@ -11,7 +11,7 @@
 `lmd.suite.BlackBox(problem)` converts any `lmd.Problem` to such a function.
 """
 
-from lmd.suite.adapters import ioh_problem, nevergrad_function, optuna_objective, pymoo_problem, scipy_function
+from lmd.suite.adapters import pymoo_problem
 from lmd.suite.black_box import BlackBox
 from lmd.suite.documents import Document, document, names
 from lmd.suite.frozen import problem
@@ -23,12 +23,8 @@ __all__ = [
     "best_deployments",
     "best_rig",
     "document",
-    "ioh_problem",
     "names",
-    "nevergrad_function",
-    "optuna_objective",
     "problem",
     "pymoo_problem",
-    "scipy_function",
     "verify",
 ]

@@ -73,7 +73,7 @@ def check_words(objective, scene, deployment):
                  objective.describe_validation(metrics)):  # fmt: skip
         assert told
         assert all(isinstance(text, str) and text for pair in told.items() for text in pair)
-    for name in (objective.name, objective.value_name, objective.value_label):
+    for name in (objective.name, objective.value_label):
         assert isinstance(name, str)
         assert name
     assert 0.0 <= objective.threshold <= 1.0

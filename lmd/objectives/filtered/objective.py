@@ -134,11 +134,6 @@ class Filtered(AtLeast):
         return f"filtered n={self.n} {1e3 * self.tolerance:g} mm"
 
     @property
-    def value_name(self) -> str:
-        """See `Objective.value_name`."""
-        return f"F_{1e3 * self.tolerance:g}mm"
-
-    @property
     def value_label(self) -> str:
         """See `Objective.value_label`."""
         return f"filtered position known to {1e3 * self.tolerance:g} mm"

@@ -88,12 +88,6 @@ class Localisation(AtLeast):
         return f"n={self.n} {1e3 * self.tolerance:g} mm{weight}"
 
     @property
-    def value_name(self) -> str:
-        """See `Objective.value_name`."""
-        located, weight = f"L_{1e3 * self.tolerance:g}mm", self.coverage_weight
-        return f"{1.0 - weight:g} {located} + {weight:g} P_{self.n}" if weight else located
-
-    @property
     def value_label(self) -> str:
         """See `Objective.value_label`."""
         label = f"probability of localising to {1e3 * self.tolerance:g} mm"

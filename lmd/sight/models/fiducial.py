@@ -180,7 +180,7 @@ class Fiducial(Checked):
         }
 
     def limits_for(self, camera: Camera) -> dict[str, str]:
-        """See `lmd.evaluation.verdicts.Explained.limits_for`."""
+        """Limit of each criterion for a camera, in a few words, keyed as in `verdicts`."""
         limits, view = self.limits, camera.field_of_view
         assert isinstance(limits, Limits)
         across, down = math.degrees(view.left + view.right), math.degrees(view.top + view.bottom)

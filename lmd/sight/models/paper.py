@@ -185,7 +185,7 @@ class Visibility(Checked):
         }
 
     def limits_for(self, camera: Camera) -> dict[str, str]:
-        """See `lmd.evaluation.verdicts.Explained.limits_for`."""
+        """Limit of each criterion for a camera, in a few words, keyed as in `verdicts`."""
         near, far = camera.depth_of_field(self.circle_of_confusion)
         in_focus = "any depth ahead: no aperture" if camera.is_pinhole else f"depth from {near:.3g} to {far:.3g} m"
         half_angle = math.degrees(camera.cone_half_angle)
