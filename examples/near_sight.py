@@ -16,7 +16,6 @@ class NearSight(NamedTuple):
     outer_cosine: float = COSINE - TOLERANCE
     inset: float = 0.0
     reach: float = -1.0
-    tabulated: bool = False
 
     def unhidden(self) -> "NearSight":
         """The same, as nobody hides anybody."""

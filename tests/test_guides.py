@@ -25,19 +25,16 @@ from contracts.space import check_space
 from support import composing
 from support.paper import paper_camera, paper_room, paper_scene
 from support.processes import call
-from support.rooms import L_SHAPE, PILLAR
 from support.small import problem
 
 from lmd.core.checks import InputError
 from lmd.evaluation.bounds import Search, average_upper_bound
 from lmd.evaluation.losses import losses
-from lmd.evaluation.validation import Sample, validation_metrics
 from lmd.export import exports
 from lmd.formats import registry
 from lmd.formats.calibrations import read_calibration
 from lmd.formats.tag_map import TagMap
 from lmd.geometry.vectors import dot3
-from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.optimisers.annealing import Annealing
 from lmd.optimisers.genetic import EGA
@@ -52,9 +49,6 @@ from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import evaluate_range
 from lmd.sight.models.fiducial import Fiducial
-from lmd.space.floor_plan import FloorPlan
-from lmd.space.parts import Reachable
-from lmd.space.prism import Prism
 from pipelines.building import build_optimiser, build_problem
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]  # what is made for classes from elsewhere is compiled anew each time
@@ -307,21 +301,3 @@ def test_a_command_refuses_what_does_not_fit_before_it_writes_anything(guides, t
     assert done.stderr.startswith("error: Bare has no field that single moves could update; use a black box")
     assert not (tmp_path / "outputs").exists()
     assert not list((tmp_path / "run").glob("*.*"))
-
-
-def test_a_room_elsewhere_gives_what_the_same_room_gives_at_the_origin():
-    found = []
-    for shift in (np.zeros(2), np.array([8.0, -16.0])):  # exact in binary, so that nothing rounds differently
-        plan = FloorPlan((np.array(L_SHAPE) + shift).tolist(), 2.5, holes=[(np.array(PILLAR) + shift).tolist()])
-        room = Prism(plan, Reachable((0.5, 1.5), 0.25), 0.5)
-        p = Problem(paper_scene(room, orientations=pdf.grid_with_ends(6), thold=0.4), Coverage(2, 0.3),
-                    RandomDeployment(16), threads=1)  # fmt: skip
-        result = EGA().run(p, Budget(100))
-        off_grid = validation_metrics(p, result.deployment, 0, Sample(4, 50, 8))
-        found.append(
-            (result.fitness, off_grid["grid_free_qualified_ratio"], result.deployment.positions[:, :2] - shift)
-        )
-    (here, near, _), (there, far, _) = found
-    assert here == pytest.approx(there, abs=0.1)
-    assert near == pytest.approx(far, abs=0.1)
-    np.testing.assert_allclose(found[0][2], found[1][2], atol=1e-9)

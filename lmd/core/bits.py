@@ -78,12 +78,6 @@ def equal_so_far(equal: np.uint64, digit: np.uint64, n: Integer, j: Integer) -> 
 
 
 @inlined
-def at_least_so_far(reached: np.uint64, digit: np.uint64, n: Integer, j: Integer) -> np.uint64:
-    """Axes whose counts, taken modulo 2^(j + 1), are at least n modulo 2^(j + 1); `reached` is the result for j - 1."""
-    return reached & digit if n >> j & 1 else reached | digit
-
-
-@inlined
 def add_set(digits: WordArray, axes: np.uint64, decrement: np.uint64) -> None:
     """Add 1 to the counts at `axes`, or subtract 1 at the axes in `decrement`; `digits` `(J,)`, lowest first."""
     for j in range(np.uint64(len(digits))):
@@ -104,7 +98,8 @@ def at_least(digits: WordArray, n: Integer) -> np.uint64:
     """Axes whose counts, binary `digits` `(J,)`, are at least n."""
     reached = ALL
     for j in range(np.uint64(len(digits))):
-        reached = at_least_so_far(reached, digits[j], n, j)
+        # The axes whose counts, taken modulo 2^(j + 1), are at least n modulo 2^(j + 1).
+        reached = reached & digits[j] if n >> j & 1 else reached | digits[j]
     return reached
 
 

@@ -200,19 +200,23 @@ class Kind(NamedTuple):
     """Number of landmarks that may take the poses."""
 
 
+def _free_sizes(problem: Problem, count: int) -> FloatArray:
+    """Edges of the free landmarks among `count` landmarks, metres; 0 for points. Raises `InputError` like `_kinds`."""
+    if not problem.scene.has_several_sizes:
+        return np.full(count - problem.fixed_count, problem.sizes[0])
+    if count != problem.count:
+        raise InputError(f"the number of landmarks of each size is known for {problem.count}, not for {count}.")
+    return problem.free_sizes
+
+
 def _kinds(problem: Problem, evaluator: Evaluator, count: int, spacing: float) -> list[Kind]:
     """Sizes of the free landmarks among `count` landmarks.
 
     Raises:
         InputError: there are several sizes, and `count` is not the problem's number of landmarks.
     """
-    footprints, sizes = problem.scene.footprints, problem.free_sizes
-    if not problem.scene.has_several_sizes:
-        sizes = np.full(count - problem.fixed_count, sizes[0])
-    elif count != problem.count:
-        raise InputError(f"the number of landmarks of each size is known for {problem.count}, not for {count}.")
-    kinds = []
-    for edge, number in zip(*np.unique(sizes, return_counts=True), strict=True):
+    footprints, kinds = problem.scene.footprints, []
+    for edge, number in zip(*np.unique(_free_sizes(problem, count), return_counts=True), strict=True):
         cells = wall_cells(footprints.inset(footprints.tag.paper_share * edge), spacing)
         poses = replace(cells.poses, edges=np.full(len(cells.poses), edge or np.nan))
         kinds.append(Kind(evaluator.sized(np.array([edge])), cells, poses, int(number)))
@@ -282,10 +286,7 @@ def selection_upper_bound(
     """
     footprints, objective = problem.scene.footprints, selectable(problem.objective)
     evaluator, relevance = problem.fitness_evaluator, problem.fitness_relevance
-    several = problem.scene.has_several_sizes
-    if several and count != problem.count:
-        raise InputError(f"the number of landmarks of each size is known for {problem.count}, not for {count}.")
-    sizes = problem.free_sizes if several else np.full(count - problem.fixed_count, problem.sizes[0])
+    sizes = _free_sizes(problem, count)
     poses, stock = candidates(footprints, problem.free_edges, spacing), Tags(sizes, problem.scene.tag)
     own = poses.edges_of(problem.scene.tag)
     limit, selection, greedy = limit or TimeLimit(), objective.selection(evaluator, relevance), 0.0
@@ -310,5 +311,5 @@ def selection_upper_bound(
         selection.add(poses[j : j + 1])
     gains = selection.gains(poses)
     gains[chosen] = 0.0  # each pose is taken once
-    guarantee = 0.0 if limit.cut else GUARANTEE_OF_SIZES if several else GUARANTEE
+    guarantee = 0.0 if limit.cut else GUARANTEE_OF_SIZES if problem.scene.has_several_sizes else GUARANTEE
     return SelectionBound(selection.label, greedy, min(at_first, greedy + largest(gains)), guarantee)

@@ -6,9 +6,10 @@ that is displaced as a whole by a rigid motion T displaces the pose by T; indepe
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from lmd.core.checks import FloatArray
 from lmd.evaluation.accuracy import TOLERANCES, as_localisation
@@ -21,9 +22,6 @@ from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.tag import Tag
 from lmd.sight.views import visible_to_each
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 QUANTILES = (0.05, 0.5, 0.95)
 
@@ -50,7 +48,7 @@ class MountedTags:
 
 def map_errors(
     problem: Problem, truth: MountedTags, maps: Mapping[str, MountedTags], poses: FloatArray, rng: np.random.Generator
-) -> "pd.DataFrame":
+) -> pd.DataFrame:
     """Measure errors of the pose from single images, one row for each pose from which at least n tags are seen.
 
     Args:
@@ -65,8 +63,6 @@ def map_errors(
         table with `tags`, the number of seen tags, and for each map `position_<name>` (m) and `attitude_<name>` (rad),
         NaN where the points do not determine a pose.
     """
-    import pandas as pd
-
     scene, tag = problem.scene, problem.scene.tag
     points, body = truth.points(tag), (scene.cameras, scene.extrinsics)
     images = np.stack([
@@ -87,7 +83,7 @@ def map_errors(
     return pd.DataFrame(columns)
 
 
-def named_figures(*tables: "pd.DataFrame") -> dict[str, float]:
+def named_figures(*tables: pd.DataFrame) -> dict[str, float]:
     """Finite values of tables, keyed by names such as `fitness/5` for the row `fitness` and the column `5 %`."""
     return {
         f"{row}/{column}".replace(" %", ""): float(value)
@@ -98,7 +94,7 @@ def named_figures(*tables: "pd.DataFrame") -> dict[str, float]:
     }
 
 
-def percent_text(figures: "pd.DataFrame") -> str:
+def percent_text(figures: pd.DataFrame) -> str:
     """Text of a table of shares for a terminal, per cent; names of figures become labels."""
     named = figures.rename(index=_label, columns=_label)
     return named.to_string(float_format=lambda value: f"{100.0 * value:.2f}", na_rep="-")
@@ -110,19 +106,15 @@ def _label(name: object) -> str:
 
 def figures_text(columns: Mapping[Any, Mapping[Any, float]]) -> str:
     """Text of figures by their names, in columns side by side, for a terminal, with labels and units."""
-    import pandas as pd
-
     return pd.DataFrame({name: labelled_figures(figures) for name, figures in columns.items()}).to_string(na_rep="-")
 
 
-def error_quantiles(views: "pd.DataFrame") -> "pd.DataFrame":
+def error_quantiles(views: pd.DataFrame) -> pd.DataFrame:
     """Quantiles of the columns of `map_errors`, indexed by `position_<name>` and `attitude_<name>`.
 
     Columns: quantiles `5 %`, `50 %`, `95 %` over the views with an estimate, and for positions the share `within_<n>mm`
     of all views; a view without an estimate is not within any limit.
     """
-    import pandas as pd
-
     rows: dict[str, dict[str, float]] = {}
     for name in views.columns[views.columns.str.startswith(("position_", "attitude_"))]:
         errors = views[name]
@@ -132,10 +124,8 @@ def error_quantiles(views: "pd.DataFrame") -> "pd.DataFrame":
     return pd.DataFrame.from_dict(rows, orient="index")
 
 
-def errors_text(views: "pd.DataFrame", n: int) -> str:
+def errors_text(views: pd.DataFrame, n: int) -> str:
     """Text of `error_quantiles` for a terminal, in mm and mrad."""
-    import pandas as pd
-
     table = error_quantiles(views)
     parts = [f"{name.replace('_', ', map as ', 1)} [{'mm' if name[0] == 'p' else 'mrad'}]" for name in table.index]
     shares = table.columns[table.columns.str.startswith("within")]

@@ -7,13 +7,16 @@ mounted tags, which a survey would give.
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Annotated
+from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
+import pandas as pd
 
-from lmd.core.checks import Checked, Count, FloatArray, InputError, NotNegative, real
+from lmd.core.checks import Checked, Count, FloatArray, InputError, NotNegative, real, said_of
 from lmd.core.memory import check_memory
 from lmd.detection.frames import draw_poses
+from lmd.evaluation.losses import TAGS_LISTED
 from lmd.evaluation.maps import (
     QUANTILES,
     MountedTags,
@@ -24,22 +27,11 @@ from lmd.evaluation.maps import (
     named_figures,
 )
 from lmd.evaluation.validation import Sample, sampled_evaluators
+from lmd.formats.tag_maps import read_deployment
 from lmd.geometry.squares import upright
 from lmd.objectives.base import SelfValidating
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-from pathlib import Path
-from typing import Any
-
-import pandas as pd
-
-from lmd.core.checks import said_of
-from lmd.evaluation.losses import TAGS_LISTED
-from lmd.formats.tag_maps import read_deployment
 from lmd.scene.footprints import as_they_are
 
 SAMPLE = Sample(groups=8, positions=256, divisions=23)
@@ -136,23 +128,21 @@ class Mounted:
     """Seed of the draws."""
     n: int
     """Number of tags that a view must show for a pose."""
-    planned: "pd.Series"
+    planned: pd.Series
     """Figures of the plan on the grid, and at random positions as `grid_free_...`."""
-    draws: "pd.DataFrame"
+    draws: pd.DataFrame
     """Figures as in `planned`, with a row for each draw."""
-    views: "pd.DataFrame"
+    views: pd.DataFrame
     """Errors of the pose with the map as `planned` and as `mounted`, see `map_errors`, and the `draw`."""
 
     @property
-    def table(self) -> "pd.DataFrame":
+    def table(self) -> pd.DataFrame:
         """Columns `planned`, `mean`, `5 %`, `50 %` and `95 %` of each figure over the draws, indexed by `figure`."""
-        import pandas as pd
-
         quantiles = {f"{100 * q:g} %": self.draws.quantile(q) for q in QUANTILES}
         return pd.DataFrame({"planned": self.planned, "mean": self.draws.mean(), **quantiles}).rename_axis("figure")
 
     @property
-    def tables(self) -> "dict[str, pd.DataFrame]":
+    def tables(self) -> dict[str, pd.DataFrame]:
         """See `lmd.evaluation.Study.tables`."""
         return {
             "mounting": self.table.reset_index(),
@@ -188,8 +178,6 @@ def mounted(problem: Problem, plan: Deployment, error: MountingError, seed: int,
     Raises:
         InputError: there is no room for all papers.
     """
-    import pandas as pd
-
     plan = replace(plan, surveyed=None)  # tags are mounted at their places on the surfaces
     streams = np.random.default_rng([seed, MOUNTING_STREAM]).spawn(error.draws)
     hung = [error.draw(problem, plan, rng) for rng in streams]
@@ -203,22 +191,18 @@ def mounted(problem: Problem, plan: Deployment, error: MountingError, seed: int,
     return Mounted(error, seed, problem.objective.n, figures.iloc[0], draws, numbered)
 
 
-def _figures(problem: Problem, deployments: list[Deployment], seed: int, sample: Sample) -> "pd.DataFrame":
+def _figures(problem: Problem, deployments: list[Deployment], seed: int, sample: Sample) -> pd.DataFrame:
     """Figures on the grid and off it, a row for each deployment of K landmarks."""
-    import pandas as pd
-
     on_grid = pd.DataFrame([problem.metrics(each) for each in deployments])
     return pd.concat([on_grid, off_grid_figures(problem, deployments, seed, sample)], axis=1)
 
 
-def off_grid_figures(problem: Problem, deployments: list[Deployment], seed: int, sample: Sample) -> "pd.DataFrame":
+def off_grid_figures(problem: Problem, deployments: list[Deployment], seed: int, sample: Sample) -> pd.DataFrame:
     """Shares of the objective off the grid, a row for each deployment of K landmarks.
 
     The shares are means over one sample of random positions; an objective that validates itself computes its own
     shares.
     """
-    import pandas as pd
-
     objective = problem.objective
     if isinstance(objective, SelfValidating):
         return pd.DataFrame([objective.off_grid(problem.evaluator, each) for each in deployments])

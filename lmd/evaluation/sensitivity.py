@@ -76,12 +76,8 @@ class RigMoments:
 
     def without_cameras(self) -> FloatArray:
         """Means of L and P_n without each camera, `(C, 2)`."""
-        seen, shares = self.moments.seen, []
-        for c in range(len(seen)):
-            left = seen.copy()
-            left[c] = False
-            shares.append(self.decided(self.moments, left) @ self.share)
-        return np.array(shares)
+        seen, others = self.moments.seen, ~np.eye(len(self.moments.seen), dtype=bool)[..., None, None]
+        return np.array([self.decided(self.moments, seen & left) @ self.share for left in others])
 
     def missed(self, probabilities: Sequence[float], rng: np.random.Generator) -> FloatArray:
         """Means of L and P_n if an image misses each landmark that it shows with one of M probabilities, `(M, 2)`.
@@ -215,11 +211,9 @@ def sensitivity(problem: Problem, deployment: Deployment, seed: int, sample: Sam
     losses = missed[0][:, None, None] - without
     tags, many = np.diagonal(losses, axis1=1, axis2=2), range(1, min(2, len(deployment)) + 1)
     ids, shares = deployment.ids, list(enumerate(SHARE_COLUMNS))
-    misses = pd.DataFrame(missed, columns=SHARE_COLUMNS)
-    misses.insert(0, "missed", MISS_PROBABILITIES)
     return Sensitivity(
         assumptions=pd.DataFrame(rows, columns=["assumption", "factor", "value", *SHARE_COLUMNS, "note"]),
-        misses=misses,
+        misses=pd.DataFrame(missed, pd.Index(MISS_PROBABILITIES, name="missed"), SHARE_COLUMNS).reset_index(),
         tags=pd.DataFrame({"id": ids, "localised_loss": tags[0], "covered_loss": tags[1]}),
         lost=pd.DataFrame([_worst(lost, share, losses[i], ids) for i, share in shares for lost in many]),
         cameras=_cameras(failed, missed[0]) if len(failed) else None,
@@ -228,8 +222,7 @@ def sensitivity(problem: Problem, deployment: Deployment, seed: int, sample: Sam
 
 def _cameras(failed: FloatArray, whole: FloatArray) -> pd.DataFrame:
     """Table `Sensitivity.cameras`, from the shares without each camera `(C, 2)` and with all cameras `(2,)`."""
-    table = pd.DataFrame(failed, columns=SHARE_COLUMNS)
-    table.insert(0, "camera", list(range(len(failed))))
+    table = pd.DataFrame(failed, columns=SHARE_COLUMNS).rename_axis("camera").reset_index()
     return table.assign(localised_loss=whole[0] - failed[:, 0], covered_loss=whole[1] - failed[:, 1])
 
 

@@ -200,7 +200,8 @@ def nearest_lens(model: Model, focal: Any, centre: Any, size: Any, guess: Sequen
     wide = _fitted(EQUIDISTANT, lambda k: Equidistant(*k), points, pixels, [*start, cx, cy, *(0.0,) * 4])
     found = min(found, wide, key=lambda fit: fit.worst) if guess else wide
     if found.worst > GOOD_PIXELS and widest < WIDEST_PINHOLE:  # the rational model also fits tangential terms
-        rational = _fitted("rational_polynomial", _rational, points, pixels, [*start, cx, cy, *(0.0,) * 8])
+        full = [*start, cx, cy, *(0.0,) * 8]
+        rational = _fitted("rational_polynomial", lambda k: BrownConrady._make([*k, *[0.0] * 4]), points, pixels, full)
         found = min(found, rational, key=lambda fit: fit.worst)
     if found.worst > MOST_PIXELS:
         raise InputError(
@@ -208,10 +209,6 @@ def nearest_lens(model: Model, focal: Any, centre: Any, size: Any, guess: Sequen
             "with Kalibr's pinhole-equi (Kannala-Brandt)."
         )
     return found
-
-
-def _rational(coefficients: FloatArray) -> BrownConrady:
-    return BrownConrady._make([*coefficients, *(0.0,) * 4])
 
 
 def _fitted(

@@ -195,19 +195,6 @@ class Lens:
         large = cosine**3 * (profile.along + profile.sway) * (profile.across + profile.sway)
         return Stretch(-_above(-low), _above(high), -_above(-small), _above(large))
 
-    def approximation(self, widest: float) -> tuple[tuple[float, ...], float]:
-        """Approximate the image of directions up to the angle `widest`, rad, by a polynomial.
-
-        Returns:
-            coefficients of s(h), where (s(h) x, s(h) y) is the image of a unit vector (x, y, z) and h = 1 - z; bound on
-            the error, focal lengths.
-        """
-        return _approximation(self, widest)
-
-    def ceiling(self, widest: float) -> tuple[float, ...]:
-        """Coefficients of a polynomial in h = 1 - cos(theta) that bounds the scale for theta <= `widest`, rad."""
-        return _ceiling(self, widest)
-
     def profile(self, theta: Any) -> Profile:
         """Image radius and scales at angles theta from the optical axis, rad."""
         lens = self.model_numbers
@@ -230,7 +217,13 @@ class Lens:
 
 # Cached, as a fit takes milliseconds and is repeated for each tag size.
 @lru_cache(maxsize=64)
-def _approximation(lens: Lens, widest: float) -> tuple[tuple[float, ...], float]:
+def approximation(lens: Lens, widest: float) -> tuple[tuple[float, ...], float]:
+    """Approximate the image of directions up to the angle `widest`, rad, by a polynomial.
+
+    Returns:
+        coefficients of s(h), where (s(h) x, s(h) y) is the image of a unit vector (x, y, z) and h = 1 - z; bound on the
+        error, focal lengths.
+    """
     theta = np.linspace(0.0, widest, ANGLE_SAMPLES)
     profile, height, around = lens.profile(theta), 1.0 - np.cos(theta), np.sin(theta)
     fit = np.polynomial.polynomial.polyfit(height, profile.across, DEGREE)
@@ -239,7 +232,8 @@ def _approximation(lens: Lens, widest: float) -> tuple[tuple[float, ...], float]
 
 
 @lru_cache(maxsize=64)
-def _ceiling(lens: Lens, widest: float) -> tuple[float, ...]:
+def ceiling(lens: Lens, widest: float) -> tuple[float, ...]:
+    """Coefficients of a polynomial in h = 1 - cos(theta) that bounds the scale for theta <= `widest`, rad."""
     theta = np.linspace(0.0, widest, ANGLE_SAMPLES)
     height, most = 1.0 - np.cos(theta), np.maximum.accumulate(lens.profile(theta).most)
     fit = np.polynomial.polynomial.polyfit(height, most, DEGREE)

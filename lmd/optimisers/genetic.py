@@ -64,8 +64,6 @@ class EGA(AskTell):
             gives each chromosome a run of the survivor's genes.
         acceptance: `always` lets a child replace its parent; `if_better` does so only if the child's fitness is not
             lower.
-        mutation: `reset` draws a new gene; `gaussian` moves the gene by a normal step.
-        mutation_scale: standard deviation of the normal step (genes span 1).
         encoding: W, see `AskTell`.
         seed: see `Optimiser`.
 
@@ -82,8 +80,6 @@ class EGA(AskTell):
         mutation_probability: float = 0.1,
         partner: str = "pool",
         acceptance: str = "always",
-        mutation: str = "reset",
-        mutation_scale: float = 0.05,
         encoding: str | None = None,
         seed: int = 0,
     ) -> None:
@@ -96,8 +92,6 @@ class EGA(AskTell):
         self.mutation_probability = real("mutation_probability", mutation_probability, low=0.0, high=1.0)
         self.partner = choice("partner", partner, ("pool", "survivor"))
         self.acceptance = choice("acceptance", acceptance, ("always", "if_better"))
-        self.mutation = choice("mutation", mutation, ("reset", "gaussian"))
-        self.mutation_scale = real("mutation_scale", mutation_scale, above=0.0)
         self.population: FloatArray | None = None  # (M, dim), the survivor first
         self.fitness: FloatArray
 
@@ -106,7 +100,7 @@ class EGA(AskTell):
             return filled_up(self.start, self.population_size, self.rng)
         pool = self.population[1 : self.population_size - self.eliminated]
         newcomers = self.rng.random((self.eliminated, self.dim))
-        return np.vstack([self._mutate(self._recombine(pool)), newcomers])
+        return np.vstack([reset(self.rng, self._recombine(pool), self.mutation_probability), newcomers])
 
     def _tell(self, genes: FloatArray, fitness: FloatArray) -> None:
         if self.population is not None:
@@ -132,13 +126,6 @@ class EGA(AskTell):
             run = run_of_genes(self.rng, self.dim, shortest, longest)
             child[run] = self.population[0, run]
         return children
-
-    def _mutate(self, genes: FloatArray) -> FloatArray:
-        """Mutate each gene with the probability Psi."""
-        if self.mutation == "reset":
-            return reset(self.rng, genes, self.mutation_probability)
-        mutates = self.rng.random(genes.shape) < self.mutation_probability
-        return genes + mutates * self.rng.normal(0.0, self.mutation_scale, genes.shape)
 
 
 class SGA(AskTell):

@@ -12,7 +12,7 @@ from lmd.incremental.field import combined, runner, smoothed
 from lmd.objectives.base import incremental
 from lmd.objectives.crowd import slope_target, target_of
 from lmd.objectives.reference_field import field_of
-from lmd.optimisers.annealing.ascent import PLACES_TRIED, SHARE, slopes
+from lmd.optimisers.annealing.ascent import PLACES_TRIED, SHARE, moved_along, slopes
 from lmd.optimisers.base import Callback, DeploymentSearch, Result
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.stored import array, deployment, deployment_state, generator, generator_state
@@ -191,10 +191,7 @@ class _Climb:
 
     def moved(self, away: FloatArray) -> Deployment:
         """Landmarks moved by `away` `(K, 2)` along u and v, metres, with footprints that do not overlap."""
-        here, surfaces = self._here, self._surfaces
-        at = surfaces.coordinates(here.surfaces, here.positions) + away
-        moved = Deployment(surfaces.points(here.surfaces, at), here.normals, here.surfaces)
-        return self._problem.separated(self._problem.complete(self._problem.free(moved))) or here
+        return moved_along(self._problem, self._here, self._surfaces, away)
 
     def rises(self, trial: Deployment, width: float) -> bool:
         """Move to the trial if the smoothed fitness is higher there; returns True if it is."""

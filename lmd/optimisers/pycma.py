@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, choice, integer, real
+from lmd.core.checks import FloatArray, choice, real
 from lmd.core.optional import optional
 from lmd.optimisers.wrapped import LibraryOptimiser, Wrapped
 
@@ -18,7 +18,6 @@ class PyCma(Wrapped):
         variant: covariance that is learnt: `full`, which takes about 100 evaluations per gene; `separable`, one
             variance per gene; `vkd`, variances and a few directions.
         step: initial standard deviation sigma_0 (genes span 1).
-        population: lambda; None for 4 + 3 ln(dim).
         encoding: see `AskTell`.
         seed: see `Optimiser`.
 
@@ -26,21 +25,13 @@ class PyCma(Wrapped):
         InputError: a parameter is out of range.
     """
 
-    def __init__(
-        self,
-        variant: str = "full",
-        step: float = 0.1,
-        population: int | None = None,
-        encoding: str | None = None,
-        seed: int = 0,
-    ) -> None:
+    def __init__(self, variant: str = "full", step: float = 0.1, encoding: str | None = None, seed: int = 0) -> None:
         optional("cma", "optimisers")
         import cma.restricted_gaussian_sampler  # noqa: F401 # it draws random numbers, so it is imported before these are seeded
 
         super().__init__(seed, encoding)
         self.variant = choice("variant", variant, ("full", "separable", "vkd"))
         self.step = real("step", step, above=0.0)
-        self.population = None if population is None else integer("population", population, low=4)
 
     def _open(self, start: FloatArray, rng: np.random.Generator) -> LibraryOptimiser:
         return _Strategy(self, start[0], rng)
@@ -54,8 +45,6 @@ class _Strategy:
         from cma.restricted_gaussian_sampler import GaussVkDSampler
 
         options: dict[str, Any] = {"bounds": [0, 1], "seed": int(rng.integers(1, 2**31)), "verbose": -9, "verb_log": 0}
-        if settings.population is not None:
-            options["popsize"] = settings.population
         if settings.variant == "separable":
             options["CMA_diagonal"] = True
         if settings.variant == "vkd":

@@ -63,7 +63,9 @@ class SightModel(Protocol):
 
     @property
     def tabulated(self) -> bool:
-        """True if looking up a table of directions (`lmd.sight.directions`) is faster than `in_image`."""
+        """True if looking up a table of directions (`lmd.sight.directions`) is faster than `in_image`; an optional
+        field, by default False, as of a depth and two comparisons.
+        """
 
     def unhidden(self) -> "SightModel":
         """Model without occlusion by landmarks."""

@@ -19,6 +19,7 @@ from lmd.core.checks import (
     NotNegative,
     Positive,
     choice,
+    entries,
     integer,
     real,
     vector,
@@ -38,11 +39,6 @@ def edge_or_point(name: str, value: Any) -> float | None:
 def known_family(name: str, value: Any) -> str:
     """Return the name in `FAMILIES` of the family `value`; raise `InputError` if the family is unknown."""
     return choice(name, family_named(value), tuple(FAMILIES))
-
-
-def tag_counts(name: str, value: Any) -> tuple[int, ...]:
-    """Return `value` as numbers of tags; raise `InputError` if a number is not whole."""
-    return tuple(integer(name, count, low=0) for count in value)
 
 
 @dataclass(frozen=True)
@@ -73,7 +69,7 @@ class Tag(Checked):
     family: Annotated[str, known_family] = "36h11"
     quiet_zone: NotNegative = 1.0
     edges: Annotated[tuple[float, ...], partial(vector, size=None, above=0.0)] | None = None
-    counts: Annotated[tuple[int, ...], tag_counts] | None = None
+    counts: Annotated[tuple[int, ...], partial(entries, check=partial(integer, low=0))] | None = None
     paper: Positive | None = None
     costs: Annotated[tuple[float, ...], partial(vector, size=None, above=0.0)] | None = None
     budget: Positive | None = None

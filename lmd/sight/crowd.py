@@ -26,7 +26,6 @@ from lmd.sight.obstacles import (
     find_ends,
     half_edge,
     is_blocked,
-    is_clear,
     new_ends,
     obstacles_at,
     required_points,
@@ -93,11 +92,6 @@ def unhindered(
         return clear
     points = required_points(half_edge(sight), landmarks, normals)
     return np.asarray(clear & scene.crowd.clear(position, points).all(axis=0))
-
-
-@is_clear.register(CrowdObstacles)
-def _has_cylinders(obstacles: Any) -> Any:
-    return False
 
 
 @new_ends.register(CrowdObstacles)

@@ -173,12 +173,6 @@ class Evaluator:
         """
         return self._evaluate(positions, normals, n, keep=False)[0]
 
-    def probabilities(self, deployment: Deployment, n: int) -> FloatArray:
-        """P_n at every position, `(P,)`."""
-        landmarks = deployment.positions[None], deployment.normals[None]
-        units = self.sized(deployment.edges).units(*landmarks, n)
-        return np.asarray(units[0] / PROBABILITY_ONE)
-
     def _evaluate(
         self, positions: FloatArray, normals: FloatArray, n: int, keep: bool
     ) -> tuple[np.ndarray, np.ndarray]:
@@ -206,7 +200,7 @@ class Evaluator:
         sight = self.sight.among(self._low, self._high, *landmarks)
         seen = (sight, horizon_of(sight), self.obstacles, self.axes, self.bands, self.weights)
         batch = self.blocks[0][: len(self.positions)], self.positions, *landmarks, *seen
-        return batch, self.tables if self.sight.tabulated else None
+        return batch, self.tables if getattr(self.sight, "tabulated", False) else None
 
     def run_over_blocks(self, kernel: Any, fixed: tuple[Any, ...], each: int = 1) -> None:
         """Run `kernel(first, last, *fixed)` over all positions on the threads, in `each` chunks per thread.

@@ -77,15 +77,11 @@ def _may_occlude(j: Integer, k: Integer, mine: Any, view: Any) -> Any:
 
 
 @inlined
-def _sine_of_turn(k: Integer, view: Any, radius: float) -> Any:
-    """Upper bound radius / d on the sine of the angle by which the direction of landmark k may turn; float32."""
-    return np.float32(min(radius / math.sqrt(view.squared[k]), 1.0) if view.squared[k] > 0.0 else 1.0)
-
-
-@inlined
 def find_suspects(k: Integer, view: Any, count: Integer, radius: float, close: Any) -> Any:
     """Write the landmarks that may hide landmark k as bits into `close` `(blocks,)`; True if there are any."""
-    mine, any_found = _sine_of_turn(k, view, radius), np.uint32(0)
+    # An upper bound radius / d on the sine of the angle by which the direction of landmark k may turn.
+    mine = np.float32(min(radius / math.sqrt(view.squared[k]), 1.0) if view.squared[k] > 0.0 else 1.0)
+    any_found = np.uint32(0)
     for b in range((count + LANES - 1) // LANES):
         found = np.uint32(0)
         for lane in range(np.uint64(LANES)):

@@ -96,19 +96,15 @@ def unobstructed(
     return np.asarray(space.clear(np.broadcast_to(position, points.shape), points).all(axis=0))
 
 
-@dispatched
+@overridable
 def is_clear(obstacles: Any) -> Any:
     """True if the room has no obstacles."""
+    return False
 
 
 @is_clear.register(Obstacles)
 def _has_no_body(obstacles: Any) -> Any:
     return len(obstacles.first) == 1
-
-
-@is_clear.register(MeshObstacles)
-def _has_no_triangle(obstacles: Any) -> Any:
-    return False
 
 
 @dispatched

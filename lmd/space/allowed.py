@@ -21,11 +21,6 @@ MIN_AREA = 1e-9
 TRAPEZOID_NUMBERS = 6
 
 
-def rectangle(extent: tuple[float, float]) -> FloatArray:
-    """Trapezoid of a whole rectangular surface with lengths `extent`, metres, `(1, 6)`."""
-    return np.array([[0.0, extent[0], 0.0, 0.0, extent[1], extent[1]]])
-
-
 def trapezoids(region: Any) -> FloatArray:
     """Trapezoids of a region, cut along v at each of its vertices, `(T, 6)`."""
     import shapely

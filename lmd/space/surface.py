@@ -15,7 +15,6 @@ from lmd.space.allowed import (
     find_nearest,
     gathered,
     polygons,
-    rectangle,
     sizes,
     spread,
     trapezoids,
@@ -58,7 +57,9 @@ class Surface:
     @cached_property
     def pieces(self) -> FloatArray:
         """Allowed region as trapezoids, `(T, 6)`."""
-        return rectangle(self.extent) if self.allowed is None else trapezoids(self.allowed)
+        length, height = self.extent
+        whole = np.array([[0.0, length, 0.0, 0.0, height, height]])
+        return whole if self.allowed is None else trapezoids(self.allowed)
 
     @cached_property
     def parts(self) -> FloatArray:

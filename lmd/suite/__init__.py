@@ -15,13 +15,12 @@ from lmd.suite.adapters import pymoo_problem
 from lmd.suite.black_box import BlackBox
 from lmd.suite.documents import Document, document, names
 from lmd.suite.frozen import problem
-from lmd.suite.records import best_deployments, best_rig, verify
+from lmd.suite.records import best, verify
 
 __all__ = [
     "BlackBox",
     "Document",
-    "best_deployments",
-    "best_rig",
+    "best",
     "document",
     "names",
     "problem",

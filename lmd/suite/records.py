@@ -113,29 +113,16 @@ def hypervolume(points: FloatArray) -> float:
     return float(-np.diff(first, append=0.0) @ np.maximum.accumulate(second))
 
 
-def best_deployments(name: str) -> list[Deployment]:
-    """Best known deployment of a problem, or the front of a problem with several objectives.
+def best(name: str) -> list[Deployment] | Rig:
+    """Best known deployment of a problem, the front of one with several objectives, or the cameras of one that places
+    them.
 
     Raises:
-        InputError: there is no problem of that name, none is recorded, or the problem places cameras.
-    """
-    path = _best(document(name))
-    if path.suffix != ".csv":
-        raise InputError(f"suite: {name} places cameras, not landmarks.", "suite")
-    return deployments_of(path)
-
-
-def best_rig(name: str) -> Rig:
-    """Best known cameras of a problem that places cameras.
-
-    Raises:
-        InputError: there is no problem of that name, none is recorded, or the problem places landmarks.
+        InputError: there is no problem of that name, or none is recorded.
     """
     frozen = document(name)
     path = _best(frozen)
-    if path.suffix == ".csv":
-        raise InputError(f"suite: {name} places landmarks, not cameras.", "suite")
-    return rig_in(frozen, path)
+    return deployments_of(path) if path.suffix == ".csv" else rig_in(frozen, path)
 
 
 def deployments_of(path: Path) -> list[Deployment]:

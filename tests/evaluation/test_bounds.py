@@ -22,7 +22,7 @@ from lmd.evaluation.bounds import (
     fitness_upper_bound,
     selection_upper_bound,
 )
-from lmd.evaluation.relaxation import Relaxation, TimeLimit, smoothed_min
+from lmd.evaluation.relaxation import Relaxation, TimeLimit
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.sampling import Sampling
@@ -96,15 +96,6 @@ def test_a_cell_earns_at_least_what_any_landmark_in_it_does(scene, seed, spacing
     check_slack(scene, spacing, np.random.default_rng(seed))
 
 
-def test_the_smoothed_min_has_the_slope_it_says():
-    v, step = np.linspace(-1.0, 3.0, 4001), 1e-6
-    value, slope = smoothed_min(v, 0.3)
-    assert (value <= np.minimum(v, 1.0) + 1e-12).all()
-    assert (value >= np.minimum(v, 1.0) - 0.3 / 4.0 - 1e-12).all()
-    np.testing.assert_allclose(slope, (smoothed_min(v + step, 0.3)[0] - smoothed_min(v - step, 0.3)[0]) / (2 * step),
-                               atol=1e-5)  # fmt: skip
-
-
 @examples(30)
 @given(seeds, st.floats(0.05, 1.0), st.integers(1, 3), st.integers(1, 30))
 def test_every_dual_bounds_every_distribution_of_landmarks(seed, threshold, n, count):
@@ -175,16 +166,6 @@ def test_both_bounds_agree_with_a_linear_program(n, count, cover):
         assert exact - 1e-9 <= bound.grid <= exact + 1e-3
 
 
-def test_more_landmarks_have_a_higher_bound_and_one_dual_bounds_every_number():
-    problem = small_problem()
-    bounds = {count: average_upper_bound(problem, count, COARSE) for count in (4, 8, 16, 32)}
-    walls = [bound.walls for bound in bounds.values()]
-    assert walls == sorted(walls)
-    for bound in bounds.values():
-        for count, other in bounds.items():
-            assert bound.dual.bound(count, bound.gain) >= other.fractional - 1e-12
-
-
 def test_the_fewest_landmarks_are_where_the_bound_reaches_the_target():
     problem = small_problem(thold_p=0.5)
     fewest = fewest_landmarks(problem, 0.6, COARSE)
@@ -243,19 +224,6 @@ def test_poses_are_as_far_apart_as_it_takes_for_the_time_to_suffice():
     assert affordable(problem, 12, far).spacing == 0.5  # no limit
     coarser = affordable(problem, 12, replace(far, limit=TimeLimit(100)))
     assert 0.5 < coarser.spacing < 8.0
-
-
-@examples(20)
-@given(count=st.integers(4, 12), n=st.integers(1, 4), seed=seeds)
-def test_the_relaxed_average_is_the_mean_of_the_probabilities_of_at_least_one_to_n(count, n, seed):
-    """E[min(count, n)] / n = (P_1 + ... + P_n) / n: what `bound objective.n=4` bounds, with nothing hidden."""
-    problem = small_problem(count, max(n, 2), nu=0.0)
-    deployment = problem.start.draw(problem.scene.room, np.random.default_rng(seed))
-    evaluator, size = problem.evaluator, len(problem.evaluator.positions)
-    covered = covered_amounts(evaluator, deployment, np.ones(count))
-    relaxed = Relaxation(evaluator, np.full(size, 1.0 / size), n, 1.0).value(covered)
-    means = [evaluator.probabilities(deployment, m).mean() for m in range(1, n + 1)]
-    assert relaxed == pytest.approx(np.mean(means), abs=1e-12)
 
 
 def test_the_papers_row_of_ega_exceeds_what_any_deployment_reaches():

@@ -76,20 +76,6 @@ def test_what_is_left_without_landmarks_is_what_the_others_are_worth(data, scene
             np.testing.assert_allclose(found[:, i, j], np.array(expected) / PROBABILITY_ONE, rtol=1e-12)
 
 
-def test_a_landmark_with_a_double_is_no_loss():
-    positions = np.array([[0.0, 2.0, 3.0], [0.0, 2.0, 3.0], [7.5, 2.5, 3.0]])
-    deployment = Deployment(positions, np.array([X, X, -X]))
-    three, two = (
-        measured(problem_of(hung, Coverage(1, 0.5), Tag(), nu=0.0, occlusion="none"))
-        for hung in (deployment, deployment[1:])
-    )
-    np.testing.assert_allclose(three.tags.covered_loss, [0.0, 0.0, two.tags.covered_loss[1]], atol=1e-12)
-    assert (two.tags.covered_loss > 0.01).all()
-    # Two pairs are of the other and of a double, which is no loss; one is of both doubles.
-    pairs = three.lost.set_index(["lost", "share"]).loc[(2, "covered_share")]
-    assert pairs["mean"] == pytest.approx((two.tags.covered_loss[0] + 2.0 * two.tags.covered_loss[1]) / 3.0)
-
-
 @given(seed=seeds, n=st.integers(1, 3))
 @examples(10)
 def test_missed_landmarks_are_thinned_as_the_binomial_formula_says(seed, n):
@@ -103,13 +89,6 @@ def test_missed_landmarks_are_thinned_as_the_binomial_formula_says(seed, n):
     assert (np.diff(exact) < 0.0).all()
     assert (np.diff(located) <= 0.0).all()  # what is missed with one probability is missed with all greater
     assert (located <= drawn).all()
-
-
-def test_of_two_landmarks_both_must_be_found():
-    positions = np.array([[0.0, 2.0, 3.0], [0.0, 2.0, 3.0]])  # on one point, so that all who see one see two
-    problem = problem_of(Deployment(positions, np.array([X, X])), Coverage(2, 0.5), Tag(), nu=0.0, occlusion="none")
-    covered = measured(problem).misses.covered_share
-    np.testing.assert_allclose(covered, covered[0] * (1.0 - np.array(MISS_PROBABILITIES)) ** 2, rtol=1e-12)
 
 
 def test_without_a_tolerance_localised_is_covered():

@@ -43,14 +43,6 @@ def test_what_is_added_leaves_the_others_and_sees_more():
     assert more.values(larger).mean() > max(at_random)
 
 
-def test_tags_that_are_added_do_not_overlap_and_fit_even_without_a_grid():
-    tag = Tag(1.2)  # too large for the walls to hold many on the grid
-    few, more = problem_of(20, tag=tag), problem_of(40, tag=tag)
-    larger = grown(more, drawn(few))
-    assert len(larger) == 40
-    more.scene.footprints.check(larger)
-
-
 def test_the_one_that_is_missed_least_goes_first():
     problem = problem_of(3)
     positions = np.array([[0.0, 2.0, 3.0], [0.0, 2.5, 3.0], [0.0, 3.0, 3.0], [0.0, 2.5, 6.0]])

@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.paper import paper_room, paper_scene
+from support.paper import chances, paper_room, paper_scene
 
 from lmd.evaluation.validation import Sample, validation_metrics
 from lmd.objectives.coverage import Coverage
@@ -112,7 +112,7 @@ def test_a_sampling_measures_the_fitness_elsewhere_and_nothing_else():
     evaluator, size = robust.fitness_evaluator, len(plain.relevance)
     assert len(evaluator.positions) == 2 * size
     assert len(evaluator.axis_of) == 50
-    qualified = reference.qualified(evaluator.probabilities(deployment_of(plain), 2), 0.4)
+    qualified = reference.qualified(chances(evaluator, deployment_of(plain), 2), 0.4)
     weight = np.tile(plain.relevance, 2)
     assert robust.fitness_of(deployment_of(plain)) == pytest.approx((qualified * weight).sum() / weight.sum())
 

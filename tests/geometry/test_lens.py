@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.strategies import lenses
 
-from lmd.geometry.lens import Lens, lens_of
+from lmd.geometry.lens import Lens, approximation, ceiling, lens_of
 
 FOCAL, FAR = 600.0, 3.0  # pixels, and focal lengths from the centre: farther out is no image
 NOTHING = np.zeros(3)
@@ -84,13 +84,13 @@ def test_a_lens_is_between_two_pinholes(lens, reach):
 @given(lenses(), st.floats(0.05, 1.5))
 def test_the_rough_image_is_off_and_the_ceiling_above_as_said(lens, reach):
     widest = lens.widest(reach)
-    within, (rough, off) = directions(widest), lens.approximation(widest)
+    within, (rough, off) = directions(widest), approximation(lens, widest)
     scale = np.polynomial.polynomial.polyval(1.0 - within[:, 2], rough)
     assert np.linalg.norm(scale[:, None] * within[:, :2] - lens.project(within), axis=1).max() <= off
     theta, stretches = np.arccos(within[:, 2]), np.linalg.svd(lens.jacobian(within), compute_uv=False)[:, 0]
     order = np.argsort(theta)
-    ceiling = np.polynomial.polynomial.polyval(1.0 - within[order, 2], lens.ceiling(widest))
-    assert (np.maximum.accumulate(stretches[order]) <= ceiling + 1e-9).all()
+    bound = np.polynomial.polynomial.polyval(1.0 - within[order, 2], ceiling(lens, widest))
+    assert (np.maximum.accumulate(stretches[order]) <= bound + 1e-9).all()
 
 
 @given(lenses(), st.floats(0.05, 1.5))

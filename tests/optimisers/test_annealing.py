@@ -31,7 +31,7 @@ def covered(n=2, sampling=None, start=None, threads=1):
 def surrogate_of(p, walkers=1):
     """A surrogate, and the generator and the start of its walk."""
     rng = np.random.default_rng(0)
-    return Surrogate(p, walkers, 0.35), rng, p.draw(rng)
+    return Surrogate(p, walkers), rng, p.draw(rng)
 
 
 def spied(monkeypatch):

@@ -121,16 +121,10 @@ def test_children_always_replace_their_parents_by_default():
     assert (picky.fitness[9:] == -1.0).all()  # the eliminated are replaced
 
 
-@pytest.mark.parametrize("mutation", ["reset", "gaussian", None])
-def test_each_gene_mutates_with_the_given_probability(mutation):
+def test_each_gene_mutates_with_the_given_probability():
     parameters = COPIES | {"mutation_probability": 0.1}
-    if mutation is None:
-        optimiser = sga([0.5] * 6, dim=4000, **parameters)
-        changed = ~np.isin(optimiser.ask(), optimiser.population)
-    else:
-        optimiser = ega(dim=4000, mutation=mutation, **parameters)
-        changed = optimiser.ask()[:8] != optimiser.population[1:9]
-    assert changed.mean() == pytest.approx(0.1, abs=0.01)
+    for optimiser in (sga([0.5] * 6, dim=4000, **parameters), ega(dim=4000, **parameters)):
+        assert np.isin(optimiser.ask()[:6], optimiser.population).mean() == pytest.approx(0.9, abs=0.01)
 
 
 def test_the_defaults_are_the_printed_parameters():

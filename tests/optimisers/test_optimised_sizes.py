@@ -66,7 +66,7 @@ def test_the_fitness_is_that_of_the_result_and_each_landmark_keeps_its_size(prob
 
 @pytest.mark.slow  # the walk for one more kind of sight
 def test_landmarks_of_different_sizes_exchange_their_places(problem):
-    rng, surrogate = np.random.default_rng(0), Surrogate(problem, 1, 0.35)
+    rng, surrogate = np.random.default_rng(0), Surrogate(problem, 1)
     start = problem.draw(rng)
     stage = Stage([1e3] * 2, [0.05] * 2, [0.1] * 2, exchange=1.0)
     here, _ = surrogate.walk(start, start, Conditions(False, 1.0, 1.0, stage.settings(0.0, 0.1)), 100, rng)

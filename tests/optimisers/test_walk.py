@@ -16,7 +16,7 @@ def walked(n, occlusion, stage):
     """Where 200 moves lead, the random numbers after them, and how many trials were finished."""
     scene = paper_scene(paper_room(spacing=1.5), orientations=pdf.grid_with_ends(6), occlusion=occlusion)
     problem = Problem(scene, Coverage(n, 0.3), RandomDeployment(20), threads=1)
-    surrogate, rng = Surrogate(problem, 1, 0.35), np.random.default_rng(0)
+    surrogate, rng = Surrogate(problem, 1), np.random.default_rng(0)
     start = problem.start.draw(scene.room, rng)
     settings = stage.settings(0.0, 0.1)
     surrogate.walk(start, start, Conditions(False, 1.0, 1.0, settings), 0, rng)

@@ -142,13 +142,6 @@ def test_a_walk_on_samples_leaves_alone_what_hangs_already(optimiser, objective)
     scene.footprints.check(result.deployment.with_surfaces(scene.room))
 
 
-def test_a_good_deployment_with_half_of_it_fixed_gets_no_worse(tmp_path):
-    found = make("annealing").run(problem(), Budget(400))
-    found.deployment.to_csv(tmp_path / "good.csv")
-    p = problem(FileDeployment(tmp_path / "good.csv"), fixed=found.deployment[:15])
-    assert make("annealing").run(p, Budget(60)).fitness >= found.fitness
-
-
 def test_the_greedy_choice_goes_on_from_what_hangs():
     first = GreedyDeployment(12, problem().scene, problem().objective, 0.8, 1)
     whole = drawn(first)

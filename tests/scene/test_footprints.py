@@ -137,7 +137,7 @@ def test_points_are_left_alone():
 
 METHODS = {
     "annealing": Annealing,
-    "annealing, no growth": lambda: Annealing(growth=0.0),
+    "annealing on samples": Annealing,
     "greedy": lambda: Greedy(spacing=0.5),
     "ega": EGA,
     "ega, paper's encoding": lambda: EGA(encoding="paper"),
@@ -150,7 +150,7 @@ METHODS = {
 def test_no_optimiser_returns_plates_that_overlap(start, method):
     """Every second combination sees tags."""
     sees_tags = (list(METHODS).index(method) + (start is RandomDeployment)) % 2
-    sampling = Sampling(2, 6) if "growth" in method else None
+    sampling = Sampling(2, 6) if "samples" in method else None
     problem = problem_of(start(40), Fiducial(TAG) if sees_tags else None, sampling)
     for draw in range(3):
         assert not overlaps(problem.draw(np.random.default_rng(draw)), problem.scene.room, EDGE)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
-from support.paper import paper_camera, paper_scene
+from support.paper import chances, paper_camera, paper_scene
 from support.rooms import lab, recorded
 
 from lmd.core.checks import InputError
@@ -130,7 +130,7 @@ def test_orientation_that_depends_on_the_position_moves_the_optimum(write):
     middle, wall = landmark(3.5), landmark(7.5)
 
     def p1(scene, deployment):
-        return Evaluator(scene, threads=1).probabilities(deployment, 1)
+        return chances(Evaluator(scene, threads=1), deployment, 1)
 
     assert_allclose(p1(own, middle), [1.0, 0.0], atol=1e-12)
     assert_allclose(p1(own, wall), [0.0, 0.0], atol=1e-12)

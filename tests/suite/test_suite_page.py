@@ -24,9 +24,9 @@ def test_the_page_counts_the_problems():
 
 
 def test_the_entry_of_the_page_is_scored(tmp_path):
-    from lmd.suite import best_deployments, document, verify
+    from lmd.suite import best, document, verify
 
     (entry,) = re.findall(r"```yaml\n(problem: .*?)```", PAGE, re.DOTALL)
     (tmp_path / "mine.yaml").write_text(entry)
-    best_deployments("tiny_mean")[0].to_csv(tmp_path / "mine.csv")
+    best("tiny_mean")[0].to_csv(tmp_path / "mine.csv")
     assert verify(tmp_path / "mine.yaml")["value"] == pytest.approx(document("tiny_mean").best["value"], abs=1e-12)

@@ -8,6 +8,7 @@ from lmd.geometry.camera import Camera
 from lmd.scene import pdf
 from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
+from lmd.sight.kernels import PROBABILITY_ONE
 from lmd.sight.models.paper import Visibility
 from lmd.space.cuboid import Cuboid
 
@@ -54,3 +55,8 @@ def facing(camera_at, *points):
     points = np.array(points, dtype=float)
     normals = camera_at - points
     return Deployment(points, normals / np.linalg.norm(normals, axis=1, keepdims=True))
+
+
+def chances(evaluator, deployment, n):
+    """P_n at every position."""
+    return evaluator.units(deployment.positions[None], deployment.normals[None], n)[0] / PROBABILITY_ONE

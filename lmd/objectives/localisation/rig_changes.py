@@ -40,9 +40,7 @@ from lmd.objectives.localisation.pairs import (
     store_sums,
 )
 from lmd.objectives.localisation.views import (
-    BodyViews,
     change_sums,
-    clear_moments,
     find_turns,
     first_row,
     see_place,
@@ -103,11 +101,6 @@ def _find_turns_of_group(
 def _find_turns_of_rig(known: RigState, trial: RigScratch, lost: WordArray, gained: WordArray) -> None:
     for j in range(len(known.groups)):
         _find_turns_of_group(known.groups[j], trial.groups[j].flipped, trial, lost, gained)
-
-
-@clear_moments.register(BodyViews)
-def _clear_moments_of_rig(views: BodyViews, p: Integer) -> None:
-    """Do nothing, as a rig stores no moments."""
 
 
 @inlined

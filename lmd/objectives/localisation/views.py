@@ -20,7 +20,7 @@ import numpy as np
 from lmd.core.bits import BITS, ONE, ZERO, Integer, WordArray, add_digit, lowest, prefetch
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined, inner
-from lmd.core.dispatch import dispatched, dispatched_call
+from lmd.core.dispatch import dispatched, dispatched_call, overridable
 from lmd.geometry.squares import upright_sides
 from lmd.geometry.vectors import Vector
 from lmd.objectives.localisation.ambiguity import (
@@ -275,9 +275,9 @@ def find_turns(known: Any, trial: Any, lost: WordArray, gained: WordArray) -> No
     """Add to `lost` and `gained` `(Q, W)` the orientations with which landmarks disappear and appear for a camera."""
 
 
-@dispatched
+@overridable
 def clear_moments(views: Any, p: Integer) -> None:
-    """Discard the moments stored for position p by the last move."""
+    """Discard the moments stored for position p by the last move; a rig stores none."""
 
 
 @dispatched

@@ -50,6 +50,7 @@ MIN_STRETCHES = 500  # least number of phases in a run, so that conditions chang
 CHECK_EVALUATIONS = 10  # cost of the moves on a surrogate, in evaluations, between two evaluations on the problem
 CHECK_FACTOR_ON_SAMPLES = 2  # factor on `CHECK_EVALUATIONS` for walks on samples, which are drawn for each phase
 ASCENT_STEPS = 10  # number of steps of the ascent between two evaluations on the problem
+GROWTH = 0.8  # share of the stage `single` in which footprints grow to their true size: nu, or the paper of tags
 SMALLEST_SIZE = 0.2  # size of footprints, relative to the true size, when the separation of stacks begins
 
 
@@ -70,11 +71,6 @@ class Annealing(DeploymentSearch):
             and the objective as smooth as in `sampled`.
         stacked_share: share of the budget spent on stacks.
         climb_share: share of the budget spent on the ascent, for an objective with a sampling.
-        growth: share of the stage `single` in which footprints grow to their true size: nu, or the paper of tags.
-        spread: distance between the separated landmarks of a stack, over the larger of virtual diameter and paper's
-            edge.
-        largest: size of the samples at the end of a stage, as a share of the positions of the objective's sampling.
-            Twice the share takes twice the time, and wrong decisions at the end of the run become rarer.
         walkers: number of groups of landmarks that are moved at the same time, see `Surrogate`.
         seed: see `Optimiser`.
 
@@ -93,9 +89,6 @@ class Annealing(DeploymentSearch):
         given: Stage | Mapping[str, Any] = GIVEN_STAGE,
         stacked_share: float = 0.5,
         climb_share: float = 0.2,
-        growth: float = 0.8,
-        spread: float = STACK_SPREAD,
-        largest: float = 0.35,
         walkers: int = 2,
         seed: int = 0,
     ) -> None:
@@ -104,9 +97,6 @@ class Annealing(DeploymentSearch):
         self.sampled, self.given = changed("sampled", SAMPLED_STAGE, sampled), changed("given", GIVEN_STAGE, given)
         self.stacked_share = real("stacked_share", stacked_share, low=0.0, high=0.9)
         self.climb_share = real("climb_share", climb_share, low=0.0, high=1.0 - self.stacked_share)
-        self.growth = real("growth", growth, low=0.0, high=1.0)
-        self.spread = real("spread", spread, low=0.0)
-        self.largest = real("largest", largest, above=0.0, high=1.0)
         self.walkers = integer("walkers", walkers, low=1)
         self.spent = 0  # number of moved landmarks; K moved landmarks count as an evaluation
         self.rng: np.random.Generator
@@ -130,7 +120,7 @@ class Annealing(DeploymentSearch):
         began = clock() - ledger.seconds
         limit, share = budget.limit * count, self._climb_share(problem)
         walk_limit = limit if math.isinf(limit) else round(limit * (1.0 - share))
-        surrogate = Surrogate(problem, self.walkers, self.largest)
+        surrogate = Surrogate(problem, self.walkers)
 
         def note(moved: int, deployment: Deployment | None) -> None:
             self.spent += moved
@@ -189,7 +179,7 @@ class Annealing(DeploymentSearch):
         """
         count, stack = problem.count, surrogate.stack
         if self.in_stacks and used >= self.stacked_share:
-            self.in_stacks, self.here = False, self._separated(problem, stack, SMALLEST_SIZE if self.growth else 1.0)
+            self.in_stacks, self.here = False, self._separated(problem, stack, SMALLEST_SIZE)
         conditions = self._conditions(problem, used)
         stretch = min(MAX_MOVES, max(1.0, (self.spent + left) / MIN_STRETCHES), left)
         if surrogate.is_true(len(self.here), conditions):
@@ -229,12 +219,12 @@ class Annealing(DeploymentSearch):
             return Conditions(True, 1.0, done, self.stacked.settings(done, near=0.0))
         skipped = 0.0 if self.angles is None else self.stacked_share
         done = (used - skipped) / (1.0 - skipped - self._climb_share(problem))
-        near, sampled = self.spread * problem.scene.spacing, problem.objective.sampling is not None
+        near, sampled = STACK_SPREAD * problem.scene.spacing, problem.objective.sampling is not None
         if self.angles is None:
             smooth = self.sampled if sampled else self.given
             size, stage = 1.0, replace(self.given, width=smooth.width, share=smooth.share)
         else:
-            grown = min(done / self.growth, 1.0) if self.growth else 1.0
+            grown = min(done / GROWTH, 1.0)
             size, stage = SMALLEST_SIZE + (1.0 - SMALLEST_SIZE) * grown, self.sampled if sampled else self.single
         return Conditions(False, size, done, stage.settings(done, near * size))
 
@@ -260,7 +250,7 @@ class Annealing(DeploymentSearch):
         at the start.
         """
         assert self.angles is not None, "there are stacks"
-        distance = self.spread * size * problem.scene.spacing
+        distance = STACK_SPREAD * size * problem.scene.spacing
         apart = problem.complete(pulled_apart(problem, self.here, self.angles, stack, distance))
         return apart if len(apart) == problem.count else apart + self.start[len(apart) :]
 

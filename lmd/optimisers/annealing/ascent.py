@@ -80,6 +80,13 @@ def slopes(
             out[k, side] = rise / run
 
 
+def moved_along(problem: Problem, here: Deployment, surfaces: SurfaceArrays, away: FloatArray) -> Deployment:
+    """Landmarks of `here` moved by `away` `(K, 2)` along u and v, metres, with footprints that do not overlap."""
+    at = surfaces.coordinates(here.surfaces, here.positions) + away
+    moved = Deployment(surfaces.points(here.surfaces, at), here.normals, here.surfaces)
+    return problem.separated(problem.complete(problem.free(moved))) or here
+
+
 class Ascent:
     """State of Adam: means of the slopes of K landmarks.
 
@@ -128,10 +135,7 @@ class Ascent:
         mean, square = self._mean / (1.0 - first**self._steps), self._square / (1.0 - second**self._steps)
         length = STEP_M[0] * (STEP_M[1] / STEP_M[0]) ** progress
         away = length * mean / np.maximum(np.sqrt(square), np.finfo(float).tiny)
-        at = surfaces.coordinates(here.surfaces, here.positions) + away
-        moved = Deployment(surfaces.points(here.surfaces, at), here.normals, here.surfaces)
-        moved = problem.complete(problem.free(moved))
-        return problem.separated(moved) or here
+        return moved_along(problem, here, surfaces, away)
 
     def state(self) -> dict[str, Any]:
         """Return the means of the slopes as data."""

@@ -32,6 +32,9 @@ STACK_SPREAD = 1.6  # distance of separated landmarks, in virtual diameters, at 
 # Decay eta of the averaging: at any time the last quarter of a walk has at least half of the weight in the mean.
 AVERAGING_ETA = 3
 RESTART_M = 0.5  # distance of a landmark from its mean beyond which the mean restarts, metres
+# Size of the samples at the end of a stage, as a share of the positions of the objective's sampling. Twice the share
+# takes twice the time, and wrong decisions at the end of the run become rarer.
+LARGEST = 0.35
 NOWHERE = Places(np.empty((6, 0)), np.empty(0, dtype=np.int64))
 
 
@@ -59,11 +62,10 @@ class Surrogate:
     Args:
         problem: the true problem.
         walkers: largest number of walks. There are fewer if a walk would have too few landmarks to move together.
-        largest: size of the samples at the end of a stage, as a share of the positions of the objective's sampling.
     """
 
-    def __init__(self, problem: Problem, walkers: int, largest: float) -> None:
-        self._problem, self._most_walkers, self._largest = problem, walkers, largest
+    def __init__(self, problem: Problem, walkers: int) -> None:
+        self._problem, self._most_walkers = problem, walkers
         self._threads = problem.evaluator.threads
         self._surfaces = SurfaceArrays.of(problem.scene.footprints.hanging.surfaces())
         self._lay_out(problem.fitness_evaluator, problem.fitness_relevance)
@@ -127,7 +129,7 @@ class Surrogate:
         estimate, late moves are smaller than the error of a small sample.
         """
         in_stacks, size = conditions.in_stacks, conditions.size
-        redrawn = self._problem.resampled(self._largest * conditions.done**2, rng)
+        redrawn = self._problem.resampled(LARGEST * conditions.done**2, rng)
         together, number = self._shared_out(len(here), in_stacks)
         same = redrawn is None and self._climbed == (in_stacks, size)
         if same and number == 1:

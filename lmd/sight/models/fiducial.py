@@ -37,7 +37,7 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, Checked, FloatArray, InputError, NotNegative
 from lmd.geometry.camera import MM_PER_M, Camera
-from lmd.geometry.lens import EQUIDISTANT, Lens
+from lmd.geometry.lens import EQUIDISTANT, Lens, approximation, ceiling
 from lmd.geometry.se3 import cross
 from lmd.geometry.squares import VERTICAL_TOLERANCE, upright
 from lmd.scene.criteria import TOLERANCE
@@ -203,7 +203,7 @@ def _through(lens: Lens, widest: float, flat: FiducialSight) -> LensSight:
     bounds = lens.stretch(widest)
     # An arc between two directions in view leaves the cone of the widest angle only if that angle exceeds 90 degrees.
     around = widest if widest <= math.pi / 2.0 else min(widest + NEAR, math.pi)
-    approximation, image_error = lens.approximation(widest)
+    polynomial, image_error = approximation(lens, widest)
     low, high, area = min(flat.focal_u, flat.focal_v), max(flat.focal_u, flat.focal_v), flat.focal_u * flat.focal_v
     return LensSight(
         flat=flat,
@@ -216,9 +216,9 @@ def _through(lens: Lens, widest: float, flat: FiducialSight) -> LensSight:
         max_pitch=bounds.most * high,
         min_area=max(bounds.least_area, 0.0) * area,
         max_area=bounds.most_area * area,
-        stretch=lens.ceiling(around),
+        stretch=ceiling(lens, around),
         stretch_end=1.0 - math.cos(around),
-        approximation=approximation,
+        approximation=polynomial,
         image_error=image_error,
         pinholes=() if lens.model == EQUIDISTANT else _pinholes(lens, widest, flat),
     )

@@ -78,11 +78,11 @@ class LensSight(NamedTuple):
     max_area: float
     """Greatest image area of a square metre that faces the camera at a distance of 1 m, pixels^2."""
     stretch: tuple[float, ...]
-    """Coefficients of an upper bound on the stretch, see `Lens.ceiling`."""
+    """Coefficients of an upper bound on the stretch, see `lmd.geometry.lens.ceiling`."""
     stretch_end: float
     """1 - cos(theta) for the greatest angle theta at which the bound `stretch` holds."""
     approximation: tuple[float, ...]
-    """Coefficients of an approximate projection, see `Lens.approximation`."""
+    """Coefficients of an approximate projection, see `lmd.geometry.lens.approximation`."""
     image_error: float
     """Upper bound on the error of `approximation`, focal lengths."""
     pinholes: tuple[FiducialSight, FiducialSight] | tuple[()]

@@ -58,11 +58,6 @@ class PaperSight(NamedTuple):
             return math.inf
         return (self.max_depth / self.min_cosine + math.sqrt(max(self.reach, 0.0))) * (1.0 + 2.0 * TOLERANCE)
 
-    @property
-    def tabulated(self) -> bool:
-        """See `SightModel.tabulated`: False, as the test (a depth and two comparisons) is faster than a table."""
-        return False
-
     def unhidden(self) -> "PaperSight":
         """See `SightModel.unhidden`."""
         return self._replace(reach=-1.0)
