@@ -192,8 +192,8 @@ def _draw(crowd: Crowd, room: Space, rng: np.random.Generator) -> FloatArray:
                 break
         else:
             raise InputError(
-                f"number = {crowd.number} cylinders do not fit on the free floor; cylinder {n + 1} of state {left[0] + 1} "
-                "finds no place.",
+                f"number = {crowd.number} cylinders do not fit on the free floor; cylinder {n + 1} of state "
+                f"{left[0] + 1} finds no place.",
                 "number",
             )
     return people
