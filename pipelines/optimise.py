@@ -64,7 +64,6 @@ def optimise(cfg: DictConfig) -> Study:
         }
         result = found.deployment, found.history, subject
         if found.rig is None or cameras is None:
-            summary = {**summary, **optimiser.figures()}
             yield from scored(cfg, problem, *result, summary, partial(_accuracy, cfg, problem, found), export, in_haste)
             return
         from lmd.formats.rigs import write_rig

@@ -21,7 +21,6 @@ from lmd.evaluation.tradeoff import (
 from lmd.plot.charts import Panel, save_tradeoff_figure
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment
-from lmd.scene.tag import Tag
 
 
 def problem_of(count, **parts):
