@@ -10,12 +10,11 @@ import numpy as np
 
 from lmd.core.compiled import is_compiling
 from lmd.optimisers.ledger import Budget
-from lmd.planner.plan import MeasuredPlace, SearchProgress
+from lmd.planner.plan import SearchProgress
 from lmd.planner.viewing import FREE, GAINS, PINNED, SELECTED, UNKNOWN, VALUES, Rgb, mapped
 
 HINT = "drag a tag; click a tag or a surface"
 UNDO, REDO, PIN, DELETE, SAVE = "Undo", "Redo", "Pin or unpin", "Delete", "Save"
-PLACE, FROM_FLOOR, FROM_BELOW = "Hang it there", "from floor, m", "from below, m"
 OFF_GRID_HEIGHT, TWO_LINES = "9em", "min-height: 2.8em"  # constant heights, so that the widgets below do not move
 WIDTH, GAP = 290.0, 12.0  # width of the legend, and its distance from the lower left corner of the picture, pixels
 OPTIMISE, STOP = "Optimise the free tags", "Stop, keep the best"
@@ -46,9 +45,6 @@ class PlannerPanel:
         self.save = gui.add_button(SAVE)
         with gui.add_folder("Tags"):
             self._tag = gui.add_html("")
-            self._left = gui.add_number("from left, m", 0.0, step=0.001)
-            self._up = gui.add_number(FROM_FLOOR, 0.0, step=0.001)
-            self.place = gui.add_button(PLACE)
             self.tag = gui.add_button_group("tag", (PIN, DELETE))
             self.step = gui.add_button_group("step", (UNDO, REDO))
             self.adds = gui.add_checkbox("a click on a surface adds a tag", initial_value=False)
@@ -73,7 +69,7 @@ class PlannerPanel:
             self._legend = gui.add_html("")
         colours.float(x=GAP, y=-GAP, width=WIDTH)
         self.say(HINT)
-        self.show_tag(None, None)
+        self.show_tag("no tag is selected")
         self._span = (0.0, 1.0)
         self.show_legend(None)
 
@@ -90,11 +86,6 @@ class PlannerPanel:
     def edge(self) -> float | None:
         """Chosen edge, metres; None without a choice, or if a browser sends another value."""
         return self._edges.get(self._size.value) if len(self._edges) > 1 else None
-
-    @property
-    def typed(self) -> tuple[float, float]:
-        """Place that the user has typed: `left` and `up` of a `MeasuredPlace`."""
-        return float(self._left.value), float(self._up.value)
 
     def show_figures(self, rows: Mapping[str, str]) -> None:
         """Show the figures on the grid."""
@@ -113,14 +104,9 @@ class PlannerPanel:
         """Show the gain by a tag at a place; NaN if the tag would overlap another."""
         self.say("a tag here would overlap another" if math.isnan(gain) else f"a tag here adds {gain:+.3%}")
 
-    def show_tag(self, text: str | None, measured: MeasuredPlace | None) -> None:
-        """Show the text and place of the selected tag; both are None without a tag, the place also off all surfaces."""
-        self._tag.content = _paragraph("tag", text or "no tag is selected", TWO_LINES)
-        if measured is not None:
-            self._left.value, self._up.value = round(measured.left, 4), round(measured.up, 4)
-            self._up.label = FROM_FLOOR if measured.from_floor else FROM_BELOW
-        for widget in (self._left, self._up, self.place):
-            widget.disabled = measured is None
+    def show_tag(self, text: str) -> None:
+        """Show the text of the selected tag."""
+        self._tag.content = _paragraph("tag", text, TWO_LINES)
 
     def show_progress(self, progress: SearchProgress | None, running: bool) -> None:
         """Show the progress of a search and the label of its button."""

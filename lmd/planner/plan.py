@@ -16,19 +16,7 @@ from lmd.scene.deployment_sources import GivenDeployment
 from lmd.scene.footprints import COLUMN, Footprints
 from lmd.scene.labels import Labels
 from lmd.scene.scene import Scene
-from lmd.space.space import Space, lower_edge
 from lmd.space.surface import SurfaceArrays
-
-
-class MeasuredPlace(NamedTuple):
-    """Place on a surface as measured by a person in front of it, as in `plan.pdf`."""
-
-    left: float
-    """Distance from the left edge, metres."""
-    up: float
-    """Height above the floor on a wall, else above the lower edge of the surface, metres."""
-    from_floor: bool
-    """True if `up` is measured from the floor."""
 
 
 @dataclass(frozen=True)
@@ -69,27 +57,14 @@ class Plan:
         Raises:
             InputError: there is no such tag.
         """
-        k, measured = self.index_of(number), self.measured(number, scene.room)
+        k = self.index_of(number)
+        surface = int(self.deployment.surfaces[k])
         x, y, z = self.deployment.positions[k]
         edge = self.deployment.edges_of(scene.tag)[k]
         size = f", {scene.tag.square} {edge:g} m" if edge else ""
-        where = scene.room.surfaces()[int(self.deployment.surfaces[k])].name if measured else "free in the room"
+        where = scene.room.surfaces()[surface].name if surface >= 0 else "free in the room"
         pinned = ", pinned" if number in self.pinned else ""
         return f"tag {number}: {where}, ({x:.3f}, {y:.3f}, {z:.3f}) m{size}{pinned}"
-
-    def measured(self, number: int, room: Space) -> "MeasuredPlace | None":
-        """Place on its surface of the tag with the id `number`; None if the tag hangs on no surface.
-
-        Raises:
-            InputError: there is no such tag.
-        """
-        k = self.index_of(number)
-        index = int(self.deployment.surfaces[k])
-        if index < 0:
-            return None
-        surface = room.surfaces()[index]
-        left, below = surface.from_left_and_below(np.stack(surface.coordinates(self.deployment.positions[k])))
-        return MeasuredPlace(float(left), float(below) + lower_edge(room, surface), surface.is_upright)
 
     def moved(self, footprints: Footprints, number: int, surface: int, at: FloatArray) -> "Plan":
         """Move a tag to the free place nearest to `at` `(2,)`, coordinates on a surface, metres.

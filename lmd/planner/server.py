@@ -106,7 +106,6 @@ class Planner:
         for register, answer in (
             (panel.save.on_click, self._save),
             (panel.tag.on_click, self._change_tag),
-            (panel.place.on_click, self._place),
             (panel.step.on_click, self._step),
             (panel.optimise.on_click, self._optimise_or_stop),
             (panel.positions.on_update, self._show_or_hide),
@@ -185,10 +184,6 @@ class Planner:
             raise InputError("click a tag first.")
         return self._selected
 
-    def _place(self, _: Any) -> None:
-        self._session.place(self._chosen, *self._panel.typed)
-        self._show()
-
     def _change_tag(self, event: Any) -> None:
         if event.target.value == DELETE:
             self._session.delete(self._chosen)
@@ -251,10 +246,7 @@ class Planner:
         if self._selected not in deployment.ids:
             self._selected = None
         number, scene = self._selected, session.problem.scene
-        if number is None:
-            self._panel.show_tag(None, None)
-        else:
-            self._panel.show_tag(plan.described(number, scene), plan.measured(number, scene.room))
+        self._panel.show_tag("no tag is selected" if number is None else plan.described(number, scene))
         if self._picture.show_tags(plan, number, self._panel.ids.value):
             self._actions.on(self._picture.tags.on_click, self._click_tag)
             call_in_order(self._picture.tags.on_drag, self._point)

@@ -8,8 +8,6 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple
 
-import numpy as np
-
 from lmd.core.checks import FloatArray, InputError
 from lmd.optimisers.base import Optimiser
 from lmd.optimisers.ledger import Budget
@@ -17,7 +15,6 @@ from lmd.planner.figures import Values, additions
 from lmd.planner.plan import Plan, TagSearch
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
-from lmd.space.space import lower_edge
 
 PATIENCE_SECONDS = 1.0  # maximum time to wait for the end of a stopped search, seconds; compilation may take longer
 
@@ -97,21 +94,6 @@ class PlanningSession:
             InputError: as for `Plan.moved`, or a search is running.
         """
         self._become(self.plan.moved(self.problem.scene.footprints, number, surface, at), number)
-
-    def place(self, number: int, left: float, up: float) -> None:
-        """Move a tag on its surface to the free place nearest to a `MeasuredPlace`.
-
-        Raises:
-            InputError: as for `drag`, or the tag hangs on no surface.
-        """
-        index = int(self.deployment.surfaces[self.plan.index_of(number)])
-        if index < 0:
-            raise InputError(f"tag {number} hangs on no surface.")
-        room = self.problem.scene.room
-        surface, hanging = (space.surfaces()[index] for space in (room, self.problem.scene.footprints.hanging))
-        point = surface.point(*surface.from_left_and_below(np.array([left, up - lower_edge(room, surface)])))
-        self.drag(number, index, np.array([(point - hanging.origin) @ axis for axis in (hanging.u, hanging.v)]))
-        self.drop()
 
     def drop(self) -> None:
         """End a drag."""

@@ -161,9 +161,8 @@ def test_pinned_tags_do_not_move_and_fixed_ones_stay_pinned():
         ({"start": RandomDeployment(2)}, lambda s: s.delete(0), "n = 2 exceeds the number of landmarks, 1"),
         ({"start": RandomDeployment(2)}, lambda s: s.drag(9, 0, np.ones(2)), r"^there is no tag 9\.$"),
         ({"tag": Tag(0.2, "16h5")}, lambda s: s.add(0, np.ones(2)), "16h5 has 30 different tags, too few for 31"),
-        ({"tag": TAG}, lambda s: s.place(0, 1e160, 1.0), "there is no place at"),
-        ({"tag": TAG}, lambda s: s.place(0, -1e308, 1.0), "there is no place at"),
-        ({"tag": TAG}, lambda s: s.place(0, np.nan, 1.0), "there is no place at"),
+        ({"tag": TAG}, lambda s: s.drag(0, 0, np.array([1e160, 1.0])), "there is no place at"),
+        ({"tag": TAG}, lambda s: s.drag(0, 0, np.array([np.nan, 1.0])), "there is no place at"),
     ],
 )
 def test_impossible_changes_are_refused(of, change, message):
@@ -172,14 +171,6 @@ def test_impossible_changes_are_refused(of, change, message):
     with pytest.raises(InputError, match=message):
         change(planned)
     assert planned.plan is before
-
-
-def test_a_tag_on_no_surface_has_no_measured_place():
-    planned = session()
-    planned.plan = Plan(replace(planned.deployment, surfaces=np.full(len(planned.deployment), -1)))
-    assert planned.plan.measured(0, planned.problem.scene.room) is None
-    with pytest.raises(InputError, match=r"^tag 0 hangs on no surface\.$"):
-        planned.place(0, 1.0, 1.0)
 
 
 def test_changes_since_the_last_save_are_unsaved():
@@ -244,34 +235,6 @@ def test_a_search_that_cannot_begin_or_fails_says_why():
     with pytest.raises(InputError, match="is not flush with its wall"):
         planned.take()
     assert planned.plan is before
-
-
-@pytest.mark.parametrize("of", [lambda: problem(tag=TAG), on_a_floor_plan])
-def test_a_tag_hangs_where_its_place_was_typed(of):
-    planned, rng = session(of()), np.random.default_rng(2)
-    before, room = planned.deployment, planned.problem.scene.room
-    for number in before.ids.tolist():
-        measured = planned.plan.measured(number, room)
-        surface = int(before.surfaces[planned.plan.index_of(number)])
-        planned.drag(number, surface, rng.uniform(size=2) * room.surfaces()[surface].extent)
-        planned.drop()
-        planned.place(number, measured.left, measured.up)
-        assert planned.plan.measured(number, room) == pytest.approx(measured)
-    assert planned.deployment.positions == pytest.approx(before.positions)
-    planned.undo()
-    assert planned.deployment.positions != pytest.approx(before.positions)
-
-
-def test_left_is_as_seen_before_the_wall():
-    planned = session()  # 7.5 x 5 x 6 m
-    for wall, corner in (("x_min", (0, 0, 0)), ("y_max", (0, 5, 0)), ("x_max", (7.5, 5, 0)), ("y_min", (7.5, 0, 0))):
-        index = [surface.name for surface in planned.problem.scene.room.surfaces()].index(wall)
-        planned.drag(3, index, np.array([2.0, 2.0]))
-        planned.drop()
-        planned.place(3, 1.0, 1.5)
-        position = planned.deployment.positions[planned.plan.index_of(3)]
-        assert np.linalg.norm(position[:2] - corner[:2]) == pytest.approx(1.0)
-        assert position[2] == pytest.approx(1.5)
 
 
 def test_the_end_does_not_wait_for_a_search_that_compiles(monkeypatch):
