@@ -1,5 +1,6 @@
-"""Invalid messages: the planner refuses them and still serves the next browser."""
+"""A planner refuses invalid messages and still serves the next browser; it shows why background work failed."""
 
+from contextlib import closing
 from functools import partial
 from urllib.parse import urlsplit
 
@@ -8,6 +9,7 @@ import pytest
 from support.small import problem
 from support.tables import rows
 
+from lmd.core.checks import InputError
 from lmd.optimisers.genetic import RandomSearch
 from lmd.optimisers.ledger import Budget
 from lmd.planner.panel import PlannerPanel
@@ -27,6 +29,12 @@ NAN, HUGE = float("nan"), 1e308
 
 class Ended(KeyboardInterrupt):
     """Ends the planner, as Ctrl-C does."""
+
+
+def begun(save):
+    planned = problem()
+    session = PlanningSession(planned, planned.draw(np.random.default_rng(0)))
+    return Planner(session, 0, save, RandomSearch, Budget(1), seed=None)
 
 
 def shown_to(connection):
@@ -62,7 +70,7 @@ def odd_messages():
 
 
 def test_invalid_messages_do_no_harm(monkeypatch):
-    planned, said, saved = problem(), [], []
+    said, saved = [], []
 
     def save(plan):
         saved.append(plan.deployment)
@@ -76,12 +84,11 @@ def test_invalid_messages_do_no_harm(monkeypatch):
 
     monkeypatch.setattr(PlannerPanel, "say", note)
     monkeypatch.setattr("lmd.planner.background.additions", lambda *_: None)
-    session = PlanningSession(planned, planned.draw(np.random.default_rng(0)))
-    planner = Planner(session, 0, save, RandomSearch, Budget(1), seed=None)
-    before, mine = session.plan, urlsplit(planner.address)
+    planner = begun(save)
+    before, mine = planner.session.plan, urlsplit(planner.address)
     how = {"origin": f"http://{mine.netloc}", "subprotocols": [f"viser-v{viser.__version__}"], "max_size": None}
     open_socket = partial(connect, f"ws://{mine.netloc}{mine.path}", **how)
-    try:
+    with closing(planner):
         with open_socket() as socket:
             messages = shown_to(socket)
             send(socket, CAMERA)
@@ -98,5 +105,17 @@ def test_invalid_messages_do_no_harm(monkeypatch):
         assert sum(said) == refused
         with open_socket() as socket:
             assert shown_to(socket)
-    finally:
-        planner.close()
+
+
+def test_a_failure_of_background_work_is_shown(monkeypatch):
+    def fail(*_):
+        raise InputError("that is too big.")
+
+    def say(_, text, refused=False):
+        if refused:
+            raise Ended(text)
+
+    monkeypatch.setattr("lmd.planner.background.additions", fail)
+    monkeypatch.setattr(PlannerPanel, "say", say)
+    with closing(begun(lambda _: "")) as planner, pytest.raises(Ended, match=r"^that is too big\.$"):
+        planner.run()
