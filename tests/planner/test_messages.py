@@ -34,7 +34,7 @@ class Ended(KeyboardInterrupt):
 def begun(save):
     planned = problem()
     session = PlanningSession(planned, planned.draw(np.random.default_rng(0)))
-    return Planner(session, 0, save, RandomSearch, Budget(1), seed=None)
+    return session, Planner(session, 0, save, RandomSearch, Budget(1), seed=None)
 
 
 def shown_to(connection):
@@ -84,8 +84,8 @@ def test_invalid_messages_do_no_harm(monkeypatch):
 
     monkeypatch.setattr(PlannerPanel, "say", note)
     monkeypatch.setattr("lmd.planner.background.additions", lambda *_: None)
-    planner = begun(save)
-    before, mine = planner.session.plan, urlsplit(planner.address)
+    session, planner = begun(save)
+    before, mine = session.plan, urlsplit(planner.address)
     how = {"origin": f"http://{mine.netloc}", "subprotocols": [f"viser-v{viser.__version__}"], "max_size": None}
     open_socket = partial(connect, f"ws://{mine.netloc}{mine.path}", **how)
     with closing(planner):
@@ -117,5 +117,6 @@ def test_a_failure_of_background_work_is_shown(monkeypatch):
 
     monkeypatch.setattr("lmd.planner.background.additions", fail)
     monkeypatch.setattr(PlannerPanel, "say", say)
-    with closing(begun(lambda _: "")) as planner, pytest.raises(Ended, match=r"^that is too big\.$"):
+    _, planner = begun(lambda _: "")
+    with closing(planner), pytest.raises(Ended, match=r"^that is too big\.$"):
         planner.run()
