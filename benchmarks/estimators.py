@@ -29,7 +29,7 @@ from lmd.core.words import markdown_table
 from lmd.estimation.estimators import DEGREES, pose_errors, squares
 from lmd.estimation.flights import Pace, RandomMotion
 from lmd.estimation.fusion import CameraPoints, FixedLagSmoother, InvariantKalmanFilter, Uncertainty
-from lmd.estimation.gyro_bias import BiasedInvariantFilter, EquivariantFilter
+from lmd.estimation.gyro_bias import EquivariantFilter
 from lmd.estimation.observer import Observer
 from lmd.estimation.pnp import PerspectiveNPoint
 from lmd.estimation.recording import Flight, Odometry, Recording, record
@@ -67,7 +67,6 @@ def contenders(attitude: float, position: float) -> dict[str, Contender]:
     given = attitude, position
     found: dict[str, Any] = {
         "iekf": InvariantKalmanFilter(*given),
-        "iekf_bias": BiasedInvariantFilter(*given),
         "eqf": EquivariantFilter(*given),
         "smoother": FixedLagSmoother(*given),
         "pnp": PerspectiveNPoint(),

@@ -52,7 +52,7 @@ def recorded(found: Survey, times: FloatArray, tags: int, drives: int, seed: int
     """Recording with a run for each random choice of tags that were seen in at least a tenth of the frames."""
     some, rng = found.found.sightings, np.random.default_rng(seed)
     known = np.flatnonzero(np.isfinite(found.found.poses.frames[:, 0, 0]))
-    camera, poses = found.calibrated[0].found, found.found.poses.frames[known]
+    camera, poses = found.found.calibrated[0].found, found.found.poses.frames[known]
     often = np.flatnonzero(found.placed & (some.counts() > len(known) / 10))
     place = np.full(some.frames, -1)
     place[known] = np.arange(len(known))

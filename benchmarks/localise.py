@@ -76,7 +76,7 @@ def real(folder: Path, edge: float) -> None:
         half, other = mapped(own), mapped(~own)
         known = map_of_survey(half)
         began = time.process_time()
-        result = localise(detected.of(np.flatnonzero(~own)), [half.calibrated[0].found], tag, errors, known)
+        result = localise(detected.of(np.flatnonzero(~own)), [half.found.calibrated[0].found], tag, errors, known)
         seconds = time.process_time() - began
         for beside, truth in (("all", whole), ("the others", other)):
             both = np.flatnonzero(truth.placed & np.isin(truth.ids, known.ids))
@@ -94,8 +94,8 @@ def real(folder: Path, edge: float) -> None:
         moved = [one for one in result.changes if one.kind == "moved"]
         named = (f"{one.tag} by {1e3 * np.linalg.norm(one.shift):.1f} mm, chi² {one.chi_square:.0f}" for one in moved)
         told.append(
-            f"map of {name}: {len(moved)} of {len(result.compared)} moved ({', '.join(named)}); "
-            f"{result.contradicted} contradict; inflation {result.found.inflation:.1f}; {seconds:.1f} s"
+            f"map of {name}: {len(moved)} of {np.isfinite(result.comparison.squares).sum()} moved: {', '.join(named)}; "
+            f"{result.comparison.contradicted} contradict; inflation {result.found.inflation:.1f}; {seconds:.1f} s"
         )
     print("\n".join(told))
 
@@ -130,7 +130,7 @@ def changes(drives: int, moved: float) -> None:
     """False alarms and misses of simulated walks; in every other walk a tag was moved in a random direction."""
     from support import localisations
 
-    alarms = compared = found = tried = gone = 0
+    alarms = compared = found = tried = 0
     off: list[float] = []
     for seed in range(drives):
         rng = np.random.default_rng(1000 + seed)
@@ -144,9 +144,8 @@ def changes(drives: int, moved: float) -> None:
             if tag in named:
                 found += 1
                 off.append(abs(1e3 * named.pop(tag) - moved))
-        alarms, gone = alarms + len(named), gone + sum(one.kind == "vanished" for one in result.changes)
-        compared += len(result.compared)
-    print(f"{drives} walks: {alarms} false alarms of {compared} tags, {gone} taken for vanished; "
+        alarms, compared = alarms + len(named), compared + np.isfinite(result.comparison.squares).sum()
+    print(f"{drives} walks: {alarms} false alarms of {compared} tags; "
           f"moved by {moved:g} mm: found {found} of {tried}, "
           f"distance off by at most {max(off, default=np.nan):.1f} mm")  # fmt: skip
 

@@ -66,7 +66,10 @@ def poses(count: int, rng: np.random.Generator) -> FloatArray:
 def predicted(camera: Camera, places: FloatArray, views: FloatArray, sigma: float) -> FloatArray:
     """Root mean square over the views of the standard deviations along the wall and from it, metres, `(2,)`."""
     points = corners_of(places)
-    information = pose_information(views, points, np.ones((len(views), len(points)), dtype=bool), camera) / sigma**2
+    information = (
+        pose_information([camera], np.eye(4)[None], views, points, np.ones((len(views), len(points)), dtype=bool)[None])
+        / sigma**2
+    )
     shares = np.linalg.inv(information)[:, 3:, 3:]
     world = views[:, :3, :3] @ shares @ np.swapaxes(views[:, :3, :3], 1, 2)
     return np.sqrt(np.array([world[:, 0, 0].mean(), world[:, 1, 1].mean()]))

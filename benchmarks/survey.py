@@ -100,7 +100,7 @@ def aviary(folder: Path, boards: float | None, calibrate: bool | None) -> None:
     off = 1e3 * (np.concatenate(away) - 0.15)
     figures = np.nanquantile(np.abs(off), [0.5, 0.9])
     print(f"spacing off: median {figures[0]:.2f}, 90 % {figures[1]:.2f}, mean with its sign {np.nanmean(off):.2f} mm")
-    by_opencv(found, found.calibrated[0].found)
+    by_opencv(found, found.found.calibrated[0].found)
 
 
 def by_opencv(found: "Survey", camera: "Camera") -> None:

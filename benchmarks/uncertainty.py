@@ -24,11 +24,11 @@ from scipy.stats import chi2, norm
 from lmd.core.checks import FloatArray
 from lmd.detection.corner_errors import CORNER_ERRORS, CornerErrors, MeasuredCorners
 from lmd.detection.frames import detect_in_frames, draw_poses, tagged_room
-from lmd.estimation.pose_covariance import TagErrors, tag_images
+from lmd.estimation.pose_covariance import TagErrors, pose_covariances
 from lmd.evaluation.rendered_corners import BORDER, READERS, imaging_of, measured_corners
 from lmd.evaluation.uncertainty import UncertaintyStudy, uncertainty
 from lmd.evaluation.uncertainty_law import uncertainty_law
-from lmd.geometry.pose import pose_from_corners
+from lmd.geometry.pose import body_from_corners
 from lmd.geometry.projection import image_size, project
 from lmd.geometry.se3 import axis_and_right, inverse, log
 from lmd.geometry.squares import corners
@@ -75,13 +75,14 @@ def normalised(
     nees: dict[str, FloatArray] = {}
     for label, mask in every.items():
         enough = np.flatnonzero(mask.sum(axis=1) >= LEAST)
+        body = [camera], np.eye(4)[None]
         errors = {
-            f: log(inverse(poses[f]) @ pose_from_corners(camera, points[mask[f]], found.corners[f][mask[f]]))
+            f: log(inverse(poses[f]) @ body_from_corners(*body, points[mask[f]], [found.corners[f][mask[f]]]))
             for f in enough
         }
         for name, noise in noises.items():
             model = TagErrors(noise, 0.0, np.zeros((len(tags), 6, 6)))
-            covariances = tag_images([camera], np.eye(4)[None], poses, tags, tag, mask[None], model).covariances()
+            covariances, _ = pose_covariances([camera], np.eye(4)[None], poses, tags, tag, mask[None], model)
             blocks = [own for own, _ in PARTS.values()]
             pairs = [(errors[f], covariances[f]) for f in enough]
             nees[name + label] = np.array([[e[b] @ np.linalg.solve(c[b, b], e[b]) for b in blocks] for e, c in pairs])
@@ -145,13 +146,13 @@ def print_simulated(views: int) -> None:
     enough = np.flatnonzero(seen.sum(axis=1) >= LEAST)[:views]
     poses, seen = poses[enough], seen[enough]
     model = TagErrors(noise, 0.0, np.zeros((len(tags), 6, 6)))
-    covariances = tag_images([camera], np.eye(4)[None], poses, tags, tag, seen[None], model).covariances()
+    covariances, _ = pose_covariances([camera], np.eye(4)[None], poses, tags, tag, seen[None], model)
     points, rng = corners(tags.places, tags.normals, tags.ups, tags.edges_of(tag)), np.random.default_rng(SEED)
     nees = []
     for pose, mask, covariance in zip(poses, seen, covariances, strict=True):
         image = project(camera, pose, points[mask].reshape(-1, 3)).reshape(-1, 4, 2)
         image += rng.normal(0.0, noise, image.shape)
-        e = log(inverse(pose) @ pose_from_corners(camera, points[mask], image))
+        e = log(inverse(pose) @ body_from_corners([camera], np.eye(4)[None], points[mask], [image]))
         nees.append([e[own] @ np.linalg.solve(covariance[own, own], e[own]) for own, _ in PARTS.values()])
     deviation = np.sqrt(np.trace(covariances[:, 3:, 3:], axis1=1, axis2=2))
     print("| predicted deviation [m] | views | pose | rotation | position | 99 % bounds, pose | rotation, position |")

@@ -40,23 +40,24 @@ def localise(cfg: DictConfig) -> Study:
     odometry = odometry_of(settings.odometry, "localise.odometry")
     with keyed("localise"):
         steady = None if settings.motion == "auto" else boolean("motion", settings.motion)
-        calibrate, is_mounted = (boolean(name, settings[name]) for name in ("calibrate", "mounted"))
+        calibrate = boolean("calibrate", settings.calibrate)
     if steady and odometry is not None:
         raise InputError("localise.motion is for drives without odometry: leave one of the two out.")
     seen = detected(cfg, given.cameras, detector, tag)
     source = "photographs" if cfg.detections is None else "detections"
-    drive = Drive(given.mounted if isinstance(given, Rig) else None, is_mounted, odometry, steady)
+    drive = Drive(given.mounted if isinstance(given, Rig) else None, odometry, steady)
     with keyed("localise", detections=source, cameras="camera", map="map"), doing("localising"):
-        found = find(seen, given.cameras, tag, detector.corner_errors, known, drive, room, calibrate)
+        found = find(seen, given.cameras, tag, detector.corner_errors, known, drive, calibrate)
     about = f"localisation of {found.found.poses.known_frames.sum()} of {len(seen.times)} frames"
     files: dict[str, Any] = {
-        "poses.csv": results.image_columns(found),
+        "poses.csv": results.frame_columns(found, found.found),
         "poses.tum": results.tum_text(found, found.found),
-        "smoothed.csv": results.smoothed_columns(found),
-        "smoothed.tum": results.tum_text(found, found.smoothed),
         "changes.csv": results.change_columns(found),
         "localise.json": results.localise_document(found),
     }
+    if (smoothed := found.smoothed) is not None:
+        files["smoothed.csv"] = results.frame_columns(found, smoothed)
+        files["smoothed.tum"] = results.tum_text(found, smoothed)
     if cfg.picture:
         title = f"{about} in {cfg.map or 'the map'}"
         files["localise.png"] = lambda path: save_localised_figure(path, found, room, title)

@@ -160,12 +160,11 @@ def uncertainty(cfg: DictConfig, own: Own) -> Study:
         of = f"{len(deployment)} tags of {tag.size:g} m ({tag.family}, {tag.square}), {problem.scene.room.describe()}"
         about = f"{of}; errors of corners {found.corners}."
         code = FilterLaws(law.laws, law.rules, law.reach, float(distance.min()), float(distance.max()), about)
-        document = {"about": about, "views": found.metrics(), "misleading": found.misleading, **law.document()}
+        document = {"about": about, "views": found.metrics(), **law.document()}
         files: dict[str, Any] = {
             "uncertainty.csv": found.views,
             "uncertainty_law.csv": law.table,
             "uncertainty_law.json": document,
-            "uncertainty_tags.csv": found.tags,
             f"{CLASS}.java": java(code),
         }
         title = title_of(problem, "uncertainty of the pose from one image,")

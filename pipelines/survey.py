@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from .progress import Stages
 
 NO_HANGING = ("calibrate", "every", "odometry")  # keys of `survey` that are not about the tags
-KNOWN = ("origin", "points", "floor", "boards", "printed", "mounted", "motion", "edges")
+KNOWN = ("origin", "points", "boards", "printed", "motion", "edges")
 
 
 def survey(cfg: DictConfig) -> Study:
@@ -55,7 +55,7 @@ def survey(cfg: DictConfig) -> Study:
         tag.check_edge()
     given = camera_of(with_camera_of_bag(cfg).camera)
     name, detector = reader_of(cfg)
-    known, room = _known(cfg, tag, given), instantiate(cfg.room) if cfg.get("room") else None
+    known, room = _known(cfg, tag), instantiate(cfg.room) if cfg.get("room") else None
     scene = _scene(cfg, room, given, tag) if boolean("audit", cfg.audit) else None
     exports = build_export(cfg, "export", tag)
     if exports.formats and room is None:
@@ -116,29 +116,26 @@ def _scene(cfg: DictConfig, room: "Space | None", camera: "Camera | Rig", tag: "
     return Scene(anywhere, camera, solid_angle(1), visibility, tag)  # the audit takes orientations from the frames
 
 
-def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "PriorKnowledge":
+def _known(cfg: DictConfig, tag: "Tag") -> "PriorKnowledge":
     """Read the prior knowledge about the tags.
 
     Raises:
         InputError: a file cannot be read, or a number is refused.
     """
     from lmd.adjust.prior import Hanging
-    from lmd.core.checks import InputError, boolean, entries, integer
+    from lmd.core.checks import InputError, boolean, integer
     from lmd.formats.tag_maps import read_deployment
-    from lmd.scene.rig import Rig
     from lmd.survey.knowledge import Boards, MeasuredPoints, PriorKnowledge
 
     settings = plain(settings_of(cfg, "survey"))
     odometry = odometry_of(settings.get("odometry"), "survey.odometry")
-    origin, points, floor, boards, printed, mounted, motion, sizes = map(settings.get, KNOWN)
+    origin, points, boards, printed, motion, sizes = map(settings.get, KNOWN)
     steady = None if motion == "auto" else boolean("survey.motion", motion)
     with keyed("survey"):
         hanging = Hanging(**{key: value for key, value in settings.items() if key not in (*NO_HANGING, *KNOWN)})
         origin = None if origin is None else integer("origin", origin, low=0)
         points = None if points is None else MeasuredPoints.from_csv(points)
-        mounts = given.mounted if boolean("mounted", mounted) and isinstance(given, Rig) else None
         boards = None if boards is None else Boards.from_csv(boards, printed)
-        floor = entries("floor", floor, partial(integer, low=0))
     node = settings_of(cfg, "deployment")
     if "path" not in node:
         raise InputError("deployment must be a file (deployment.path=plan.csv) or come from a run (run=DIR).")
@@ -147,7 +144,7 @@ def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "PriorKnowledg
         fixed = fixed_of(node, tag.own_family)
     note("" if plan is None else plan.note)
     with keyed("survey"):
-        told = points, boards, mounts, origin, floor, odometry, sizes or {}, steady
+        told = points, boards, origin, odometry, sizes or {}, steady
         return PriorKnowledge(plan, hanging, fixed, *told)
 
 
@@ -168,9 +165,9 @@ def _files(
         title: title of the picture.
         detected: detections in all frames; None if they were read from a file.
     """
-    from lmd.adjust.intrinsics import camera_info
     from lmd.detection.tag_views import FILE as VIEWS
     from lmd.evaluation.audit import view_columns
+    from lmd.formats.calibrations import camera_info
     from lmd.formats.detection_formats import write_detections
     from lmd.formats.rigs import write_rig
     from lmd.formats.tag_map import write_yaml
@@ -179,7 +176,7 @@ def _files(
     from lmd.scene.rig import Rig
     from lmd.survey.results import frame_columns, map_columns, map_covariance, measured_of, survey_document
 
-    through, names = tuple(one.found for one in found.calibrated), camera_files(len(found.calibrated))
+    through, names = tuple(one.found for one in found.found.calibrated), camera_files(len(found.found.calibrated))
     files: dict[str, Any] = {
         "map.csv": map_columns(found),
         FILE: lambda path: write_map_covariance(path, *map_covariance(found)),

@@ -95,7 +95,7 @@ class Adjustment:
         self.sightings, self.prior, self.inflation = sightings, prior, inflation
         self.seen, first = np.unique(sightings.frame, return_index=True)
         self.links: Links | None = None if prior.motion is None else prior.motion.links(self.seen)
-        tags, mounts = len(sightings.ids), sightings.cameras - 1 if prior.has_unknown_mounts else 0
+        tags, mounts = len(sightings.ids), sightings.cameras - 1
         self.mounts = slice(tags, tags + mounts)  # blocks of the unknown mounts
         self.first_lens = tags + mounts + (self.links is not None and self.links.by_bias is not None)
         self.lens_blocks = sightings.lens.shape[2] // 6 if nuisances else 0  # number of blocks of each camera

@@ -6,7 +6,7 @@ Source: Collins and Bartoli, "Infinitesimal Plane-Based Pose Estimation".
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,14 +23,13 @@ ASSUMED_PIXELS = 0.3  # pixels, added in quadrature to the detector's standard d
 PROPOSING, JUDGING, REFINED = 8, 60, 3
 REFINING_STEPS, WIDE, NARROW = 12, 40.0, 3.0  # Gauss-Newton steps; first and last scale of the loss, pixels
 DAMPING = 1e-6
-# A mount is doubted if at least `FEWEST_FRAMES` frames put the camera farther from it than `OFF_M`, metres, or than
+# A mount is measured if at least `FEWEST_FRAMES` frames put the camera farther from it than `OFF_M`, metres, or than
 # `OFF_RAD`, rad, which calibrations explain, and than `OFF_SIGMAS` standard deviations.
 FEWEST_FRAMES, OFF_M, OFF_RAD, OFF_SIGMAS = 5, 0.05, 0.012, 5.0
 OF_MEDIAN = 1.86  # for n values: standard deviation of the median, times sqrt(n), over the median absolute deviation
 
 
-@dataclass(frozen=True)
-class SinglePoses:
+class SinglePoses(NamedTuple):
     """For each sighting, two poses of its tag in the frame of the camera."""
 
     poses: FloatArray
@@ -88,15 +87,6 @@ class Candidates:
         self.owners, self.owner, self.counts = np.unique(owner, return_inverse=True, return_counts=True)
         self._order, self._begins = np.argsort(self.owner, kind="stable"), np.cumsum(self.counts) - self.counts
 
-    def proposed(self, index: IntArray, single: FloatArray) -> FloatArray:
-        """Poses of the owners of the sightings `index`, `(2 n, 4, 4)`, from the two poses of each tag in the camera's
-        frame, `(n, 2, 4, 4)`.
-        """
-        mounts = self._mounts[index, None]
-        if self.by_frame:
-            return np.asarray(self._tags[index, None] @ inverse(single) @ inverse(mounts)).reshape(-1, 4, 4)
-        return np.asarray(self._frames[index, None] @ mounts @ single).reshape(-1, 4, 4)
-
     def _judges(self, owner: IntArray) -> tuple[Sightings, IntArray, Callable[[FloatArray], Reprojection]]:
         """Sightings that judge poses of the owners `(P,)`; for each sighting, the index of the pose that it judges; and
         a function from poses `(P, 4, 4)` to the reprojection of these sightings.
@@ -125,8 +115,21 @@ class Candidates:
         order = np.lexsort((losses, owner))
         return np.asarray(order[rank_within(owner[order]) < count])
 
-    def refined(self, poses: FloatArray, owner: IntArray) -> FloatArray:
-        """Poses after Gauss-Newton steps with robust losses of decreasing scale."""
+    def proposals(self, single: FloatArray) -> tuple[FloatArray, IntArray]:
+        """Poses of the owners by their largest sightings, `(P, 4, 4)`, after Gauss-Newton steps with robust losses of
+        decreasing scale, and their owners, `(P,)`.
+
+        Args:
+            single: two poses of the tag of each sighting in its camera, `(N, 2, 4, 4)`.
+        """
+        some = np.flatnonzero(rank(self.some, self.owner) < PROPOSING)
+        owner, mounts = np.repeat(self.owner[some], 2), self._mounts[some, None]
+        if self.by_frame:
+            poses = self._tags[some, None] @ inverse(single[some]) @ inverse(mounts)
+        else:
+            poses = self._frames[some, None] @ mounts @ single[some]
+        best = self.best(poses.reshape(-1, 4, 4), owner, REFINED)
+        poses, owner = poses.reshape(-1, 4, 4)[best], owner[best]
         _, pose, at = self._judges(owner)
         summed = sums_by(pose, len(poses))
         for scale in np.geomspace(WIDE, NARROW, REFINING_STEPS):
@@ -134,18 +137,7 @@ class Candidates:
             weight = 1.0 / (1.0 + (here.error**2).mean(axis=1) / scale**2)
             jacobian = here.by_frame if self.by_frame else here.by_tag
             poses = np.asarray(poses @ exp(newton_step(jacobian, here.error, weight, summed, DAMPING * np.eye(6))[0]))
-        return poses
-
-    def proposals(self, single: FloatArray) -> tuple[FloatArray, IntArray]:
-        """Refined poses of the owners by their largest sightings, `(P, 4, 4)`, and their owners, `(P,)`.
-
-        Args:
-            single: two poses of the tag of each sighting in its camera, `(N, 2, 4, 4)`.
-        """
-        proposing = np.flatnonzero(rank(self.some, self.owner) < PROPOSING)
-        poses, owner = self.proposed(proposing, single[proposing]), np.repeat(self.owner[proposing], 2)
-        best = self.best(poses, owner, REFINED)
-        return self.refined(poses[best], owner[best]), owner[best]
+        return poses, owner
 
 
 def place(
@@ -201,17 +193,15 @@ def rank_within(owner: IntArray) -> IntArray:
     return np.asarray(np.arange(len(owner)) - np.searchsorted(owner, owner))
 
 
-def measured_mounts(views: FloatArray, mounts: FloatArray) -> tuple[FloatArray, list[str]]:
-    """Mounts measured in frames in which two cameras show tags, and sentences on cameras that are mounted elsewhere.
+def measured_mounts(views: FloatArray, mounts: FloatArray) -> FloatArray:
+    """Mounts `(C, 4, 4)`: measured in frames in which two cameras show tags, for cameras that are mounted elsewhere,
+    and as given for the others.
 
     Args:
         views: pose of each camera in each frame by the camera's own images, `(C, F, 4, 4)`; NaN if not known.
         mounts: poses of the cameras on the body, which is the first camera, `(C, 4, 4)`.
-
-    Returns:
-        mounts `(C, 4, 4)`: measured for cameras that are mounted elsewhere, as given for the others.
     """
-    found, doubts = mounts.copy(), []
+    found = mounts.copy()
     for camera in range(1, len(mounts)):
         between = inverse(views[0]) @ views[camera]
         between = between[np.isfinite(between[:, 0, 0])]
@@ -223,12 +213,4 @@ def measured_mounts(views: FloatArray, mounts: FloatArray) -> tuple[FloatArray, 
         least = np.maximum((OFF_RAD, OFF_M), np.linalg.norm(sure, axis=1))
         if (np.linalg.norm(off.reshape(2, 3), axis=1) > least).any():
             found[camera] = middle
-            doubts.append(mount_doubt(camera, off, f"by {len(between)} frames in which camera 1 sees tags, too"))
-    return found, doubts
-
-
-def mount_doubt(camera: int, off: FloatArray, by: str) -> str:
-    """Sentence on a camera whose measured pose is a twist `off` `(6,)` away from its mount."""
-    turn, way = np.linalg.norm(off.reshape(2, 3), axis=1)
-    where = f"camera {camera + 1} is {1e3 * way:.0f} mm and {np.degrees(turn):.3g} degrees from its mount, {by}"
-    return f"{where}; check the signs, units and order of the poses of the rig"
+    return found

@@ -10,8 +10,7 @@ jackknife, which leaves each block out. The jackknife overrates blocks that alon
 Source: Bell and McCaffrey, "Bias reduction in standard errors for linear regression with multi-stage samples" (CR2).
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -67,9 +66,9 @@ class Estimate:
     """`(K,)` group of each tag: 0 for tags of the map, larger for tags that no frame connects with the map, -1 for tags
     that are not placed.
     """
-    used: BoolArray
-    """Mask of the inliers, `(N,)`: the sightings from which the map is made."""
-    misfits: BoolArray
+    used: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    """Mask of the inliers, `(N,)`: the sightings from which the map is made; empty for rough poses, as `misfits`."""
+    misfits: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     """Mask of the outliers, `(N,)`: sightings of tags and in frames of the map that do not fit the pose of their tag.
     """
     floor: float = FLOOR_PIXELS
@@ -78,14 +77,6 @@ class Estimate:
     """Factor on the standard deviations of sightings, see `inflation`."""
     lenses: Lenses | None = None
     """Nuisance parameters of the cameras; None if cameras are exact."""
-
-    @classmethod
-    def adjusted_from(
-        cls, sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, most: float = FLOOR_PIXELS
-    ) -> "Estimate":
-        """Estimate that is `adjusted` from rough `poses`; see the fields for the arguments."""
-        nothing = np.zeros(len(sightings), dtype=bool)
-        return cls(sightings, prior, poses, group, nothing, nothing).adjusted(most)
 
     def adjusted(self, most: float = FLOOR_PIXELS) -> "Estimate":
         """Estimate with adjusted poses of the map, which is group 0; `most` is the maximum of the floor.
@@ -146,12 +137,6 @@ class Estimate:
         """Marginal covariance of the twist of each tag, `(K, 6, 6)`; NaN for tags not in the map."""
         return np.where(self.known[:, None, None], self._blocks(0, len(self.group)), np.nan)
 
-    @property
-    def lens_covariances(self) -> FloatArray:
-        """Covariance of each camera's nuisance parameters, in the units of `Sightings.lens`, `(C, 6 L, 6 L)`."""
-        joint = self.adjustment
-        return self._blocks(joint.first_lens, joint.first_shape, 6 * joint.lens_blocks)
-
     @cached_property
     def frame_covariances(self) -> FloatArray:
         """Marginal covariance of the twist of each frame, `(F, 6, 6)`; NaN for frames without a pose."""
@@ -186,13 +171,13 @@ class Estimate:
         """Refined cameras with their covariances; empty if cameras are exact."""
         if self.lenses is None or not self.used.any():
             return ()
-        lenses = self.lenses
-        sizes = map(len, lenses.sigmas)
-        scaled = [
-            own[:n, :n] * np.outer(s, s) for own, n, s in zip(self.lens_covariances, sizes, lenses.sigmas, strict=True)
-        ]
-        each = zip(lenses.seen.optics, lenses.optics, scaled, strict=True)
-        return tuple(Calibrated(given.camera, one.camera, one.shifts[0], own) for given, one, own in each)
+        lenses, joint = self.lenses, self.adjustment
+        blocks = self._blocks(joint.first_lens, joint.first_shape, 6 * joint.lens_blocks)
+        each = zip(lenses.seen.optics, lenses.optics, blocks, lenses.sigmas, strict=True)
+        return tuple(
+            Calibrated(given.camera, one.camera, one.shifts[0], own[: len(s), : len(s)] * np.outer(s, s))
+            for given, one, own, s in each
+        )
 
     @property
     def frames(self) -> IntArray:
@@ -237,7 +222,7 @@ def constraining(sightings: Sightings, used: BoolArray, prior: Prior) -> BoolArr
     return np.asarray(used & enough[sightings.frame])
 
 
-def inflation(found: Estimate, report: Callable[[int, int], object]) -> float:
+def inflation(found: Estimate) -> float:
     """Factor on the standard deviations of positions, from blocks of time: the geometric mean over tags, at least 1.
 
     The factor is 1 if there are too few frames for blocks. If frames are linked, only frames with two or more tags are
@@ -245,19 +230,13 @@ def inflation(found: Estimate, report: Callable[[int, int], object]) -> float:
 
     Args:
         found: estimate with an inflation of 1.
-        report: called with the number of finished blocks, and the number of all blocks.
     """
     if found.prior.motion is not None:
         found = _without_links(found)
     if len(found.frames) < FEWEST_FRAMES:
         return 1.0
-    with threadpool_limits(limits=ONE_THREAD):
-        blocks = _blocks_of_time(found)
-        slope, spread = Adjustment(found.sightings.of(found.used), found.prior).efficiency(found.poses, found.floor)
-        off: list[FloatArray] = []
-        for frames in blocks:
-            report(len(off), len(blocks))
-            off.append(_off(found, frames, slope, spread))
+    slope, spread = Adjustment(found.sightings.of(found.used), found.prior).efficiency(found.poses, found.floor)
+    off = [_off(found, frames, slope, spread) for frames in _blocks_of_time(found)]
     square = (np.stack(off) ** 2).sum(axis=(0, 2))
     stated = np.trace(found.gauge_free_covariances[found.known][:, 3:, 3:], axis1=1, axis2=2)
     known = stated > 0.0
@@ -303,9 +282,7 @@ def _off(found: Estimate, frames: IntArray, slope: float, spread: float) -> Floa
     """
     used = found.sightings.of(found.used)
     some = used.of(np.isin(used.frame, frames))
-    mounts = found.prior.mounts
-    unknown = replace(mounts, sigmas=(np.inf, np.inf)) if mounts is not None and mounts.sigmas is not None else mounts
-    nothing = Prior(found.prior.tags, np.zeros_like(found.prior.information), mounts=unknown)
+    nothing = Prior(found.prior.tags, np.zeros_like(found.prior.information))
     part = Adjustment(some, nothing, nuisances=True)
     own = part.system(found.poses, found.floor, 0.0, slope**2 / spread).matrix
     right = part.system(found.poses, found.floor).right

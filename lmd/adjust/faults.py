@@ -8,15 +8,16 @@ stated edges. Then |s t_b - t_a| is constant over images from different places. 
 each tag relative to most others.
 """
 
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from lmd.adjust.candidates import placed_tags
+from lmd.adjust.candidates import placed_tags, single_poses
 from lmd.adjust.corners import Reprojection, agreeing, fitting, newton_step, squared_errors, student_weight, sums_by
 from lmd.adjust.estimate import Estimate
-from lmd.adjust.sightings import SQUARE, Sightings
+from lmd.adjust.sightings import SQUARE, Observations, Sightings
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.geometry.se3 import angle_between, exp
 
@@ -36,9 +37,10 @@ ODD = 0.1  # a tag is odd if the logarithm of its edge differs from that of most
 DIFFERS, SIGMAS, FITS = 0.02, 5.0, 0.5
 ROUNDS, STEPS = 3, 15  # estimates of sizes, each with the map of the previous estimate, and Gauss-Newton steps in each
 
+Begun = TypeVar("Begun")
 
-@dataclass(frozen=True)
-class SecondPlace:
+
+class SecondPlace(NamedTuple):
     """Second pose of a tag."""
 
     tag: int
@@ -94,6 +96,23 @@ def _change(first: IntArray, second: IntArray) -> int | None:
     mixed = (first >= begins).mean() > OUT_OF_ORDER_SHARE
     mixed |= np.intersect1d(first, second).size > OUT_OF_ORDER_SHARE * len(first)
     return None if mixed else begins
+
+
+def with_best_edges(seen: Observations, begun: Callable[[Observations], tuple[Begun, int]]) -> tuple[Begun, BoolArray]:
+    """Result of `begun` with the stated edges or, if more sightings agree with it, with the edges of `odd_sizes`; and
+    mask of the tags with another edge than stated, `(K,)`.
+
+    Args:
+        seen: detections.
+        begun: result for some detections, and number of sightings that agree with it.
+    """
+    apart = seen.through().with_separate_cameras()
+    (found, agreed), (factors, odd) = begun(seen), odd_sizes(apart, single_poses(apart).poses[:, 0])
+    if odd.any():
+        other, more = begun(replace(seen, edges=seen.edges * factors))
+        if more > agreed + FEWEST_SIGHTINGS:
+            return other, odd
+    return found, np.zeros_like(odd)
 
 
 def odd_sizes(sightings: Sightings, single: FloatArray) -> tuple[FloatArray, BoolArray]:

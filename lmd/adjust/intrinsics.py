@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from lmd.core.checks import FloatArray
-from lmd.geometry.camera import PIXEL_CENTRE, Camera
+from lmd.geometry.camera import Camera
 from lmd.geometry.lens import Lens
 from lmd.geometry.projection import bearings, slope
 from lmd.geometry.se3 import skew
@@ -20,7 +20,6 @@ FOCAL_SIGMA, CENTRE_SIGMA, COEFFICIENT_SIGMA = 0.1, 0.1, 0.3
 CALIBRATED_SHARE = 0.005
 UNDISTORTED = (0.1, 0.1, 0.01, 0.01, 0.1)  # prior standard deviations of coefficients that are not given
 DIFFERENCE = 1e-4  # step of a coefficient for numerical derivatives
-FIXED_PIXELS = 1.0  # photographs determine the intrinsics if `Calibrated.unsure` is at most this, pixels
 GRID_SIDE = 9  # number of places along each side of the image at which `unsure` is evaluated
 
 
@@ -82,18 +81,13 @@ class Calibrated:
         square = np.einsum("np,pq,nq->n", moved, self.covariance[:size, :size], moved).reshape(-1, 2).sum(axis=1)
         return float(np.sqrt(np.median(square)))
 
-    @property
-    def is_fixed(self) -> bool:
-        """True if photographs determine the intrinsics."""
-        return self.unsure <= FIXED_PIXELS
-
     def document(self) -> dict[str, Any]:
         """Entries for a JSON file; centres from the image's border, pixels."""
         rows = {"given": intrinsics_of(self.given), "found": intrinsics_of(self.found), "sigma": self.sigma}
         names = {"focal_pixels": slice(2), "principal_point": slice(2, 4), "distortion": slice(4, None)}
         figures = {row: {name: values[part].tolist() for name, part in names.items()} for row, values in rows.items()}
         shift = {"corner_shift": self.shift, "corner_shift_sigma": self.shift_sigma}
-        return {**figures, **shift, "unsure_pixels": self.unsure, "fixed": self.is_fixed}
+        return {**figures, **shift, "unsure_pixels": self.unsure}
 
     def to_text(self) -> str:
         """Sentence for a terminal."""
@@ -125,20 +119,6 @@ def with_intrinsics(camera: Camera, values: FloatArray) -> Camera:
     width, height = (camera.focal_length / float(pixels) for pixels in values[:2])
     u, v, *lens = values[2:].tolist()
     return replace(camera, pixel_width=width, pixel_height=height, principal_point=(u, v), distortion=tuple(lens))
-
-
-def camera_info(camera: Camera) -> dict[str, Any]:
-    """Keys of ROS's `camera_info`, whose pixel coordinates begin at the centre of the first pixel."""
-    (focal_u, focal_v), (u, v) = camera.focal_pixels.tolist(), camera.principal_point
-    lens = list(_coefficients(camera))
-    matrix = [focal_u, 0.0, u - PIXEL_CENTRE, 0.0, focal_v, v - PIXEL_CENTRE, 0.0, 0.0, 1.0]
-    return {
-        "image_width": round(camera.image_width),
-        "image_height": round(camera.image_height),
-        "camera_matrix": {"rows": 3, "cols": 3, "data": matrix},
-        "distortion_model": camera.distortion_model,
-        "distortion_coefficients": {"rows": 1, "cols": len(lens), "data": lens},
-    }
 
 
 def prior_sigmas(camera: Camera, rough: bool = False) -> FloatArray:

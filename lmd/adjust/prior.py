@@ -140,13 +140,12 @@ class Mounts:
 
     poses: FloatArray
     """`(C, 4, 4)` expected poses, camera to body."""
-    sigmas: tuple[float, float] | None = None
-    """Standard deviations of rotation, rad, and position, metres; None for exact mounts."""
+    sigmas: tuple[float, float]
+    """Standard deviations of rotation, rad, and position, metres."""
 
     @property
     def information(self) -> FloatArray:
         """Inverse variances of the twist of each of the C - 1 unknown mounts, `(C - 1, 6)`."""
-        assert self.sigmas is not None
         return np.tile(np.repeat(self.sigmas, 3) ** -2.0, (len(self.poses) - 1, 1))
 
     def off(self, mounts: FloatArray) -> FloatArray:
@@ -165,7 +164,7 @@ class Prior:
     sheets: Sheets | None = None
     """Tags that were printed on common sheets; all these tags are placed."""
     mounts: Mounts | None = None
-    """Mounts of the cameras; None if they are unknown."""
+    """Prior of the mounts; None if nothing is known of them."""
     motion: Motion | None = None
     """Motion between the frames; None if frames are independent of each other."""
     joint: FloatArray | None = field(default=None, repr=False)
@@ -187,11 +186,6 @@ class Prior:
     def is_posed(self) -> BoolArray:
         """True for tags whose orientation is known, `(K,)`."""
         return np.asarray(self.information[:, :3].any(axis=1))
-
-    @property
-    def has_unknown_mounts(self) -> bool:
-        """True if the mounts are unknowns of the adjustment."""
-        return self.mounts is None or self.mounts.sigmas is not None
 
     def off(self, tags: FloatArray) -> FloatArray:
         """Twists from the expected poses to `tags`, `(K, 6)`; 0 for tags without a prior."""
@@ -216,7 +210,7 @@ class Prior:
             loss = student_loss(squares[~exact], 6) + most / 2.0 * float(squares[exact].sum())
         if self.sheets is not None:
             loss += student_loss(self.sheets.fitted(poses.tags)[1], 6)
-        if self.mounts is not None and self.mounts.sigmas is not None:
+        if self.mounts is not None:
             loss += 0.5 * float((self.mounts.information * self.mounts.off(poses.mounts) ** 2).sum())
         return loss
 
@@ -231,6 +225,6 @@ class Prior:
             kept.add(slice(count), self.information * weights[:, None], off)
         if self.sheets is not None:
             self.sheets.add_to(kept, poses.tags, is_robust)
-        if self.mounts is not None and self.mounts.sigmas is not None:
+        if self.mounts is not None:
             own = slice(count, count + len(self.mounts.poses) - 1)
             kept.add(own, self.mounts.information, self.mounts.off(poses.mounts))

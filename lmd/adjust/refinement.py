@@ -15,11 +15,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from lmd.adjust.adjustment import Adjustment
 from lmd.adjust.corners import Poses, Reprojection, fitting
-from lmd.adjust.estimate import FLOOR_PIXELS, ONE_THREAD, Estimate, Lenses, constraining, inflation
+from lmd.adjust.estimate import FLOOR_PIXELS, Estimate, Lenses, constraining, inflation
 from lmd.adjust.intrinsics import Optics, parameter_slopes, prior_sigmas
 from lmd.adjust.sightings import MODES, RESIDUALS, Observations, Sightings, shift_basis
 from lmd.core.checks import BoolArray, FloatArray, InputError
@@ -85,29 +84,28 @@ def nuisances_off(found: Estimate) -> FloatArray:
 def minimised(found: Estimate, is_stopped: Callable[[int, int], bool] = _never) -> Estimate:
     """Take joint steps of all unknowns until a step is small."""
     now, damping, cameras = found, 0.0, _lenses_of(found).off.size // 6
-    with threadpool_limits(limits=ONE_THREAD):
-        for done in range(MOST_ROUNDS):
-            some, squares = now.sightings, now.squares
-            used = (now.group[some.tag] == 0) & np.isfinite(squares) & fitting(some, squares, now.floor)
-            used = constraining(some, used, now.prior)
-            if is_stopped(done, MOST_ROUNDS) or not used.any():
-                break
-            joint = Adjustment(some.of(used), now.prior, True, now.inflation)
-            rest = Adjustment(joint.sightings, now.prior, False, now.inflation)
-            poses, floor = rest.run(now.poses, now.floor, ROUND_STEPS, FLOOR_PIXELS)
-            now = replace(now, poses=poses, floor=floor)
-            if (tried := _stepped(now, joint, used, damping)) is None:
-                break
-            now, step, variance, damping = tried
-            some = now.sightings
-            spread = (some.shapes / some.shape_sigma) ** 2 + variance[cameras:] / now.inflation**2
-            grown = float(np.sqrt(spread[joint.sightings.counts() > 0, :MODES].mean()))
-            taken = float((1.0 - joint.nuisance_information[:, None] * variance).sum())
-            sigma = max(grown * some.shape_sigma, LEAST_SHAPE_SIGMA)
-            now = replace(now, sightings=replace(some, shape_sigma=sigma, taken=taken))
-            is_settled = (step[:cameras] ** 2 <= SETTLED_SIGMAS**2 * variance[:cameras]).all()
-            if is_settled and abs(grown - 1.0) < SETTLED_SHAPES:
-                break
+    for done in range(MOST_ROUNDS):
+        some, squares = now.sightings, now.squares
+        used = (now.group[some.tag] == 0) & np.isfinite(squares) & fitting(some, squares, now.floor)
+        used = constraining(some, used, now.prior)
+        if is_stopped(done, MOST_ROUNDS) or not used.any():
+            break
+        joint = Adjustment(some.of(used), now.prior, True, now.inflation)
+        rest = Adjustment(joint.sightings, now.prior, False, now.inflation)
+        poses, floor = rest.run(now.poses, now.floor, ROUND_STEPS, FLOOR_PIXELS)
+        now = replace(now, poses=poses, floor=floor)
+        if (tried := _stepped(now, joint, used, damping)) is None:
+            break
+        now, step, variance, damping = tried
+        some = now.sightings
+        spread = (some.shapes / some.shape_sigma) ** 2 + variance[cameras:] / now.inflation**2
+        grown = float(np.sqrt(spread[joint.sightings.counts() > 0, :MODES].mean()))
+        taken = float((1.0 - joint.nuisance_information[:, None] * variance).sum())
+        sigma = max(grown * some.shape_sigma, LEAST_SHAPE_SIGMA)
+        now = replace(now, sightings=replace(some, shape_sigma=sigma, taken=taken))
+        is_settled = (step[:cameras] ** 2 <= SETTLED_SIGMAS**2 * variance[:cameras]).all()
+        if is_settled and abs(grown - 1.0) < SETTLED_SHAPES:
+            break
     return now
 
 
@@ -186,7 +184,6 @@ def refine(
     found: Estimate,
     keep: bool = False,
     is_stopped: Callable[[int, int], bool] = _never,
-    on_block: Callable[[int, int], object] = _never,
 ) -> Estimate:
     """Estimate poses and nuisance parameters together.
 
@@ -195,12 +192,11 @@ def refine(
         keep: True to keep cameras and shapes; their uncertainty still counts.
         is_stopped: called before each round with its number and the maximum number of rounds; returns True to stop with
             the present state.
-        on_block: called with the number of finished blocks of time, and the number of all blocks.
     """
     for _ in range(PASSES):
         found = found if keep else minimised(found, is_stopped)
         found = _through(found, _lenses_of(found)).adjusted()
-        if found.inflation > 1.0 or (grown := inflation(found, on_block)) == 1.0:
+        if found.inflation > 1.0 or (grown := inflation(found)) == 1.0:
             break
         found = replace(found, inflation=grown)
     return found

@@ -9,7 +9,6 @@ from numpy.typing import ArrayLike
 
 from lmd.adjust.estimate import Estimate
 from lmd.adjust.gauge import in_world
-from lmd.adjust.intrinsics import Calibrated
 from lmd.core.checks import FloatArray
 from lmd.core.words import few
 from lmd.formats.detections import DetectedTags
@@ -17,8 +16,6 @@ from lmd.geometry.se3 import ROW
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")  # axes of positions and rotations in the world
 TWISTS = ("tilt_x", "tilt_y", "turn", "right", "up", "out")  # components of a twist in the frame of a tag
-# Columns of the standard deviations of a tag relative to the other tags, along its own axes, rad and metres.
-SIGMA_COLUMNS = tuple(f"sigma_{name}" for name in TWISTS)
 NOTICED = 0.01  # a floor of the corners' standard deviation is printed if it exceeds this, pixels
 a_few = partial(few, most=12)
 
@@ -74,25 +71,21 @@ def figures_of(found: Estimate) -> dict[str, float]:
     }
 
 
-def document_of(calibrated: Sequence[Calibrated], detected: DetectedTags, sizes: Mapping[int, float]) -> dict[str, Any]:
+def document_of(found: Estimate, detected: DetectedTags, sizes: Mapping[int, float]) -> dict[str, Any]:
     """Entries of a JSON file: cameras, images, and the sizes, metres, by id, of tags with another size than stated."""
     return {
         "blurred": dict(detected.blurred),
         "copies": dict(detected.copies),
-        "intrinsics": [camera.document() for camera in calibrated],
+        "intrinsics": [camera.document() for camera in found.calibrated],
         "sizes": {str(tag): edge for tag, edge in sizes.items()},
     }
 
 
 def lines_of(
-    found: Estimate,
-    calibrated: Sequence[Calibrated],
-    detected: DetectedTags,
-    sizes: Mapping[int, float],
-    doubts: Sequence[str],
+    found: Estimate, detected: DetectedTags, sizes: Mapping[int, float], doubts: Sequence[str]
 ) -> dict[str, str]:
     """Lines for a terminal, by label: an estimate, the entries of `document_of`, and contradictions to the images."""
-    lines = {}
+    lines, cameras = {}, found.calibrated
     if found.used.any():
         lines["corners"] = f"{both(figures_of(found), 'error', 1.0)} pixels off"
         if found.floor > NOTICED:
@@ -100,8 +93,8 @@ def lines_of(
     if found.inflation > 1.0:
         more = f"{found.inflation:.1f} times as much as the noise of corners explains"
         lines["blocks"] = f"of time disagree {more}, which these figures count"
-    for number, camera in enumerate(calibrated, 1):
-        lines[f"camera {number}" if len(calibrated) > 1 else "camera"] = camera.to_text()
+    for number, camera in enumerate(cameras, 1):
+        lines[f"camera {number}" if len(cameras) > 1 else "camera"] = camera.to_text()
     copies = [f"such as {copy} of {first}" for copy, first in detected.copies.items()]
     rest = {
         "other size": a_few(f"{tag} ({1e3 * edge:.4g} mm)" for tag, edge in sizes.items()),

@@ -38,33 +38,6 @@ POSE_CHUNK = 1 << 14
 
 
 def pose_information(
-    poses: FloatArray,
-    landmarks: FloatArray,
-    seen: BoolArray,
-    camera: Camera,
-    noise: FloatArray | None = None,
-    mounted: FloatArray | None = None,
-) -> FloatArray:
-    """Fisher information about the pose of a camera, or of its body, in each frame, for body twists (w, v), `(F, 6,
-    6)`.
-
-    Args:
-        poses: X, `(F, 4, 4)`.
-        landmarks: C_i, world frame, metres, `(K, 3)`.
-        seen: mask of the landmarks in view, `(F, K)`; landmarks in view must be in front of the camera.
-        camera: intrinsics and distortion.
-        noise: standard deviation of each image point in the order of `np.nonzero(seen)`, pixels, `(M,)`; None for one
-            pixel.
-        mounted: pose of the camera in the frame of the body, `(4, 4)`; None for a camera alone.
-    """
-    mounted = np.eye(4) if mounted is None else mounted
-    frame, landmark = np.nonzero(seen)
-    y = to_camera((poses @ mounted)[frame], landmarks[landmark, None])[:, 0]
-    jacobian = image_slopes(camera, mounted, y) / (1.0 if noise is None else noise[:, None, None])
-    return sums_by(frame, len(poses))(np.swapaxes(jacobian, 1, 2) @ jacobian)
-
-
-def moment_information(
     cameras: Sequence[Camera],
     extrinsics: FloatArray,
     poses: FloatArray,
@@ -72,18 +45,25 @@ def moment_information(
     seen: BoolArray,
     noise: Sequence[FloatArray] | None = None,
 ) -> FloatArray:
-    """Sum of the `pose_information` of all C cameras about the pose of their body, `(F, 6, 6)`.
+    """Fisher information about the pose of a body in each frame, for body twists (w, v), from its C cameras, `(F, 6,
+    6)`.
 
     Args:
-        cameras: intrinsics of the cameras.
+        cameras: intrinsics and distortion of the cameras.
         extrinsics: poses of the cameras in the frame of the body, `(C, 4, 4)`.
         poses: X of the body, `(F, 4, 4)`.
-        landmarks: world frame, metres, `(K, 3)`.
-        seen: mask of the landmarks in view of each camera, `(C, F, K)`.
-        noise: noise of each camera as in `pose_information`.
+        landmarks: C_i, world frame, metres, `(K, 3)`.
+        seen: mask of the landmarks in view of each camera, `(C, F, K)`; landmarks in view must be in front of it.
+        noise: for each camera, standard deviation of each image point in the order of `np.nonzero`, pixels, `(M,)`;
+            None for one pixel.
     """
-    each = zip(seen, cameras, [None] * len(cameras) if noise is None else noise, extrinsics, strict=True)
-    return np.asarray(sum(pose_information(poses, landmarks, *one) for one in each))
+    total = np.zeros((len(poses), 6, 6))
+    for c, (camera, mounted, mask) in enumerate(zip(cameras, extrinsics, seen, strict=True)):
+        frame, landmark = np.nonzero(mask)
+        y = to_camera((poses @ mounted)[frame], landmarks[landmark, None])[:, 0]
+        jacobian = image_slopes(camera, mounted, y) / (1.0 if noise is None else noise[c][:, None, None])
+        total += sums_by(frame, len(poses))(np.swapaxes(jacobian, 1, 2) @ jacobian)
+    return total
 
 
 def determines_pose(information: FloatArray) -> BoolArray:
@@ -161,7 +141,7 @@ def cramer_rao_map(scene: Scene, evaluator: Evaluator, deployment: Deployment) -
         poses[:, :3, 3] = np.repeat(here, len(turns), axis=0)
         states = None if evaluator.states is None else evaluator.states[start : start + per_chunk].repeat(len(turns))
         seen = visible_to_each(evaluator, deployment, poses[:, :3, 3], axis_and_right(poses), states)
-        told = moment_information(scene.cameras, scene.extrinsics, poses, deployment.positions, seen)
+        told = pose_information(scene.cameras, scene.extrinsics, poses, deployment.positions, seen)
         parts.append(cramer_rao_bound(told))
     position, attitude = (np.concatenate(part).reshape(len(positions), -1) for part in zip(*parts, strict=True))
     weight, position, attitude = evaluator.by_place(weight, position, attitude)
@@ -199,7 +179,7 @@ class CramerRaoBound:
             camera = np.nonzero(recording.seen[s])[1] // count  # camera of each detection
             its = relative[recording.detections(s)]
             noise = [its[camera == c].repeat(corners) for c in range(cameras)]
-            runs.append(cramer_rao_bound(moment_information(*body, poses, points, seen, noise)))
+            runs.append(cramer_rao_bound(pose_information(*body, poses, points, seen, noise)))
         bounds = np.array(runs).transpose(1, 0, 2)
         position, attitude = largest * np.where(np.isfinite(bounds), bounds, np.nan)
         return Errors(position**2 + 2.0 * attitude**2, position, attitude)

@@ -12,7 +12,7 @@ from lmd.core.optional import optional
 from lmd.estimation.estimators import Errors, errors_of
 from lmd.estimation.pnp import images_of, likely
 from lmd.estimation.recording import Recording
-from lmd.geometry.pose import PointImage, body_solutions
+from lmd.geometry.pose import PointImage, body_solutions, image_slopes
 from lmd.geometry.projection import project, to_camera
 from lmd.geometry.se3 import seen_by_twist
 
@@ -113,7 +113,7 @@ class CornerImages(NamedTuple):
             there = project(image.camera, np.eye(4), y)
             lost = np.asarray(np.isnan(there).any(axis=1))
             there[lost], y[lost] = image.camera.principal_point, [0.0, 0.0, 1.0]
-            slopes.append(np.where(lost[:, None, None], 0.0, image.slope(y)))
+            slopes.append(np.where(lost[:, None, None], 0.0, image_slopes(image.camera, image.mounted, y)))
             pixels.append(there)
         return np.concatenate(pixels).reshape(-1), np.concatenate(slopes).reshape(-1, 6)
 

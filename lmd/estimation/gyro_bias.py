@@ -1,17 +1,15 @@
-"""Kalman filters that estimate the bias of a gyro beside the pose: an equivariant and an invariant one.
+"""Equivariant Kalman filter that estimates the bias of a gyro beside the pose.
 
 The state is a pose T and a constant bias b of the measured body twist w, whose angular part the gyro measures:
 
     T' = T (w - b - n),    b' = walk,    y_i = T^-1 C_i + noise.
 
-Both filters are extended Kalman filters of 12 numbers, and predict by Th <- Th exp(h (w - bh)), which is exact for
-constant w and b. The filters differ in the coordinates of the error (ad, Ad and J are those of `lmd.geometry.se3`).
+The filter is an extended Kalman filter of 12 numbers, and predicts by Th <- Th exp(h (w - bh)), which is exact for
+constant w and b (ad, Ad and J are those of `lmd.geometry.se3`).
 
-**Equivariant filter** (P. van Goor, T. Hamel and R. Mahony, "Equivariant filter (EqF)", IEEE Trans. Automatic Control
-68 (6), 2023; A. Fornasier et al., "Overcoming bias: equivariant filter design for biased attitude estimation with
-online calibration", IEEE Robotics and Automation Letters 7 (4), 2022). The tangent group of SE(3) with the product (A,
-a)(B, b) = (A B, a + Ad_A b) acts on states by (T, b) -> (T A, Ad_A^-1 (b - a)). The system is equivariant. With the
-origin (I, 0) the equivariant error is (e, z) = (T Th^-1, Ad_Th (b - bh)), in the frame of the map, and
+The tangent group of SE(3) with the product (A, a)(B, b) = (A B, a + Ad_A b) acts on states by (T, b) -> (T A, Ad_A^-1
+(b - a)). The system is equivariant. With the origin (I, 0) the equivariant error is (e, z) = (T Th^-1, Ad_Th (b - bh)),
+in the frame of the map, and
 
     e' = -e z,    z' = ad_W z    with W = Ad_Th (w - bh),
 
@@ -21,17 +19,13 @@ so the error of the bias has linear dynamics, which depend on the estimate only 
 
 The output is equivariant, too: T y moves C_i. With c_i = (C_i + Th y_i) / 2, the residual Th y_i - C_i is [c_i]x u - v
 for x = (u, v), up to errors of the third order. A correction (dx, dz) changes the errors to those of the new estimate:
-x <- J(dx) x and z <- Ad_exp(dx) z, which keeps the gyro's bias free of a linear part. With C_i in place of c_i, this
-would be the invariant filter below, reset with J(-dx): its advantage is the equivariant output.
+x <- J(dx) x and z <- Ad_exp(dx) z, which keeps the gyro's bias free of a linear part.
 
-**Invariant filter with a bias** ("imperfect" in A. Barrau and S. Bonnabel, "The invariant extended Kalman filter as a
-stable observer", IEEE Trans. Automatic Control 62 (4), 2017). The errors are T = Th exp(x) and z = b - bh, in the frame
-of the camera. Without a bias this is the left-invariant filter `lmd.estimation.fusion.InvariantKalmanFilter`. A step
-has x <- Ad_exp(-h (w - bh)) x - h J(-h (w - bh)) z, which depends on the estimate of the bias. After a correction dx, x
-<- Ad_exp(-dx) x, as GTSAM 4.3 does.
+Source: P. van Goor, T. Hamel and R. Mahony, "Equivariant filter (EqF)", IEEE Trans. Automatic Control 68 (6), 2023; A.
+Fornasier et al., "Overcoming bias: equivariant filter design for biased attitude estimation with online calibration",
+IEEE Robotics and Automation Letters 7 (4), 2022.
 """
 
-from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -53,12 +47,14 @@ class State(NamedTuple):
     bias: FloatArray
     """Estimated bias bh, rad/s and m/s, `(6,)`."""
     covariance: FloatArray
-    """Covariance of the errors (x, z) in the coordinates of the filter, `(12, 12)`."""
+    """Covariance of the errors (x, z), `(12, 12)`."""
 
 
 @dataclass(frozen=True)
-class BiasFilter(Uncertainty, ABC):
-    """Extended Kalman filter for a pose and a gyro's bias, whose uncertainty is that of the odometry."""
+class EquivariantFilter(Uncertainty):
+    """Equivariant filter on the tangent group of SE(3), for a camera with a biased gyro among known landmarks, whose
+    uncertainty is that of the odometry.
+    """
 
     def errors(self, recording: Recording, start: FloatArray) -> Errors:
         """See `lmd.estimation.estimators.Estimator.errors`."""
@@ -67,7 +63,7 @@ class BiasFilter(Uncertainty, ABC):
     def run(self, recording: Recording, s: int, start: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
         """Estimates of run s, `(4, 4)` each, and their covariances as body twists, `(6, 6)`."""
         for state in self.states(recording, s, start):
-            to_body = self.to_body(state.pose)
+            to_body = adjoint_matrix(inverse(state.pose))
             yield state.pose, to_body @ state.covariance[:6, :6] @ to_body.T
 
     def states(self, recording: Recording, s: int, start: FloatArray) -> Iterator[State]:
@@ -101,7 +97,7 @@ class BiasFilter(Uncertainty, ABC):
 
     def _from_body(self, pose: FloatArray, squares: FloatArray) -> FloatArray:
         """Covariance `(12, 12)` in the filter's coordinates, from variances in the body's frame `(12,)`."""
-        turn = np.kron(np.eye(2), np.linalg.inv(self.to_body(pose)))
+        turn = np.kron(np.eye(2), adjoint_matrix(pose))
         return np.asarray(turn @ np.diag(squares) @ turn.T)
 
     def corrected(self, state: State, seen: CameraPoints) -> State:
@@ -114,11 +110,6 @@ class BiasFilter(Uncertainty, ABC):
         covariance = kept @ state.covariance @ kept.T + gain @ noise @ gain.T
         return self.moved(State(state.pose, state.bias, covariance), gain @ residual)
 
-    @abstractmethod
-    def to_body(self, pose: FloatArray) -> FloatArray:
-        """Matrix from x to the body twist of an equal error, `(6, 6)`."""
-
-    @abstractmethod
     def transition(self, pose: FloatArray, moved: FloatArray, step: float) -> FloatArray:
         """Matrix from (x, z) before a step to (x, z) after the step, `(12, 12)`.
 
@@ -127,30 +118,6 @@ class BiasFilter(Uncertainty, ABC):
             moved: h (w - bh), `(6,)`.
             step: h, seconds.
         """
-
-    @abstractmethod
-    def residual(self, pose: FloatArray, seen: CameraPoints) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Residual for m landmarks, `(3 m,)`, the Jacobian with respect to x, `(3 m, 6)`, and the covariance, `(3 m, 3
-        m)`.
-        """
-
-    @abstractmethod
-    def moved(self, state: State, change: FloatArray) -> State:
-        """State corrected by the estimated error (dx, dz), `(12,)`, with the covariance in the coordinates of the new
-        state.
-        """
-
-
-@dataclass(frozen=True)
-class EquivariantFilter(BiasFilter):
-    """Equivariant filter on the tangent group of SE(3), for a camera with a biased gyro among known landmarks."""
-
-    def to_body(self, pose: FloatArray) -> FloatArray:
-        """See `BiasFilter.to_body`: Ad_Th^-1."""
-        return adjoint_matrix(inverse(pose))
-
-    def transition(self, pose: FloatArray, moved: FloatArray, step: float) -> FloatArray:
-        """See `BiasFilter.transition`."""
         world = adjoint(pose, moved)
         return np.block([
             [np.eye(6), -step * left_jacobian(world)],
@@ -158,7 +125,9 @@ class EquivariantFilter(BiasFilter):
         ])  # fmt: skip
 
     def residual(self, pose: FloatArray, seen: CameraPoints) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """See `BiasFilter.residual`."""
+        """Residual for m landmarks, `(3 m,)`, the Jacobian with respect to x, `(3 m, 6)`, and the covariance, `(3 m, 3
+        m)`.
+        """
         moved = act(pose, seen.value.reshape(-1, 3))
         middle = skew((moved + seen.landmarks) / 2.0)
         jacobian = np.concatenate([middle, np.broadcast_to(-np.eye(3), middle.shape)], axis=-1).reshape(-1, 6)
@@ -166,36 +135,10 @@ class EquivariantFilter(BiasFilter):
         return (moved - seen.landmarks).reshape(-1), jacobian, turn @ seen.covariance @ turn.T
 
     def moved(self, state: State, change: FloatArray) -> State:
-        """See `BiasFilter.moved`."""
+        """State corrected by the estimated error (dx, dz), `(12,)`, with the covariance in the coordinates of the new
+        state.
+        """
         step, reset = exp(change[:6]), np.zeros((12, 12))
         reset[:6, :6], reset[6:, 6:] = left_jacobian(change[:6]), adjoint_matrix(step)
         bias = state.bias + adjoint(inverse(state.pose), change[6:])
         return State(step @ state.pose, bias, reset @ state.covariance @ reset.T)
-
-
-@dataclass(frozen=True)
-class BiasedInvariantFilter(BiasFilter):
-    """Left-invariant extended Kalman filter with the bias of the gyro as a further state."""
-
-    def to_body(self, pose: FloatArray) -> FloatArray:
-        """See `BiasFilter.to_body`."""
-        return np.eye(6)
-
-    def transition(self, pose: FloatArray, moved: FloatArray, step: float) -> FloatArray:
-        """See `BiasFilter.transition`."""
-        return np.block([
-            [adjoint_matrix(exp(-moved)), -step * left_jacobian(-moved)],
-            [np.zeros((6, 6)), np.eye(6)],
-        ])  # fmt: skip
-
-    def residual(self, pose: FloatArray, seen: CameraPoints) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """See `BiasFilter.residual`."""
-        expected, jacobian = seen.predicted(pose)
-        return seen.value - expected, jacobian, seen.covariance
-
-    def moved(self, state: State, change: FloatArray) -> State:
-        """See `BiasFilter.moved`."""
-        reset = np.eye(12)
-        reset[:6, :6] = adjoint_matrix(exp(-change[:6]))
-        covariance = reset @ state.covariance @ reset.T
-        return State(state.pose @ exp(change[:6]), state.bias + change[6:], covariance)

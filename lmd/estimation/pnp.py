@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, choice
+from lmd.core.checks import FloatArray
 from lmd.core.optional import optional
 from lmd.estimation.estimators import Errors, errors_of
 from lmd.estimation.recording import Recording
@@ -13,7 +13,6 @@ from lmd.geometry.pose import PointImage, Solution, body_solutions
 from lmd.geometry.projection import project
 from lmd.geometry.se3 import exp
 
-AMBIGUOUS = ("odometry", "refuse")
 # Minimum difference between the squared errors of two distinguishable poses, for a likelihood ratio of 100.
 TOLD_APART = 2.0 * np.log(100.0)
 # Lower bound on the noise, pixels.
@@ -25,19 +24,11 @@ class PerspectiveNPoint:
     """Estimator of each frame's pose from the images of this frame alone (PnP), see `lmd.geometry.pose`; for a rig,
     from the images of all cameras.
 
-    The estimator uses the corners of all tags in view, or the centres of at least four points.
-
-    Raises:
-        InputError: `ambiguous` has an unknown value.
-    """
-
-    ambiguous: str = "odometry"
-    """Choice if several poses fit almost equally well, as for a distant tag: `odometry` takes the pose nearest to the
-    prediction from the last unique pose, `refuse` gives no estimate.
+    The estimator uses the corners of all tags in view, or the centres of at least four points. If several poses fit
+    almost equally well, as for a distant tag, the pose nearest to the prediction from the last unique pose is taken.
     """
 
     def __post_init__(self) -> None:
-        choice("ambiguous", self.ambiguous, AMBIGUOUS)
         optional("cv2", "estimators")
 
     def errors(self, recording: Recording, start: FloatArray) -> Errors:
@@ -49,28 +40,22 @@ class PerspectiveNPoint:
 
         The covariance is the inverse of the Fisher information of the frame's images at the estimate.
         """
-        for t, pose in enumerate(self._run(recording, s)):
-            covariance = np.full((6, 6), np.nan)
-            if np.isfinite(pose).all():
-                slopes = np.concatenate([image.scaled_slope(pose) for image in images_of(recording, s, t)])
-                covariance = np.linalg.inv((np.swapaxes(slopes, 1, 2) @ slopes).sum(axis=0))
-            yield pose, covariance
-
-    def _run(self, recording: Recording, s: int) -> FloatArray:
-        """Estimates of run s, `(T, 4, 4)`; NaN for frames without an estimate."""
-        estimates: FloatArray = np.full_like(recording.poses[s], np.nan)
         motions = exp(np.diff(recording.time)[:, None] * recording.twists[s])
         expected: FloatArray | None = None  # prediction from the last unique pose
-        for t in range(len(estimates)):
+        for t in range(len(recording.time)):
+            images, pose, covariance = images_of(recording, s, t), np.full((4, 4), np.nan), np.full((6, 6), np.nan)
             if expected is not None:
                 expected = expected @ motions[t - 1]
-            candidates = likely(body_solutions(images_of(recording, s, t)))
+            candidates = likely(body_solutions(images))
             if len(candidates) == 1:
-                expected = estimates[t] = candidates[0]
-            elif candidates and expected is not None and self.ambiguous == "odometry":
+                expected = pose = candidates[0]
+            elif candidates and expected is not None:
                 off = [float(((one - expected) ** 2).sum()) for one in candidates]
-                estimates[t] = candidates[int(np.argmin(off))]
-        return estimates
+                pose = candidates[int(np.argmin(off))]
+            if np.isfinite(pose).all():
+                slopes = np.concatenate([image.scaled_slope(pose) for image in images])
+                covariance = np.linalg.inv((np.swapaxes(slopes, 1, 2) @ slopes).sum(axis=0))
+            yield pose, covariance
 
 
 def likely(found: list[Solution]) -> list[FloatArray]:

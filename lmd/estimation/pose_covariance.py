@@ -24,13 +24,13 @@ With w_t = 1 / sigma_t^2, Q = I, and without shifts and P this is the Cramer-Rao
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy.sparse import bsr_array
 
+from lmd.adjust.corners import sums_by
 from lmd.adjust.gauge import in_world
-from lmd.core.checks import BoolArray, FloatArray, IntArray
+from lmd.core.checks import BoolArray, FloatArray
 from lmd.detection.corner_errors import MODES, CornerErrors, MeasuredCorners, incidence, inward, pitch
 from lmd.estimation.cramer_rao import determines_pose
 from lmd.geometry.camera import Camera
@@ -67,11 +67,10 @@ class TagErrors:
             pitches: pixels per module, `(...)`.
             incidences: incidence angles, rad, `(...)`.
         """
-        if isinstance(self.noise, MeasuredCorners):
-            return self.noise.independent_sigma(pitches, incidences), self.noise.inward_at(pitches)
-        if isinstance(self.noise, CornerErrors):
-            return self.noise.independent_sigma(pitches), self.noise.inward_at(pitches)
-        return np.full(pitches.shape, self.noise), np.zeros(pitches.shape)
+        if isinstance(self.noise, float):
+            return np.full(pitches.shape, self.noise), np.zeros(pitches.shape)
+        where = (pitches, incidences) if isinstance(self.noise, MeasuredCorners) else (pitches,)
+        return self.noise.independent_sigma(*where), self.noise.inward_at(pitches)
 
     @property
     def modes(self) -> FloatArray:
@@ -79,54 +78,6 @@ class TagErrors:
         if not isinstance(self.noise, MeasuredCorners):
             return np.eye(8)
         return np.asarray(np.kron(np.tensordot(self.noise.modes, MODES, axes=1), np.eye(2)))
-
-
-@dataclass(frozen=True)
-class TagImages:
-    """Contributions of P pairs of a frame and a tag in the frame's images, ordered by frame."""
-
-    frames: int
-    """Number F of frames."""
-    frame: IntArray
-    """Frame of each pair, `(P,)`."""
-    tag: IntArray
-    """Tag of each pair, `(P,)`."""
-    sigma: FloatArray
-    """Largest standard deviation of a coordinate of a corner in the images of the pair, pixels, `(P,)`."""
-    information: FloatArray
-    """sum w J^T J over the cameras, `(P, 6, 6)`."""
-    noise: FloatArray
-    """sum w^2 sigma^2 J^T Q J over the cameras, `(P, 6, 6)`."""
-    shifts: FloatArray
-    """Contributions to g, and to beta h_c of each of the C cameras, `(P, 1 + C, 6)`."""
-    places: FloatArray
-    """sum_u B_u P_ut B_t^T over the tags u of the frame, `(P, 6, 6)`."""
-    others: FloatArray
-    """sum_u B_t P_tu B_u^T over the other tags u of the frame, `(P, 6, 6)`."""
-
-    @property
-    def counts(self) -> IntArray:
-        """Number of tags in the images of each frame, `(F,)`."""
-        return np.bincount(self.frame, minlength=self.frames)
-
-    @cached_property
-    def _sums(self) -> list[FloatArray]:
-        """Sums of the information, errors and shifts over the pairs of each frame, `(F, ...)`."""
-        sums = []
-        for parts in (self.information, self.noise + self.places, self.shifts):
-            sums.append(np.zeros((self.frames, *parts.shape[1:])))
-            np.add.at(sums[-1], self.frame, parts)
-        return sums
-
-    def covariances(self) -> FloatArray:
-        """Covariance of the body twist (w, v) in each frame, `(F, 6, 6)`; infinite if the pose is undetermined."""
-        return _covariances(*self._sums)
-
-    def covariances_without(self) -> FloatArray:
-        """For each pair of a frame and a tag, covariance of the body twist (w, v) without the tag, `(P, 6, 6)`."""
-        information, errors, shifts = (total[self.frame] for total in self._sums)
-        left = errors - self.noise - self.places - self.others
-        return _covariances(information - self.information, left, shifts - self.shifts)
 
 
 def _covariances(information: FloatArray, errors: FloatArray, shifts: FloatArray) -> FloatArray:
@@ -139,7 +90,7 @@ def _covariances(information: FloatArray, errors: FloatArray, shifts: FloatArray
     return found
 
 
-def tag_images(
+def pose_covariances(
     cameras: Sequence[Camera],
     extrinsics: FloatArray,
     poses: FloatArray,
@@ -147,26 +98,32 @@ def tag_images(
     tag: Tag,
     seen: BoolArray,
     errors: TagErrors,
-) -> TagImages:
-    """Contributions of the tags in C cameras' images to the covariance of the body's pose.
+) -> tuple[FloatArray, FloatArray]:
+    """Covariance of the body's pose from the images of C cameras in each of F frames.
 
     Args:
-        cameras, extrinsics: see `lmd.estimation.cramer_rao.moment_information`.
+        cameras, extrinsics: see `lmd.estimation.cramer_rao.pose_information`.
         poses: X of the body, `(F, 4, 4)`.
         deployment: K tags at their places in the map.
         tag: family of the tags, and edge of the tags without an edge of their own.
         seen: mask of the tags in view of each camera, `(C, F, K)`; the corners of these tags must be in front of it.
         errors: errors of the K tags.
+
+    Returns:
+        covariance of the body twist (w, v), `(F, 6, 6)`, infinite if the pose is undetermined; largest standard
+        deviation of a coordinate of a corner in the images of each tag, pixels, `(F, K)`, 0 for tags not in view.
     """
-    edges, count = deployment.edges_of(tag), len(deployment)
-    pairs, number = np.unique(np.concatenate([np.flatnonzero(mask) for mask in seen]), return_inverse=True)
-    size, first = len(pairs), 0
-    information, noise, by_map = np.zeros((3, size, 6, 6))
-    shifts, sigmas = np.zeros((size, 1 + len(cameras), 6)), np.zeros(size)
+    edges, frames, shown = deployment.edges_of(tag), len(poses), np.asarray(seen.any(axis=0))
+    number = np.cumsum(shown).reshape(shown.shape) - 1  # of each pair of a frame and a tag in view
+    information, noise = np.zeros((2, frames, 6, 6))
+    shifts, sigmas, by_map = (
+        np.zeros((frames, 1 + len(cameras), 6)),
+        np.zeros(shown.shape),
+        np.zeros((shown.sum(), 6, 6)),
+    )
     for c, (camera, mounted, mask) in enumerate(zip(cameras, extrinsics, seen, strict=True)):
         frame, which = np.nonzero(mask)
-        own = number[first : first + len(frame)]
-        first += len(frame)
+        summed = sums_by(frame, frames)
         at, centres, normals = poses[frame] @ mounted, deployment.places[which], deployment.normals[which]
         turned = (normals[:, None, :] @ at[:, :3, :3])[:, 0]
         where = np.eye(4), to_camera(at, centres[:, None])[:, 0], turned
@@ -180,40 +137,31 @@ def tag_images(
         moved_corners = -seen_by_twist(points - centres[:, None])[..., [3, 4, 5, 0, 1, 2]]
         by_place = (slope(camera, y) @ np.swapaxes(at[:, None, :3, :3], -1, -2) @ moved_corners).reshape(-1, 8, 6)
         weighted = np.swapaxes(jacobian, 1, 2) * weight[:, None, None]
-        square = weighted @ jacobian
-        information[own] += square
-        spread = np.swapaxes(weighted * sigma[:, None, None], 1, 2)
-        noise[own] += np.swapaxes(spread, 1, 2) @ errors.modes @ spread
+        information += summed(weighted @ jacobian)
+        spread = weighted * sigma[:, None, None]
+        noise += summed(spread @ errors.modes @ np.swapaxes(spread, 1, 2))
         moved = (weighted @ inward(project(camera, np.eye(4), y)).reshape(-1, 8, 1))[..., 0]
-        shifts[own, 0] += mean_shift[:, None] * moved
-        shifts[own, 1 + c] = errors.shift * moved
-        by_map[own] += weighted @ by_place
-        sigmas[own] = np.maximum(sigmas[own], sigma)
-    frame, which = np.divmod(pairs, count)
-    places, others = _by_map(by_map, frame, which, len(poses), errors)
-    return TagImages(len(poses), frame, which, sigmas, information, noise, shifts, places, others)
+        shifts[:, 0] += summed(mean_shift[:, None] * moved)
+        shifts[:, 1 + c] = errors.shift * summed(moved)
+        by_map[number[frame, which]] += weighted @ by_place
+        sigmas[frame, which] = np.maximum(sigmas[frame, which], sigma)
+    return _covariances(information, noise + _by_map(by_map, shown, errors), shifts), sigmas
 
 
-def _by_map(
-    by_map: FloatArray, frame: IntArray, which: IntArray, frames: int, errors: TagErrors
-) -> tuple[FloatArray, FloatArray]:
-    """Fields `places` and `others` of `TagImages`, from the matrices B `(P, 6, 6)` of the pairs, which are ordered by
-    frame.
-    """
+def _by_map(by_map: FloatArray, shown: BoolArray, errors: TagErrors) -> FloatArray:
+    """Last sum of N of each frame, `(F, 6, 6)`, from the matrices B `(P, 6, 6)` of the tags in view, mask `(F, K)`."""
+    frames, (frame, which) = len(shown), np.nonzero(shown)
     back = np.swapaxes(by_map, 1, 2)
-    alone = by_map @ errors.places[which] @ back
-    if errors.joint is None:
-        return alone, np.zeros_like(alone)
-    count, ends = len(errors.places), np.searchsorted(frame, np.arange(frames + 1))
-    own = by_map @ errors.joint.reshape(count, 6, count, 6)[which, :, which] @ back
-    summed = np.empty_like(alone)  # sum_u B_u P_ut B_t^T
-    for first in range(0, frames, FRAMES_AT_ONCE):
-        at = ends[first : first + FRAMES_AT_ONCE + 1]
-        some = slice(at[0], at[-1])
-        rows = bsr_array((by_map[some], which[some], at - at[0]), shape=(6 * (len(at) - 1), 6 * count))
-        shared = (rows @ errors.joint).reshape(-1, 6, count, 6)
-        summed[some] = shared[frame[some] - first, :, which[some]] @ back[some]
-    return alone + summed, np.swapaxes(summed, 1, 2) - own
+    found = by_map @ errors.places[which] @ back
+    if errors.joint is not None:
+        count, ends = len(errors.places), np.searchsorted(frame, np.arange(frames + 1))
+        for first in range(0, frames, FRAMES_AT_ONCE):
+            at = ends[first : first + FRAMES_AT_ONCE + 1]
+            some = slice(at[0], at[-1])
+            rows = bsr_array((by_map[some], which[some], at - at[0]), shape=(6 * (len(at) - 1), 6 * count))
+            shared = (rows @ errors.joint).reshape(-1, 6, count, 6)  # sum_t B_t P_tu
+            found[some] += shared[frame[some] - first, :, which[some]] @ back[some]
+    return sums_by(frame, frames)(found)
 
 
 def world_covariances(poses: FloatArray, covariances: FloatArray) -> FloatArray:

@@ -116,7 +116,11 @@ def pose_bounds(
     for distance in distances:
         place, normal = _hung(distance, incidence)
         points = corners(place, normal, upright(normal)[1], tag.size)[0]
-        errors.append(cramer_rao_bound(pose_information(pose, points, np.ones((1, 4), dtype=bool), camera)))
+        errors.append(
+            cramer_rao_bound(
+                pose_information([camera], np.eye(4)[None], pose, points, np.ones((1, 4), dtype=bool)[None])
+            )
+        )
     position, attitude = pixel_noise * np.array(errors)[:, :, 0].T
     return position, attitude
 

@@ -1,4 +1,4 @@
-"""Standard deviations of the camera pose from one image, at random poses, and tags that raise them.
+"""Standard deviations of the camera pose from one image, at random poses.
 
 Rotations are small angles about three axes of a level body with the heading (yaw) of the view: roll about its forward
 axis, pitch about its left axis, yaw about the vertical. These angles exist for a camera that looks straight up, too.
@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from lmd.core.checks import Checked, Count, FloatArray, InputError, IntArray, NotNegative, choice
+from lmd.core.checks import Checked, Count, FloatArray, InputError, NotNegative, choice
 from lmd.core.memory import check_memory
 from lmd.detection.corner_errors import CORNER_ERRORS, CornerErrors, MeasuredCorners
 from lmd.detection.frames import draw_poses
-from lmd.estimation.pose_covariance import WEIGHTS, TagErrors, TagImages, tag_images, world_covariances
+from lmd.estimation.pose_covariance import WEIGHTS, TagErrors, pose_covariances, world_covariances
 from lmd.evaluation.accuracy import as_localisation
 from lmd.evaluation.rendered_corners import measured_corners
 from lmd.geometry.frames import angles_of
@@ -38,7 +38,6 @@ VIEW_BYTES = 2000  # memory of a view, bytes
 AUTO, OBJECTIVE, RENDERED = "auto", "objective", "rendered"
 CORNERS = (AUTO, OBJECTIVE, RENDERED, *CORNER_ERRORS)
 ALSO = {"wpilib": "apriltag_decimate2"}  # detectors of the visibility model with the corner errors of another one
-LESS = 1.0 - 1e-3  # a standard deviation is less than another only if their ratio is below this
 
 
 @dataclass(frozen=True)
@@ -73,8 +72,7 @@ class UncertaintyStudy(Checked):
         """Name of the detector whose corner errors are used, or `objective`."""
         if self.corners not in (AUTO, RENDERED):
             return self.corners
-        name = str(getattr(problem.scene.visibility, "detector", OBJECTIVE))
-        name = ALSO.get(name, name)
+        name = ALSO.get(name := str(getattr(problem.scene.visibility, "detector", OBJECTIVE)), name)
         return name if name in CORNER_ERRORS else OBJECTIVE
 
     def errors(self, problem: Problem, deployment: Deployment, seed: int) -> tuple[TagErrors, str]:
@@ -117,23 +115,12 @@ class Uncertainty:
     standard deviations `SDS` (m, rad; NaN for no pose), `pose` (`one`, `two`, `none`). `mirrored` is the probability
     that the mirrored pose of a single tag fits better (NaN for another number of tags).
     """
-    tags: "pd.DataFrame"
-    """A row for each tag: `id`, `views` (number of views of the tag and others), `misleads` (`ratio` below 1).
-    `improves` is the share of these views in which the standard deviation of the position is less without the tag.
-    `ratio` is the median ratio of the standard deviation without the tag to the standard deviation with the tag;
-    infinite where another pose or none is left.
-    """
     poses: FloatArray
     """X of the views, `(V, 4, 4)`."""
     covariances: FloatArray
     """Covariance of (p, r), position and rotation in the world frame, `(V, 6, 6)`; infinite for no pose."""
-    corners: str = ""
+    corners: str
     """Origin of the errors of corners."""
-
-    @property
-    def misleading(self) -> list[int]:
-        """Ids of the tags that mislead, ascending."""
-        return sorted(self.tags.id[self.tags.misleads].tolist())
 
     def metrics(self) -> dict[str, float]:
         """Shares of the views by kind of pose, and medians and 90 % quantiles over the views with one pose."""
@@ -142,7 +129,7 @@ class Uncertainty:
         if len(some):
             for name, level in (("median", 0.5), ("90", 0.9)):
                 found |= {f"{column}_{name}": float(some[column].quantile(level)) for column in SDS}
-        return found | {"misleading_tags": float(len(self.misleading))}
+        return found
 
 
 def uncertainty(
@@ -166,41 +153,28 @@ def uncertainty(
     Raises:
         InputError: landmarks are points, or `UncertaintyStudy.errors` refuses.
     """
+    import pandas as pd
+
     problem.scene.tag.check_edge()
     poses = draw_poses(problem.scene, study.views, seed)
     errors, about = study.errors(problem, deployment, seed)
     errors = replace(errors, joint=joint, places=errors.places if places is None else places)
-    return replace(uncertainty_at(problem, deployment, errors, poses), corners=about)
-
-
-def uncertainty_at(problem: Problem, deployment: Deployment, errors: TagErrors, poses: FloatArray) -> Uncertainty:
-    """Standard deviations of the pose in the views from `poses` `(V, 4, 4)`; other arguments as in `uncertainty`."""
-    import pandas as pd
-
     scene = problem.scene
     seen = visible_to_each(problem.evaluator, deployment, poses[:, :3, 3], axis_and_right(poses))
-    images = tag_images(scene.cameras, scene.extrinsics, poses, deployment, scene.tag, seen, errors)
-    covariances = world_covariances(poses, images.covariances())
-    counts = images.counts
-    away = np.linalg.norm(deployment.places[images.tag] - poses[images.frame, :3, 3], axis=1)
+    body = scene.cameras, scene.extrinsics
+    found, sigmas = pose_covariances(*body, poses, deployment, scene.tag, seen, errors)
+    covariances, shown = world_covariances(poses, found), seen.any(axis=0)
+    counts, (frame, tag) = shown.sum(axis=1), np.nonzero(shown)
+    away = np.linalg.norm(deployment.places[tag] - poses[frame, :3, 3], axis=1)
     ups, half = deployment.ups, deployment.edges_of(scene.tag)[:, None] / 2.0
     sides = half * np.stack([cross(ups, deployment.normals), ups])
-
-    def mirrored_of(pairs: IntArray, others: IntArray) -> FloatArray:
-        """Probability that the mirrored pose of the tags of `pairs` fits better without the tags of `others`, `(N,)`,
-        which are in view in the same frames.
-        """
-        which, frames = images.tag[pairs], images.frame[others]
-        looks = seen[:, frames, which]
-        return mirrored_probabilities(
-            scene, poses[frames], deployment.places[which], sides[:, which], looks, images.sigma[pairs]
-        )
-
-    mirrored, alone = np.full(len(poses), np.nan), np.flatnonzero(counts[images.frame] == 1)
-    mirrored[images.frame[alone]] = mirrored_of(alone, alone)
+    alone = counts[frame] == 1
+    mirrored, frames, only = np.full(len(poses), np.nan), frame[alone], tag[alone]
+    views = poses[frames], deployment.places[only], sides[:, only], seen[:, frames, only], sigmas[frames, only]
+    mirrored[frames] = mirrored_probabilities(scene, *views)
     yaw, pitch, roll = angles_of(np.swapaxes(poses[:, :3, :3], 1, 2))
     with np.errstate(invalid="ignore"):  # no tags
-        distance = np.bincount(images.frame, away, len(poses)) / counts
+        distance = np.bincount(frame, away, len(poses)) / counts
     rows = {
         **dict(zip("xyz", poses[:, :3, 3].T, strict=True)),
         **{"yaw": yaw, "pitch": pitch, "roll": roll.round(12) + 0.0, "tags": counts, "distance": distance},
@@ -208,11 +182,7 @@ def uncertainty_at(problem: Problem, deployment: Deployment, errors: TagErrors, 
         "pose": np.where(counts == 0, NONE, np.where(mirrored > 1.0 - CONFIDENCE, TWO, ONE)),
         "mirrored": mirrored,
     }
-    # Of two tags in view one is left, which must have one pose. The pairs of a frame are successive.
-    two = np.flatnonzero(counts[images.frame] == 2)
-    left = mirrored_of(two.reshape(-1, 2)[:, ::-1].reshape(-1), two)
-    tags = _without_each(images, covariances, two[left > 1.0 - CONFIDENCE], deployment.ids)
-    return Uncertainty(pd.DataFrame(rows), tags, poses, covariances)
+    return Uncertainty(pd.DataFrame(rows), poses, covariances, about)
 
 
 def level_deviations(covariances: FloatArray, yaw: FloatArray) -> FloatArray:
@@ -229,20 +199,3 @@ def level_deviations(covariances: FloatArray, yaw: FloatArray) -> FloatArray:
     squares[known, :3] = np.diagonal(covariances[known][:, :3, :3], axis1=1, axis2=2)
     squares[known, 3:] = np.einsum("vij,vjk,vik->vi", axes[known], covariances[known][:, 3:, 3:], axes[known])
     return np.asarray(np.sqrt(squares))
-
-
-def _without_each(images: TagImages, covariances: FloatArray, lost: IntArray, ids: IntArray) -> "pd.DataFrame":
-    """Table `Uncertainty.tags` of the tags `ids`; without the tags of the pairs `lost` two poses are left."""
-    import pandas as pd
-
-    with_all = np.sqrt(np.trace(covariances[images.frame][:, :3, :3], axis1=1, axis2=2))
-    without = np.sqrt(np.trace(images.covariances_without()[:, 3:, 3:], axis1=1, axis2=2))
-    without[lost] = np.inf
-    several = images.counts[images.frame] > 1
-    ratio = without[several] / with_all[several]
-    table = pd.DataFrame({"tag": images.tag[several], "improves": ratio < LESS, "ratio": ratio}).groupby("tag")
-    rows = table.agg(views=("ratio", "size"), improves=("improves", "mean"), ratio=("ratio", "median"))
-    rows = rows.reindex(range(len(ids)))
-    rows["views"] = rows.views.fillna(0).astype(int)
-    rows.insert(0, "id", ids)
-    return rows.assign(misleads=(rows.ratio < LESS).to_numpy()).reset_index(drop=True)

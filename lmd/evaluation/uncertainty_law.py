@@ -87,7 +87,6 @@ class UncertaintyLaw:
             "position": said("position", 1e3, "mm"),
             "rotation": said("rotation", 1e3, "mrad"),
             "single tags": "have one pose" if self.reach == float("inf") else f"have one pose up to {self.reach:g} m",
-            "misleading": ", ".join(map(str, found.misleading)) or "no tag",
         }
 
 

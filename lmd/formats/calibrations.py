@@ -29,6 +29,7 @@ LENS_MODELS = {
 FIRST_MESSAGE = re.compile(r"(?<=\n)---[ \t]*\n(?=header:)")
 SHORTEST = 0.05  # minimum focal length, as a share of the image's size; shorter lengths are refused
 LARGEST = 1 << 25  # maximum size of a file, bytes: some files contain every detected point, or the images
+UNDISTORTED = (0.0,) * 5  # coefficients of a lens without distortion, of the model plumb_bob
 OPTICS = ("focal_length", "aperture", "focus_distance", "image_circle")  # settings that no calibration file contains
 
 
@@ -254,6 +255,20 @@ def read_cameras(
     with _damaged(path):
         cameras: dict[str, ReadCamera] = read("calibration", CalibrationFile(path, argument, asked, LARGEST))
     return cameras
+
+
+def camera_info(camera: Camera) -> dict[str, Any]:
+    """Keys of a file in ROS's format, whose pixel coordinates begin at the centre of the first pixel."""
+    (focal_u, focal_v), (u, v) = camera.focal_pixels.tolist(), camera.principal_point
+    lens = list(camera.distortion or UNDISTORTED)
+    matrix = [focal_u, 0.0, u - PIXEL_CENTRE, 0.0, focal_v, v - PIXEL_CENTRE, 0.0, 0.0, 1.0]
+    return {
+        "image_width": round(camera.image_width),
+        "image_height": round(camera.image_height),
+        "camera_matrix": {"rows": 3, "cols": 3, "data": matrix},
+        "distortion_model": camera.distortion_model,
+        "distortion_coefficients": {"rows": 1, "cols": len(lens), "data": lens},
+    }
 
 
 @contextmanager

@@ -53,13 +53,10 @@ class PointImage(NamedTuple):
         """Reprojection errors for a pose X of the body, in units of their standard deviations, `(M, 2)`."""
         return np.asarray((project(self.camera, pose @ self.mounted, self.points) - self.pixels) / self.noise[:, None])
 
-    def slope(self, y: FloatArray) -> FloatArray:
-        """Jacobian of the images of points y `(M, 3)` (camera frame) by a body twist (w, v), pixels, `(M, 2, 6)`."""
-        return image_slopes(self.camera, self.mounted, y)
-
     def scaled_slope(self, pose: FloatArray) -> FloatArray:
-        """Jacobian of `off` with respect to a body twist, `(M, 2, 6)`."""
-        return np.asarray(self.slope(to_camera(pose @ self.mounted, self.points)) / self.noise[:, None, None])
+        """Jacobian of `off` with respect to a body twist (w, v), `(M, 2, 6)`."""
+        slopes = image_slopes(self.camera, self.mounted, to_camera(pose @ self.mounted, self.points))
+        return np.asarray(slopes / self.noise[:, None, None])
 
 
 def image_slopes(camera: Camera, mounted: FloatArray, y: FloatArray) -> FloatArray:
@@ -211,11 +208,6 @@ def body_from_corners(
         shots.append(PointImage(camera, at, world[known], pixels[known], np.ones(np.count_nonzero(known))))
     found = body_solutions(shots)
     return found[0].pose if found else np.full((4, 4), np.nan)
-
-
-def pose_from_corners(camera: Camera, points: FloatArray, image: FloatArray) -> FloatArray:
-    """Pose of a camera from tag corners: `body_from_corners` for one camera."""
-    return body_from_corners([camera], np.eye(4)[None], points, [image])
 
 
 def pose_error(true: FloatArray, estimated: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -1,4 +1,4 @@
-"""Tags that were moved since the map was made, new tags, and tags that vanished.
+"""Tags that were moved since the map was made, and new tags.
 
 *Moved tags* are found by a bundle adjustment with the map as the prior. Let u be the twists of the tags from the map,
 with the posterior covariance P. The *trusted* tags r, which were not moved, have the prior N(0, S) with the information
@@ -12,14 +12,8 @@ u_r, with the
 
 If a tag was not moved, t^T cov(t)^-1 t has the chi^2 distribution with six degrees of freedom. Moved tags lose their
 prior, in the order of decreasing chi^2, until no other tag exceeds the threshold.
-
-*Vanished tags* were detected in no image, although several images should show them. A tag should be seen in an image if
-the tag is entirely within the image and is not hidden by a surface of the room. The tag must also be as large and as
-little oblique as tags that were detected in the drive. The probability of a detection is the share of such views of
-other tags in which the tag was detected; views from nearly the same pose count once.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -29,16 +23,11 @@ from lmd.adjust.candidates import placed_tags
 from lmd.adjust.estimate import Estimate, inflation
 from lmd.adjust.faults import FEWEST_SIGHTINGS, LEAST_SHARE, with_sizes
 from lmd.adjust.gauge import rows_of, twists_between, worst_sigmas
-from lmd.adjust.intrinsics import Optics
 from lmd.adjust.prior import Mounts
 from lmd.adjust.refinement import nuisances_off, refine
-from lmd.adjust.sightings import SQUARE
 from lmd.core.checks import BoolArray, FloatArray
-from lmd.detection.corner_errors import shortest_side
-from lmd.geometry.projection import project
-from lmd.geometry.se3 import act, angle_between
+from lmd.geometry.se3 import angle_between
 from lmd.localise.fixed_map import FixedMap
-from lmd.space.space import Space
 
 # Minimum chi^2, with six degrees of freedom, of a moved tag; normal errors exceed it with probability 1e-3.
 MOVED_CHI_SQUARE = 22.46
@@ -49,13 +38,6 @@ NEXT = 0.5  # tags with at least this share of the largest chi^2 lose their prio
 MOST_MOVED = 0.25  # maximum share of moved tags among the compared tags
 UNKNOWN_M = 0.5  # a tag is compared only if its position relative to the other tags is known better, metres
 MOST_VARIANCE = 1.0  # a tag is not compared if a variance of its displacement, rad^2 or m^2, exceeds this
-VANISHED = 1e-3  # greatest probability that a tag was missed in all views by chance
-MOST_RATE = 0.9  # maximum probability of a detection that is assumed
-FEWEST_VIEWS = 4  # minimum number of views, where views from nearly the same pose count once
-LOWEST = 0.1  # quantile of sizes, and of cosines of incidence, below which a tag need not be detected
-BORDER = 5.0  # minimum distance of corners from the border of the image, pixels
-OFF_WALL = 0.02  # distance in front of a tag at which lines of sight end, metres
-APART_M, APART_RAD = 0.2, 0.2  # minimum distance, or rotation, between views that count separately
 
 
 class Change(NamedTuple):
@@ -64,13 +46,13 @@ class Change(NamedTuple):
     tag: int
     """Id of the tag."""
     kind: str
-    """`moved`, `vanished` or `new`."""
+    """`moved` or `new`."""
     images: int
-    """Number of images that show the tag; for a vanished tag, number of views that should show it."""
+    """Number of images that show the tag."""
     pose: FloatArray
-    """`(4, 4)` present pose, tag to map; NaN if the tag vanished."""
+    """`(4, 4)` present pose, tag to map."""
     covariance: FloatArray
-    """`(6, 6)` covariance of the right-hand twist of the pose, rad and metres; NaN if the tag vanished."""
+    """`(6, 6)` covariance of the right-hand twist of the pose, rad and metres."""
     before: FloatArray
     """`(4, 4)` pose in the map; NaN for a new tag."""
     chi_square: float = np.nan
@@ -114,17 +96,12 @@ class Comparison(NamedTuple):
         ]
 
 
-def twists_from(found: Estimate, here: FixedMap) -> FloatArray:
-    """Twists of all tags from the map at the joint optimum of all unknowns, `(K, 6)`; NaN for unknown tags."""
-    there, *_ = found.adjustment.joint_step(found.poses, found.floor, 0.0, nuisances_off(found))
-    return twists_between(here.poses, there.tags)
-
-
 def displacements(found: Estimate, here: FixedMap) -> tuple[FloatArray, FloatArray]:
     """Displacement of each tag from the map, `(K, 6)`, and covariance of the displacement, `(K, 6, 6)`; NaN for tags
     that cannot be compared with any others.
     """
-    twists, count = twists_from(found, here), len(here.ids)
+    there, *_ = found.adjustment.joint_step(found.poses, found.floor, 0.0, nuisances_off(found))
+    twists, count = twists_between(here.poses, there.tags), len(here.ids)
     values, covariances = np.full((count, 6), np.nan), np.full((count, 6, 6), np.nan)
     tags, joint, posterior = np.flatnonzero(found.prior.known), found.prior.joint, found.covariance
     trusted = rows_of(tags)
@@ -170,7 +147,7 @@ def compare(begun: Estimate, here: FixedMap, mounts: Mounts | None, gross: BoolA
             tried = bool((odd | lost | now.are_astray).any())
             now, odd = with_sizes(now, odd | (lost & here.has), np.nan, tried)
         if number == 0:
-            now = replace(now, inflation=inflation(now, lambda _done, _most: None))
+            now = replace(now, inflation=inflation(now))
         astray = (here.has & ~moved & now.are_astray)[now.sightings.tag]
         tags = placed_tags(now.sightings.of(now.misfits & astray), now.poses, FEWEST_SIGHTINGS, LEAST_SHARE)
         if (elsewhere := np.isfinite(tags[:, 0, 0])).any():
@@ -193,61 +170,3 @@ def compare(begun: Estimate, here: FixedMap, mounts: Mounts | None, gross: BoolA
     none = np.zeros_like(moved)
     now = replace(begun, prior=here.prior(none, mounts)).adjusted()
     return Comparison(now if now.lenses is None else refine(now), none, squares, odd, int(moved.sum()))
-
-
-def vanished_tags(found: Estimate, known: FixedMap, optics: Sequence[Optics], room: Space) -> list[Change]:
-    """Find the tags of the map that vanished.
-
-    Args:
-        found: estimate of the frames, with the present poses of the tags that were seen.
-        known: map.
-        optics: cameras of the body.
-        room: room of the map, whose surfaces hide tags.
-    """
-    frames, every = np.flatnonzero(found.poses.known_frames), found.sightings
-    of_map = np.isin(every.ids, known.ids)[every.tag]
-    some, used = every.of(of_map), found.used[of_map]
-    if not len(frames) or not used.any():
-        return []
-    _, own, there = np.intersect1d(known.ids, every.ids, return_indices=True)
-    tags, tag, present = known.poses.copy(), np.searchsorted(known.ids, every.ids)[some.tag], found.poses.tags[there]
-    tags[own] = np.where(np.isfinite(present), present, tags[own])
-    frontal = _cosines(found.poses.frames[some.frame] @ found.poses.mounts[some.camera], tags[tag])
-    least_size, least_cosine = (float(np.quantile(values[used], LOWEST)) for values in (some.sizes, frontal))
-    in_view, seen = np.zeros((2, some.frames, len(tags)), dtype=bool)
-    seen[some.frame, tag] = True
-    for one, mount in zip(optics, found.poses.mounts, strict=True):
-        poses, size = found.poses.frames[frames] @ mount, np.array([one.camera.image_width, one.camera.image_height])
-        for k, pose in enumerate(tags):
-            ahead = np.flatnonzero(_cosines(poses, pose[None]) >= least_cosine)
-            image = project(one.camera, poses[ahead], act(pose, known.edges[k] / 2.0 * SQUARE)[None])
-            inside = ((image >= BORDER) & (image <= size - BORDER)).all(axis=(1, 2))
-            ahead, end = ahead[inside & (shortest_side(image) >= least_size)], pose[:3, 3] + OFF_WALL * pose[:3, 2]
-            if len(ahead) and room.contains(end[None])[0]:
-                clear = room.clear(poses[ahead, :3, 3], np.tile(end, (len(ahead), 1)))
-                in_view[frames[ahead[clear]], k] = True
-    detected, changes = np.bincount(tag, minlength=len(tags)) > 0, []
-    others = in_view[:, detected]
-    rate = min(float(seen[:, detected][others].mean()), MOST_RATE) if others.any() else 0.0
-    for k in np.flatnonzero(~detected).tolist():
-        views = _separate(found.poses.frames[in_view[:, k]])
-        if views >= FEWEST_VIEWS and (1.0 - rate) ** views < VANISHED:
-            gone = np.full((4, 4), np.nan), np.full((6, 6), np.nan)
-            changes.append(Change(int(known.ids[k]), "vanished", views, *gone, known.poses[k]))
-    return changes
-
-
-def _cosines(poses: FloatArray, tags: FloatArray) -> FloatArray:
-    """Cosine of the angle between the normal of each tag and the direction to the camera, `(n,)`."""
-    way = poses[:, :3, 3] - tags[:, :3, 3]
-    return np.asarray((way * tags[:, :3, 2]).sum(axis=1) / np.linalg.norm(way, axis=1))
-
-
-def _separate(poses: FloatArray) -> int:
-    """Number of poses when poses close to an earlier counted pose are not counted."""
-    kept = poses[:0]
-    for pose in poses:
-        near = np.linalg.norm(kept[:, :3, 3] - pose[:3, 3], axis=1) < APART_M
-        if not (near & (angle_between(kept, pose[None]) < APART_RAD)).any():
-            kept = np.concatenate([kept, pose[None]])
-    return len(kept)

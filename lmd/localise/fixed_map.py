@@ -10,26 +10,17 @@ from scipy.linalg import block_diag
 
 from lmd.adjust.gauge import rows_of, world_from_twists
 from lmd.adjust.prior import Hanging, Mounts, Prior
-from lmd.adjust.tables import SIGMA_COLUMNS
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
-from lmd.core.files import read_text
-from lmd.core.tables import read_table
 from lmd.formats.tag_maps import FILE, read_deployment, read_map_covariance
 from lmd.scene.deployment import Deployment, poses_of
-from lmd.scene.labels import ID
 from lmd.scene.tag import Tag
 
-SAME_SIGMA = 1e-3  # maximum relative difference between standard deviations of a tag in two files of one map
 LEAST_SIGMA = 1e-5  # minimum standard deviation of a tag of the map, metres and rad
 
 
 @dataclass(frozen=True)
 class FixedMap:
-    """K tags with known poses.
-
-    Raises:
-        InputError: an id occurs twice.
-    """
+    """K tags with known poses."""
 
     ids: IntArray
     """`(K,)` ids, ascending."""
@@ -43,10 +34,6 @@ class FixedMap:
     """Covariance of the twists of all tags, each in its own frame, `(6 K, 6 K)`; None if tags are independent."""
     note: str = ""
     """Note about the file, for the user."""
-
-    def __post_init__(self) -> None:
-        if (twice := self.ids[1:][np.diff(self.ids) == 0]).size:
-            raise InputError(f"map has tag {twice[0]} twice.", "map")
 
     @cached_property
     def joint(self) -> FloatArray:
@@ -78,12 +65,12 @@ class FixedMap:
 
     @classmethod
     def read(cls, path: Any, tag: Tag, errors: Hanging, **table: Any) -> "FixedMap":
-        """Read a map in any format of `lmd.formats.tag_maps`; the standard deviations of a surveyed `map.csv` are kept.
+        """Read a map in any format of `lmd.formats.tag_maps`, with the covariance that a survey writes beside its map.
 
         Args:
             path: file of the map.
             tag: family of the tags, and edge of the tags without an edge in the file.
-            errors: standard deviations of tags without standard deviations in the file.
+            errors: standard deviations of tags without a covariance.
             table: `axes` and `columns` of `lmd.formats.tag_maps.read_deployment`.
 
         Raises:
@@ -96,11 +83,9 @@ class FixedMap:
         if np.isnan(edges).any():
             which = f"the map has no edge of tag {ids[np.isnan(edges)][0]}; measure its {tag.square}"
             raise InputError(f"edge must be given, in metres: {which}.", "edge")
-        sigmas, covariance = np.tile(errors.deviations, (len(ids), 1)), None
-        if (stated := _stated_sigmas(path)) is not None:
-            values = stated[1][np.searchsorted(stated[0], ids)]
-            sigmas = np.where(np.isfinite(values), np.maximum(values, LEAST_SIGMA), sigmas)
-            covariance = _stated_covariance(path, ids, sigmas)
+        sigmas = np.tile(errors.deviations, (len(ids), 1))
+        if (covariance := _stated_covariance(path, ids, sigmas)) is not None:
+            sigmas = np.maximum(np.sqrt(np.diag(covariance)).reshape(-1, 6), LEAST_SIGMA)
         return cls(ids, poses, edges, sigmas, covariance, deployment.note)
 
 
@@ -118,64 +103,35 @@ def surveyed_covariance(path: Any, deployment: Deployment) -> FloatArray | None:
 
     Args:
         path: file of the map, as a survey writes it; the file of the joint covariance is beside it.
-        deployment: K tags, in any order; tags that the file lacks have no error.
+        deployment: K tags, in any order; tags that the survey lacks have no error.
 
     Returns:
-        m^2 and rad^2, tag by tag, `(6 K, 6 K)`; None for a file without standard deviations.
+        m^2 and rad^2, tag by tag, `(6 K, 6 K)`; None without a joint covariance.
 
     Raises:
-        InputError: a file cannot be read, the two files are of different maps, or a tag has no standard deviation.
+        InputError: the file cannot be read.
     """
-    if (stated := _stated_sigmas(path)) is None:
-        return None
-    there = np.isin(stated[0], deployment.ids)
-    ids, sigmas = stated[0][there], np.maximum(stated[1][there], LEAST_SIGMA)
-    if (lacking := ids[~np.isfinite(sigmas).all(axis=1)]).size:
-        raise InputError(f"map: tag {lacking[0]} in {str(path)!r} has no standard deviation: remove the tag.", "map")
-    among, own = _stated_covariance(path, ids, sigmas), np.flatnonzero(np.isin(deployment.ids, ids))
-    whole = np.diag(sigmas.ravel() ** 2) if among is None else among
-    joint = spread(whole, np.searchsorted(ids, deployment.ids[own]), own, len(deployment))
+    joint = _stated_covariance(path, deployment.ids, np.zeros((len(deployment), 6)))
     turn = block_diag(*world_from_twists(poses_of(deployment)))
-    return np.asarray(turn @ joint @ turn.T)
-
-
-def _stated_sigmas(path: Any) -> tuple[IntArray, FloatArray] | None:
-    """Ids `(K,)`, ascending, and standard deviations `(K, 6)`, NaN if unknown, of a surveyed map; None for others."""
-    if not all(name in read_text(path, name="map").partition("\n")[0].split(",") for name in (ID, *SIGMA_COLUMNS)):
-        return None
-    table = read_table(path, name="map")
-    filled = {name: [text or "inf" for text in table.texts[name]] for name in SIGMA_COLUMNS}
-    try:
-        values = np.array([[float(text) for text in filled[name]] for name in SIGMA_COLUMNS]).T
-        ids = np.array([int(text) for text in table.texts[ID]])
-    except ValueError as error:
-        raise InputError(f"{path}: a standard deviation of a tag is not a number ({error}).", "map") from None
-    if (values < 0.0).any() or np.isnan(values).any():
-        raise InputError(f"{path}: the columns {SIGMA_COLUMNS[0]} ... {SIGMA_COLUMNS[-1]} must not be negative.", "map")
-    order = np.argsort(ids, kind="stable")
-    return ids[order], values[order]
+    return None if joint is None else np.asarray(turn @ joint @ turn.T)
 
 
 def _stated_covariance(path: Any, ids: IntArray, sigmas: FloatArray) -> FloatArray | None:
-    """Joint covariance `(6 K, 6 K)` of the tags `ids` of a surveyed map, from the file beside the map; None without the
-    file.
+    """Joint covariance `(6 K, 6 K)` of the tags `ids` `(K,)` of a map, from the file that a survey writes beside it;
+    None without the file.
 
     Args:
         path: file of the map.
-        ids: ids, `(K,)`, ascending.
-        sigmas: standard deviations in the map, `(K, 6)`, for tags that the file lacks, which are independent.
+        ids: ids, `(K,)`.
+        sigmas: standard deviations of the tags that the file lacks, which are independent, `(K, 6)`.
 
     Raises:
-        InputError: the file cannot be read, or is of another map.
+        InputError: the file cannot be read.
     """
     beside = Path(str(path)).with_suffix(Path(FILE).suffix)
     if not beside.exists():
         return None
     among, covariance = read_map_covariance(beside, "map")
     _, of, there = np.intersect1d(ids, among, return_indices=True)
-    own = np.sqrt(np.diag(covariance)).reshape(-1, 6)[there]
-    if not np.allclose(np.maximum(own, LEAST_SIGMA), sigmas[of], rtol=SAME_SIGMA):
-        text = f"map: {str(beside)!r} is not of the map {Path(str(path)).name!r}: use both files of one survey"
-        raise InputError(f"{text}, or remove it.", "map")
     alone = np.where(np.isin(np.arange(len(ids)), of)[:, None], 0.0, sigmas**2)
     return np.diag(alone.ravel()) + spread(covariance, there, of, len(ids))

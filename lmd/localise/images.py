@@ -11,6 +11,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lmd.adjust.candidates import Candidates, measured_mounts, single_poses
 from lmd.adjust.corners import Poses, Reprojection, agreeing, resected, squared_errors, student_losses
@@ -34,8 +35,7 @@ class State(Enum):
 
     LOCALISED = "localised"
     NO_TAG = "no tag of the map"
-    TWO_POSES = "one tag, whose two poses cannot be told apart"
-    ALIKE = "tags whose two poses cannot be told apart"
+    TWO_POSES = "two poses that cannot be told apart"
     RESIDUAL = "residual too large"
 
 
@@ -50,8 +50,6 @@ class RoughPoses(NamedTuple):
     """Best pose of each frame that differs from the pose in `poses`, `(F, 4, 4)`; NaN if there is none."""
     gross: BoolArray
     """Mask of the tags that contradict the other tags, `(K,)`."""
-    agreed: int
-    """Number of sightings that agree with the poses."""
 
 
 def rough_poses(sightings: Sightings, poses: Poses, sigmas: FloatArray) -> RoughPoses:
@@ -72,7 +70,7 @@ def rough_poses(sightings: Sightings, poses: Poses, sigmas: FloatArray) -> Rough
         apart = sightings.with_separate_cameras()
         best, _ = _proposed(apart, replace(poses, mounts=np.eye(4)[None]), single[order])
         views = best.frames.reshape(sightings.cameras, -1, 4, 4)
-        poses = replace(poses, mounts=measured_mounts(views, poses.mounts)[0])
+        poses = replace(poses, mounts=measured_mounts(views, poses.mounts))
     for _ in range(MOST_ROUNDS):
         best, others = _proposed(sightings, poses, single)
         share = _blame(sightings, best, sigmas)
@@ -80,7 +78,7 @@ def rough_poses(sightings: Sightings, poses: Poses, sigmas: FloatArray) -> Rough
             break
         gross |= (share >= SURELY) | (share == share.max())
         poses = replace(poses, tags=np.where(gross[:, None, None], np.nan, poses.tags))
-    return RoughPoses(best, others, gross, int(agreeing(sightings, squared_errors(sightings, best)).sum()))
+    return RoughPoses(best, others, gross)
 
 
 def _blame(sightings: Sightings, poses: Poses, sigmas: FloatArray) -> FloatArray:
@@ -124,7 +122,7 @@ def _are_apart(one: FloatArray, two: FloatArray, away: FloatArray) -> BoolArray:
     return np.asarray((angle_between(one, two) > ANOTHER_RAD) | (shift > ANOTHER_SHARE * away))
 
 
-def states_of(found: Estimate, others: FloatArray) -> tuple[list[State], FloatArray]:
+def states_of(found: Estimate, others: FloatArray) -> tuple[NDArray[np.object_], FloatArray]:
     """Outcome of each frame, and both poses of frames that two poses fit, the better pose first, `(F, 2, 4, 4)`; NaN
     for the other frames.
 
@@ -142,9 +140,9 @@ def states_of(found: Estimate, others: FloatArray) -> tuple[list[State], FloatAr
     away = _mean_distances(tried, found.poses)
     alike = (seen > 0) & found.poses.known_frames & (gap < TOLD_APART) & _are_apart(here, there, away)
     states = np.array([State.LOCALISED if shown else State.NO_TAG for shown in seen])
-    states[alike & (seen == 1)], states[alike & (seen > 1)] = State.TWO_POSES, State.ALIKE
+    states[alike] = State.TWO_POSES
     both = np.where((gap < 0.0)[:, None, None, None], np.stack([there, here], 1), np.stack([here, there], 1))
-    return states.tolist(), np.where(alike[:, None, None, None], both, np.nan)
+    return states, np.where(alike[:, None, None, None], both, np.nan)
 
 
 def _mean_distances(some: Sightings, poses: Poses) -> FloatArray:

@@ -7,32 +7,33 @@ poses if motion links the frames.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from lmd.adjust.adjustment import Adjustment
-from lmd.adjust.candidates import mount_doubt, placed_tags, single_poses
-from lmd.adjust.corners import Poses
+from lmd.adjust.candidates import placed_tags
+from lmd.adjust.corners import Poses, agreeing, squared_errors
 from lmd.adjust.drive import Nodes, measured_motion, smoothest, spread_motion, with_motion
 from lmd.adjust.estimate import FLOOR_PIXELS, ONE_THREAD, STEPS, Estimate
-from lmd.adjust.faults import FEWEST_SIGHTINGS, odd_sizes, other_sizes, second_places
-from lmd.adjust.intrinsics import Calibrated, Optics
+from lmd.adjust.faults import other_sizes, second_places, with_best_edges
+from lmd.adjust.intrinsics import Optics
 from lmd.adjust.motion import Motion, seconds_of
 from lmd.adjust.prior import Mounts
 from lmd.adjust.refinement import edge_doubts, minimised, with_lenses
 from lmd.adjust.sightings import Observations, outside_doubts
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
+from lmd.core.checks import FloatArray, InputError
 from lmd.detection.corner_errors import CornerErrors
 from lmd.formats.detections import DetectedTags
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import inverse, log
 from lmd.geometry.trajectory import Trajectory
-from lmd.localise.changes import Change, compare, vanished_tags
+from lmd.localise.changes import Change, Comparison, compare
 from lmd.localise.fixed_map import FixedMap
 from lmd.localise.images import RoughPoses, State, rough_poses, states_of
 from lmd.scene.tag import Tag
-from lmd.space.space import Space
 
 # Minimum number, and share, of sightings that must agree on the pose of a tag that the map lacks, as ids may be
 # misread.
@@ -49,19 +50,11 @@ class Drive:
     """Knowledge of the body that carries the cameras, and of its motion."""
 
     mounts: FloatArray | None = None
-    """`(C, 4, 4)` poses of the cameras on the body, which is the first camera; None for one camera."""
-    is_mounted: bool = False
-    """True if the mounts are exact; otherwise they were measured with a tape measure and are estimated."""
+    """`(C, 4, 4)` poses of the cameras on the body, the first camera, by a tape measure; None for one camera."""
     odometry: Trajectory | None = None
     """Trajectory of the body in any frame; None if unknown."""
     steady: bool | None = None
     """False if the velocity may change suddenly, so that poses are not smoothed without odometry."""
-
-    @property
-    def prior(self) -> Mounts:
-        """Prior of the mounts."""
-        mounts = np.eye(4)[None] if self.mounts is None else self.mounts
-        return Mounts(mounts, None if self.mounts is None or self.is_mounted else MOUNT_SIGMAS)
 
     def motion(self, detected: DetectedTags) -> Motion | None:
         """Motion between the frames; None if it is unknown."""
@@ -88,17 +81,11 @@ class Localisation:
     smoothed: Estimate | None
     """Estimate of the smoothed poses; None if the motion between frames is unknown."""
     changes: tuple[Change, ...]
-    """Tags that were moved, have vanished or are new, by kind, then by id."""
-    compared: IntArray
-    """Ids of the tags of the map that images allow to be compared with the others."""
-    calibrated: tuple[Calibrated, ...]
-    """Cameras as refined by the drive; empty if cameras are exact."""
-    contradicted: int
-    """See `lmd.localise.changes.Comparison`."""
+    """Tags that were moved, then new tags, by id."""
+    comparison: Comparison
+    """Comparison of the tags with the map."""
     sizes: dict[int, float]
     """Estimated edges of the tags with another edge than stated, metres, by id."""
-    in_room: bool
-    """True if the room is known, so that vanished tags were looked for."""
     doubts: tuple[str, ...]
     """Sentences on contradictions to the images: calibrations, mounts, tags that share an id."""
 
@@ -110,7 +97,6 @@ def localise(
     errors: CornerErrors,
     known: FixedMap,
     drive: Drive | None = None,
-    room: Space | None = None,
     calibrate: bool = True,
 ) -> Localisation:
     """Localise the frames of detections in a map.
@@ -122,7 +108,6 @@ def localise(
         errors: errors of the detector's corners.
         known: map.
         drive: mounts of the cameras and motion of the body; None for one camera with an unknown motion.
-        room: room of the map, whose surfaces hide tags; None if unknown: vanished tags are then not looked for.
         calibrate: False if cameras are exact; else they are refined within the uncertainty of a calibration.
 
     Raises:
@@ -130,7 +115,8 @@ def localise(
             the images.
     """
     drive = drive or Drive()
-    motion, mounts, here = drive.motion(detected), drive.prior, _map_of(detected, tag, known)
+    mounts = Mounts(np.eye(4)[None] if drive.mounts is None else drive.mounts, MOUNT_SIGMAS)
+    motion, here = drive.motion(detected), _map_of(detected, tag, known)
     seen = Observations(detected, tuple(map(Optics, cameras)), here.ids, here.edges, tag.modules, errors)
     if not here.has[seen.through().tag].any():
         raise InputError(
@@ -139,39 +125,33 @@ def localise(
         )
     with threadpool_limits(limits=ONE_THREAD):
         seen, quarters = (seen, 0) if detected.in_order else _in_order(seen, here, mounts)
-        seen, rough, odd = _begun(seen, here, mounts)
+        (seen, rough), odd = with_best_edges(seen, partial(_begun, here=here, mounts=mounts))
         group = np.where(rough.poses.known_tags, 0, -1)
-        begun = Estimate.adjusted_from(seen.through(), here.prior(rough.gross, mounts), rough.poses, group)
+        begun = Estimate(seen.through(), here.prior(rough.gross, mounts), rough.poses, group).adjusted()
         states, both = states_of(begun, rough.others)
         begun = _with_all_tags(begun, rough, both)
         begun = with_lenses(begun, seen) if calibrate else begun
         compared = compare(begun, here, mounts, rough.gross, odd)
-    found = compared.found
-    alone, states = _refused(found, states)
-    linked = None if motion is None else smoothed(found, motion, both)
-    doubts = outside_doubts(seen) or [*_surprises(found, mounts), *(edge_doubts(found) if calibrate else ())]
-    stay = found.misfits & (here.has & ~compared.moved)[found.sightings.tag]
-    doubts += [
-        f"tag {here.ids[place.tag]} hangs at ({', '.join(f'{x:.2f}' for x in place.pose[:3, 3])}) as well, in "
-        f"{place.sightings} images: another tag has the same id, or the tag was moved during the drive"
-        for place in second_places(found, stay)
-    ]
-    optics = seen.optics if found.lenses is None else found.lenses.optics
-    gone = [] if room is None else vanished_tags(alone, known, optics, room)
-    changes = sorted([*compared.changes(here), *gone], key=lambda one: ("moved", "vanished", "new").index(one.kind))
+        found = compared.found
+        alone, states = _refused(found, states)
+        linked = None if motion is None else smoothed(found, motion, both)
+        doubts = outside_doubts(seen) or [*_surprises(found, mounts), *(edge_doubts(found) if calibrate else ())]
+        stay = found.misfits & (here.has & ~compared.moved)[found.sightings.tag]
+        doubts += [
+            f"tag {here.ids[place.tag]} hangs at ({', '.join(f'{x:.2f}' for x in place.pose[:3, 3])}) as well, in "
+            f"{place.sightings} images: another tag has the same id, or the tag was moved during the drive"
+            for place in second_places(found, stay)
+        ]
     return Localisation(
         detected=seen.detected,
         known=known,
         renumbered=quarters,
         found=alone,
-        states=tuple(states),
+        states=tuple(states.tolist()),
         smoothed=linked,
-        changes=tuple(changes),
-        compared=here.ids[np.isfinite(compared.squares)],
-        calibrated=(linked or found).calibrated,
-        contradicted=compared.contradicted,
+        changes=tuple(compared.changes(here)),
+        comparison=compared,
         sizes=other_sizes(found, compared.odd),
-        in_room=room is not None,
         doubts=tuple(doubts),
     )
 
@@ -190,8 +170,10 @@ def _map_of(detected: DetectedTags, tag: Tag, known: FixedMap) -> FixedMap:
     return known.among(ids, float(np.median(known.edges)) if tag.is_point else tag.size)
 
 
-def _rough(seen: Observations, here: FixedMap, mounts: Mounts) -> RoughPoses:
-    return rough_poses(seen.through(), Poses(here.poses, np.empty((0, 4, 4)), mounts.poses), here.sigmas)
+def _begun(seen: Observations, here: FixedMap, mounts: Mounts) -> tuple[tuple[Observations, RoughPoses], int]:
+    """Detections and rough poses, and number of sightings that agree with these poses."""
+    rough = rough_poses(seen.through(), Poses(here.poses, np.empty((0, 4, 4)), mounts.poses), here.sigmas)
+    return (seen, rough), int(agreeing(seen.through(), squared_errors(seen.through(), rough.poses)).sum())
 
 
 def _in_order(seen: Observations, here: FixedMap, mounts: Mounts) -> tuple[Observations, int]:
@@ -205,22 +187,8 @@ def _in_order(seen: Observations, here: FixedMap, mounts: Mounts) -> tuple[Obser
     if not len(tried):
         return seen, 0
     some = replace(seen, detected=detected.of(of_map[np.isin(detected.frame[of_map], tried)]))
-    best = int(np.argmax([_rough(some.renumbered(quarters), here, mounts).agreed for quarters in range(4)]))
+    best = int(np.argmax([_begun(some.renumbered(quarters), here, mounts)[1] for quarters in range(4)]))
     return seen.renumbered(best), best
-
-
-def _begun(seen: Observations, here: FixedMap, mounts: Mounts) -> tuple[Observations, RoughPoses, BoolArray]:
-    """Rough poses, detections, and mask of the tags with another edge than the map states, `(K,)`. Of the stated and
-    the estimated edges, those with which more sightings agree are taken.
-    """
-    rough, sightings = _rough(seen, here, mounts), seen.through()
-    factors, odd = odd_sizes(sightings, single_poses(sightings).poses[:, 0])
-    if rough.gross.any() and odd.any():
-        other = replace(seen, edges=seen.edges * factors)
-        again = _rough(other, here, mounts)
-        if again.agreed > rough.agreed + FEWEST_SIGHTINGS:
-            return other, again, odd
-    return seen, rough, np.zeros_like(odd)
 
 
 def _with_all_tags(begun: Estimate, rough: RoughPoses, both: FloatArray) -> Estimate:
@@ -234,17 +202,15 @@ def _with_all_tags(begun: Estimate, rough: RoughPoses, both: FloatArray) -> Esti
     return replace(begun, group=np.where(begun.poses.known_tags, 0, -1))
 
 
-def _refused(found: Estimate, states: Sequence[State]) -> tuple[Estimate, list[State]]:
+def _refused(found: Estimate, states: NDArray[np.object_]) -> tuple[Estimate, NDArray[np.object_]]:
     """Estimate without the frames in which most sightings do not fit, and the outcomes of all frames."""
     some = found.sightings
     of_map = found.poses.known_tags[some.tag]
     seen, used = (np.bincount(some.frame[which], minlength=some.frames) for which in (of_map, found.used))
     wrong = (seen > 0) & (2 * used <= seen) & ~((used == 1) & (seen == 1))
-    after = [
-        State.RESIDUAL if state is State.LOCALISED and is_wrong else state
-        for state, is_wrong in zip(states, wrong, strict=True)
-    ]
-    refused = np.array([state is not State.LOCALISED for state in after])
+    after = states.copy()
+    after[wrong & (states == State.LOCALISED)] = State.RESIDUAL
+    refused = np.asarray(after != State.LOCALISED)
     poses = replace(found.poses, frames=np.where(refused[:, None, None], np.nan, found.poses.frames))
     return replace(found, poses=poses, used=found.used & ~refused[some.frame]), after
 
@@ -264,18 +230,17 @@ def smoothed(found: Estimate, motion: Motion, both: FloatArray) -> Estimate | No
     Raises:
         InputError: odometry contradicts the images.
     """
-    with threadpool_limits(limits=ONE_THREAD):
-        poses, some = _decided(found, motion, both), found.sightings
-        there = np.flatnonzero(poses.known_frames)
-        if len(there) < FEWEST_FRAMES or not motion.follows(there).any():
-            return None
-        posed = poses.known_frames[some.frame] & (found.group[some.tag] == 0)
-        used = posed & (found.used | np.isfinite(both[some.frame, 0, 0, 0]))
-        rough = Adjustment(some.of(used), replace(found.prior, motion=motion), inflation=found.inflation)
-        rough = with_motion(rough, spread_motion(rough, poses, FLOOR_PIXELS))
-        poses, floor = rough.run(poses, FLOOR_PIXELS, STEPS)
-        prior = replace(found.prior, motion=measured_motion(rough, poses, floor))
-        linked = replace(found, prior=prior, poses=poses).adjusted()
+    poses, some = _decided(found, motion, both), found.sightings
+    there = np.flatnonzero(poses.known_frames)
+    if len(there) < FEWEST_FRAMES or not motion.follows(there).any():
+        return None
+    posed = poses.known_frames[some.frame] & (found.group[some.tag] == 0)
+    used = posed & (found.used | np.isfinite(both[some.frame, 0, 0, 0]))
+    rough = Adjustment(some.of(used), replace(found.prior, motion=motion), inflation=found.inflation)
+    rough = with_motion(rough, spread_motion(rough, poses, FLOOR_PIXELS))
+    poses, floor = rough.run(poses, FLOOR_PIXELS, STEPS)
+    prior = replace(found.prior, motion=measured_motion(rough, poses, floor))
+    linked = replace(found, prior=prior, poses=poses).adjusted()
     return linked if linked.lenses is None else minimised(linked)
 
 
@@ -299,15 +264,14 @@ def _surprises(found: Estimate, mounts: Mounts) -> list[str]:
     """Sentences on mounts, focal lengths and principal points whose estimate is more than `SURPRISING` standard
     deviations from the prior.
     """
-    said = []
-    if mounts.sigmas is not None:
-        off = -mounts.off(found.poses.mounts)
-        odd = np.flatnonzero((np.abs(off) > SURPRISING * mounts.information**-0.5).any(axis=1)).tolist()
-        said = [mount_doubt(camera + 1, off[camera], "as estimated from the images") for camera in odd]
+    said, off = [], -mounts.off(found.poses.mounts)
+    for camera in np.flatnonzero((np.abs(off) > SURPRISING * mounts.information**-0.5).any(axis=1)).tolist():
+        turn, way = np.linalg.norm(off[camera].reshape(2, 3), axis=1)
+        where = f"camera {camera + 2} is {1e3 * way:.0f} mm and {np.degrees(turn):.3g} degrees from its mount"
+        said.append(f"{where}, as estimated from the images; check the signs, units and order of the poses of the rig")
     for number, camera in enumerate(found.calibrated, 1):
         assert found.lenses is not None
         if (most := np.abs(found.lenses.off[number - 1, :4]).max()) >= SURPRISING:
-            name = "the camera" if len(found.calibrated) == 1 else f"camera {number}"
             text = f"{most:.2g} standard deviations of a calibration from the given one"
-            said.append(f"{name} is {text} ({camera.to_text().partition(';')[0]}); check the calibration")
+            said.append(f"camera {number} is {text} ({camera.to_text().partition(';')[0]}); check the calibration")
     return said

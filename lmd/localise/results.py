@@ -1,7 +1,6 @@
 """Tables, figures and text of a localisation."""
 
 from collections import Counter
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -26,32 +25,20 @@ from lmd.localise.images import State
 from lmd.localise.localise import Localisation
 
 TUM = "# timestamp tx ty tz qx qy qz qw"
-MOST_SENTENCES = 20  # largest number of changes that are printed
-NAMED = 5  # largest number of refused frames that are named
+NAMED = 5  # largest number of refused frames, and of tags without a detection, that are named
 
 
-def image_columns(result: Localisation) -> dict[str, ArrayLike]:
-    """Columns of `poses.csv`: for each image, its state, the pose from this image alone, and the covariance."""
-    return _columns(result, [state.value for state in result.states], result.found)
-
-
-def smoothed_columns(result: Localisation) -> dict[str, ArrayLike]:
-    """Columns of `smoothed.csv`, like `image_columns`."""
-    nothing = np.zeros(len(result.found.used), dtype=bool)
-    if (found := result.smoothed) is None:
-        poses = replace(result.found.poses, frames=np.full_like(result.found.poses.frames, np.nan))
-        found = replace(result.found, poses=poses, used=nothing)
-        return _columns(result, ["motion unknown"] * len(result.states), found)
+def frame_columns(result: Localisation, found: Estimate) -> dict[str, ArrayLike]:
+    """Columns of `poses.csv`, from the estimate of single images, or of `smoothed.csv`, from the smoothed one: state of
+    each image, pose, and covariance.
+    """
+    name = State.LOCALISED.value if found is result.found else "smoothed"
     known = zip(found.poses.known_frames, result.states, strict=True)
-    return _columns(result, ["smoothed" if there else state.value for there, state in known], found)
-
-
-def _columns(result: Localisation, states: list[str], found: Estimate) -> dict[str, ArrayLike]:
     owner, frames = found.sightings.frame[found.used], found.poses.frames
-    tags, square = (np.bincount(owner, by, minlength=len(states)) for by in (None, found.squares[found.used]))
+    tags, square = (np.bincount(owner, by, minlength=len(frames)) for by in (None, found.squares[found.used]))
     return {
         "time": list(result.detected.times),
-        "state": states,
+        "state": [name if there else state.value for there, state in known],
         "tags": tags,
         "error": np.sqrt(square / np.where(tags, 4.0 * tags, np.nan)),
         **pose_columns(frames),
@@ -59,18 +46,15 @@ def _columns(result: Localisation, states: list[str], found: Estimate) -> dict[s
     }
 
 
-def tum_text(result: Localisation, found: Estimate | None) -> str:
-    """Poses in TUM's format, seconds; only a comment for frames without times, or without poses."""
-    seconds = seconds_of(result.detected.times)
-    if found is None or not np.isfinite(seconds).all():
-        return f"{TUM}\n# {'the motion between images is unknown' if found is None else 'the images have no times'}\n"
-    rows = zip(seconds, pose_rows(found.poses.frames), strict=True)
-    lines = [" ".join([f"{time:.7f}", *(f"{x:.9f}" for x in row)]) for time, row in rows if np.isfinite(row[0])]
+def tum_text(result: Localisation, found: Estimate) -> str:
+    """Poses of frames with a time in TUM's format, seconds."""
+    rows = np.column_stack([seconds_of(result.detected.times), pose_rows(found.poses.frames)])
+    lines = [f"{time:.7f} " + " ".join(f"{x:.9f}" for x in row) for time, *row in rows[np.isfinite(rows).all(axis=1)]]
     return "\n".join([TUM, *lines, ""])
 
 
 def change_columns(result: Localisation) -> dict[str, ArrayLike]:
-    """Columns of `changes.csv`: tags that were moved, have vanished or are new, with their present poses.
+    """Columns of `changes.csv`: tags that were moved or are new, with their present poses.
 
     Positions are metres, quaternions rotate the frame of the tag (x right, y up, z out) to the map, and covariances are
     those of `poses.csv`. `moved_right`, `moved_up` and `moved_out` are metres along the axes of the tag's pose in the
@@ -94,8 +78,6 @@ def change_columns(result: Localisation) -> dict[str, ArrayLike]:
 
 def _sentence(change: Change) -> str:
     """Sentence on a change."""
-    if change.kind == "vanished":
-        return f"tag {change.tag} vanished: {change.images} views should show it, and none does."
     known = f"known to {1e3 * worst_sigmas(change.covariance[None])[0, 0]:.2g} mm by {change.images} images."
     if change.kind == "new":
         return f"tag {change.tag} is new, at ({', '.join(f'{x:.3f}' for x in change.pose[:3, 3])}), {known}"
@@ -107,7 +89,7 @@ def metrics(result: Localisation) -> dict[str, float]:
     """Figures by name: metres, rad, pixels, counts."""
     figures = {
         "frames": float(len(result.states)),
-        "compared": float(len(result.compared)),
+        "compared": float(np.isfinite(result.comparison.squares).sum()),
         **figures_of(result.found),
         **{kind: float(count) for kind, count in Counter(change.kind for change in result.changes).items()},
     }
@@ -127,10 +109,9 @@ def localise_document(result: Localisation) -> dict[str, Any]:
         "refused": {name: state.value for name, state in states if state is not State.LOCALISED},
         "renumbered_quarters": result.renumbered,
         "changes": [_sentence(change) for change in result.changes],
-        "compared": result.compared.tolist(),
-        "contradicted": result.contradicted,
+        "contradicted": result.comparison.contradicted,
         "doubts": list(result.doubts),
-        **document_of(result.calibrated, result.detected, result.sizes),
+        **document_of(result.smoothed or result.found, result.detected, result.sizes),
     }
 
 
@@ -149,13 +130,12 @@ def to_text(result: Localisation) -> str:
     if any(map(len, refused.values())):
         texts = (f"{len(own)} ({few(own, most=NAMED)}): {state.value}" for state, own in refused.items() if len(own))
         lines["refused"] = "; ".join(texts)
-    compared = f"{len(result.compared)} of {len(result.known.ids)} tags could be compared with the map"
+    compared = f"{figures['compared']:.0f} of {len(result.known.ids)} tags could be compared with the map"
     lines["changes"] = f"{len(result.changes) or 'none'}; {compared}"
-    if not result.in_room:
-        lines["vanished"] = "not looked for, as a room that is not known may hide tags; give run=DIR, room=..., or a "
-        lines["vanished"] += "run with a room as map=DIR"
-    if result.contradicted:
-        lines["map"] = f"{result.contradicted} tags differ from it, too many to have been moved; check the "
+    if (gone := ~np.isin(result.known.ids, result.detected.ids)).any():
+        lines["not seen"] = few(result.known.ids[gone], most=NAMED)
+    if result.comparison.contradicted:
+        lines["map"] = f"{result.comparison.contradicted} tags differ from it, too many to have been moved; check the "
         lines["map"] += "calibration, the edge of the tags, and the standard deviations of the map"
-    lines |= lines_of(result.found, result.calibrated, result.detected, result.sizes, result.doubts)
-    return "\n".join([labelled(lines), *map(_sentence, result.changes[:MOST_SENTENCES])])
+    lines |= lines_of(result.smoothed or result.found, result.detected, result.sizes, result.doubts)
+    return "\n".join([labelled(lines), *map(_sentence, result.changes)])

@@ -29,6 +29,7 @@ ELLIPSE_POINTS = 40
 PERSON, PERSON_ALPHA = "tab:orange", 0.2  # colour and opacity of a person; those of several states overlap
 MOST_WALLS, NAME_POINTS = 60, 7.0  # largest number of named walls, and the distance of their names, points
 MOST_NAMED = 12  # largest number of tags named in the right panel: the tags farthest off
+FAR = 5.0  # a tag is far from its plan if its distance exceeds this many medians
 
 
 def save_room_figure(path: str | Path, room: Space, title: str, people: FloatArray | None = None) -> None:
@@ -134,11 +135,10 @@ def save_survey_figure(path: str | Path, survey: "Survey", room: Space | None, t
 def _draw_above(axes: Any, survey: "Survey", room: Space | None) -> None:
     """Draw tags from above, arrows from their planned places, ellipses, and ids of unseen tags."""
     from lmd.adjust.gauge import in_world
-    from lmd.survey.results import far_from_plan
 
     if room is not None:
         draw_plan(axes, room, lw=0.8, zorder=1)
-    placed, planned = survey.placed, survey.planned
+    placed, planned = survey.placed, survey.known.planned(survey.ids)
     tags = survey.found.poses.tags
     axes.plot(*edge_lines(tags[placed], survey.found.sightings.edges[placed]), color=LANDMARK, linewidth=2.0, zorder=3)
     size = np.ptp(tags[placed][:, :2, 3], axis=0).max(initial=1.0)
@@ -151,7 +151,7 @@ def _draw_above(axes: Any, survey: "Survey", room: Space | None) -> None:
         length = np.linalg.norm(way, axis=1)
         scale /= max(float(np.median(length)), 1e-6)
         way *= np.minimum(1.0, LONGEST_SHARE * size / scale / np.maximum(length, 1e-9))[:, None]
-        for k in far_from_plan(survey):
+        for k in np.flatnonzero(both)[length > FAR * np.median(length)]:
             axes.annotate(f"{survey.ids[k]}", tags[k, :2, 3], fontsize=9, va="bottom")
         common.draw_arrows(axes, planned[both][:, :2, 3], scale * way, zorder=4)
         missing = np.isfinite(planned[:, 0, 0]) & ~placed
@@ -185,12 +185,12 @@ def ellipse(covariance: FloatArray) -> FloatArray:
 
 def _draw_offsets(axes: Any, survey: "Survey") -> None:
     """Draw the offsets of tags in their planes with ellipses, and the ids of the tags farthest off."""
-    from lmd.survey.results import far_from_plan, tag_columns
+    from lmd.survey.results import tag_columns
 
     columns = tag_columns(survey)
     offset = 1e3 * np.stack([np.asarray(columns[name], dtype=np.float64) for name in ("right", "up", "out")], axis=1)
-    there, far = np.flatnonzero(np.isfinite(offset[:, 0])), far_from_plan(survey)
-    length = np.linalg.norm(offset, axis=1)
+    there, length = np.flatnonzero(np.isfinite(offset[:, 0])), np.linalg.norm(offset, axis=1)
+    far = there[length[there] > FAR * np.median(length[there])] if len(there) else there
     near = np.setdiff1d(there, far)
     if len(near) and len(far):  # tags far off are drawn in their direction at the border
         border = BORDER * length[near].max()
@@ -225,8 +225,8 @@ def _draw_sigmas(axes: Any, survey: "Survey") -> None:
 
 
 SINGLE, SMOOTHED = "#9e9e9e", "#1f77b4"
-CHANGED = {"moved": "#9467bd", "vanished": "#ff7f0e", "new": "#2ca02c"}
-MARKERS = {"moved": "D", "vanished": "x", "new": "P"}
+CHANGED, REFUSED = {"moved": "#9467bd", "new": "#2ca02c"}, "#ff7f0e"
+MARKERS = {"moved": "D", "new": "P"}
 MOST_ELLIPSES = 40  # largest number of ellipses along the path
 LARGE_SHARE = 0.02  # radius of the median ellipse over the extent of the picture
 MOST_CHANGED = 12  # largest number of changed tags that are named
@@ -290,7 +290,7 @@ def _draw_way(axes: Any, result: "Localisation", room: Space | None) -> None:
         own_changes = [change for change in every if change.kind == kind]
         if not own_changes:
             continue
-        at = np.array([one.before if kind == "vanished" else one.pose for one in own_changes])
+        at = np.array([one.pose for one in own_changes])
         axes.plot(*at[:, :2, 3].T, MARKERS[kind], color=colour, markersize=8, zorder=5, label=kind)
         for change, pose in zip(own_changes[:MOST_CHANGED], at, strict=False):
             axes.annotate(f" {change.tag}", pose[:2, 3], color=colour, fontsize=10)
@@ -311,7 +311,7 @@ def _draw_deviations(axes: Any, result: "Localisation") -> None:
         axes.semilogy(along[there], 1e3 * worst, ".", color=colour, label=name, markersize=4)
     refused = np.flatnonzero(~result.found.poses.known_frames)
     if len(refused):
-        axes.plot(along[refused], np.zeros(len(refused)), "|", color=CHANGED["vanished"], markersize=10,
+        axes.plot(along[refused], np.zeros(len(refused)), "|", color=REFUSED, markersize=10,
                   transform=axes.get_xaxis_transform(), label="refused", clip_on=False)  # fmt: skip
     axes.set(xlabel="time [s]" if timed else "image", ylabel="standard deviation of the position [mm]")
     axes.legend(loc="best", fontsize=9)

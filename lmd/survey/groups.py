@@ -115,7 +115,7 @@ def _adjusted(nodes: Nodes, poses: Poses) -> tuple[Poses, Motion]:
     information = np.zeros((len(of_tag), 6))
     information[first[of_tag[first] >= 0]] = EXACT_SIGMA**-2.0
     for told in (spread_motion, measured_motion):
-        joint = Adjustment(some, Prior(poses.tags, information, None, Mounts(poses.mounts), motion))
+        joint = Adjustment(some, Prior(poses.tags, information, None, Mounts(poses.mounts, 2 * (EXACT_SIGMA,)), motion))
         poses, floor = joint.run(poses, FLOOR_PIXELS, STEPS)
         motion = told(joint, poses, floor)
     return poses, motion

@@ -1,4 +1,4 @@
-"""Prior knowledge of a survey: a plan, fixed tags, measured centres, printed boards, mounts, odometry."""
+"""Prior knowledge of a survey: a plan, fixed tags, measured centres, printed boards, odometry."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.adjust.prior import EXACT_SIGMA, FEWEST, Hanging, Mounts, Prior, Sheets
+from lmd.adjust.prior import EXACT_SIGMA, FEWEST, Hanging, Prior, Sheets
 from lmd.core.checks import Checked, FloatArray, InputError, IntArray, Positive, integer, real
 from lmd.core.tables import read_table
 from lmd.geometry.se3 import pose_of
@@ -113,7 +113,7 @@ class PriorKnowledge:
     """Knowledge of the user before the survey; None for unknown entries.
 
     Raises:
-        InputError: tags on the floor are named although a plan, fixed tags or points define the world.
+        InputError: an edge is no number above 0.
     """
 
     plan: Deployment | None = None
@@ -126,12 +126,8 @@ class PriorKnowledge:
     """Tags with measured centres."""
     boards: Boards | None = None
     """Sheets on which several tags were printed together."""
-    mounts: FloatArray | None = None
-    """`(C, 4, 4)` poses of the cameras on the body, which is the first camera; None to estimate them."""
     origin: int | None = None
     """Id of the tag whose frame is the world if nothing else defines one; None for the tag seen most often."""
-    floor: tuple[int, ...] = ()
-    """Ids of tags on the floor, which define a world with z up and z = 0 on the floor."""
     odometry: Trajectory | None = None
     """Trajectory of the body in any frame."""
     sizes: Mapping[int, float] = field(default_factory=dict)
@@ -147,8 +143,6 @@ class PriorKnowledge:
         for number, edge in self.sizes.items():
             integer("edges", number, low=0)
             real(f"edges of tag {number}", edge, above=0.0)
-        if self.floor and any(known is not None for known in (self.plan, self.fixed, self.points)):
-            raise InputError("floor sets z = 0, but the plan or the known tags do so already.", "floor")
 
     @property
     def ids(self) -> IntArray:
@@ -171,7 +165,7 @@ class PriorKnowledge:
         return nothing if self.plan is None else _among(ids, self.plan.ids, poses_of(self.plan))
 
     def prior(self, ids: IntArray) -> Prior:
-        """Prior of the tags `ids` `(K,)`, ascending, and of the mounts; fixed tags override points, and points override
+        """Prior of the tags `ids` `(K,)`, ascending; fixed tags override points, and points override
         the plan.
         """
         tags, information = np.tile(np.eye(4), (len(ids), 1, 1)), np.zeros((len(ids), 6))
@@ -186,7 +180,7 @@ class PriorKnowledge:
             of = np.isfinite(poses[:, 0, 0])
             tags[of], information[of] = poses[of], EXACT_SIGMA**-2.0
         sheets = None if self.boards is None else self.boards.among(ids)
-        return Prior(tags, information, sheets, None if self.mounts is None else Mounts(self.mounts))
+        return Prior(tags, information, sheets)
 
 
 def _among(ids: IntArray, known: IntArray, values: FloatArray) -> FloatArray:

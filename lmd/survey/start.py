@@ -11,15 +11,14 @@ With a plan, initialisation starts with the tags at their planned poses, and is 
 As detectors may begin to number at another corner, all planned tags are tried at each of the four quarter turns.
 """
 
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from lmd.adjust.adjustment import Adjustment
 from lmd.adjust.candidates import SinglePoses, place, single_poses
 from lmd.adjust.corners import Poses, agreeing, squared_errors
-from lmd.adjust.estimate import FLOOR_PIXELS, ONE_THREAD
+from lmd.adjust.estimate import FLOOR_PIXELS
 from lmd.adjust.prior import Prior
 from lmd.adjust.sightings import QUARTERS, Sightings
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
@@ -38,29 +37,15 @@ AS_PLANNED = 0.97  # minimum share of sightings that must agree with an initiali
 ANCHOR_SIGMA = 1e-4  # prior standard deviation of the first tag of a group, metres and rad
 
 
-@dataclass(frozen=True)
-class Start:
+class Start(NamedTuple):
     """Initial poses."""
 
     poses: Poses
     """Rough poses, with each camera as a body of its own, see `Sightings.with_separate_cameras`."""
     group: IntArray
     """Group of each tag, `(K,)`; -1 for tags that are not placed. Each group has its own world."""
-
-    def agreed(self, sightings: Sightings) -> int:
-        """Number of sightings that agree with the poses."""
-        apart = sightings.with_separate_cameras()
-        return int(agreeing(apart, squared_errors(apart, self.poses)).sum())
-
-    def views(self, sightings: Sightings) -> FloatArray:
-        """Poses of each camera in each frame, `(C, F, 4, 4)`; NaN where the camera and the first camera show tags of
-        different groups.
-        """
-        apart, views = sightings.with_separate_cameras(), self.poses.frames.copy()
-        group = np.full(len(views), -1)
-        group[apart.frame] = self.group[apart.tag]
-        views[group != np.tile(group[: sightings.frames], sightings.cameras)] = np.nan
-        return views.reshape(sightings.cameras, sightings.frames, 4, 4)
+    agreed: int
+    """Number of sightings that agree with the poses."""
 
 
 def initialise(sightings: Sightings, prior: Prior) -> Start:
@@ -69,17 +54,13 @@ def initialise(sightings: Sightings, prior: Prior) -> Start:
     Raises:
         InputError: no two tags were seen together.
     """
-    with threadpool_limits(limits=ONE_THREAD):
-        apart = sightings.with_separate_cameras()
-        # Unknown mounts are found from frames that two cameras have, so frames must be placed even by single sightings.
-        is_linked = prior.motion is not None and (sightings.cameras == 1 or prior.mounts is not None)
-        placed = place_all(apart, np.where(prior.is_posed[:, None, None], prior.tags, np.nan), is_linked)
-        if prior.motion is None:
-            _check_groups(placed.group)
-        # Each tag gets the quarter turn at which most of its sightings agree.
-        each = [replace(placed.poses, tags=placed.tags @ quarter) for quarter in QUARTERS]
-        counts = [apart.counts(agreeing(apart, squared_errors(apart, one))) for one in each]
-        return Start(replace(placed.poses, tags=placed.tags @ QUARTERS[np.argmax(counts, axis=0)]), placed.group)
+    apart = sightings.with_separate_cameras()
+    # Mounts are found from frames that two cameras have, so frames of rigs must be placed even by single sightings.
+    is_linked = prior.motion is not None and sightings.cameras == 1
+    placed = place_all(apart, np.where(prior.is_posed[:, None, None], prior.tags, np.nan), is_linked)
+    if prior.motion is None:
+        _check_groups(placed.group)
+    return Start(placed.poses, placed.group, placed.agreed())
 
 
 def in_one_world(sightings: Sightings, start: Start, prior: Prior, origin: int | None) -> tuple[Poses, IntArray, Prior]:
@@ -89,7 +70,7 @@ def in_one_world(sightings: Sightings, start: Start, prior: Prior, origin: int |
     Raises:
         InputError: a camera was never placed together with the first camera, or there is no world.
     """
-    poses, group = _mounted(sightings, start.poses, None if prior.mounts is None else prior.mounts.poses), start.group
+    poses, group = _mounted(sightings, start.poses), start.group
     if prior.motion is not None:
         poses, group, prior = join_groups(sightings, poses, group, prior)
         _check_groups(group)
@@ -102,13 +83,12 @@ def _check_groups(group: IntArray) -> None:
         raise InputError("detections have no frame with two tags, one of them with an unambiguous pose.", "detections")
 
 
-def _mounted(sightings: Sightings, apart: Poses, mounts: FloatArray | None) -> Poses:
+def _mounted(sightings: Sightings, apart: Poses) -> Poses:
     """Poses of the body from the poses of the cameras.
 
     Args:
         sightings: sightings of the body.
         apart: poses for `sightings.with_separate_cameras()`.
-        mounts: mounts of the cameras, `(C, 4, 4)`; None to estimate them.
 
     Raises:
         InputError: a camera was never placed together with the first camera.
@@ -117,12 +97,9 @@ def _mounted(sightings: Sightings, apart: Poses, mounts: FloatArray | None) -> P
     found, frames = np.tile(np.eye(4), (sightings.cameras, 1, 1)), views[0].copy()
     for camera in range(1, sightings.cameras):
         there, here = np.isfinite(views[camera, :, 0, 0]), np.isfinite(frames[:, 0, 0])
-        if mounts is not None:
-            found[camera] = mounts[camera]
-        elif (there & here).any():
-            found[camera] = median_pose(inverse(frames[there & here]) @ views[camera, there & here])
-        else:
+        if not (both := there & here).any():
             raise InputError(f"detections have no frame that gives the mount of camera {camera + 1}.", "detections")
+        found[camera] = median_pose(inverse(frames[both]) @ views[camera, both])
         frames[there & ~here] = views[camera, there & ~here] @ inverse(found[camera])
     return Poses(apart.tags, frames, found)
 
@@ -136,7 +113,7 @@ class Placing:
         is_linked: True if frames are linked by motion; single sightings are then not trusted.
     """
 
-    def __init__(self, sightings: Sightings, single: SinglePoses, is_linked: bool = False) -> None:
+    def __init__(self, sightings: Sightings, single: SinglePoses, is_linked: bool) -> None:
         self.sightings, self.single, self.is_linked = sightings, single, is_linked
         self.tags = np.full((len(sightings.ids), 4, 4), np.nan)
         self.frames = np.full((sightings.frames, 4, 4), np.nan)
@@ -267,15 +244,12 @@ def place_all(sightings: Sightings, planned: FloatArray, is_linked: bool) -> Pla
     single, tried = single_poses(sightings), []
     known = (sightings.counts() > 0) & np.isfinite(planned[:, 0, 0])
     for quarter in QUARTERS if known.any() else ():
-        placing = Placing(sightings, single, is_linked)
+        tried.append(placing := Placing(sightings, single, is_linked))
         placing.tags[known], placing.group[known] = (planned @ quarter)[known], 0
         placing.place(placing.waiting(by_frame=True), by_frame=True)
-        tried.append(placing)
-    if tried:
-        tried = [max(tried, key=Placing.agreed)]
-        tried[0].fill()
-        if tried[0].agreed() >= AS_PLANNED * len(sightings):
-            return tried[0]
-    alone = Placing(sightings, single, is_linked)
-    alone.fill()
-    return max([alone, *tried], key=Placing.agreed)
+    found = [max(tried, key=Placing.agreed)] if tried else []
+    for placing in (*found, Placing(sightings, single, is_linked)):
+        placing.fill()
+        if placing.agreed() >= AS_PLANNED * len(sightings):
+            return placing
+    return max((*found, placing), key=Placing.agreed)

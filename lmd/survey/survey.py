@@ -4,7 +4,7 @@
 id. If the outliers do not agree, the id was misread. A tag has a wrong size if its sightings agree on another size,
 with all frames fixed.
 
-*Held-out frames* are localised in a map from the other frames, and in the plan.
+*Held-out frames* are localised in a map from the other frames.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,15 +16,14 @@ from typing import NamedTuple
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from lmd.adjust.candidates import measured_mounts, single_poses
 from lmd.adjust.corners import agreeing, resected, squared_errors
 from lmd.adjust.estimate import FEWEST_FRAMES, ONE_THREAD, Estimate, constraining
-from lmd.adjust.faults import FEWEST_SIGHTINGS, Faults, odd_sizes, with_sizes, without_faults
-from lmd.adjust.intrinsics import Calibrated, Optics
+from lmd.adjust.faults import Faults, with_best_edges, with_sizes, without_faults
+from lmd.adjust.intrinsics import Optics
 from lmd.adjust.motion import Motion, seconds_of
 from lmd.adjust.prior import Prior
 from lmd.adjust.refinement import edge_doubts, refine, with_lenses
-from lmd.adjust.sightings import Observations, Sightings, outside_doubts
+from lmd.adjust.sightings import QUARTERS, Observations, Sightings, outside_doubts
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.detection.corner_errors import CornerErrors
 from lmd.formats.detections import DetectedTags
@@ -32,14 +31,13 @@ from lmd.geometry.camera import Camera
 from lmd.scene.tag import Tag
 from lmd.survey.knowledge import PriorKnowledge
 from lmd.survey.start import Start, in_one_world, initialise
-from lmd.survey.world import Turns, errors_of_fixed, motion_to_floor, turns_of
+from lmd.survey.world import turns_of
 
 FEWEST_BELIEVED = 2  # minimum number of agreeing sightings to accept a tag without prior, as ids may be misread
 TURNING_STEPS = 3  # maximum number of initialisations; known turns may reveal further turns
 # With linked frames, a tag is not placed if its standard deviation relative to the others exceeds `LOOSE_M`, metres,
 # and the share `LOOSE_SHARE` of the map's extent.
 LOOSE_M, LOOSE_SHARE = 0.25, 0.01
-LOOSE_SIGMA = 1.0  # prior standard deviation, metres and rad, of fixed tags in the map with which they are compared
 HELD_OUT_STEP = 5  # every fifth frame is held out
 
 
@@ -49,7 +47,6 @@ class SurveyStage(Enum):
     PLACING = "placing tags"
     ADJUSTING = "adjusting"
     REFINING = "refining the cameras"
-    COMPARING = "comparing blocks of time"
     CHECKING = "looking for faulty tags"
     HOLDING_OUT = "holding frames out"
     AUDITING = "comparing with predictions"
@@ -58,11 +55,6 @@ class SurveyStage(Enum):
     def has_map(self) -> bool:
         """True if a map exists at this stage."""
         return self not in (SurveyStage.PLACING, SurveyStage.ADJUSTING)
-
-    @property
-    def has_final_map(self) -> bool:
-        """True if neither this stage nor a later stage changes the map."""
-        return self.has_map and self not in (SurveyStage.REFINING, SurveyStage.COMPARING)
 
 
 # Called with the stage, the number of finished steps, and the maximum number of steps, 0 if unknown. The observer
@@ -95,13 +87,10 @@ class Survey:
     """`(K,)` True for tags in the map."""
     loose: BoolArray
     """`(K,)` True for tags that are not placed because their covariance is too large."""
-    localised: dict[str, HeldOut]
-    """Held-out frames localised in the map, `measured`, and in the plan, `planned`; empty if there are too few frames.
-    """
-    turns: Turns
-    """Quarter turns of tags relative to the plan."""
-    off_fixed: FloatArray
-    """`(K, 2)` errors of fixed tags, see `lmd.survey.world.errors_of_fixed`."""
+    held_out: HeldOut | None
+    """Held-out frames; None if there are too few frames."""
+    turns: IntArray
+    """`(2, K)` quarter turns of tags relative to the plan, see `lmd.survey.world.turns_of`."""
     joined: IntArray
     """Group of each tag of the map by images alone, `(K,)`, if motion links the frames; else -1."""
     doubts: tuple[str, ...] = ()
@@ -118,16 +107,6 @@ class Survey:
     def used(self) -> IntArray:
         """Number of inliers of each tag, `(K,)`."""
         return self.found.sightings.counts(self.found.used)
-
-    @property
-    def planned(self) -> FloatArray:
-        """See `PriorKnowledge.planned`."""
-        return self.known.planned(self.ids)
-
-    @property
-    def calibrated(self) -> tuple[Calibrated, ...]:
-        """Cameras as estimated from photographs."""
-        return self.found.calibrated
 
 
 def survey(
@@ -152,36 +131,28 @@ def survey(
         observer: called at each stage, see `Observer`.
 
     Raises:
-        InputError: the detections connect no two tags, place no tag, or are of other tags or cameras; or fixed tags
-            contradict each other.
+        InputError: the detections connect no two tags, place no tag, or are of other tags or cameras.
     """
     ids = _believed(detected, tag, known)
     seen = Observations(detected, tuple(map(Optics, cameras)), ids, known.edges(ids, tag), tag.modules, errors)
     observer(SurveyStage.PLACING, 0, 0)
-    seen, prior, turns, start, odd = _started(seen, known)
-    observer(SurveyStage.ADJUSTING, 0, 0)
-    found = _estimate(seen, prior, known, start)
-    found, odd = with_sizes(found, odd, others=0.0, tried=bool(odd.any()))
-    on_round, on_block = (partial(observer, stage) for stage in (SurveyStage.REFINING, SurveyStage.COMPARING))
-    found = refine(with_lenses(found, seen, bool(calibrate)), calibrate is False, on_round, on_block)
-    doubts = outside_doubts(seen)
-    if not doubts and known.mounts is not None:
-        _, doubts = measured_mounts(start.views(seen.through()), known.mounts)
-    doubts += [] if calibrate is False or doubts else edge_doubts(found)
-    observer(SurveyStage.CHECKING, 0, 0)
     with threadpool_limits(limits=ONE_THREAD):
+        (seen, prior, turns, start), odd = with_best_edges(seen, partial(_turned, known=known))
+        observer(SurveyStage.ADJUSTING, 0, 0)
+        found = _estimate(seen, prior, known, start)
+        found, odd = with_sizes(found, odd, others=0.0, tried=bool(odd.any()))
+        is_stopped = partial(observer, SurveyStage.REFINING)
+        found = refine(with_lenses(found, seen, bool(calibrate)), calibrate is False, is_stopped)
+        doubts = outside_doubts(seen) or ([] if calibrate is False else edge_doubts(found))
+        observer(SurveyStage.CHECKING, 0, 0)
         found, faults = without_faults(found, odd)
-        off_fixed = _off_fixed(found, start)
-    if known.floor:
-        first = int(np.flatnonzero(found.prior.known)[0])
-        found = found.moved(motion_to_floor(found.poses.tags, np.flatnonzero(np.isin(ids, known.floor)), first))
-    placed, loose = _placed(found, known)
-    localised = {} if observer(SurveyStage.HOLDING_OUT, 0, 0) else _held_out(found, known.planned(ids))
+        placed, loose = _placed(found, known)
+        held_out = None if observer(SurveyStage.HOLDING_OUT, 0, 0) else _held_out(found)
     joined = np.full(len(ids), -1)
     if found.prior.motion is not None:  # tags that images connect with no other tag form groups of their own
         own = np.where(start.group < 0, len(ids) + np.arange(len(ids)), start.group)
         joined[found.known] = np.unique(own[found.known], return_inverse=True)[1]
-    return Survey(detected, known, found, faults, placed, loose, localised, turns, off_fixed, joined, tuple(doubts))
+    return Survey(detected, known, found, faults, placed, loose, held_out, turns, joined, tuple(doubts))
 
 
 def _believed(detected: DetectedTags, tag: Tag, known: PriorKnowledge) -> IntArray:
@@ -199,33 +170,20 @@ def _believed(detected: DetectedTags, tag: Tag, known: PriorKnowledge) -> IntArr
     return ids
 
 
-def _started(seen: Observations, known: PriorKnowledge) -> tuple[Observations, Prior, Turns, Start, BoolArray]:
-    """Initial poses, detections and prior after quarter turns of tags, these turns, and the mask of the tags with
-    another edge than stated, `(K,)`. Of the stated and the estimated edges, those with which more sightings agree are
-    taken.
+def _turned(seen: Observations, known: PriorKnowledge) -> tuple[tuple[Observations, Prior, IntArray, Start], int]:
+    """Detections and prior after quarter turns of tags, these turns, and initial poses; and number of sightings that
+    agree with these poses.
     """
-    best = *_turned(seen, known), np.zeros(len(seen.ids), dtype=bool)
-    apart = best[0].through().with_separate_cameras()
-    factors, odd = odd_sizes(apart, single_poses(apart).poses[:, 0])
-    if odd.any():
-        other = *_turned(replace(seen, edges=seen.edges * factors), known), odd
-        counts = [one[3].agreed(one[0].through()) for one in (best, other)]
-        best = other if counts[1] > counts[0] + FEWEST_SIGHTINGS else best
-    return best
-
-
-def _turned(seen: Observations, known: PriorKnowledge) -> tuple[Observations, Prior, Turns, Start]:
-    """Initial poses, detections and prior after quarter turns of tags, and these turns."""
     given = replace(known.prior(seen.ids), motion=_motion(seen, known))
-    turned, prior, turns = seen, given, Turns(*np.zeros((3, len(seen.ids)), dtype=np.int64))
-    for _ in range(TURNING_STEPS):
+    turned, prior, turns = seen, given, np.zeros((2, len(seen.ids)), dtype=np.int64)
+    for number in range(TURNING_STEPS + 1):
         start = initialise(turned.through(), prior)
         more = turns_of(start.poses.tags, start.group, prior, seen.detected.in_order)
-        if not np.any(more):
-            return turned, prior, turns, start
-        turns = Turns(*(np.add(turns, more) % 4))
-        turned, prior = seen.renumbered(turns.renumbered), turns.applied(given)
-    return turned, prior, turns, initialise(turned.through(), prior)
+        if number == TURNING_STEPS or not more.any():
+            break
+        turns = (turns + more) % 4
+        turned, prior = seen.renumbered(turns[0]), replace(given, tags=given.tags @ QUARTERS[turns[1]])
+    return (turned, prior, turns, start), start.agreed
 
 
 def estimate_map(sightings: Sightings, prior: Prior, origin: int | None = None, start: Start | None = None) -> Estimate:
@@ -241,9 +199,8 @@ def estimate_map(sightings: Sightings, prior: Prior, origin: int | None = None, 
         InputError: no two tags were seen together, `origin` is not placed, or known centres are too few for a world.
     """
     start = initialise(sightings, prior) if start is None else start
-    with threadpool_limits(limits=ONE_THREAD):
-        poses, group, prior = in_one_world(sightings, start, prior, origin)
-        return Estimate.adjusted_from(sightings, prior, poses, group)
+    poses, group, prior = in_one_world(sightings, start, prior, origin)
+    return Estimate(sightings, prior, poses, group).adjusted()
 
 
 def _estimate(seen: Observations, prior: Prior, known: PriorKnowledge, start: Start) -> Estimate:
@@ -273,16 +230,6 @@ def _steady(seen: Observations, known: PriorKnowledge) -> Motion | None:
     return motion if near and known.steady is not False else None
 
 
-def _off_fixed(found: Estimate, start: Start) -> FloatArray:
-    """Errors of fixed tags, see `errors_of_fixed`, from a map with a very loose prior of these tags."""
-    known = found.prior.exact & (found.group == 0)
-    if known.sum() < 2:
-        return np.full((len(known), 2), np.nan)
-    loose = replace(found.prior, information=np.where(known[:, None], LOOSE_SIGMA**-2.0, np.zeros(6)))
-    poses, group, _ = in_one_world(found.sightings, start, found.prior, None)
-    return errors_of_fixed(found, Estimate.adjusted_from(found.sightings, loose, poses, group))
-
-
 def _placed(found: Estimate, known: PriorKnowledge) -> tuple[BoolArray, BoolArray]:
     """Mask of the tags of the map, `(K,)`, and mask of the tags left out only because their covariance is too large,
     `(K,)`.
@@ -301,28 +248,23 @@ def _placed(found: Estimate, known: PriorKnowledge) -> tuple[BoolArray, BoolArra
         loose = placed & (found.sigmas > max(LOOSE_M, LOOSE_SHARE * extent))
     placed &= ~loose
     if not placed.any():
-        text = f"no tag is placed, as no {FEWEST_BELIEVED} sightings of a tag agree: take more frames."
-        if loose.any():
-            text = f"no tag is known to better than {float(np.nanmin(found.sigmas[loose])):.2g} m among the others."
-        raise InputError(f"detections: {text}", "detections")
+        text = f"no {FEWEST_BELIEVED} sightings of a tag agree, or no tag is well known beside the others"
+        raise InputError(f"detections: no tag is placed, as {text}: take more frames.", "detections")
     return placed, loose
 
 
-def _held_out(found: Estimate, planned: FloatArray) -> dict[str, HeldOut]:
-    """Localise every fifth frame in a map from the other frames, and by the `planned` poses of tags, `(K, 4, 4)`."""
+def _held_out(found: Estimate) -> HeldOut | None:
+    """Localise every fifth frame in a map from the other frames."""
     if len(found.frames) < FEWEST_FRAMES:
-        return {}
-    every, result = found.sightings, {}
+        return None
+    every = found.sightings
     out = np.isin(every.frame, found.frames[HELD_OUT_STEP // 2 :: HELD_OUT_STEP])
-    with threadpool_limits(limits=ONE_THREAD):
-        others = every.of(~out)
-        rest = replace(found, sightings=others).adjusted(found.floor)
-        measured = np.where((others.counts(rest.used) > 0)[:, None, None], rest.poses.tags, np.nan)
-        for name, tags in (("measured", measured), ("planned", planned)):
-            known = out & found.used & np.isfinite(tags[every.tag, 0, 0])
-            some = every.of(constraining(every, known, Prior(tags, found.prior.information)))
-            if len(some):
-                poses, there = resected(some, replace(found.poses, tags=tags), found.floor), np.unique(some.frame)
-                away = np.linalg.norm((poses.frames - found.poses.frames)[there, :3, 3], axis=1)
-                result[name] = HeldOut(np.sqrt(squared_errors(some, poses) / 4.0), away)
-    return result
+    others = every.of(~out)
+    rest = replace(found, sightings=others).adjusted(found.floor)
+    known = out & found.used & (others.counts(rest.used) > 0)[every.tag]
+    some = every.of(constraining(every, known, replace(found.prior, motion=None)))
+    if not len(some):
+        return None
+    poses, there = resected(some, replace(found.poses, tags=rest.poses.tags), found.floor), np.unique(some.frame)
+    away = np.linalg.norm((poses.frames - found.poses.frames)[there, :3, 3], axis=1)
+    return HeldOut(np.sqrt(squared_errors(some, poses) / 4.0), away)

@@ -1,38 +1,29 @@
-"""World frame of a map, defined by prior poses or by tags on the floor; and comparison of tags with their prior poses.
+"""World frame of a map, defined by prior poses; and comparison of tags with their prior poses.
 
-Sightings alone do not determine the world frame. Exactly known tags, a plan, measured centres, the floor or one tag
-determine it.
+Sightings alone do not determine the world frame. Exactly known tags, a plan, measured centres or one tag determine it.
 
 *Turns*: OpenCV numbers the corners of an AprilTag from the bottom right. Such a tag seems to hang upside down: its pose
 is off by half a turn about the normal. Centres and normals do not depend on the order of corners, so they align the map
 with the plan. If a tag still differs from its plan by quarter turns, it hangs turned, or its corners are in another
 order.
-
-*Fixed tags* are compared with a map in which the poses of these tags are not fixed.
 """
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
 from lmd.adjust.corners import DEGREES_OF_FREEDOM, Poses
-from lmd.adjust.estimate import Estimate
-from lmd.adjust.gauge import align_tags, angle_between_normals, worst_sigmas
+from lmd.adjust.gauge import align_tags, angle_between_normals
 from lmd.adjust.prior import EXACT_SIGMA, Prior
-from lmd.adjust.sightings import QUARTERS, Sightings
+from lmd.adjust.sightings import Sightings
 from lmd.core.checks import FloatArray, InputError, IntArray
-from lmd.geometry.se3 import angle_between, inverse, pose_of, rigid_alignment
+from lmd.geometry.se3 import inverse, rigid_alignment
 from lmd.survey.knowledge import FEWEST_POINTS, are_in_line
 
-LEVEL_TOLERANCE = 1e-3  # two directions count as parallel if the sine of their angle is smaller
 # A tag gets a turn if it is nearer to the planned centre than NEAR, metres, and if the angles to the planned normal and
 # to a multiple of 90 degrees are below FACING and IN_QUARTERS, rad. LEAST_SHARE is the minimum share of tags of a group
 # that are NEAR; below it no tag of the group gets a turn.
 NEAR, FACING, IN_QUARTERS, LEAST_SHARE = 0.3, 0.5, 0.35, 0.5
-# A fixed tag is off if its error exceeds `SIGMAS` standard deviations, and also `OFF`, metres and rad; above `MOST` the
-# survey is refused.
-SIGMAS, OFF, MOST = 5.0, (0.001, 0.02), (0.02, 0.15)
 
 
 def motion_to_prior(tags: FloatArray, prior: Prior) -> FloatArray | None:
@@ -105,55 +96,8 @@ def into_world(
     return Poses(tags, frames, poses.mounts), number[group], replace(prior, tags=expected)
 
 
-def motion_to_floor(tags: FloatArray, floor: IntArray, origin: int) -> FloatArray:
-    """Motion `(4, 4)` to a world with z up and z = 0 through the centres of the tags `floor`.
-
-    The origin of the world is below the centre of the tag `origin`; if that tag hangs on a wall, x points to its right.
-
-    Args:
-        tags: poses, `(K, 4, 4)`.
-        floor: indices of tags on the floor.
-        origin: index of a tag.
-
-    Raises:
-        InputError: fewer than three tags of the floor have a pose, or these tags are collinear.
-    """
-    places = tags[floor, :3, 3]
-    if len(floor) < FEWEST_POINTS or not np.isfinite(places).all():
-        raise InputError(f"floor must name at least {FEWEST_POINTS} tags that are in the map.", "floor")
-    if are_in_line(places):
-        raise InputError("floor must name tags that are not collinear.", "floor")
-    axes = np.linalg.svd(places - places.mean(axis=0))[2]
-    up = axes[2] * np.sign((tags[floor, :3, 2] @ axes[2]).sum())
-    ahead = np.cross(up, tags[origin, :3, 0])
-    if np.linalg.norm(ahead) < LEVEL_TOLERANCE:  # the tag's x axis is vertical
-        ahead = np.cross(up, tags[origin, :3, 1])
-    ahead /= np.linalg.norm(ahead)
-    turn = np.stack([np.cross(ahead, up), ahead, up])
-    below = tags[origin, :3, 3] - up * (up @ (tags[origin, :3, 3] - places.mean(axis=0)))
-    return pose_of(turn, -turn @ below)
-
-
-class Turns(NamedTuple):
-    """Turns of K tags, `(K,)` each: numbers of quarter turns, clockwise as seen by the viewer."""
-
-    renumbered: IntArray
-    """Turns by which the corners of detections are renumbered."""
-    beside_plan: IntArray
-    """Turns of the tags from their planned poses; 0 if unknown."""
-    beside_sheets: IntArray
-    """Turns of the tags from their poses on sheets; 0 if unknown."""
-
-    def applied(self, prior: Prior) -> Prior:
-        """Prior after the turns: the prior of tags that hang turned is turned."""
-        sheets = prior.sheets
-        if sheets is not None:
-            sheets = replace(sheets, poses=sheets.poses @ QUARTERS[self.beside_sheets[sheets.tag]])
-        return replace(prior, tags=prior.tags @ QUARTERS[self.beside_plan], sheets=sheets)
-
-
-def turns_of(tags: FloatArray, group: IntArray, prior: Prior, in_order: bool) -> Turns:
-    """Quarter turns of tags from their prior poses.
+def turns_of(tags: FloatArray, group: IntArray, prior: Prior, in_order: bool) -> IntArray:
+    """Quarter turns of tags from their prior poses, clockwise as seen by the viewer.
 
     A turn that most tags share is attributed to the order of the corners, unless the order of the corners is known.
     Exactly known tags are assumed to hang as in the prior.
@@ -163,11 +107,13 @@ def turns_of(tags: FloatArray, group: IntArray, prior: Prior, in_order: bool) ->
         group: group of each tag, `(K,)`, -1 for tags that are not placed.
         prior: prior of the tags.
         in_order: True if corners are known to begin at the top left.
+
+    Returns:
+        turns by which the corners of detections are renumbered, and turns by which tags hang beside their prior poses,
+        0 if unknown, `(2, K)`.
     """
     known = prior.is_posed & (group >= 0)
     seen = _quarters(tags, prior.tags, np.where(known, group, -1))
-    if (lost := prior.exact & (seen < 0)).any():  # the plan of the other tags is wrong
-        seen = np.where(lost, _quarters(tags, prior.tags, np.where(known & prior.exact, group, -1)), seen)
     on_sheets = np.full(len(group), -1)
     if (sheets := prior.sheets) is not None:
         own = np.where(group[sheets.tag] >= 0, sheets.board * (group.max() + 1) + group[sheets.tag], -1)
@@ -176,7 +122,7 @@ def turns_of(tags: FloatArray, group: IntArray, prior: Prior, in_order: bool) ->
     counts = np.bincount(either[either >= 0], minlength=4)
     shared = 0 if in_order or 2 * counts.max() <= counts.sum() else np.argmax(counts)
     renumbered = np.where(prior.exact & (seen >= 0), seen, shared)
-    return Turns(renumbered, *(np.where(turned < 0, 0, (turned - renumbered) % 4) for turned in (seen, on_sheets)))
+    return np.stack([renumbered, np.where(seen < 0, 0, (seen - renumbered) % 4)])
 
 
 def _quarters(tags: FloatArray, planned: FloatArray, group: IntArray) -> IntArray:
@@ -197,41 +143,3 @@ def _quarters(tags: FloatArray, planned: FloatArray, group: IntArray) -> IntArra
         whole &= np.abs(angle + quarters * np.pi / 2.0) < IN_QUARTERS
         turned[own[whole]] = quarters[whole] % 4
     return turned
-
-
-def errors_of_fixed(found: Estimate, free: Estimate) -> FloatArray:
-    """Errors of fixed tags: distance and rotation from the pose in a map from the photographs and the other fixed tags.
-
-    Args:
-        found: estimate with fixed tags.
-        free: estimate in which these tags are not fixed.
-
-    Returns:
-        errors, metres and rad, `(K, 2)`; NaN for tags that are not fixed, or whose error is insignificant.
-
-    Raises:
-        InputError: a fixed tag is farther off than errors of measurement explain.
-    """
-    off, sigma = np.full((len(found.group), 2), np.nan), worst_sigmas(free.gauge_free_covariances)
-    own = np.flatnonzero(found.prior.exact & (found.group == 0) & np.isfinite(sigma[:, 0]))
-    here, there = free.poses.tags[own], found.prior.tags[own]
-    if (motion := align_tags(here, there)) is None:
-        return off
-    moved = motion @ here
-    between = np.stack([np.linalg.norm((moved - there)[:, :3, 3], axis=1), angle_between(moved, there)], axis=1)
-    off[own] = np.where(between > np.maximum(SIGMAS * sigma[own], OFF), between, np.nan)
-    # In the map without fixed tags, a tag with few sightings may be wrong; then the sightings still fit the fixed pose.
-    fits = found.sightings.counts(found.used) > found.sightings.counts() / 2
-    off[fits & (off > MOST).any(axis=1)] = np.nan
-    ratio = np.nan_to_num(off) / MOST
-    worst, count = int(np.argmax(ratio.max(axis=1))), int((ratio > 1.0).any(axis=1).sum())
-    if count:
-        metres, rad = off[worst]
-        text = f"{1e3 * metres:.3g} mm" if metres > MOST[0] else f"{np.degrees(rad):.3g} degrees"
-        others = f", and {count - 1} more" if count > 1 else ""
-        raise InputError(
-            f"fixed has tag {found.sightings.ids[worst]} {text} away from its pose by the photographs and the other "
-            f"fixed tags{others}: correct or remove it, or give inexact places as points.",
-            "fixed",
-        )
-    return off

@@ -25,7 +25,7 @@ SHEETS = Sheets(
 )
 TIMES = 0.1 * np.arange(FRAMES)
 PRIOR_SIGMAS = np.repeat([0.003, 0.001], 3)
-FACTORS = ("independent", "joint", "sheets", "mounts", "odometry", "constant velocity")
+FACTORS = ("independent", "joint", "sheets", "odometry", "constant velocity")
 
 
 @dataclass(frozen=True)
@@ -53,9 +53,9 @@ def smooth(rng):
 
 
 def drawn(factors, seed=0, sigma=SIGMA):
-    """Draw a room from the priors that `factors` name; without `mounts`, three exact mounts."""
+    """Draw a room with three mounts from the priors that `factors` name."""
     rng = np.random.default_rng(seed)
-    size, frames, tags, mounts, motion, joint = 6 * TAGS, smooth(rng), PLAN, MOUNTS, None, None
+    size, frames, tags, motion, joint = 6 * TAGS, smooth(rng), PLAN, None, None
     information = np.tile(PRIOR_SIGMAS**-2.0, (TAGS, 1))
     if "joint" in factors:
         half = rng.normal(size=(size, size)) * np.tile(PRIOR_SIGMAS, TAGS)[:, None] / np.sqrt(size)
@@ -70,9 +70,8 @@ def drawn(factors, seed=0, sigma=SIGMA):
         tags = np.concatenate([PLAN[:3], PLAN[3] @ exp(0.1 * rng.normal(size=6)) @ ON_SHEET @ exp(off)])
     if joint is None:
         tags = tags @ exp(rng.normal(size=(TAGS, 6)) * np.where(information > 0.0, PRIOR_SIGMAS, 0.0))
-    if "mounts" in factors:
-        off = rng.normal(size=(2, 6)) * np.repeat([0.0175, 0.01], 3)
-        mounts = np.concatenate([MOUNTS[:1], MOUNTS[1:] @ exp(off)])
+    off = rng.normal(size=(2, 6)) * np.repeat([0.0175, 0.01], 3)
+    mounts = np.concatenate([MOUNTS[:1], MOUNTS[1:] @ exp(off)])
     if "odometry" in factors:
         motion = replace(Motion.by_odometry(TIMES, Trajectory(TIMES, frames)), spread=(0.05, 0.1))
         links = motion.links(np.arange(FRAMES))
@@ -88,7 +87,7 @@ def drawn(factors, seed=0, sigma=SIGMA):
             following = frames[-1] @ exp(np.r_[off[:3], 0.0, 0.0, 0.0])
             following[:3, 3] += off[3:]
             frames, rates = np.concatenate([frames, following[None]]), rates + change
-    given = Mounts(MOUNTS, (0.0175, 0.01) if "mounts" in factors else None)
+    given = Mounts(MOUNTS, (0.0175, 0.01))
     prior = Prior(PLAN, information, SHEETS if "sheets" in factors else None, given, motion, joint)
     detected = walks.photographed(tags, frames, rng, sigma, CAMERA, mounts)
     errors = replace(walks.constant_errors(SIGMA), inward_spread=0.1)

@@ -19,7 +19,7 @@ def test_intrinsics_and_poses_are_those_of_calibrate_camera():
     walk = ld.walked(3, frames=50, place=1e-5, turn=1e-5)
     given = with_intrinsics(walks.CAMERA, intrinsics_of(walks.CAMERA) + np.array([3.0, 3.0, 3.0, -3.0, 0, 0, 0, 0, 0]))
     found = localise(walk.detected, [given], Tag(walks.EDGE), walks.constant_errors(ld.NOISE), walk.known)
-    (camera,) = found.calibrated
+    (camera,) = found.found.calibrated
     corners = act(walk.true, walks.EDGE / 2.0 * SQUARE)
     counts = np.bincount(walk.detected.frame, minlength=50)
     frames = np.flatnonzero(counts > 1)

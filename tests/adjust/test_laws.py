@@ -20,7 +20,7 @@ from lmd.geometry.projection import bearings, project
 from lmd.geometry.se3 import camera_pose, exp, inverse, log
 
 LINKS = (None, "odometry", "constant velocity")
-EVERY = ("independent", "sheets", "mounts")
+EVERY = ("independent", "sheets")
 WORLD = exp(np.array([0.4, -0.3, 1.1, 2.0, -1.0, 0.5]))
 NOWHERE = np.zeros(rooms.TAGS, dtype=np.int64)
 
@@ -32,7 +32,7 @@ def adjustment_of(room, nuisances=False):
 def adjusted(room, poses):
     """Estimate from poses."""
     with threadpool_limits(limits=ONE_THREAD):
-        return Estimate.adjusted_from(room.sightings(), room.prior, poses, NOWHERE, 0.0)
+        return Estimate(room.sightings(), room.prior, poses, NOWHERE).adjusted(0.0)
 
 
 def nees(found, true, covariances):
@@ -100,12 +100,10 @@ def test_the_gradient_is_the_derivative_of_the_loss(factor):
     (part,) = system.frames.parts
     kept[part.rows] += np.einsum("firk,fi->rk", part.panel, steps)
     own = part.gradient if joint.links is None else system.frames.right[:, :6]
-    has_mounts = room.prior.has_unknown_mounts
     for _ in range(4):
         _, twists = rooms.astray(room.true, rng)
         expected = -(kept[: rooms.TAGS] * twists[0]).sum() - (own * twists[1]).sum()
-        expected -= (kept[joint.mounts] * twists[2][1:]).sum() if has_mounts else 0.0
-        twists[2] *= has_mounts
+        expected -= (kept[joint.mounts] * twists[2][1:]).sum()
         there, here = (joint.loss(rooms.moved(poses, twists, by), 0.0) for by in (1e-3, -1e-3))
         assert (there - here) / 2e-3 == pytest.approx(expected, rel=1e-2)
 
@@ -135,7 +133,7 @@ def dense(joint, poses, weight=None):
         zip(np.searchsorted(seen, some.frame), some.tag, some.camera, strict=True)
     ):
         slopes = [(size * frame, at.by_frame[n]), (first + 6 * tag, at.by_tag[n])]
-        if camera and prior.has_unknown_mounts:
+        if camera:
             slopes.append((first + 6 * (rooms.TAGS + camera - 1), at.by_mount[n]))
         if joint.lens_blocks:
             slopes.append((first + 6 * (joint.first_lens + joint.lens_blocks * camera), some.lens[n]))
@@ -153,9 +151,8 @@ def dense(joint, poses, weight=None):
             trust = student_weight(squares[m], 6) if robust else 1.0
             slopes = (first + 6 * tag, np.eye(6)), (sheet, -prior.sheets.turned[m])
             add(trust * np.diag(prior.sheets.information), twists[m], *slopes)
-    if prior.has_unknown_mounts:
-        for c, twist in enumerate(prior.mounts.off(poses.mounts)):
-            add(np.diag(prior.mounts.information[c]), twist, (first + 6 * (rooms.TAGS + c), np.eye(6)))
+    for c, twist in enumerate(prior.mounts.off(poses.mounts)):
+        add(np.diag(prior.mounts.information[c]), twist, (first + 6 * (rooms.TAGS + c), np.eye(6)))
     right[sheet:] = 0.0  # sheets are at their best
     own = np.arange(first + 6 * joint.first_lens, first + kept)
     matrix[own, own] += 1.0
@@ -207,9 +204,7 @@ def test_frames_are_eliminated_as_dense_algebra_does(links):
     assert system.log_determinant == pytest.approx(volume, abs=1e-3)
 
 
-@pytest.mark.parametrize(
-    "factors", [("independent",), ("joint", "mounts"), ("sheets",), ("odometry",), ("constant velocity",)]
-)
+@pytest.mark.parametrize("factors", [("independent",), ("joint",), ("sheets",), ("odometry",), ("constant velocity",)])
 def test_the_covariance_is_the_scatter(factors):
     """Of poses that were drawn from the priors: chi^2 of all tags, of a mount, and of a frame, over eight rooms."""
     found = {}
@@ -221,11 +216,9 @@ def test_the_covariance_is_the_scatter(factors):
         covariance = one.covariance[np.ix_(tags, tags)]
         found.setdefault(30, []).append(twist @ np.linalg.solve(covariance, twist))
         frames = one.adjustment.frame_covariances(one.poses, one.floor)
-        squares = nees(one.poses.frames[4:5], room.true.frames[4:5], frames[4:5])
-        if has_mounts := "mounts" in factors:
-            mount = one.covariance[None, len(twist) : len(twist) + 6, len(twist) : len(twist) + 6]
-            squares = squares + nees(one.poses.mounts[1:2], room.true.mounts[1:2], mount)
-        found.setdefault(6 * (1 + has_mounts), []).append(squares[0])
+        mount = one.covariance[None, len(twist) : len(twist) + 6, len(twist) : len(twist) + 6]
+        found.setdefault(6, []).extend(nees(one.poses.frames[4:5], room.true.frames[4:5], frames[4:5]))
+        found[6].extend(nees(one.poses.mounts[1:2], room.true.mounts[1:2], mount))
     for freedom, squares in found.items():
         low, high = chi2.ppf([0.001, 0.999], freedom * len(squares))
         assert low < np.sum(squares) < high, f"{np.sum(squares):.0f} of {freedom * len(squares)}"
@@ -261,7 +254,7 @@ def test_the_tag_that_is_the_world_does_not_change_a_map():
 @pytest.mark.parametrize("links", LINKS)
 def test_the_order_of_detections_tags_and_cameras_changes_nothing(links):
     """Ids of tags are reversed, the second camera and the third are exchanged, and detections are shuffled."""
-    room, rng = rooms.drawn(("independent", "mounts", links)), np.random.default_rng(2)
+    room, rng = rooms.drawn(("independent", links)), np.random.default_rng(2)
     poses, _ = rooms.astray(room.true, rng)
     back, swap, seen = np.arange(rooms.TAGS)[::-1], np.array([0, 2, 1]), room.seen.detected
     order = np.concatenate([rng.permutation(np.flatnonzero(seen.frame == f)) for f in range(rooms.FRAMES)])

@@ -21,7 +21,7 @@ from lmd.detection.detectors import (
 from lmd.detection.mosaic import ViewRanges, sample_views
 from lmd.detection.tag_views import TagViews
 from lmd.geometry.camera import Camera
-from lmd.geometry.pose import pose_error, pose_from_corners
+from lmd.geometry.pose import body_from_corners, pose_error
 from lmd.geometry.se3 import camera_pose
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
@@ -37,6 +37,10 @@ WALLS = Cuboid((4.0, 3.0, 3.0), (2.0, 1.0, 1.0), 0.5).surfaces()
 TURNS = np.radians([0.0, 90.0, 180.0, 270.0, 37.0, 201.0, 333.0, 119.0])
 POSE = camera_pose([1.9, 1.0, 1.45], 0.1, 0.05, 0.1)
 KINDS = {"aruco": (ArucoDetector, 0.6), "apriltag": (AprilTagDetector, 0.3)}  # and how far corners may be off, pixels
+
+
+def pose_from(renderer, corners):
+    return body_from_corners([renderer.camera], np.eye(4)[None], renderer.room.corners, [corners])
 
 
 def room(family):
@@ -70,7 +74,7 @@ def check_known_answers(detector, family, tolerance):
     assert corner_error(matches.corners, expected).max() < tolerance
     # A systematic half pixel would show in the mean.
     assert np.abs((matches.corners - expected).mean(axis=(0, 1))).max() < 0.15
-    away, angle = pose_error(POSE, pose_from_corners(renderer.camera, renderer.room.corners, matches.corners))
+    away, angle = pose_error(POSE, pose_from(renderer, matches.corners))
     assert away < 0.01
     assert angle < 0.01
 
@@ -87,12 +91,12 @@ def test_an_image_without_tags():
 def test_pose_by_exact_corners(lens):
     renderer = Renderer(replace(CAMERA, **lens), room("36h11"))
     image = renderer.corners(POSE)
-    found = pose_from_corners(renderer.camera, renderer.room.corners, image)
+    found = pose_from(renderer, image)
     np.testing.assert_allclose(found, POSE, atol=1e-5)
     only_one = np.where(np.arange(8)[:, None, None] == 2, image, np.nan)
-    found = pose_from_corners(renderer.camera, renderer.room.corners, only_one)
+    found = pose_from(renderer, only_one)
     np.testing.assert_allclose(found, POSE, atol=1e-3)
-    none = pose_from_corners(renderer.camera, renderer.room.corners, np.full_like(image, np.nan))
+    none = pose_from(renderer, np.full_like(image, np.nan))
     assert np.isnan(none).all()
     assert np.isnan(pose_error(POSE, none)).all()
 

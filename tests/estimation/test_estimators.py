@@ -138,7 +138,7 @@ def test_the_information_is_that_of_the_images_slopes(camera):
 
     steps = [se3.exp(1e-6 * np.array([d, -d])) for d in np.eye(6)]
     slopes = np.array([(image(pose @ plus) - image(pose @ minus)) / 2e-6 for plus, minus in steps])
-    information = pose_information(pose[None], landmarks, recording.seen[0], camera)[0]
+    information = pose_information([camera], np.eye(4)[None], pose[None], landmarks, recording.seen[0][None])[0]
     assert_allclose(information, slopes @ slopes.T, rtol=1e-5, atol=1e-3)
     position, attitude = cramer_rao_bound(information)
     variance = np.diag(np.linalg.inv(slopes @ slopes.T))
@@ -148,7 +148,9 @@ def test_the_information_is_that_of_the_images_slopes(camera):
 def test_information_adds_up_and_nothing_seen_is_none():
     recording = spread_out(4, PointDetector(), count=5)
     seen = np.array([[0, 0, 0, 0, 0], [1, 1, 0, 0, 0], [0, 0, 1, 1, 1], [1, 1, 1, 1, 1]], dtype=bool)
-    nothing, first, second, both = pose_information(recording.poses[0], recording.landmarks[0], seen, SCENE.camera)
+    nothing, first, second, both = pose_information(
+        [SCENE.camera], np.eye(4)[None], recording.poses[0], recording.landmarks[0], seen[None]
+    )
     assert_array_equal(nothing, np.zeros((6, 6)))
     assert_allclose(first + second, both)
 
@@ -165,7 +167,9 @@ def test_the_bound_is_finite_from_three_landmarks_on(count):
 def test_three_landmarks_in_line_do_not_fix_a_pose():
     pose = se3.camera_pose([1.0, 2.0, 3.0], 0.4, 0.2)
     in_line = se3.act(pose, np.array([[-0.5, 0.1, 2.0], [0.0, 0.2, 2.0], [0.5, 0.3, 2.0]]))
-    information = pose_information(pose[None], in_line, np.ones((1, 3), dtype=bool), SCENE.camera)
+    information = pose_information(
+        [SCENE.camera], np.eye(4)[None], pose[None], in_line, np.ones((1, 3), dtype=bool)[None]
+    )
     assert np.linalg.matrix_rank(information[0], tol=1e-6) == 5
     assert np.isinf(cramer_rao_bound(information)[0])
 
@@ -240,7 +244,9 @@ def test_the_map_is_the_bound_of_every_pose(coarse, tmp_path):
     here, orientations = evaluator.positions[5], scene.pdf
     poses = se3.camera_pose(here, orientations.yaw, orientations.pitch)
     seen = visible(evaluator, UNIFORM, poses[:, :3, 3], poses[:, :3, 2])
-    position, attitude = cramer_rao_bound(pose_information(poses, UNIFORM.positions, seen, scene.camera))
+    position, attitude = cramer_rao_bound(
+        pose_information([scene.camera], np.eye(4)[None], poses, UNIFORM.positions, seen[None])
+    )
     finite = np.isfinite(position)
     assert_allclose(bounds.share[5], finite.mean())
     assert np.isclose(np.sort(position[finite]), bounds.position[5], rtol=1e-6).any()

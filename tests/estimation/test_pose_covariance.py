@@ -7,8 +7,8 @@ from support.paper import paper_camera
 
 from lmd.core.checks import InputError
 from lmd.detection.corner_errors import CORNER_ERRORS, MeasuredCorners, incidence, inward, pitch
-from lmd.estimation.cramer_rao import moment_information
-from lmd.estimation.pose_covariance import TagErrors, tag_images, world_covariances
+from lmd.estimation.cramer_rao import pose_information
+from lmd.estimation.pose_covariance import TagErrors, pose_covariances, world_covariances
 from lmd.geometry.pose import body_from_corners
 from lmd.geometry.projection import project, to_camera
 from lmd.geometry.se3 import camera_pose, exp, inverse, log, skew
@@ -39,7 +39,7 @@ def scene(seed, extrinsics=ALONE):
                         rng.uniform(-np.pi, np.pi, 20 * FRAMES), rng.uniform(-0.3, 0.3, 20 * FRAMES))  # fmt: skip
     seen = np.stack([visible(tags, poses @ mounted) for mounted in extrinsics])
     half_pixel = TagErrors(0.5, 0.0, ZERO)
-    covariances = tag_images([CAMERA] * len(extrinsics), extrinsics, poses, tags, TAG, seen, half_pixel).covariances()
+    covariances = pose_covariances([CAMERA] * len(extrinsics), extrinsics, poses, tags, TAG, seen, half_pixel)[0]
     sure = np.trace(covariances[:, 3:, 3:], axis1=1, axis2=2) < SURE**2
     enough = np.flatnonzero(sure & (seen.any(axis=0).sum(axis=1) >= 2))[:FRAMES]
     assert len(enough) == FRAMES
@@ -70,15 +70,15 @@ def moved(tags, motions):
 def normalised(tags, poses, seen, extrinsics, errors, rng):
     """NEES of the pose, its rotation and its position in each frame, `(F, 3)`."""
     cameras = [CAMERA] * len(extrinsics)
-    images = tag_images(cameras, extrinsics, poses, tags, TAG, seen, errors)
-    covariances, known = images.covariances(), points_of(tags)
+    covariances, _ = pose_covariances(cameras, extrinsics, poses, tags, TAG, seen, errors)
+    known = points_of(tags)
     spread = np.linalg.cholesky(errors.places + 1e-18 * np.eye(6))
     found = []
     for f, pose in enumerate(poses):
         true = moved(tags, (spread @ rng.standard_normal((COUNT, 6, 1)))[..., 0])
         shots = []
         for mounted, mask in zip(extrinsics, seen[:, f], strict=True):
-            single = tag_images([CAMERA], ALONE, (pose @ mounted)[None], tags, TAG, mask[None, None], errors)
+            _, single = pose_covariances([CAMERA], ALONE, (pose @ mounted)[None], tags, TAG, mask[None, None], errors)
             image = np.full((COUNT, 4, 2), np.nan)
             if mask.any():
                 exact = project(CAMERA, pose @ mounted, true[mask].reshape(-1, 3)).reshape(-1, 4, 2)
@@ -86,7 +86,7 @@ def normalised(tags, poses, seen, extrinsics, errors, rng):
                 slant = incidence(pose @ mounted, tags.places[mask], tags.normals[mask])
                 noise = np.linalg.cholesky(errors.modes) @ rng.standard_normal((len(at), 8, 1))
                 shift = errors.at(at, slant)[1] + errors.shift * rng.standard_normal()
-                noise = single.sigma[:, None, None] * noise.reshape(-1, 4, 2)
+                noise = single[0, mask, None, None] * noise.reshape(-1, 4, 2)
                 image[mask] = exact + noise + shift[:, None, None] * inward(exact)
             shots.append(image)
         e = log(inverse(pose) @ body_from_corners(cameras, extrinsics, known, shots))
@@ -124,8 +124,8 @@ def test_normalised_errors_of_pnp_are_those_of_chi_square(case):
 def test_the_bounds_refuse_covariances_that_ignore_the_map():
     tags, poses, seen = scene(7)
     errors = TagErrors(CORNER_ERRORS["apriltag"], 0.0, SURVEYED)
-    ignored = tag_images([CAMERA], ALONE, poses, tags, TAG, seen, TagErrors(errors.noise, 0.0, ZERO)).covariances()
-    known = tag_images([CAMERA], ALONE, poses, tags, TAG, seen, errors).covariances()
+    ignored = pose_covariances([CAMERA], ALONE, poses, tags, TAG, seen, TagErrors(errors.noise, 0.0, ZERO))[0]
+    known = pose_covariances([CAMERA], ALONE, poses, tags, TAG, seen, errors)[0]
     ratio = np.trace(np.linalg.solve(ignored, known), axis1=1, axis2=2) / 6.0  # expected NEES over 6
     assert np.median(ratio) > 1.0 + 5.0 * np.sqrt(2.0 / (6 * FRAMES))
 
@@ -133,23 +133,10 @@ def test_the_bounds_refuse_covariances_that_ignore_the_map():
 def test_weights_by_noise_without_other_errors_give_the_cramer_rao_bound():
     tags, poses, seen = scene(3, TURNED)
     cameras = [CAMERA, CAMERA]
-    images = tag_images(cameras, TURNED, poses, tags, TAG, seen, TagErrors(0.5, 0.0, ZERO, "noise"))
+    found, _ = pose_covariances(cameras, TURNED, poses, tags, TAG, seen, TagErrors(0.5, 0.0, ZERO, "noise"))
     points = points_of(tags).reshape(-1, 3)
-    bound = np.linalg.inv(moment_information(cameras, TURNED, poses, points, seen.repeat(4, axis=2)) / 0.25)
-    assert np.abs(images.covariances() / bound - 1.0).max() < 1e-6
-
-
-def test_leaving_a_tag_out_equals_an_image_without_it():
-    tags, poses, seen = scene(5, TURNED)
-    errors = TagErrors(CORNER_ERRORS["aruco"], 0.1, SURVEYED)
-    images = tag_images([CAMERA] * 2, TURNED, poses, tags, TAG, seen, errors)
-    without = images.covariances_without()
-    for pair in range(0, len(images.frame), 97):
-        frame, tag = images.frame[pair], images.tag[pair]
-        less = seen[:, [frame]].copy()
-        less[..., tag] = False
-        again = tag_images([CAMERA] * 2, TURNED, poses[[frame]], tags, TAG, less, errors).covariances()[0]
-        assert np.abs(without[pair] - again).max() < 1e-6 * np.abs(again).max()
+    bound = np.linalg.inv(pose_information(cameras, TURNED, poses, points, seen.repeat(4, axis=2)) / 0.25)
+    assert np.abs(found / bound - 1.0).max() < 1e-6
 
 
 JOINT = np.einsum("aij,ab->aibj", SURVEYED, np.eye(COUNT)).reshape(6 * COUNT, 6 * COUNT)
@@ -158,13 +145,9 @@ JOINT = np.einsum("aij,ab->aibj", SURVEYED, np.eye(COUNT)).reshape(6 * COUNT, 6 
 def test_independent_errors_are_a_joint_covariance_too():
     tags, poses, seen = scene(5, TURNED)
     given = [CAMERA] * 2, TURNED, poses, tags, TAG, seen
-    one = tag_images(*given, TagErrors(0.3, 0.1, SURVEYED))
-    other = tag_images(*given, TagErrors(0.3, 0.1, ZERO, joint=JOINT))
-    for first, second in (
-        (one.covariances(), other.covariances()),
-        (one.covariances_without(), other.covariances_without()),
-    ):
-        np.testing.assert_allclose(first, second, rtol=1e-6, atol=1e-10)
+    one = pose_covariances(*given, TagErrors(0.3, 0.1, SURVEYED))
+    other = pose_covariances(*given, TagErrors(0.3, 0.1, ZERO, joint=JOINT))
+    np.testing.assert_allclose(one[0], other[0], rtol=1e-6, atol=1e-10)
 
 
 def test_a_motion_of_the_whole_map_is_the_error_of_each_pose():
@@ -174,36 +157,22 @@ def test_a_motion_of_the_whole_map_is_the_error_of_each_pose():
     moved = [np.block([[np.eye(3), -skew(at)], [np.zeros((3, 3)), np.eye(3)]]) for at in tags.places]
     spread = np.vstack(moved) @ np.diag([0.01, 0.02, 0.03, 0.001, 0.002, 0.003])
     errors = TagErrors(exact, 0.0, ZERO, joint=spread @ spread.T)
-    found = world_covariances(poses, tag_images([CAMERA], ALONE, poses, tags, TAG, seen, errors).covariances())
+    found = world_covariances(poses, pose_covariances([CAMERA], ALONE, poses, tags, TAG, seen, errors)[0])
     for pose, covariance in zip(poses[:50], found, strict=False):
         own = np.block([[np.eye(3), -skew(pose[:3, 3])], [np.zeros((3, 3)), np.eye(3)]])
         own = own @ np.diag([0.01, 0.02, 0.03, 0.001, 0.002, 0.003])
         np.testing.assert_allclose(covariance, own @ own.T, rtol=1e-5, atol=1e-10)
 
 
-def test_leaving_a_tag_out_of_a_joint_map_equals_an_image_without_it():
-    tags, poses, seen = scene(5)
-    draws = np.random.default_rng(1).normal(size=(6 * COUNT, 40)) * 1e-3
-    errors = TagErrors(0.3, 0.1, SURVEYED, joint=draws @ draws.T)
-    images = tag_images([CAMERA], ALONE, poses, tags, TAG, seen, errors)
-    without = images.covariances_without()
-    for pair in range(0, len(images.frame), 97):
-        less = seen[:, [images.frame[pair]]].copy()
-        less[..., images.tag[pair]] = False
-        again = tag_images([CAMERA], ALONE, poses[[images.frame[pair]]], tags, TAG, less, errors).covariances()[0]
-        assert np.abs(without[pair] - again).max() < 1e-6 * np.abs(again).max()
-
-
 def test_views_without_tags_have_no_covariance_and_positions_turn_to_the_world():
     tags, poses, seen = scene(5)
     seen = seen.copy()
     seen[:, 0] = False
-    images = tag_images([CAMERA], ALONE, poses, tags, TAG, seen, TagErrors(0.5, 0.0, ZERO))
-    found = world_covariances(poses, images.covariances())
-    assert images.counts[0] == 0
+    covariances, _ = pose_covariances([CAMERA], ALONE, poses, tags, TAG, seen, TagErrors(0.5, 0.0, ZERO))
+    found = world_covariances(poses, covariances)
     assert np.isinf(found[0]).all()
     turn = poses[1, :3, :3]
-    expected = turn @ images.covariances()[1][3:, 3:] @ turn.T
+    expected = turn @ covariances[1][3:, 3:] @ turn.T
     assert np.allclose(found[1, :3, :3], expected, rtol=1e-12, atol=0.0)
 
 
@@ -212,7 +181,7 @@ def test_turned_tags_use_their_own_ups():
     tags, poses, seen = scene(5)
     upside = Deployment(tags.positions, tags.normals, surveyed=Surveyed(tags.positions, tags.places, -tags.ups))
     errors = TagErrors(0.5, 0.2, SURVEYED)
-    one, other = (tag_images([CAMERA], ALONE, poses, d, TAG, seen, errors).covariances() for d in (tags, upside))
+    one, other = (pose_covariances([CAMERA], ALONE, poses, d, TAG, seen, errors)[0] for d in (tags, upside))
     assert (np.abs(one - other) < 1e-9 * np.abs(one).max(axis=(1, 2), keepdims=True)).all()
 
 

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from support.paper import paper_camera, paper_room, paper_scene
 
-from lmd.estimation.cramer_rao import CramerRaoBound, cramer_rao_bound, moment_information
+from lmd.estimation.cramer_rao import CramerRaoBound, cramer_rao_bound, pose_information
 from lmd.estimation.flights import Pace
 from lmd.estimation.fusion import FixedLagSmoother, InvariantKalmanFilter
 from lmd.estimation.observer import Observer
@@ -76,7 +76,7 @@ def test_pnp_of_all_images_reaches_the_bound_of_their_sum():
     points = np.concatenate([image.points for image in exact])
     seen = np.repeat(np.eye(2, dtype=bool), counts, axis=1)[:, None]
     (both, _), (alone, _) = (
-        cramer_rao_bound(NOISE**-2 * moment_information(RIG.cameras, RIG.extrinsics, POSE[None], points, its))
+        cramer_rao_bound(NOISE**-2 * pose_information(RIG.cameras, RIG.extrinsics, POSE[None], points, its))
         for its in (seen, seen & np.array([True, False])[:, None, None])
     )
     off = found[:, :3, 3] - POSE[:3, 3]
@@ -95,7 +95,7 @@ def test_the_information_is_that_of_differences_of_all_pixels():
     exact = images(POSE, rng, 0.0)
     points = np.concatenate([image.points for image in exact])
     seen = np.repeat(np.eye(2, dtype=bool), [len(image.points) for image in exact], axis=1)[:, None]
-    told = moment_information(RIG.cameras, RIG.extrinsics, POSE[None], points, seen)[0]
+    told = pose_information(RIG.cameras, RIG.extrinsics, POSE[None], points, seen)[0]
     assert_allclose(told, np.array(slopes) @ np.array(slopes).T, rtol=1e-5, atol=1e-4 * told.max())
 
 

@@ -145,7 +145,7 @@ def test_a_detection_some_pixels_off_counts_and_a_far_one_is_false():
         f, k = frame[int(detected.frame[index])], tag[int(detected.ids[index])]
         assert seen.detected[f, k] == is_seen
         assert seen.false[f] == (not is_seen)
-    columns = view_columns(found, [one.found for one in found.calibrated], TAG, None)
+    columns = view_columns(found, [one.found for one in found.found.calibrated], TAG, None)
     own = (np.asarray(columns["time"]) == str(detected.frame[near])) & (columns["id"] == detected.ids[near])
     assert np.asarray(columns["seen"])[own].tolist() == [1]
     np.testing.assert_allclose(np.asarray(columns["border"])[own], edge_distance(corners[near] - [2.5, 0.0]), atol=1.0)

@@ -7,8 +7,9 @@ import pytest
 from support import localisations as ld
 
 from lmd.adjust.adjustment import Adjustment
-from lmd.adjust.gauge import rows_of
-from lmd.localise.changes import displacements, twists_from
+from lmd.adjust.gauge import rows_of, twists_between
+from lmd.adjust.refinement import nuisances_off
+from lmd.localise.changes import displacements
 from lmd.localise.fixed_map import LEAST_SIGMA
 
 TAGS, MOVED = 6, 4
@@ -32,7 +33,8 @@ def test_displacements_are_those_of_generalised_least_squares(kind, seed):
     walk = walk._replace(known=replace(walk.known, covariance=joint))
     found, known = ld.compared(walk, (MOVED,))
     values, covariances = displacements(found, known)
-    twists = twists_from(found, known)
+    there, *_ = found.adjustment.joint_step(found.poses, found.floor, 0.0, nuisances_off(found))
+    twists = twists_between(known.poses, there.tags)
     blank = replace(found.prior, joint=0.0 * found.prior.joint)
     slope, spread = found.adjustment.efficiency(found.poses, found.floor)
     alone = Adjustment(found.sightings.of(found.used), blank)

@@ -20,7 +20,7 @@ def test_errors_of_smoothed_poses_are_those_stated(name):
     named = {change.tag for change in result.changes} | {int(doubt.split()[1]) for doubt in result.doubts}
     moved = np.flatnonzero(np.linalg.norm((one.true - one.known.poses)[:, :3, 3], axis=1) > 0.02)
     assert named == ({0} if name == "twice" else set(moved.tolist()))
-    assert result.contradicted == 0
+    assert result.comparison.contradicted == 0
     if name == "sizes":
         odd = np.flatnonzero(one.known.poses[:, 0, 3] < 3.0)
         assert sorted(result.sizes) == odd.tolist()

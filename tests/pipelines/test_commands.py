@@ -56,8 +56,7 @@ COMMANDS = {
     ),
     "evaluate uncertainty": (
         "studies=[uncertainty] experiment=lab uncertainty.views=3000 uncertainty.frames=40",
-        "uncertainty.csv uncertainty_law.csv uncertainty_law.json uncertainty_tags.csv uncertainty.png "
-        "VisionUncertainty.java",
+        "uncertainty.csv uncertainty_law.csv uncertainty_law.json uncertainty.png VisionUncertainty.java",
         r"corners +errors of aruco in 40 rendered images",
     ),
     "evaluate detect": (

@@ -1,6 +1,7 @@
 """`pipelines.localise` as a user meets it: files, text and messages."""
 
 import json
+import shutil
 
 import numpy as np
 import pandas as pd
@@ -9,16 +10,15 @@ from scipy.spatial.transform import Rotation
 from support import bags, processes, walks
 from support import localisations as ld
 
-from lmd.adjust.tables import SIGMA_COLUMNS
 from lmd.core.tables import write_table
 from lmd.formats.detection_formats import write_detections
+from lmd.formats.tag_maps import write_map_covariance
 from lmd.formats.trajectories import TrajectoryFile
 from lmd.geometry.camera import PIXEL_CENTRE
 from lmd.localise.images import State
 from lmd.scene.deployment import COLUMNS, UP_COLUMNS
 
-FILES = {"poses.csv", "poses.tum", "smoothed.csv", "smoothed.tum", "changes.csv", "localise.json"}
-FILES |= {"localise.png", ".hydra"}
+FILES = {"poses.csv", "poses.tum", "changes.csv", "localise.json", "localise.png", ".hydra"}
 GIVEN = ["detections=seen.csv", "camera.path=camera.yaml", "tracking=none"]
 pytestmark = pytest.mark.slow
 
@@ -32,9 +32,9 @@ def room(tmp_path_factory):
     poses = walk.known.poses
     vectors = np.hstack([poses[:, :3, 3], poses[:, :3, 2], poses[:, :3, 1]])
     named = dict(zip((*COLUMNS, *UP_COLUMNS), vectors.T, strict=True))
-    sigmas = dict(zip(SIGMA_COLUMNS, walk.known.sigmas.T, strict=True))
     (cwd / "survey").mkdir()
-    write_table(cwd / "survey" / "map.csv", {"id": walk.known.ids, **named, "edge": walk.known.edges, **sigmas})
+    write_table(cwd / "survey" / "map.csv", {"id": walk.known.ids, **named, "edge": walk.known.edges})
+    write_map_covariance(cwd / "survey" / "map.npz", walk.known.ids, walk.known.joint)
     return cwd, walk
 
 
@@ -71,10 +71,9 @@ def test_poses_are_written_with_their_covariances(done, room):
 
 
 def test_the_standard_deviations_of_the_map_count(done, room):
-    """Without those of the file, those of the command count; large ones make poses less sure."""
+    """Without a covariance, those of the command count; large ones make poses less sure."""
     cwd = room[0]
-    table = pd.read_csv(cwd / "survey" / "map.csv")
-    table.drop(columns=list(SIGMA_COLUMNS)).to_csv(cwd / "plain.csv", index=False)
+    shutil.copy(cwd / "survey" / "map.csv", cwd / "plain.csv")
     rough = ["localise.place=0.02", "localise.turn=0.02", "hydra.run.dir=rough"]
     result = processes.inside("localise", "map=plain.csv", *rough, cwd=cwd, settings=GIVEN)
     assert result.returncode == 0, result.stderr

@@ -65,10 +65,7 @@ OPTIONS = [
     *(("optimise", "objective", [f"objective={name}"]) for name in ("localisation", "mean", "robust")),
     ("optimise", "objective", ["objective=filtered", "objective.drives=2", "objective.fresh=1"]),
     ("optimise", "deployment", ["deployment=greedy", "deployment.count=2"]),
-    *(
-        ("observe", "estimator", [f"estimator=[{name}]"])
-        for name in ("bound", "pnp", "iekf", "iekf_bias", "eqf", "smoother")
-    ),
+    *(("observe", "estimator", [f"estimator=[{name}]"]) for name in ("bound", "pnp", "iekf", "eqf", "smoother")),
     ("observe", "sensor", ["sensor=rendered", "tag.edge=0.1"]),
     ("detect", "detectors", ["detectors=[apriltag_decimate2]"]),
 ]

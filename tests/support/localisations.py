@@ -68,7 +68,7 @@ def compared(walk: Walked, moved: Sequence[int] = ()) -> tuple[Estimate, FixedMa
     optics, errors = (Optics(walks.CAMERA),), walks.constant_errors(NOISE)
     seen = Observations(walk.detected, optics, ids, walk.known.edges, 8, errors)
     prior, poses = walk.known.prior(np.isin(ids, moved)), Poses(walk.known.poses, walk.frames, np.eye(4)[None])
-    return Estimate.adjusted_from(seen.through(), prior, poses, np.zeros(len(ids), dtype=np.int64), 0.0), walk.known
+    return Estimate(seen.through(), prior, poses, np.zeros(len(ids), dtype=np.int64)).adjusted(0.0), walk.known
 
 
 def squares(poses: FloatArray, covariances: FloatArray, true: FloatArray) -> FloatArray:

@@ -58,19 +58,19 @@ def test_unknown_boards_have_their_spacing(found):
 
 
 def test_frames_held_out_agree_with_the_map(found):
-    assert np.median(found.localised["measured"].errors) < 0.4
-    assert np.median(found.localised["measured"].shifts) < 0.005
+    assert np.median(found.held_out.errors) < 0.4
+    assert np.median(found.held_out.shifts) < 0.005
 
 
 @pytest.mark.thorough("lmd/survey", "lmd/adjust")
 def test_photographs_calibrate_the_camera(some, found):
     """The pixels of this sensor are square, but those of the given calibration are 0.1 % off; 5 seconds."""
     calibrated = survey(*some, PriorKnowledge(), calibrate=True)
-    (camera,) = calibrated.calibrated
-    assert camera.is_fixed
+    (camera,) = calibrated.found.calibrated
+    assert camera.unsure < 1.0
     given, own = (np.diff(one.focal_pixels)[0] / one.focal_pixels[0] for one in (camera.given, camera.found))
     assert abs(own) < 0.3 * abs(given)
     kept = survey(*some, PriorKnowledge(), calibrate=False)
-    before, after, refined = (np.median(one.localised["measured"].errors) for one in (kept, calibrated, found))
+    before, after, refined = (np.median(one.held_out.errors) for one in (kept, calibrated, found))
     assert after < 0.75 * before
     assert refined < 0.75 * before

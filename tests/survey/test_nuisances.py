@@ -47,12 +47,12 @@ def test_covariances_account_for_errors_of_calibration_and_corners():
 
 def test_intrinsics_and_shifts_are_found_and_kept_cameras_do_not_change():
     _, detected = drawn(0, 0.2)
-    (found,) = surveyed(detected).calibrated
+    (found,) = surveyed(detected).found.calibrated
     assert found.shift == pytest.approx(0.2, abs=4.0 * found.shift_sigma)
     assert found.shift_sigma < 0.5 * SPREAD
     assert (np.abs(intrinsics_of(found.found) - intrinsics_of(TRUE)) < 4.0 * found.sigma).all()
     assert found.sigma[0] < 0.5 * abs(intrinsics_of(GIVEN)[0] - intrinsics_of(TRUE)[0])
-    (kept,) = surveyed(detected, calibrate=False).calibrated
+    (kept,) = surveyed(detected, calibrate=False).found.calibrated
     assert kept.found == GIVEN
     assert kept.sigma[0] > found.sigma[0]  # by the inflation
 
@@ -61,7 +61,7 @@ def test_a_lens_without_given_coefficients_is_found():
     true, detected = drawn(1)
     pinhole = replace(TRUE, distortion=())
     found, kept = (surveyed(detected, pinhole, calibrate) for calibrate in (None, False))
-    assert found.calibrated[0].found.distortion[0] == pytest.approx(TRUE.distortion[0], abs=0.02)
+    assert found.found.calibrated[0].found.distortion[0] == pytest.approx(TRUE.distortion[0], abs=0.02)
     assert found.found.floor < 0.5 * kept.found.floor
     assert walks.square_of(found.found, true) < chi2.ppf(0.999, 6)
 

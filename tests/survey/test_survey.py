@@ -64,7 +64,6 @@ def test_tags_that_need_attention_are_named(found):
     text, document = to_text(found), survey_document(found)
     assert f"\nnot seen    {UNSEEN}\n" in f"{text}\n"
     assert f"\nnot planned {UNPLANNED}\n" in f"{text}\n"
-    assert UNSEEN in document["another_photograph"]
     assert {row["id"]: row["state"] for row in document["tags"]}[UNPLANNED] == "placed"
 
 
@@ -85,12 +84,9 @@ def test_a_tag_far_from_its_plan_is_named_and_capped_in_the_picture(room, tmp_pa
     assert any(text.get_text().startswith("  3 (1") for text in axes[1].texts)
 
 
-def test_the_map_is_better_than_the_plan_on_held_out_frames(found):
-    figures = metrics(found)
-    assert figures["held_out_error_measured/50"] < 1.5 * SIGMA * np.sqrt(2.0)
-    assert figures["held_out_error_planned/50"] > 4.0 * figures["held_out_error_measured/50"]
-    assert figures["held_out_shift_planned/50"] > 4.0 * figures["held_out_shift_measured/50"]
-    assert len(found.localised["measured"].shifts) >= FRAMES // 8
+def test_frames_that_are_held_out_fit_the_map(found):
+    assert metrics(found)["held_out_error/50"] < 1.5 * SIGMA * np.sqrt(2.0)
+    assert len(found.held_out.shifts) >= FRAMES // 8
 
 
 def test_covariances_of_the_map_are_in_the_world_frame(found):
@@ -134,22 +130,6 @@ def test_three_centres_by_a_tape_measure_define_the_world(room):
 def test_points_that_fix_no_world_are_refused(ids, places, message):
     with pytest.raises(InputError, match=message):
         MeasuredPoints(np.array(ids), np.asarray(places, dtype=np.float64))
-
-
-def test_tags_on_the_floor_define_up(room):
-    """One wall is taken for the floor: its tags are at z = 0 and face along z, and distances do not change."""
-    true, plan, detected = room
-    floor = [k for k in range(COUNT) if k % 4 == 0]  # all on one wall
-    found = walks.surveyed(detected, floor=tuple(floor), origin=5)
-    poses = dict(zip(found.ids.tolist(), found.found.poses.tags, strict=True))
-    on_floor = np.stack([poses[number] for number in floor])
-    assert np.abs(on_floor[:, 2, 3]).max() < 0.005
-    assert on_floor[:, 2, 2].min() > 0.999
-    np.testing.assert_allclose(poses[5][:2, 3], 0.0, atol=1e-9)
-    assert poses[5][2, 3] == pytest.approx(true[5][1, 3] - true[floor, 1, 3].mean(), abs=0.005)
-    assert metrics(found)["held_out_error_measured/50"] < 1.5 * SIGMA * np.sqrt(2.0)
-    with pytest.raises(InputError, match=r"^floor sets z = 0, but the plan"):
-        PriorKnowledge(plan, floor=(1, 2, 3))
 
 
 def test_ids_that_were_read_once_are_not_in_the_map(room):
@@ -198,7 +178,7 @@ def test_another_edge_is_told_from_a_shift_of_corners_where_places_are_known(sai
     found = walks.surveyed(detected, edge=said, errors=errors, fixed=plan_of(true, np.arange(12)))
     assert len(found.doubts) == doubted
     assert not doubted or found.doubts[0].startswith("tags that are 2 % larger than 97.5 mm explain")
-    assert abs(found.calibrated[0].shift - shift) < 0.05 or doubted
+    assert abs(found.found.calibrated[0].shift - shift) < 0.05 or doubted
 
 
 def test_sizes_by_id_are_those_of_the_tags():
