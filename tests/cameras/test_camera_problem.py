@@ -26,7 +26,7 @@ from pipelines.app import CONF
 
 CAMERA, OTHER = paper_camera(), paper_camera(focal_length=8.0)
 BODY = Body([{"low": [-0.2, -0.15, 0.0], "high": [0.2, 0.15, 0.2]}])
-TAGS_ONLY = {"annealing", "gradient_ascent", "greedy"}
+TAGS_ONLY = {"annealing", "gradient_ascent", "greedy", "milp"}
 NAMES = {path.stem for path in Path(CONF, "optimiser").glob("*.yaml")} - TAGS_ONLY
 
 
