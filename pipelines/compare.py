@@ -17,7 +17,7 @@ from .composing import editable, recompose
 from .contenders import Contender, contend
 from .nodes import note, plain
 from .provenance import parameters
-from .study import Report, Study, derived, log_child, problem_tag, title_of
+from .study import Report, Study, dataset_of, derived, log_child, title_of
 
 if TYPE_CHECKING:
     from lmd.evaluation.comparison import OptimiserRun
@@ -55,14 +55,14 @@ def _on_one_problem(cfg: DictConfig) -> Study:
         build_optimiser(own, cfg.seed).check(problem)  # checked before any search begins
         configs[entry] = own
     reference = None if cfg.reference is None else choice("reference", cfg.reference, list(configs))
-    directory, tag = run_directory(), {"problem": problem_tag(cfg, problem)}
+    directory, dataset = run_directory(), dataset_of(cfg, problem)
     axis, title = "evaluations" if budget.evaluations else "wall_time", title_of(problem, f"{len(seeds)} seeds,")
     # Tables of these runs then have the columns of tables of `optimise`.
     shared = parameters(cfg, choices()) | derived(problem)
 
     def log(job: Contender, run: "OptimiserRun", parent: str | None) -> None:
         folder, params = job.folder(directory), {**shared, "optimiser": run.optimiser, "seed": run.seed}
-        started = RunStart(job.name, folder, params, job.tags | tag, ago=run.history[-1].wall_time)
+        started = RunStart(job.name, folder, params, job.tags, run.history[-1].wall_time, dataset)
         log_child(cfg.tracking, started, parent, run.metrics, curve(run.history, budget))
 
     def report(done: "Mapping[Contender, OptimiserRun]") -> Report:

@@ -18,7 +18,7 @@ from .composing import GROUPS
 from .nodes import instantiate
 from .operations.signals import Stopped, stop
 from .operations.sweeps.folder import current_job, reason_of
-from .operations.sweeps.names import DIGEST_LENGTH, override_tags, short_name
+from .operations.sweeps.names import override_tags, short_name
 from .operations.tracking import PARENT_TAG, RunStart, Tracker
 from .outputs import write_all, write_document
 from .provenance import command_line, digest, parameters, repeating, source_tags, write_sources
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 LANDMARKS = "landmarks.csv"
 DECIDED = ("fixed", "measured")  # settings of `deployment` that decide the problem, beside the number of landmarks
+DATASET_DIGITS = 16  # number of characters of the digest of a problem; mlflow accepts 36
 Curve = Iterable[tuple[int, float, float]]
 
 
@@ -194,9 +195,9 @@ def tracked(cfg: DictConfig, study: Study) -> Iterator[Tracker]:
         given = [override for override in overrides if key_and_value(override)[0] not in swept.varied]
         tags |= swept.tags(folder.name)
     tags |= {"pipeline": pipeline} | override_tags(overrides) | source_tags(pipeline)
-    about, params = study.about or study.subject, parameters(cfg, choices())
+    about, dataset, params = study.about or study.subject, None, parameters(cfg, choices())
     if (problem := study.problem) is not None:
-        about, tags["problem"] = study.about or title_of(problem, study.subject), problem_tag(cfg, problem)
+        about, dataset = study.about or title_of(problem, study.subject), dataset_of(cfg, problem)
         params |= derived(problem)
     tags["mlflow.note.content"] = f"{escaped(about)}\n\n{repeating(tags)}\n\nfiles: {as_code(directory)}"
     run_id, before = study.earlier
@@ -206,7 +207,7 @@ def tracked(cfg: DictConfig, study: Study) -> Iterator[Tracker]:
         with stop.raising():
             write_sources(directory / ".hydra")
             name = short_name(study.subject, varied, given)
-            tracker.start(RunStart(name, directory, params, tags), run_id)
+            tracker.start(RunStart(name, directory, params, tags, dataset=dataset), run_id)
             yield tracker
     except BaseException as error:
         if isinstance(error, InputError) and run_id is None and job is None:
@@ -221,15 +222,22 @@ def title_of(problem: "Problem", subject: str) -> str:
     return f"{subject} {problem.objective.name} K={problem.count}"
 
 
-def problem_tag(cfg: DictConfig, problem: "Problem") -> str:
-    """Tag by which runs of equal problems are found: title, and a digest of everything that decides the fitness, equal
-    for equal problems, whichever options compose them.
+def dataset_of(cfg: DictConfig, problem: "Problem") -> tuple[str, str]:
+    """Name and digest of a problem, by which mlflow filters runs: its datasets.
+
+    Equal problems have equal digests, whichever options compose them. A frozen problem of the suite has its own name
+    and digest.
     """
+    if isinstance(suite := cfg.get("suite"), str):
+        from lmd.suite import document
+
+        if (frozen := document(suite)).problem["deployment"].get("count") == problem.count:
+            return suite, frozen.hash
     placed = {key: cfg.deployment[key] for key in DECIDED if cfg.deployment.get(key) is not None}
     cameras = ("cameras", "body", "deployment") if "cameras" in cfg else ()
     settings = flat_settings(cfg, *(group for group in GROUPS if group in cfg), *cameras)
     called = " ".join(dict.fromkeys([choices().get("room", ""), choices().get("camera", "")]))
-    return f"{title_of(problem, called)} #{digest(settings, placed, problem.count)[:DIGEST_LENGTH]}"
+    return title_of(problem, called), digest(settings, placed, problem.count)[:DATASET_DIGITS]
 
 
 def derived(problem: "Problem") -> dict[str, Any]:

@@ -27,7 +27,8 @@ def test_mlflow_has_the_run(tmp_path):
     assert [point.step for point in curve] == list(range(1, 91))  # each hundredth of the budget, rounded up
     history = pd.read_csv(tmp_path / "run" / "history.csv")
     assert all(point.value == history[history.evaluations <= point.step].best_fitness.max() for point in curve)
-    assert re.fullmatch(r"paper_simulation n=2 p=0.5 K=40 #[0-9a-f]{8}", run.data.tags["problem"])
+    (problem,) = (given.dataset for given in run.inputs.dataset_inputs)
+    assert (problem.name, len(problem.digest)) == ("paper_simulation n=2 p=0.5 K=40", 16)
     words = ("optimiser=ega", "budget.evaluations=120", "deployment.count=40", "resume=run")
     assert inside("optimise", *words, "hydra.run.dir=more", cwd=tmp_path).returncode == 0
     more, _ = client.search_runs([client.get_experiment_by_name("lmd").experiment_id])

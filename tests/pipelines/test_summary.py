@@ -2,7 +2,7 @@
 
 from pipelines.operations.sweeps.folder import Job, JobFolder, Sweep
 from pipelines.operations.sweeps.names import short_name
-from pipelines.operations.sweeps.summary import Outcome, by_group, draw_groups
+from pipelines.operations.sweeps.summary import Outcome, best_group, by_group, draw_groups
 
 
 def job(fitness=None, off_grid=None, **varied):
@@ -28,6 +28,14 @@ def test_jobs_that_differ_in_their_seed_are_one_group():
         "| sga | 1 of 2 | 60.00% | 60.00% |",
     ]
     assert by_group(OVER_SEEDS, SEEDS).splitlines() == table
+
+
+def test_figures_are_over_seeds_alone():
+    assert best_group(OVER_SEEDS, SEEDS) == {"best/fitness": 0.7, "median/fitness": 0.6}  # of ega, the best
+    assert best_group(OVER_PAIRS, PAIRS) == {}
+    for key in ("experiment", "room", "run", "objective.thold_p", "deployment.count", "deployment.fixed"):
+        of_both = [job(0.5, **{key.replace(".", "__"): value}) for value in ("debug", "hall")]
+        assert best_group(Sweep("s", (key,), None), of_both) == {}
 
 
 def test_the_picture_of_groups_is_of_finished_searches(tmp_path):

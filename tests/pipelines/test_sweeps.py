@@ -155,6 +155,7 @@ def test_a_sweep_is_one_parent_run_with_a_child_for_each_job(faulty):
     assert re.search(r"\n\| none \| 1 of 1 \| [\d.]+% \| [\d.]+% \|\n\| raise \| 0 of 1 \|  \|  \|\n", told)
     assert (parent.info.status, parent.data.tags["reason"]) == ("FAILED", "3 of 4 jobs failed")
     assert (parent.data.metrics["jobs"], parent.data.metrics["failed"]) == (4.0, 3.0)
+    assert parent.data.metrics["median/qualified_ratio"] == table(cwd).qualified_ratio["none"]  # of the best group
     client = MlflowClient(tracking_uri=f"sqlite:///{cwd}/store.db")
     assert artifacts(client, parent) == ["by_group.md", "groups.png", "jobs.csv"]
     for mode in ("TABLE", "CHART"):  # views of the jobs, grouped by what varies

@@ -132,7 +132,7 @@ def state_of(client, name="lmd"):
 def test_the_pages_of_an_experiment_and_of_a_sweep_show_its_figures(folder):
     uri = f"sqlite:///{folder}/mlflow.db"
     client, tracker = MlflowClient(tracking_uri=uri), started(uri)
-    assert {"metrics.`off_grid`", "params.`room`"} <= {*state_of(client)["selectedColumns"]}
+    assert {"metrics.`off_grid`", "metrics.`best/off_grid`", "params.`room`"} <= {*state_of(client)["selectedColumns"]}
     table, charts = tracker.views(["optimiser"])
     assert f"viewStateShareKey={tracker.run_id}" in table
     assert "compareRunsMode=CHART" in charts
@@ -143,6 +143,12 @@ def test_the_pages_of_an_experiment_and_of_a_sweep_show_its_figures(folder):
     tracker.log_metrics({"tags": 3.0})
     tracker.finish("FINISHED")
     assert "metrics.`tags`" in state_of(client)["selectedColumns"]  # no figure of deployments
+
+
+def test_the_problem_of_a_run_is_a_dataset(uri):
+    tracker = started(uri, dataset=("hall n=2 K=40", "3f2a"))
+    (given,) = stored(tracker).inputs.dataset_inputs
+    assert (given.dataset.name, given.dataset.digest) == ("hall n=2 K=40", "3f2a")
 
 
 @pytest.mark.parametrize("uri", [None, 5, "", "sqlite:///"])

@@ -17,7 +17,7 @@ from ..signals import stop
 from ..tracking import RunStart, Tracker
 from .folder import Sweep, SweepFolder, reason_of
 from .names import override_tags, pin_sweep_folder, sweep_name, sweep_title, swept, varied_keys
-from .summary import by_group, draw_groups, grouping_keys, outcomes, write_jobs
+from .summary import best_group, by_group, draw_groups, grouping_keys, outcomes, write_jobs
 from .supervisor import STOPPED, SWEEP_VARIABLE, lost, settle
 
 
@@ -114,7 +114,7 @@ def _close(config: DictConfig, reason: str = "") -> bool:
     command = repeating(source_tags(config.hydra.job.name))
     about = f"{done}\n\n{groups}\n\n{command}\n\nfiles: {as_code(folder.path)}"
     tracker.start(RunStart(sweep.name, folder.path, tags={"mlflow.note.content": about}), sweep.run_id)
-    tracker.log_metrics({"jobs": len(found), "failed": len(failed)})
+    tracker.log_metrics({"jobs": len(found), "failed": len(failed)} | best_group(sweep, found))
     tracker.log_artifacts([folder.groups, folder.table, *draw_groups(folder.picture, sweep, found)])
     tracker.finish("KILLED" if reason == STOPPED else "FAILED" if reason else "FINISHED", reason)
     say("\n".join(tracker.views(grouping_keys(sweep))))

@@ -54,6 +54,19 @@ def write_jobs(path: Path, sweep: Sweep, found: list[Outcome]) -> None:
             writer.writerow(row | {key: figures[key] for key in known if key in figures} | {"reason": job.reason})
 
 
+def best_group(sweep: Sweep, found: list[Outcome]) -> dict[str, float]:
+    """For the group with the highest median fitness, best value and median of each figure over the seeds; empty if
+    problems differ.
+    """
+    known = [members for members in _groups(sweep, found).values() if _values(members, "fitness")]
+    if not known or any(map(_is_of_problem, grouping_keys(sweep))):
+        return {}
+    best = max(known, key=lambda members: median(_values(members, "fitness")))
+    values = {key: _values(best, key) for key in FIGURES if _values(best, key)}
+    best_of = {f"best/{key}": max(each) for key, each in values.items()}
+    return best_of | {f"median/{key}": median(each) for key, each in values.items()}
+
+
 def draw_groups(path: Path, sweep: Sweep, found: list[Outcome]) -> list[Path]:
     """Draw the groups of finished searches; return the paths of the pictures, empty without a search."""
     from lmd.plot.charts import Searched, save_groups_figure

@@ -54,6 +54,8 @@ class MlflowTracker(NoTracker):
                 self._run_id, self._journal, self._sent = run_id, Journal.of(run.folder), 0
         began = {"uri": store.uri, "experiment": store.experiment_name, "run_id": run_id, **place}
         self._record(began if known is None else {**began, "reopen": tags})
+        if run.dataset is not None:
+            self._record({"dataset": run.dataset})
 
     def goes_on(self, run_id: str, folder: Path, params: Mapping[str, Any]) -> bool:
         """See `Tracker.goes_on`."""

@@ -126,7 +126,8 @@ class Store:
 
     def send(self, run_id: str, entry: Entry) -> None:
         """Send one entry of a journal; sending an entry again changes nothing."""
-        from mlflow.entities import Metric, RunTag
+        from mlflow.entities import Dataset, DatasetInput, InputTag, Metric, RunTag
+        from mlflow.exceptions import MlflowException
 
         client, metrics, tags = self.client, list[Metric](), dict[str, str]()
         with self.undisturbed():
@@ -149,6 +150,13 @@ class Store:
             elif entry.get("end") and entry["reason"]:
                 told = f"{ENDED[entry['end']]}: {escaped(entry['reason'])}\n\n{about}"
                 tags = {"reason": entry["reason"], DESCRIPTION: told}
+            if "dataset" in entry:
+                problem = Dataset(*entry["dataset"], "code", "{}")
+                given = [DatasetInput(problem, [InputTag("mlflow.data.context", "problem")])]
+                try:
+                    client.log_inputs(run_id, given)
+                except MlflowException:  # another process has recorded an equal problem in the meantime
+                    client.log_inputs(run_id, given)
             for first in range(0, len(metrics), BATCH):
                 client.log_batch(run_id, metrics=metrics[first : first + BATCH])
             if tags:

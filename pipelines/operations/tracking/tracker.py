@@ -24,6 +24,8 @@ class RunStart:
     """Further tags, by which runs can be found."""
     ago: float = 0.0
     """Time since the run began, seconds."""
+    dataset: tuple[str, str] | None = None
+    """Name and digest of the problem, called a dataset by mlflow; None for a run without a problem."""
 
 
 class NoTracker:

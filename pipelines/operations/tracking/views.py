@@ -27,9 +27,9 @@ FIGURES = ("off_grid", "qualified_ratio", "localised_share", "evaluations", "wal
 
 
 def view_of(figures: Sequence[str] = ()) -> str:
-    """View of an experiment whose runs have these figures; by default figures of deployments."""
+    """View of an experiment whose runs have these figures; by default figures of deployments and of sweeps."""
     if not figures or {*figures} & {*FIGURES}:
-        figures = FIGURES
+        figures = (FIGURES[0], "best/off_grid", "median/off_grid", *FIGURES[1:])
     return _state(VARIED, figures[:MOST_FIGURES], "page")
 
 
