@@ -133,6 +133,7 @@ def test_the_pages_of_an_experiment_and_of_a_sweep_show_its_figures(folder):
     uri = f"sqlite:///{folder}/mlflow.db"
     client, tracker = MlflowClient(tracking_uri=uri), started(uri)
     assert {"metrics.`off_grid`", "metrics.`best/off_grid`", "params.`room`"} <= {*state_of(client)["selectedColumns"]}
+    assert state_of(client)["columnWidths"] == {"attributes.`Run Name`": 280}
     table, charts = tracker.views(["optimiser"])
     assert f"viewStateShareKey={tracker.run_id}" in table
     assert "compareRunsMode=CHART" in charts

@@ -151,7 +151,7 @@ class Store:
                 told = f"{ENDED[entry['end']]}: {escaped(entry['reason'])}\n\n{about}"
                 tags = {"reason": entry["reason"], DESCRIPTION: told}
             if "dataset" in entry:
-                problem = Dataset(*entry["dataset"], "code", "{}")
+                problem = Dataset(entry["dataset"][0], entry["dataset"][1], "code", "{}")
                 given = [DatasetInput(problem, [InputTag("mlflow.data.context", "problem")])]
                 try:
                     client.log_inputs(run_id, given)

@@ -72,6 +72,7 @@ def _state(params: Sequence[str], figures: Sequence[str], *parts: str, **changes
     states = json.loads(Path(__file__).with_suffix(".json").read_text())
     columns = [*(f"params.`{param}`" for param in params), *(f"metrics.`{figure}`" for figure in figures)]
     state: dict[str, Any] = {"selectedColumns": columns, "columnOrder": ["attributes.`Run Name`", *columns]}
+    state["columnWidths"] = {"attributes.`Run Name`": 280}  # pixels, as names are long
     for part in parts:
         state |= states[part]
     return f"deflate;{base64.b64encode(zlib.compress(json.dumps(state | changes).encode())).decode()}"
