@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import viser
 from selenium.webdriver.common.actions.action_builder import ActionBuilder
-from selenium.webdriver.common.keys import Keys
 
 from lmd.planner.background import ESTIMATE
 from lmd.planner.viewing import FIELD_OF_VIEW, framed
@@ -128,26 +127,10 @@ class Page:
         self.until(lambda: label in self.buttons())
         self.script("document.querySelectorAll('button')[arguments[0]].click()", self.buttons().index(label))
 
-    def type(self, label, text):
-        """Type a number into the field with a label, in place of what is there."""
-        labels = self.script("Array.from(document.querySelectorAll('label'), l => [l.innerText, l.htmlFor])")
-        field = self.browser.find_element("id", dict(labels)[label])
-        field.send_keys(Keys.CONTROL, "a")
-        field.send_keys(text, Keys.TAB)
-        time.sleep(1.0)  # as below
-
     def tick(self, label):
         labels = self.script("Array.from(document.querySelectorAll('label'), l => [l.innerText, l.htmlFor])")
         self.script("document.getElementById(arguments[0]).click()", dict(labels)[label])
         time.sleep(1.0)  # the page tells of that some time later, but of a click in the picture at once
-
-    def choose(self, label, option):
-        """Choose an option of the list with a label."""
-        labels = self.script("Array.from(document.querySelectorAll('label'), l => [l.innerText, l.htmlFor])")
-        self.browser.find_element("id", dict(labels)[label]).click()
-        options = "Array.from(document.querySelectorAll('[role=option]'))"
-        self.until(lambda: option in self.script(f"{options}.map(o => o.innerText)"))
-        self.script(f"{options}.find(o => o.innerText == arguments[0]).click()", option)
 
     def pixel(self, point):
         """Pixel at which a point of the room is shown."""
