@@ -29,7 +29,15 @@ from lmd.incremental.field import stack_of
 from lmd.objectives.base import Selectable, incremental
 from lmd.objectives.reference_field import field_of
 from lmd.optimisers.annealing.ascent import PLACES_TRIED, Ascent
-from lmd.optimisers.annealing.moves import GIVEN_STAGE, SAMPLED_STAGE, SINGLE_STAGE, STACKED_STAGE, Stage, changed
+from lmd.optimisers.annealing.moves import (
+    CHOSEN_STAGE,
+    GIVEN_STAGE,
+    SAMPLED_STAGE,
+    SINGLE_STAGE,
+    STACKED_STAGE,
+    Stage,
+    changed,
+)
 from lmd.optimisers.annealing.surrogate import (
     STACK_SPREAD,
     Conditions,
@@ -62,13 +70,14 @@ class Annealing(DeploymentSearch):
     cuboid.
 
     Args:
-        stacked: conditions of the stage that moves stacks. `stacked`, `single`, `sampled` and `given` are each a
-            `Stage`, or a mapping of the fields that differ from the default stage.
+        stacked: conditions of the stage that moves stacks. `stacked`, `single`, `sampled`, `given` and `chosen` are
+            each a `Stage`, or a mapping of the fields that differ from the default stage.
         single: conditions of the stage that moves single landmarks after the stacks are separated.
         sampled: conditions in place of `single` for an objective with a sampling, whose samples the walk must not
             overfit.
         given: conditions of the only stage if the start is given. The temperature is higher, as the start may be bad,
             and the objective as smooth as in `sampled`.
+        chosen: conditions in place of `given` after a greedy start, which an objective without stacks gets.
         stacked_share: share of the budget spent on stacks.
         climb_share: share of the budget spent on the ascent, for an objective with a sampling.
         walkers: number of groups of landmarks that are moved at the same time, see `Surrogate`.
@@ -87,6 +96,7 @@ class Annealing(DeploymentSearch):
         single: Stage | Mapping[str, Any] = SINGLE_STAGE,
         sampled: Stage | Mapping[str, Any] = SAMPLED_STAGE,
         given: Stage | Mapping[str, Any] = GIVEN_STAGE,
+        chosen: Stage | Mapping[str, Any] = CHOSEN_STAGE,
         stacked_share: float = 0.5,
         climb_share: float = 0.2,
         walkers: int = 2,
@@ -95,6 +105,7 @@ class Annealing(DeploymentSearch):
         super().__init__(seed)
         self.stacked, self.single = changed("stacked", STACKED_STAGE, stacked), changed("single", SINGLE_STAGE, single)
         self.sampled, self.given = changed("sampled", SAMPLED_STAGE, sampled), changed("given", GIVEN_STAGE, given)
+        self.chosen = changed("chosen", CHOSEN_STAGE, chosen)
         self.stacked_share = real("stacked_share", stacked_share, low=0.0, high=0.9)
         self.climb_share = real("climb_share", climb_share, low=0.0, high=1.0 - self.stacked_share)
         self.walkers = integer("walkers", walkers, low=1)
@@ -180,7 +191,7 @@ class Annealing(DeploymentSearch):
         count, stack = problem.count, surrogate.stack
         if self.in_stacks and used >= self.stacked_share:
             self.in_stacks, self.here = False, self._separated(problem, stack, SMALLEST_SIZE)
-        conditions = self._conditions(problem, used)
+        conditions = self._conditions(problem, surrogate.stack, used)
         stretch = min(MAX_MOVES, max(1.0, (self.spent + left) / MIN_STRETCHES), left)
         if surrogate.is_true(len(self.here), conditions):
             self.here, found = surrogate.walk(self.here, self._known, conditions, int(stretch), self.rng)
@@ -212,7 +223,7 @@ class Annealing(DeploymentSearch):
             self.here = self.ascent.step(problem, self.here, done, self.walkers, self.rng)
         return steps * each + count, self.here
 
-    def _conditions(self, problem: Problem, used: float) -> Conditions:
+    def _conditions(self, problem: Problem, stack: int, used: float) -> Conditions:
         """Conditions of the walk after the share `used` of the budget."""
         if self.in_stacks:
             done = used / self.stacked_share
@@ -221,8 +232,9 @@ class Annealing(DeploymentSearch):
         done = (used - skipped) / (1.0 - skipped - self._climb_share(problem))
         near, sampled = STACK_SPREAD * problem.scene.spacing, problem.objective.sampling is not None
         if self.angles is None:
-            smooth = self.sampled if sampled else self.given
-            size, stage = 1.0, replace(self.given, width=smooth.width, share=smooth.share)
+            only = self.chosen if self._is_greedy(problem, stack) else self.given
+            smooth = self.sampled if sampled else only
+            size, stage = 1.0, replace(only, width=smooth.width, share=smooth.share)
         else:
             grown = min(done / GROWTH, 1.0)
             size, stage = SMALLEST_SIZE + (1.0 - SMALLEST_SIZE) * grown, self.sampled if sampled else self.single
