@@ -31,7 +31,6 @@ VARIANTS = {
     "ega optimiser.recombination_min=0 optimiser.recombination_max=1": "runs of any length",
     "ega optimiser.partner=survivor": "runs of the survivor's genes alone",
     "ega optimiser.mutation_probability=0.01": "a tenth of the mutations",
-    "ega optimiser.mutation=gaussian": "small steps in place of new genes",
     "ega optimiser.population=10 optimiser.eliminated=2": "10 chromosomes",
     "ega encoding.kind=wall": "two genes for a landmark in place of five",
     "ega_tuned": "the tuned variant",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig, OmegaConf
 
-from .app import changes_results, choices, run_directory, task_overrides
+from .app import changes_results, choices, flat_settings, run_directory, task_overrides
 from .building import GROUPS, budget_of, build_optimiser, build_problem, seeds_of
 from .command import Command
 from .composing import editable, recompose
@@ -115,11 +115,23 @@ def _over_suite(cfg: DictConfig) -> Study:
             by_place[budgets[job.problem].index(job.evaluations)].append(run)
         write_runs(run_directory() / "iohprofiler", by_place, boxes)
         found = leaderboard(by_place, boxes)
-        files = {"leaderboard.md": found.text, "leaderboard.csv": found.table}
-        return Report(files, found.figures, text=f"\n{found.text}")
+        text = f"{found.text}\n## Configurations\n\n{_configurations(taken)}\n"
+        return Report({"leaderboard.md": text, "leaderboard.csv": found.table}, found.figures, text=f"\n{text}")
 
     about = f"{len(boxes)} problems, {len(cfg.optimisers)} optimisers, {cfg.seeds} seeds"
     return contend(cfg, jobs, report, about=about)
+
+
+def _configurations(taken: Mapping[str, Mapping[str, DictConfig]]) -> str:
+    """Table of the exact configuration of each entry of `optimisers`."""
+    from lmd.core.words import as_code, markdown_table
+
+    flat = {entry: flat_settings(next(iter(configs.values())), "optimiser") for entry, configs in taken.items()}
+    rows = [
+        [as_code(entry), as_code(" ".join(f"{key.removeprefix('optimiser.')}={value}" for key, value in found.items()))]
+        for entry, found in flat.items()
+    ]
+    return markdown_table(["optimiser", "configuration"], rows)
 
 
 def problems_of(cfg: DictConfig) -> "Mapping[str, BlackBox]":

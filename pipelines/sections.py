@@ -7,7 +7,6 @@ import numpy as np
 import pandas as pd
 
 from lmd.core.words import as_code, escaped, markdown_table
-from lmd.evaluation.comparison import compared, comparison_markdown
 from lmd.objectives.coverage import Coverage
 from lmd.plot.charts import save_comparison_figure, save_heat_map, save_landmark_count_figure
 from lmd.plot.scenes import save_deployments_figure
@@ -17,7 +16,7 @@ from .stored_runs import BUDGET, COUNT, GRID_FREE, INDICES, PAIR, PARENT, RATIO,
 
 # Sweeps of a report: for each, the part of the command that follows `experiment=`, and the name.
 COMMANDS = {
-    **dict.fromkeys(("table2", "table3_reoptimised", "landmark_count", "optimisers"), ("optimise", "")),
+    **dict.fromkeys(("table2", "table3_reoptimised", "landmark_count"), ("optimise", "")),
     "table2_baselines": ("evaluate", ""),
     "table3": ("evaluate", " deployment.path=RUN/landmarks.csv"),
 }
@@ -40,7 +39,6 @@ def sections(source: Source) -> str:
         "Table III: one deployment, nine pairs (n, thold_p)": ("table3", _table_3),
         "Every pair optimised for itself": ("table3_reoptimised", _each_for_itself),
         "How many landmarks?": ("landmark_count", _landmark_count),
-        "Optimisers": ("optimisers", _optimisers),
     }
     blocks = ["## Table II: four deployments", *_table_2(source)]
     for title, (sweep, build) in built.items():
@@ -94,13 +92,6 @@ def _landmark_count(source: Source, jobs: pd.DataFrame) -> list[str]:
     picture = source.picture("landmark_count", title, save_landmark_count_figure, ratios, references, title)
     table = markdown_table(["K", "runs", "qualified ratio"], rows)
     return [_origin(source, "landmark_count", jobs), table, said, picture]
-
-
-def _optimisers(source: Source, jobs: pd.DataFrame) -> list[str]:
-    if not (curves := _curves(source, "optimisers", jobs, "Optimisers")):
-        return []
-    table = comparison_markdown(compared(source.optimiser_runs(jobs), Coverage.headline.key), Coverage.headline)
-    return [_origin(source, "optimisers", jobs), table, *curves]
 
 
 def _curves(source: Source, name: str, jobs: pd.DataFrame, title: str) -> list[str]:

@@ -12,7 +12,7 @@ SUITE = ("suite=[tiny_mean,tiny_qualified]", "suite_budgets=[1]", "tracking=none
 TUNED = (
     "ega optimiser.population=10 optimiser.eliminated=3 optimiser.recombination_min=0.3970 "
     "optimiser.recombination_max=0.8643 optimiser.mutation_probability=0.06888 optimiser.partner=survivor "
-    "optimiser.acceptance=always optimiser.mutation=reset"
+    "optimiser.acceptance=always"
 )
 
 

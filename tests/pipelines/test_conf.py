@@ -32,7 +32,6 @@ SWEEPS = {  # the pipeline of each stored sweep, and its number of jobs
     "table3": ("evaluate", 9),
     "table3_reoptimised": ("optimise", 27),
     "landmark_count": ("optimise", 11),
-    "optimisers": ("optimise", 100),
 }
 STUDIES = {  # the command and the study of groups that are no part of every problem
     **dict.fromkeys(("trajectory", "sensor", "estimator"), ("evaluate", "studies=[observe]")),
@@ -152,11 +151,6 @@ def test_recorded_poses_take_the_place_of_grid_and_pdf(write):
 def test_bad_recorded_poses_name_the_whole_key(write, override, message):
     with pytest.raises(InputError, match="^" + re.escape(message)):
         build_problem(composed("optimise", "poses=recorded", f"poses.path={write(RECORDED)}", override))
-
-
-def test_the_stored_optimisers_are_those_of_the_comparison():
-    stored = (Path(CONF) / "experiment" / "optimisers.yaml").read_text()
-    assert f"optimiser: {','.join(composed('compare').optimisers)}\n" in stored
 
 
 def test_the_default_is_the_papers_simulation():

@@ -87,7 +87,6 @@ def record_all(uri, folder):
         "table3": (done(*pairs), "evaluate"),
         "table3_reoptimised": (done(*((pair, ratio + 0.1) for pair, ratio in pairs)), "optimise"),
         "landmark_count": (done(*(({"deployment.count": k}, k / 100) for k in (30, 60, 90))), "optimise"),
-        "optimisers": (done(({"optimiser": "annealing"}, 0.9), ({"optimiser": "ega"}, 0.5)), "optimise"),
     }
     return {name: record_sweep(uri, folder, name, jobs, pipeline) for name, (jobs, pipeline) in sweeps.items()}
 
@@ -107,7 +106,7 @@ def write_report(folder, *overrides):
 pytestmark = pytest.mark.slow  # mlflow makes its tables anew for each store
 
 ROOT = Path(__file__).parents[2]
-PICTURES = {"convergence.png", "deployments.png", "landmark_count.png", "optimisers.png", "pairs.png"}
+PICTURES = {"convergence.png", "deployments.png", "landmark_count.png", "pairs.png"}
 
 
 def rows(markdown, first):
@@ -170,10 +169,6 @@ def test_the_fewest_landmarks_that_reach_the_papers_ratio_are_named(markdown):
     assert "With 90 landmarks, the fewest here, the median of the runs reaches 81.88%" in markdown
 
 
-def test_optimisers_are_ranked(markdown):
-    assert rows(markdown, ["`annealing`"])[0][:2] == ["1", "**90.00%** (90.00% to 90.00%)"]
-
-
 def test_every_section_says_which_command_made_its_runs(markdown):
     said = "4 runs of `python -m pipelines.optimise experiment=table2 seed=0,1` with a budget of 60 evaluations; the"
     assert said in markdown
@@ -189,8 +184,6 @@ def test_a_strangers_store_puts_no_markup_into_a_page(tmp_path):
     uri = f"sqlite:///{tmp_path}/mlflow.db"
     jobs = [({"optimiser": "ega", "budget.evaluations": HOSTILE}, 0.5, "FINISHED")]
     sweep = record_sweep(uri, tmp_path, "table2", jobs, pipeline=HOSTILE)
-    optimisers = [({"optimiser": name}, 0.5, "FINISHED") for name in (HOSTILE, "$x_{", "annealing")]
-    record_sweep(uri, tmp_path, "optimisers", optimisers)
     MlflowClient(tracking_uri=uri).set_tag(sweep, "command", HOSTILE)
     text = write_report(tmp_path / "report", f"tracking.uri={uri}")
     made = markdown_to_html(text, extensions=["tables", "attr_list"])
@@ -203,7 +196,7 @@ def test_a_run_with_a_value_that_is_no_number_is_left_out_and_named(tmp_path, ca
     uri = f"sqlite:///{tmp_path}/mlflow.db"
     counts = [({"deployment.count": count}, 0.6, "FINISHED") for count in ("many", "1e999", 60)]
     record_sweep(uri, tmp_path, "landmark_count", counts)
-    record_sweep(uri, tmp_path, "optimisers", [({"optimiser": "ega", "seed": "first"}, 0.5, "FINISHED")])
+    record_sweep(uri, tmp_path, "table2", [({"optimiser": "ega", "seed": "first"}, 0.5, "FINISHED")])
     pairs = [({"objective.n": n, "objective.thold_p": 0.5}, 0.5, "FINISHED") for n in ("two", 2)]
     record_sweep(uri, tmp_path, "table3", pairs)
     text = write_report(tmp_path / "report", f"tracking.uri={uri}")
