@@ -1,4 +1,4 @@
-"""Problems: a scene, an objective and a start, with the fitness that every optimiser maximises."""
+"""Problems: a scene, an objective and a source of start deployments; optimisers maximise the fitness of a problem."""
 
 import math
 import reprlib
@@ -33,7 +33,7 @@ class Genome(Protocol):
 
     @property
     def varies(self) -> bool:
-        """True if two draws differ."""
+        """True if `draw_genes` is random, so two draws can differ."""
 
     def draw_genes(self, rng: np.random.Generator) -> FloatArray:
         """Draw the genes of a candidate to start from, `(dim,)`."""
@@ -52,7 +52,9 @@ class Genome(Protocol):
         """Cameras of a candidate `(dim,)`; None if the scene's camera is fixed."""
 
     def reached(self, fitness: float) -> None:
-        """Restore the best fitness from a checkpoint, so that a resumed run makes equal decisions."""
+        """Restore the best fitness from a checkpoint, so that a resumed run makes the decisions of an uninterrupted
+        run.
+        """
 
 
 def checked_genes(genes: FloatArray, *shape: int | str) -> FloatArray:
@@ -82,17 +84,18 @@ def checked_genes(genes: FloatArray, *shape: int | str) -> FloatArray:
 class Problem:
     """Maximise the objective's fitness over deployments of K landmarks.
 
-    `evaluator` and `relevance` `(P,)` belong to the room's grid and the PDF, and reported figures are computed with
-    these two. Optimisers use `fitness_evaluator` and `fitness_relevance`, which belong to the room's grid or to the
+    `evaluator` and `relevance` `(P,)` belong to the room's grid and the PDF; all reported metrics are computed with
+    this pair. Optimisers use `fitness_evaluator` and `fitness_relevance`, which belong to the room's grid or to the
     objective's sampling.
 
     Args:
         scene: scene, which stays fixed.
         objective: objective, which is maximised.
-        start: deployments an optimiser may start from; they also fix the number of landmarks K.
+        start: source of the deployments from which an optimiser may start; the source also fixes the number of
+            landmarks K.
         threads: number of worker threads, all processors by default; results do not depend on this number.
-        fixed: existing landmarks that stay where they are, first in every deployment; the start draws only the other
-            landmarks, and optimisers move only the others. None if no landmark is fixed.
+        fixed: existing landmarks that stay where they are, first in every deployment; the start draws, and optimisers
+            move, only the other landmarks. None if no landmark is fixed.
 
     Raises:
         InputError: K landmarks cannot serve the objective, the start cannot be drawn, `Footprints.checked_fixed`
@@ -138,8 +141,8 @@ class Problem:
 
     @property
     def genome(self) -> Genome | None:
-        """Genome of a problem that varies something other than landmarks; None if landmarks vary, as optimisers
-        encode landmarks themselves.
+        """Genome, for a problem that varies something other than landmarks. None if landmarks vary, as each optimiser
+        has its own encoding of landmarks.
         """
         return None
 
@@ -155,24 +158,24 @@ class Problem:
 
     @property
     def sizes(self) -> FloatArray:
-        """Edges of all landmarks, `(K,)`, metres; zeros for points."""
+        """Edge lengths of all landmarks, `(K,)`, metres; zeros for points."""
         return self.scene.tag.filled(self.edges)
 
     @property
     def fixed_with_edges(self) -> Deployment | None:
-        """The fixed landmarks, each with its edge; None if no landmark is fixed."""
+        """The fixed landmarks, each with its edge length; None if no landmark is fixed."""
         if self.fixed is None or self.scene.tag.is_point:
             return self.fixed
         return replace(self.fixed, edges=self.sizes[: self.fixed_count])
 
     @property
     def free_edges(self) -> FloatArray:
-        """Own edges of the landmarks that are to be placed, `(N,)`, metres, see `Deployment.edges`."""
+        """Individual edge lengths of the landmarks that are to be placed, `(N,)`, metres, see `Deployment.edges`."""
         return self.edges[self.fixed_count :]
 
     @property
     def free_sizes(self) -> FloatArray:
-        """Edges of the landmarks that are to be placed, `(N,)`, metres; zeros for points."""
+        """Edge lengths of the landmarks that are to be placed, `(N,)`, metres; zeros for points."""
         return self.sizes[self.fixed_count :]
 
     def draw(self, rng: np.random.Generator) -> Deployment:
@@ -192,7 +195,7 @@ class Problem:
         return self.scene.footprints.separated(replace(deployment, edges=self.edges), size, self.fixed_count)
 
     def labelled(self, deployment: Deployment) -> Deployment:
-        """Copy labels and edges of the start to an optimised deployment, by the index of the landmark.
+        """Copy the labels and edge lengths of the start to an optimised deployment, by the index of the landmark.
 
         Landmarks that an optimiser did not move keep their surveyed poses, too.
         """
@@ -212,7 +215,7 @@ class Problem:
         return float(self.fitness_from(self._values(self.fitness_evaluator, deployment)))
 
     def fitness_from(self, values: FloatArray) -> FloatArray:
-        """The fitness from the objective's values at the positions of the fitness, `(..., P)` -> `(...)`."""
+        """Fitness from the objective's values at the positions of `fitness_evaluator`, `(..., P)`; shape `(...)`."""
         fitness = over_states(self.objective, values, self.fitness_evaluator, self.fitness_relevance)
         return np.asarray(returned(self.objective, "fitness", fitness, *values.shape[:-1]))
 
@@ -227,7 +230,7 @@ class Problem:
 
     @property
     def state_count(self) -> int:
-        """Number of crowd states; 1 without a crowd."""
+        """Number of crowd states S; 1 without a crowd."""
         return 1 if self.scene.crowd is None else len(self.scene.crowd)
 
     def by_place(self, values: FloatArray) -> FloatArray:
@@ -235,7 +238,7 @@ class Problem:
         return np.asarray(values.reshape(self.state_count, -1).mean(axis=0))
 
     def _values(self, evaluator: Evaluator, deployment: Deployment) -> FloatArray:
-        """The objective's value at each position of an evaluator, for the edges of the deployment."""
+        """The objective's value at each position of an evaluator, for a deployment with its edge lengths."""
         sized, landmarks = evaluator.sized(deployment.edges), (deployment.positions[None], deployment.normals[None])
         return np.asarray(self._values_of(sized, *landmarks)[0])
 
@@ -245,16 +248,20 @@ class Problem:
         return np.asarray(returned(self.objective, "values", values, len(positions), len(evaluator.positions)))
 
     def metrics(self, deployment: Deployment) -> dict[str, float]:
-        """The objective's figures on the grid, and the fitness."""
+        """The objective's metrics on the grid, and the fitness."""
         return self.figures(self.values(deployment), self.fitness_of(deployment))
 
     def figures(self, values: FloatArray, fitness: float) -> dict[str, float]:
-        """Figures of `metrics` from the values at the positions of the grid, `(P,)`, and the fitness."""
+        """Compute the metrics, as `metrics` does, from the objective's values at the positions of the grid, `(P,)`, and
+        the fitness.
+        """
         figures = self.objective.figures(values, self.relevance)
         return {**figures, **worst_figures(self.objective, values, self.evaluator), "fitness": fitness}
 
     def describe(self, figures: Mapping[str, float], count: int) -> dict[str, str]:
-        """Figures of `metrics` as labelled sentences for displays, with the number of landmarks; the fitness first."""
+        """Results of `metrics` as labelled sentences for displays, with the number of landmarks; the fitness comes
+        first.
+        """
         drawn = " at the random poses of the search" if self.objective.sampling is not None else ""
         crowds = " of the worst crowds" if seeks_worst(self.evaluator) else ""
         weighted = ", in which positions count by their relevance" * bool(np.ptp(self.relevance))
@@ -263,12 +270,13 @@ class Problem:
         return {"fitness": fitness, **described, **describe_crowd(self.objective, figures, self.evaluator)}
 
     def resampled(self, share: float, rng: np.random.Generator) -> tuple[Evaluator, FloatArray] | None:
-        """New sample of positions, a share of the objective's sampling, and the relevance of the positions, `(Q,)`.
+        """Evaluator at a new sample of positions (a fraction of the objective's sampling), and the relevance of these
+        positions, `(Q,)`.
 
         For optimisers that can change the sample during a run, which avoids fitting the deployment to one sample.
 
         Args:
-            share: share of the positions that is drawn in each cell, at least one position.
+            share: fraction of the sampling's positions that is drawn in each cell; at least one position is drawn.
             rng: random generator of the draw.
 
         Returns:
@@ -281,13 +289,13 @@ class Problem:
         return evaluator, np.tile(self.relevance[:cells], len(evaluator.positions) // cells)
 
     def _repeats(self, share: float) -> int:
-        """Number of positions in each cell for a share of the sampling, at least one."""
+        """Number of positions in each cell for a fraction `share` of the sampling, at least one."""
         assert self.objective.sampling is not None, "there is a sampling"
         most = self.objective.sampling.positions
         return max(1, math.ceil(share * (max(most, self.state_count) if seeks_worst(self.evaluator) else most)))
 
     def settings(self) -> Mapping[str, Any]:
-        """Settings that determine the figures of `metrics`, for files of results; None replaces infinite numbers, as
+        """Settings that determine the results of `metrics`, for files of results; None replaces infinite numbers, as
         JSON has none.
         """
         scene = self.scene

@@ -34,13 +34,14 @@ def optimise(
 
 
 def evaluate(problem: Problem, deployment: Deployment, validate: bool = False, seed: int = 0) -> dict[str, float]:
-    """Figures of a deployment, fractions in [0, 1].
+    """Compute the metrics of a deployment, fractions in [0, 1].
 
     Args:
-        problem: problem that defines the figures.
+        problem: problem that defines the metrics.
         deployment: any number of landmarks in the problem's room.
-        validate: True to compute figures off the problem's grid too, see `lmd.evaluation.validation`; takes a second.
-        seed: random seed of the sample off the grid.
+        validate: True to compute metrics at positions off the problem's grid, too, see `lmd.evaluation.validation`;
+            this takes about a second.
+        seed: random seed of the sample of positions off the grid.
 
     Raises:
         InputError: a landmark lies outside the room, or footprints overlap.

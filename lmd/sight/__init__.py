@@ -1,1 +1,7 @@
-"""Coverage geometry: landmarks that a camera sees, and the probability P_n of seeing at least n of them."""
+"""Coverage geometry: landmarks that a camera sees, and the probability P_n of seeing at least n of them.
+
+An *axis* is one orientation of the camera, given by the unit vectors of the optical axis and of the image's right. A
+set of axes is a bit set; 64 axes share a *word*, a 64-bit integer. A *model of sight* has the visibility criteria
+compiled for one camera (`lmd.scene.criteria.SightModel`). Its *horizon* is the distance beyond which a landmark is
+neither seen nor hides another landmark.
+"""

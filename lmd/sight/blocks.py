@@ -22,7 +22,8 @@ def boxes_around(positions: FloatArray) -> tuple[np.ndarray, np.ndarray]:
 def _block_order(positions: FloatArray) -> np.ndarray:
     """Permutation `(P,)` that puts positions `(P, 3)` into blocks of neighbours.
 
-    Each round cuts every segment that is longer than a block in two, across the longest side of its bounding box.
+    Each round cuts every segment with more positions than a block into two, across the longest side of the segment's
+    bounding box.
     """
     order, edges = np.arange(len(positions)), np.array([0, len(positions)])
     while (too_long := np.diff(edges) > BLOCK).any():
@@ -37,11 +38,11 @@ def _block_order(positions: FloatArray) -> np.ndarray:
 
 
 def in_blocks(positions: FloatArray) -> tuple[np.ndarray, np.ndarray]:
-    """Order of positions `(P, 3)` in blocks of neighbours; copies of a position pad the last block.
+    """Order positions `(P, 3)` into blocks of neighbours; copies of a position pad the last block.
 
     Returns:
-        order: indices of the positions, `(Q,)`, Q a multiple of `BLOCK`.
-        index_of: place of each position in `order`, `(P,)`.
+        order: indices of the positions, `(Q,)`, Q a multiple of `BLOCK`. index_of: index in `order` of each position,
+        `(P,)`.
     """
     order = _block_order(positions)
     order = np.append(order, np.full(-len(order) % BLOCK, order[-1]))

@@ -1,8 +1,8 @@
 """Crowd between a camera and a landmark, in compiled code: the obstacles of a room and the cylinders of a crowd state.
 
 A landmark is blocked if an obstacle of the room or a cylinder intersects the line of sight to a required point
-(`lmd.sight.obstacles`). The decisions repeat the operations of `lmd.space.crowd`. A position has a crowd state, so the
-same place occurs once for each state among the positions of an evaluator.
+(`lmd.sight.obstacles`). The decisions repeat the operations of `lmd.space.crowd`. Each position of an evaluator has one
+crowd state, so the position is repeated for each state.
 
 The line to the centre excludes most cylinders: the lines to the other points stay within half the diagonal of the
 square from the line to the centre.
@@ -40,7 +40,7 @@ DIAGONAL = math.sqrt(2.0)  # half the diagonal of a square over half its edge
 
 
 class CrowdObstacles(NamedTuple):
-    """Obstacles of a room and cylinders, and P camera positions."""
+    """Obstacles of a room and cylinders of a crowd, as seen from P camera positions."""
 
     room: Obstacles | MeshObstacles
     """Obstacles of the room at the positions."""
@@ -49,14 +49,14 @@ class CrowdObstacles(NamedTuple):
     people: np.ndarray
     """`(P, N, 5)` cylinders at each position; omitted cylinders come last. Columns as in `lmd.space.crowd`."""
     standing: np.ndarray
-    """`(P,)` number of cylinders that are not omitted."""
+    """`(P,)` number of cylinders at each position that are not omitted."""
 
 
 class CrowdEnds(NamedTuple):
-    """Required points of K landmarks."""
+    """Required points of K landmarks: points that must be visible from the camera."""
 
     room: np.ndarray
-    """`ends` of the room's obstacles."""
+    """Array `ends` of the room's obstacles, see `lmd.sight.obstacles.find_ends`."""
     points: np.ndarray
     """`(K, 5, 3)` centre and corners, metres."""
 
@@ -78,7 +78,8 @@ def obstacles_of(scene: Scene, positions: FloatArray, states: IntArray | None) -
 def unhindered(
     scene: Scene, camera: Camera, position: FloatArray, landmarks: FloatArray, normals: FloatArray
 ) -> BoolArray:
-    """Mask `(K,)` of the landmarks that neither the room nor the scene's only crowd state blocks; the reference.
+    """Mask `(K,)` of the landmarks that neither the room nor the scene's only crowd state blocks. Reference for the
+    compiled kernels.
 
     Args:
         scene: the scene, with at most one crowd state.

@@ -58,7 +58,9 @@ def cell_of(way: Vector) -> Any:
 
 @cache
 def _cells() -> tuple[FloatArray, FloatArray]:
-    """Unit directions of the centres of the cells, `(3, SIDE * SIDE)`, and angles rho, rad, `(SIDE * SIDE,)`."""
+    """Unit directions of the cells' centres, `(3, SIDE * SIDE)`, and rho, the greatest angle between a cell's centre
+    and a corner, rad, `(SIDE * SIDE,)`.
+    """
     edge = np.linspace(-1.0, 1.0, SIDE + 1)
     u, v = np.meshgrid(edge, edge, indexing="ij")
     z = 1.0 - abs(u) - abs(v)
@@ -76,13 +78,14 @@ def _cells() -> tuple[FloatArray, FloatArray]:
 def _fill(
     sight: Any, centres: FloatArray, angles: FloatArray, axes: FloatArray, shifts: FloatArray, table: np.ndarray
 ) -> None:
-    """For each cell, write the set of axes for which the cell's centre is at least the cell's angle inside the view.
+    """For each cell, write the set of axes for which the cell's centre is inside the field of view, at least the cell's
+    angle from the border.
 
     Args:
         sight: compiled model of sight.
         centres: unit directions of the centres of the cells, `(3, cells)`.
-        angles: angle from the border of the field of view by cell, `(cells,)`, rad.
-        axes: axis and right, `(6, 64 W)`.
+        angles: least angle between centre and border of the field of view for each cell, rad, `(cells,)`.
+        axes: optical axis and image's right of each axis, unit vectors, `(6, 64 W)`.
         shifts: displacement of the camera for each axis, divided by the distance of the landmark, `(3, 64 W)`; the
             displacement is subtracted from the centre.
         table: receives the sets of axes, `(cells, W)`.
@@ -107,7 +110,7 @@ def tables(sight: SightModel, axes: FloatArray) -> tuple[np.ndarray, np.ndarray]
     """Tables `CERTAIN` and `POSSIBLE` of sets of axes, `(EMPTY_ROW + 1, W)` each.
 
     Args:
-        axes: axis and right, `(6, 64 W)`, padded with zeros to whole words.
+        axes: optical axis and image's right, unit vectors, `(6, 64 W)`, padded with zeros to whole words.
     """
     certain, possible = np.zeros((2, EMPTY_ROW + 1, axes.shape[1] // BITS), dtype=np.uint64)
     fill_tables(sight, axes, (np.zeros((3, axes.shape[1])), 0.0, 0.0), certain, possible)
@@ -119,10 +122,10 @@ def fill_tables(
 ) -> None:
     """Fill the tables for cameras that are displaced from the point at the centre of the sphere of directions.
 
-    Let u be the unit direction of a landmark from the point, and s the displacement of the camera over the distance of
-    the landmark. The camera sees the landmark in the direction of u - s. If u lies in a cell, and `shifts` approximates
-    s, then u - s differs from the tabulated vector by at most 2 sin(rho / 2) + `error`; both vectors have at least the
-    length 1 - `longest`.
+    Let u be the unit direction of a landmark from the point, and s the displacement of the camera divided by the
+    distance of the landmark. The camera sees the landmark in the direction of u - s. If u lies in a cell, and `shifts`
+    approximates s, then u - s differs from the tabulated vector by at most 2 sin(rho / 2) + `error`; both vectors have
+    at least the length 1 - `longest`.
 
     Args:
         sight, axes: as in `tables`.
@@ -141,7 +144,8 @@ def fill_tables(
 
 
 def height_index(heights: FloatArray) -> np.ndarray:
-    """First axis at or above the bottom of each height bin, less a margin, `(HEIGHT_BINS + 2,)`.
+    """Index of the first axis whose height is at least the bottom of each height bin, less a margin, `(HEIGHT_BINS +
+    2,)`.
 
     Args:
         heights: z coordinates of the axes in ascending order, `(D,)`.
@@ -154,8 +158,8 @@ def height_index(heights: FloatArray) -> np.ndarray:
 def band_of(offset: Vector, low: Any, slack: Any) -> Any:
     """Height bins of the axes along which a landmark at an offset may have a depth of at least `low`.
 
-    These axes lie in a cone around the direction of the landmark. With a positive `slack` (metres) the bins hold for
-    all landmarks within this distance. The function has no branches, so that loops over it vectorise.
+    These axes lie in a cone around the direction of the landmark. With a positive `slack` (metres) the bins are valid
+    for all landmarks within this distance of the offset. The function has no branches, so that loops over it vectorise.
 
     Returns:
         the first and the last height bin, indices of `height_index`.

@@ -31,7 +31,7 @@ COUNT_BYTES = 4  # memory of a view: two int16 counts, for the axis and for the 
 def quantised(probability: FloatArray) -> IntArray:
     """Probabilities `(N, D)` as integers with the sum `PROBABILITY_ONE` in each row.
 
-    The largest entry of a row takes its rounding remainder.
+    The rounding remainder of a row is added to its largest entry.
     """
     weights = np.rint(probability * PROBABILITY_ONE).astype(np.int64)
     rows = np.arange(len(weights))
@@ -53,8 +53,8 @@ class Evaluator:
         scene: room, cameras, orientations and criteria.
         positions: `(P, 3)` camera positions, metres; the room's grid by default.
         threads: worker threads; all available processors by default. Results do not depend on the number.
-        by_reference: True to use the NumPy reference instead of kernels. Criteria without a compiled half always use
-            the reference.
+        by_reference: True to use the NumPy reference instead of kernels. Criteria without a compiled model of sight
+            always use the reference.
         states: crowd state at each position, `(P,)`; by default each position is repeated for all crowd states, in the
             order of the states.
     """
@@ -92,7 +92,9 @@ class Evaluator:
             self.sight, self.obstacles = scene.sight, obstacles_of(scene, self.positions, states)
 
     def sized(self, edges: FloatArray) -> "Evaluator":
-        """Evaluator for tags with the given edges, `(K,)` metres, see `Scene.sized`; recent evaluators are cached."""
+        """Evaluator for tags with the given edge lengths, `(K,)` metres, see `Scene.sized`; recent evaluators are
+        cached.
+        """
         scene = self.scene.sized(edges)
         if scene is self.scene:
             return self
@@ -123,7 +125,7 @@ class Evaluator:
         return isinstance(self.views, ReferenceViews)
 
     def scene_at(self, p: int) -> Scene:
-        """The scene with the crowd state at position p, for an evaluator by reference."""
+        """The scene reduced to the crowd state of position p, for an evaluator by reference."""
         return self.views.scene_at(p) if isinstance(self.views, ReferenceViews) else self.scene
 
     @property
@@ -146,8 +148,8 @@ class Evaluator:
         check_views(each, len(self.positions), self.axes.shape[1])
 
     def by_place(self, weight: FloatArray, *values: FloatArray) -> tuple[FloatArray, ...]:
-        """Join probabilities `(1, D)` or `(P, D)` and values `(P, D)` of the S crowd states at each place in one row,
-        `(P / S, S D)`; without a crowd, nothing changes.
+        """Join the S crowd states of each camera position in one row: probabilities `(1, D)` or `(P, D)` and values
+        `(P, D)` become `(P / S, S D)`. Without a crowd, nothing changes.
         """
         if self.scene.crowd is None:
             return weight, *values
@@ -194,7 +196,9 @@ class Evaluator:
         return units, counts
 
     def batch(self, positions: FloatArray, normals: FloatArray) -> tuple[kernels.Batch, Any]:
-        """Arguments `batch` and `tables` of `kernels.evaluate_range` for B deployments `(B, K, 3)`."""
+        """Arguments `batch` and `tables` of `kernels.evaluate_range` for B deployments, whose positions and normals are
+        `(B, K, 3)`.
+        """
         self.scene.check_count(positions.shape[1])
         landmarks = tuple(for_kernels(v.transpose(0, 2, 1)) for v in (positions, normals))
         sight = self.sight.among(self._low, self._high, *landmarks)

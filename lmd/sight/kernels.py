@@ -34,13 +34,17 @@ PROBABILITY_ONE = 1 << 52
 
 @inlined
 def weights_row(weights: Any, p: Integer) -> Any:
-    """Row of `weights` for position p: 0 for one PDF `(1, D)`, p for a PDF at each position `(P, D)`."""
+    """Row of `weights` for position p: row 0 if all positions share a PDF `(1, D)`, row p if each position has its own
+    PDF `(P, D)`.
+    """
     return np.uint64(p) if len(weights) > 1 else np.uint64(0)
 
 
 @inner
 def sum_weights(before: Any, after: Any, weights: Any, p: Integer, w: Integer) -> Any:
-    """Change of quantised probability at position p if the set of axes in word w changes from `before` to `after`."""
+    """Change of the quantised probability at position p when word w of a set of axes changes from `before` to
+    `after`.
+    """
     change, left, row = np.int64(0), before ^ after, weights_row(weights, p)
     while left:
         bit = lowest(left)
@@ -52,8 +56,8 @@ def sum_weights(before: Any, after: Any, weights: Any, p: Integer, w: Integer) -
 
 @inlined
 def count_set(at_least: WordArray, w: Integer, visible: Any) -> None:
-    """Count a set of orientations of word w; `at_least[j]` of `(n, W)` has the orientations counted more than j
-    times.
+    """Add one to the counts of a set of orientations of word w; bits of `at_least[j]`, shape `(n, W)`, mark the
+    orientations that were counted more than j times.
     """
     for j in range(len(at_least) - 1, 0, -1):
         at_least[j, w] |= at_least[j - 1, w] & visible
@@ -68,14 +72,14 @@ def evaluate_range(
 
     Args:
         first, last: range of indices of `order`.
-        batch: the following arguments but `tables`, in their order.
-        order: positions by blocks of neighbours, `(P,)`.
+        batch: tuple of the arguments listed next (`order` to `weights`, without `tables`), in this order.
+        order: indices of the positions, sorted into blocks of neighbours, `(P,)`.
         positions: positions of the camera, `(P, 3)`, metres.
         landmarks, normals: positions, metres, and unit normals of B deployments, `(B, 3, K)`.
         sight: compiled model of sight.
         horizon: result of `criteria.horizon_of`, metres.
         obstacles: bodies of the room seen from the positions, see `obstacles`.
-        axes: axis and right, `(6, D)`, sorted by the height of the axis and padded to D = 64 W.
+        axes: optical axis and image's right, `(6, D)`, sorted by the height of the optical axis and padded to D = 64 W.
         bands: result of `directions.height_index` for these axes.
         tables: result of `directions.tables` for a model with a long test, else None.
         weights: quantised probability of each axis, `(1, D)` for all positions or `(P, D)` for each.

@@ -1,6 +1,7 @@
 """Occlusion of one landmark by another from the cameras of a rig.
 
-Bounds for all cameras around a centre exclude most pairs of landmarks; the exact test of `criteria` decides the others.
+Bounds that hold for all cameras around a centre exclude most pairs of landmarks; the exact test of `criteria` decides
+the other pairs.
 """
 
 import math
@@ -20,7 +21,9 @@ from lmd.sight.mounts import camera_at
 def hidden_bits(
     group: Any, m: Integer, w: Integer, left: Any, i: Integer, k: Integer, body: Vector, one: Any, other: Any
 ) -> Any:
-    """Orientations that satisfy `hides_from`, among the orientations `left` of word w of a bit set."""
+    """Orientations of the body with which landmark i hides landmark k (`hides_from`): the bits, among the bits `left`
+    of word w, that pass the test.
+    """
     found = ZERO
     while left:
         bit = lowest(left)
@@ -64,12 +67,13 @@ def hiding_bound(longest: float, apart: float, radius: float, width: float) -> A
 
 @inlined
 def _may_occlude(j: Integer, k: Integer, mine: Any, view: Any) -> Any:
-    """False only if landmark j does not hide landmark k from any camera within the radius; in float32; True for j = k.
+    """False only if landmark j does not hide landmark k from any camera within the radius. The computation is in
+    float32; the result is True for j = k.
 
     If a position is within the radius of the centre, the direction of a landmark at the distance d turns by at most
-    asin(radius / d). The landmark hides others within asin(width / (d - radius)) of its direction. So the sine of the
-    angle between occluder j and landmark k is at most `close[j]` + `mine`. Here `close[j]` = radius / d_j + width /
-    (d_j - radius), and `mine` = radius / d_k.
+    asin(radius / d). The landmark hides other landmarks within asin(width / (d - radius)) of its direction. So the sine
+    of the angle between occluder j and landmark k is at most `close[j]` + `mine`. Here `close[j]` = radius / d_j +
+    width / (d_j - radius), and `mine` = radius / d_k.
     """
     u, v, w = view.u, view.v, view.w
     cosine, sine = u[j] * u[k] + v[j] * v[k] + w[j] * w[k], view.close[j] + mine
@@ -78,7 +82,9 @@ def _may_occlude(j: Integer, k: Integer, mine: Any, view: Any) -> Any:
 
 @inlined
 def find_suspects(k: Integer, view: Any, count: Integer, radius: float, close: Any) -> Any:
-    """Write the landmarks that may hide landmark k as bits into `close` `(blocks,)`; True if there are any."""
+    """Write the landmarks that may hide landmark k as bits into `close` `(blocks,)`; return True if there is such a
+    landmark.
+    """
     # An upper bound radius / d on the sine of the angle by which the direction of landmark k may turn.
     mine = np.float32(min(radius / math.sqrt(view.squared[k]), 1.0) if view.squared[k] > 0.0 else 1.0)
     any_found = np.uint32(0)
@@ -100,7 +106,9 @@ def find_suspects(k: Integer, view: Any, count: Integer, radius: float, close: A
 def list_occluders(
     k: Integer, view: Any, radius: float, width: float, close: Any, blocks: Integer, occluders: np.ndarray
 ) -> Any:
-    """Write the landmarks of `close` that pass `may_hide_around` to `occluders`; returns their number."""
+    """Write the landmarks of `close` that pass `may_hide_around` to `occluders`, and return the number of these
+    landmarks.
+    """
     x, y, z, kept = view.x, view.y, view.z, 0
     for b in range(blocks):
         left = np.uint64(close[b])

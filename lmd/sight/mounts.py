@@ -1,4 +1,5 @@
-"""Positions of the cameras of a rig and tests of their coverage; the compiled half of `lmd.scene.rig`.
+"""Positions of the cameras of a rig, and tests of the landmarks that these cameras cover, in compiled code; see
+`lmd.scene.rig`.
 
 A camera with a lever arm has another position for every orientation of the body, but stays within a radius of a
 *centre*. Two bounds hold for all these positions:
@@ -34,7 +35,9 @@ MARGIN = 1e-6  # safety margin of depths and distances, metres, above their roun
 
 
 class MountGroup(NamedTuple):
-    """M mounts of a rig with equal cameras, around C centres, for D orientations of the body (W words)."""
+    """M mounts of a rig with equal cameras. The mounts are around C centres; there are D orientations of the body, in W
+    words.
+    """
 
     number: int
     """Index of the group in the rig."""
@@ -47,9 +50,9 @@ class MountGroup(NamedTuple):
     centres: np.ndarray
     """`(C, 3)` offsets of the centres from the body's origin, world frame, metres."""
     radius: np.ndarray
-    """`(C,)` upper bound on the distance of the cameras from their centre, metres."""
+    """`(C,)` upper bound on the distance between each centre and its cameras, metres."""
     mounts: np.ndarray
-    """`(C + 1,)` mounts of centre c are `mounts[c]` to `mounts[c + 1] - 1`."""
+    """Mounts `mounts[c]` to `mounts[c + 1] - 1` belong to centre c, `(C + 1,)`."""
     offsets: np.ndarray
     """`(M, 3, 64 W)` offset of each camera from the body's origin for each orientation, world frame, metres."""
     axes: np.ndarray
@@ -133,12 +136,14 @@ def places_around(positions: FloatArray, group: MountGroup) -> FloatArray:
 
 
 def _all_of(size: int, words: int) -> np.ndarray:
-    """Set `(W,)` of the first `size` orientations."""
+    """Bit set `(W,)` of the first `size` orientations."""
     return np.array([(1 << min(max(size - BITS * w, 0), BITS)) - 1 for w in range(words)], dtype=np.uint64)
 
 
 def _shift_at(level: int, shift: FloatArray, radius: float) -> tuple[FloatArray, float, float]:
-    """Argument of `fill_tables` for 2^(level + 1) to 2^(level + 2) radii; the last level has no upper limit."""
+    """Argument `shift` of `fill_tables` for landmarks at a distance of 2^(level + 1) to 2^(level + 2) times `radius`;
+    the last level has no upper limit.
+    """
     if radius == 0.0:
         return 0.0 * shift, 0.0, 0.0
     nearest, farthest = 0.5 ** (level + 1), 0.5 ** (level + 2) if level < LEVELS - 1 else 0.0  # radii per distance
@@ -167,7 +172,7 @@ def bounds_from(group: Any, c: Integer, k: Integer, offset: Vector, normal: Vect
 
 @inlined
 def table_row(group: Any, c: Integer, offset: Vector) -> Any:
-    """Row of the tables for an offset from centre c, metres; the row is prefetched."""
+    """Index of the tables' row for an offset from centre c, metres; the row is prefetched."""
     levels, level, squared = (len(group.tables) - FIRST) // CELLS, -1, dot3(offset, offset)
     for i in range(LEVELS):
         level += squared >= group.radius[c] * group.radius[c] * 4.0 ** (i + 1)
@@ -180,8 +185,8 @@ def table_row(group: Any, c: Integer, offset: Vector) -> Any:
 def split_by_certainty(
     group: Any, m: Integer, w: Integer, asked: Any, words: Integer, offset: Vector, bounds: Vector, row: Integer
 ) -> Any:
-    """Split a set of orientations by the bounds into orientations with which mount m certainly covers a landmark, and
-    undecided orientations.
+    """Use the bounds to split a set of orientations: orientations with which mount m certainly covers a landmark, and
+    orientations that need the exact test.
 
     Args:
         asked: orientations to split, bits of word w.
@@ -191,7 +196,7 @@ def split_by_certainty(
         row: result of `table_row`.
 
     Returns:
-        two sets: certain and undecided orientations; no other orientation in `asked` covers the landmark.
+        two sets: certain and undecided orientations; the other orientations in `asked` do not cover the landmark.
     """
     most, start, sure = bounds
     at, half = np.uint64(m) * words + w, np.uint64(group.tables.shape[1] // 2)
@@ -221,7 +226,8 @@ def camera_at(group: Any, m: Integer, a: Integer, body: Vector) -> Vector:
 
 @inlined
 def covers_from(group: Any, m: Integer, a: Integer, k: Integer, body: Vector, pose: Any, frame: Any) -> Any:
-    """True if mount m covers landmark k with a `pose` and orientation a of the body at a position; exact.
+    """True if the camera on mount m covers landmark k. The landmark has the pose `pose`, the body has orientation a at
+    a position. The test is exact.
 
     Occlusion by other landmarks and by the room is ignored. `frame` is a result of `criteria.frame_of`.
     """
@@ -233,7 +239,9 @@ def covers_from(group: Any, m: Integer, a: Integer, k: Integer, body: Vector, po
 
 @inlined
 def covered_bits(group: Any, m: Integer, w: Integer, left: Any, k: Integer, body: Vector, pose: Any, frame: Any) -> Any:
-    """Orientations that satisfy `covers_from`, among the orientations `left` of word w of a bit set."""
+    """Orientations of the body with which mount m covers landmark k (`covers_from`): the bits, among the bits `left` of
+    word w, that pass the test.
+    """
     found = ZERO
     while left:
         bit = lowest(left)
@@ -244,7 +252,8 @@ def covered_bits(group: Any, m: Integer, w: Integer, left: Any, k: Integer, body
 
 @inlined
 def blocked_bits(group: Any, m: Integer, w: Integer, left: Any, k: Integer, p: Integer, ends: Any, row: Integer) -> Any:
-    """Orientations among `left`, in word w, with which the room blocks landmark k from mount m at position p.
+    """Orientations of the body with which the room blocks landmark k from mount m at position p: the bits, among the
+    bits `left` of word w, that pass the test.
 
     `ends` has the points of the landmark in row `row`, see `obstacles.find_ends`.
     """

@@ -37,7 +37,7 @@ class Obstacles(NamedTuple):
     offsets: np.ndarray
     """`(J,)` distances of the planes from the origin, metres, see `Blockers`."""
     first: np.ndarray
-    """First plane of each body, and J, see `Blockers`."""
+    """Index of the first plane of each body, and J, `(M + 1,)` for M bodies, see `Blockers`."""
     heights: np.ndarray
     """`(P, J)` signed heights of the positions above the planes, metres."""
 
@@ -63,7 +63,7 @@ def obstacles_at(blockers: Blockers | Triangles | None, positions: FloatArray) -
 
 @overridable
 def half_edge(sight: Any) -> Any:
-    """Half the edge of the square whose corners must be seen, metres; 0.0 for a point landmark.
+    """Half the edge length of the square whose corners must be seen, metres; 0.0 for a point landmark.
 
     The result is a column `(K,)` for a model of landmarks of several sizes, a number for a `sized` model.
     """
@@ -73,7 +73,7 @@ def half_edge(sight: Any) -> Any:
 def required_points(half: float | FloatArray, landmarks: FloatArray, normals: FloatArray) -> FloatArray:
     """Points of the landmarks `(K, 3)` that must be seen: centres `(1, K, 3)`, or centres and corners `(5, K, 3)`.
 
-    `half` is half the edge, metres, a number or `(K,)`; 0 for point landmarks.
+    `half` is half the edge length, metres, a number or `(K,)`; 0 for point landmarks.
     """
     if not np.any(half):
         return landmarks[None]
@@ -85,7 +85,7 @@ def required_points(half: float | FloatArray, landmarks: FloatArray, normals: Fl
 def unobstructed(
     space: Space, sight: Any, position: FloatArray, landmarks: FloatArray, normals: FloatArray
 ) -> BoolArray:
-    """Mask `(K,)` of the landmarks that the room does not block from a position; the reference.
+    """Mask `(K,)` of the landmarks that the room does not block from a position. Reference for the compiled kernels.
 
     Args:
         space: the room.
@@ -109,7 +109,7 @@ def _has_no_body(obstacles: Any) -> Any:
 
 @dispatched
 def new_ends(obstacles: Any, count: Integer) -> Any:
-    """Return an empty array `ends` for `count` landmarks, see `find_ends`."""
+    """Return a new array `ends` for `count` landmarks, not yet filled, see `find_ends`."""
 
 
 @new_ends.register(Obstacles)
@@ -160,7 +160,7 @@ def write_points(sight: Any, place: Vector, normal: Vector, points: FloatArray, 
 def point_of(i: Integer, half: float, place: Vector, sides: tuple[Vector, Vector]) -> Vector:
     """Point i of a landmark at c = `place`: c, then c + h (r + u), c - h (r + u), c + h (r - u), c - h (r - u).
 
-    h is `half` the edge; `sides` are the unit vectors r to the right and u up.
+    h = `half` is half the edge length; `sides` are the unit vectors r to the right and u up.
     """
     way, up = half * (0.0 if i == 0 else 1.0 if i % 2 == 1 else -1.0), 1.0 if i < 3 else -1.0
     return plus3(place, times3(way, plus3(sides[0], times3(up, sides[1]))))

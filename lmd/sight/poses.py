@@ -1,11 +1,11 @@
 """Gains and coverage of many candidate poses of landmarks on the walls, each evaluated without other landmarks.
 
-`gains` sums prices over the positions and axes that cover a pose; `covered_amounts` sums amounts of poses over the
-positions and axes.
+`gains` sums, for each pose, the prices of the positions and axes from which a landmark at the pose is covered.
+`covered_amounts` sums, for each position and axis, the amounts of the covered poses.
 
-With a `slack` a pose stands for a cell of a wall: an axis counts if it may cover some landmark at most `slack` from the
-centre. A move by delta within the wall changes depth and distance by at most |delta| and leaves n . d unchanged, so
-conditions that are loosened by `slack` hold for the whole cell. Obstacles of the room are then ignored, as a part of
+With a `slack` a pose represents a cell of a wall: an axis counts if it may cover some landmark at most `slack` from the
+cell's centre. A move by delta within the wall changes depth and distance by at most |delta| and leaves n . d unchanged,
+so conditions that are loosened by `slack` hold for the whole cell. Obstacles of the room are then ignored, as a part of
 the cell may be visible beside them. Without slack the decisions equal those of `kernels`.
 """
 
@@ -44,7 +44,7 @@ class Cells:
 
     Args:
         poses: N landmarks at the centres of the cells.
-        half_u, half_v: vectors from each centre to the midpoints of two neighbouring sides, `(N, 3)`, metres.
+        half_u, half_v: vectors from each centre to the midpoints of two adjacent sides, `(N, 3)`, metres.
     """
 
     poses: Deployment
@@ -109,7 +109,7 @@ def _meets(piece: FloatArray, a: FloatArray, b: FloatArray, half_u: float, half_
 
 
 def candidate_poses(room: Space, spacing: float) -> Deployment:
-    """Flush landmarks at those centres of `wall_cells` at which a landmark may hang."""
+    """Landmarks flush with the walls, at those centres of `wall_cells` at which a landmark may hang."""
     poses, surfaces = wall_cells(room, spacing).poses, SurfaceArrays.of(room.surfaces())
     return poses[surfaces.allow(poses.surfaces, surfaces.coordinates(poses.surfaces, poses.positions))]
 
@@ -196,7 +196,7 @@ def gains(evaluator: Evaluator, poses: Deployment, prices: FloatArray, slack: Fl
     Args:
         poses: N poses.
         prices: price of each position and axis of the evaluator, `(P, D)`.
-        slack: radius on the wall of the cell that each pose stands for, `(N,)`, metres; 0 by default.
+        slack: radius, on the wall, of the cell that each pose represents, `(N,)`, metres; 0 by default.
 
     Returns:
         sums, `(N,)`, which do not depend on the number of threads.
@@ -219,7 +219,7 @@ def covered_amounts(evaluator: Evaluator, poses: Deployment, amounts: FloatArray
 
     Args:
         poses: N poses.
-        amounts: x, `(N,)`, not negative.
+        amounts: amount x_j of each pose, `(N,)`, not negative.
 
     Returns:
         c, `(P, D)`, which does not depend on the number of threads.
@@ -236,5 +236,7 @@ def covered_amounts(evaluator: Evaluator, poses: Deployment, amounts: FloatArray
 
 
 def shared(kernel: Callable[..., None], size: int, threads: int, fixed: tuple[Any, ...]) -> None:
-    """Run `kernel(start, stop, *fixed)` over `range(size)` on the threads, in `CHUNKS_PER_THREAD` chunks each."""
+    """Run `kernel(start, stop, *fixed)` over `range(size)` on the threads, with `CHUNKS_PER_THREAD` chunks for each
+    thread.
+    """
     in_parts(threads, lambda first, last: kernel(first, last, *fixed), size, threads * CHUNKS_PER_THREAD)

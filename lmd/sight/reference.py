@@ -1,7 +1,7 @@
-"""Reference of the coverage model of the paper in float64 NumPy; results of compiled code must be equal.
+"""Reference of the coverage model of the paper in float64 NumPy; compiled code must give identical results.
 
 There is one function per definition of the paper; the criteria are `Criteria.covered` of the scene's visibility model.
-`ReferenceViews` evaluates scenes whose visibility model has no compiled half.
+`ReferenceViews` evaluates scenes whose visibility model has no compiled model of sight.
 
 Shapes: A orientations, K landmarks, P positions.
 Source: Lei et al., "Optimization of Directional Landmark Deployment for Visual Observer on SE(3)", Sec. III-IV.
@@ -43,8 +43,8 @@ def coverage_caps(scene: Scene, deployment: Deployment, position: FloatArray, ax
 
 
 def station_caps(scene: Scene, deployment: Deployment, position: FloatArray, station: Station) -> BoolArray:
-    """Mask `(a, K)` of the coverage caps for the camera of a station, with the a orientations of the body that put it
-    there.
+    """Mask `(a, K)` of the coverage caps for the camera of a station; a is the number of orientations of the body that
+    bring the camera to the station.
     """
     landmarks, place = (deployment.positions, deployment.normals), position + station.offset
     seen = scene.visibility.covered(station.camera, place, station.axes, *landmarks)
@@ -92,7 +92,7 @@ def counts(scene: Scene, deployment: Deployment) -> IntArray:
 
 @cache
 def _warn_uncompiled(name: str) -> None:
-    """Print once per process that the visibility model with this name has no compiled half."""
+    """Print once per process that the visibility model `name` has no compiled model of sight."""
     slow = "an evaluation takes about 100 times as long, a move of annealing about 1000 times"
     cure = 'see docs/extend.md, "Compile a criterion"'
     print(f"note: {name} is not compiled, so its NumPy code is used: {slow}; {cure}", file=sys.stderr)
@@ -102,7 +102,7 @@ class ReferenceViews:
     """Coverage by the reference from P positions of a camera (or of the body of a rig) with D orientations.
 
     Args:
-        scene: may have a visibility model without a compiled half.
+        scene: scene; its visibility model may lack a compiled model of sight.
         positions: positions of the camera, or of the body of the rig, `(P, 3)`, metres.
         states: crowd state at each position, `(P,)`; None without a crowd.
     """
@@ -115,7 +115,7 @@ class ReferenceViews:
             _warn_uncompiled(type(scene.visibility).__name__)
 
     def scene_at(self, p: int) -> Scene:
-        """The scene with the crowd state at position p."""
+        """The scene reduced to the crowd state of position p."""
         return self._in_state[int(self._states[p])]
 
     def caps(self, deployment: Deployment, p: int) -> BoolArray:
@@ -151,7 +151,9 @@ class ReferenceViews:
         return in_words(out)
 
     def _alone(self, landmark: FloatArray, normal: FloatArray) -> BoolArray:
-        """Mask of the positions and orientations that cover a single landmark `(1, 3)`, `(P, D)`."""
+        """Mask `(P, D)` of the positions and orientations from which a single landmark is covered; `landmark` and
+        `normal` are `(1, 3)`.
+        """
         deployment = Deployment(landmark, normal)
         return np.stack([self.caps(deployment, p)[:, 0] for p in range(len(self._positions))])
 
@@ -162,8 +164,8 @@ Views: TypeAlias = tuple[FloatArray, FloatArray]  # positions `(N, 3)` and axes 
 def seen_from(
     scene: Scene, camera: Camera, deployment: Deployment, poses: Views, states: IntArray | None = None
 ) -> BoolArray:
-    """Mask `(N, K)` of the landmarks that a camera covers from poses with positions `(N, 3)` and axes `(N, 6)`, and
-    with crowd states `(N,)` if there is a crowd.
+    """Mask `(N, K)` of the landmarks that a camera covers from N poses: positions `(N, 3)` and axes `(N, 6)`, with a
+    crowd state for each pose, `(N,)`, if there is a crowd.
     """
     positions, axes = poses
     seen = np.empty((len(positions), len(deployment)), dtype=np.bool_)

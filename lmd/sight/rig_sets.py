@@ -1,4 +1,4 @@
-"""Sets of orientations of a rig's body with which its cameras cover each landmark, by position.
+"""Sets of the orientations of a rig's body with which the cameras cover each landmark, for each position of the body.
 
 Sets are bit sets; the set of a rig is the union over its cameras.
 """
@@ -72,9 +72,9 @@ def _add_covered(
         group: mounts; if their model is `unhidden`, occlusion by landmarks is ignored.
         landmarks, normals: positions, metres, and unit normals, `(1, 3, K)`.
         slack: see `criteria.from_position`, `(K,)`, metres; obstacles are ignored for a landmark with a slack.
-        n: number of covered landmarks that suffices.
+        n: number of covered landmarks that is enough, see `keep`.
         keep: False to stop at n covered landmarks for each position and orientation.
-        seen: sets of orientations, `(1, P, K, W)`; or `(M, P, K, W)` by mount, which requires `keep`.
+        seen: sets of orientations, `(1, P, K, W)`; or `(M, P, K, W)` for each mount, which requires `keep`.
     """
     sight, words, total = group.sight, np.uint64(seen.shape[3]), landmarks.shape[2]
     poses, indices, order = np.empty((6, total)), np.arange(total), np.arange(len(positions))
@@ -165,7 +165,9 @@ def _add_covered(
 
 @inner
 def _add_within_slack(group: Any, body: Vector, pose: Any, k: Integer, slack: Any, seen: Any) -> None:
-    """Add to `seen` `(W,)` the orientations that cover any landmark within `slack` metres of landmark k."""
+    """Add to `seen` `(W,)` the orientations with which some landmark within `slack` metres of landmark k would be
+    covered.
+    """
     sight, (place, normal) = sized(group.sight, k), pose
     if slack == 0.0:
         return
@@ -194,7 +196,8 @@ def covered_sets(
         positions: positions of the body, `(P, 3)`, metres.
         poses: positions, metres, and unit normals of the landmarks, `(K, 3)`, and their slack (see `_add_covered`),
             `(K,)`, metres.
-        n: number of covered landmarks that suffices for each position and orientation; 0 to test all landmarks.
+        n: number of covered landmarks after which a position and orientation needs no further test; 0 to test all
+            landmarks.
     """
     seen = _empty_sets(1, groups[0], positions, poses)
     for group in groups:

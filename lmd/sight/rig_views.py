@@ -24,10 +24,10 @@ LARGEST_BATCH = 256
 
 @kernel
 def _sum_probability(seen: Any, weights: Any, n: Integer, units: Any, counts: Any) -> None:
-    """Write quantised P_n into `units` `(P,)`, and numbers of landmarks into `counts` `(P, 64 W)` unless `counts` is
-    empty.
+    """Write quantised P_n into `units` `(P,)`, and the number of covered landmarks into `counts` `(P, 64 W)` unless
+    `counts` is empty.
 
-    `seen` `(P, K, W)` has the orientations that cover each landmark.
+    `seen` `(P, K, W)` has bit sets of the orientations from which each landmark is covered.
     """
     words, keep = np.uint64(seen.shape[2]), len(counts) > 0
     at_least = np.empty((n, words), dtype=np.uint64)  # [j]: orientations that cover more than j landmarks
@@ -52,7 +52,9 @@ def _sum_probability(seen: Any, weights: Any, n: Integer, units: Any, counts: An
 
 @kernel
 def _sum_gains(seen: Any, prices: FloatArray, out: Any) -> None:
-    """Write into `out` `(N,)` the sum of the `prices` `(P, 64 W)` over the orientations `seen` `(P, N, W)`."""
+    """For each of N poses, write into `out` `(N,)` the sum of the `prices` `(P, 64 W)` over all positions and
+    orientations from which the pose is seen: the bits of `seen` `(P, N, W)`.
+    """
     row = np.empty(prices.shape[1])
     for j in range(len(out)):
         row[:] = 0.0
@@ -70,7 +72,9 @@ def _sum_gains(seen: Any, prices: FloatArray, out: Any) -> None:
 
 @kernel
 def _sum_amounts(seen: Any, amounts: FloatArray, out: Any) -> None:
-    """Add the `amounts` `(N,)` of the poses to `out` `(P, 64 W)` at the orientations `seen` `(P, N, W)`."""
+    """Add the amount of each pose, `amounts` `(N,)`, to `out` `(P, 64 W)` at the positions and orientations from which
+    the pose is seen: the bits of `seen` `(P, N, W)`.
+    """
     for p in range(len(seen)):
         for j in range(len(amounts)):
             for w in range(np.uint64(seen.shape[2])):
@@ -85,7 +89,7 @@ class RigViews:
 
     Args:
         groups: mounts of the rig, for D orientations.
-        blockers: bodies of the room that block lines of sight; None for none.
+        blockers: bodies of the room that block lines of sight; None if there are none.
         positions: positions of the body, `(P, 3)`, metres.
         threads: number of threads.
     """

@@ -6,11 +6,10 @@ landmarks, `lmd.objectives.localisation` sums up their information, `lmd.sight.v
 
 Landmarks are dropped in stages, the cheapest first:
 
-1. landmarks beyond the horizon of a region, which is 16 blocks of positions, then of a block;
-2. for each position, landmarks that are too near or too far, or that face away from the camera;
-3. landmarks that the room blocks;
-4. landmarks that others hide. An occluder lies in nearly the direction of the hidden landmark: a test in single
-   precision finds the possible occluders, and the exact test decides.
+1. landmarks farther than the horizon (a distance) from a region, which is 16 blocks of positions, then from a block; 2.
+for each position, landmarks that are too near or too far, or that face away from the camera; 3. landmarks that the room
+blocks; 4. landmarks that other landmarks hide. An occluder lies in nearly the direction of the hidden landmark: a test
+in single precision finds the possible occluders, and the exact test decides.
 """
 
 import math
@@ -37,41 +36,45 @@ class Viewpoint(NamedTuple):
     """
 
     region_poses: np.ndarray
-    """`(6, K)` positions (metres) and unit normals of the landmarks within the horizon of the region."""
+    """`(6, K)` positions (metres) and unit normals of the landmarks at most the horizon away from the region."""
     region_index: np.ndarray
-    """`(K,)` indices of these landmarks in the deployment."""
+    """`(K,)` indices in the deployment of the landmarks in `region_poses`."""
     near_poses: np.ndarray
-    """`(6, K)` positions (metres) and unit normals of the landmarks within the horizon of the block."""
+    """`(6, K)` positions (metres) and unit normals of the landmarks at most the horizon away from the block."""
     near_index: np.ndarray
-    """`(K,)` indices of these landmarks in the deployment."""
+    """`(K,)` indices in the deployment of the landmarks in `near_poses`."""
     x: np.ndarray
-    """`(K,)` first coordinate of the offset from the position, world frame, metres."""
+    """`(K,)` first coordinate of the landmark's offset from the camera position, world frame, metres."""
     y: np.ndarray
-    """`(K,)` second coordinate of the offset, metres."""
+    """`(K,)` second coordinate of the landmark's offset, metres."""
     z: np.ndarray
-    """`(K,)` third coordinate of the offset, metres."""
+    """`(K,)` third coordinate of the landmark's offset, metres."""
     squared: np.ndarray
-    """`(K,)` squared length of the offset, m^2."""
+    """`(K,)` squared length of the landmark's offset, m^2."""
     low: np.ndarray
     """`(K,)` least depth at which an orientation may cover the landmark, metres, see `criteria.from_position`."""
     high: np.ndarray
     """`(K,)` greatest depth at which an orientation may cover the landmark, metres."""
     sure_depth: np.ndarray
-    """`(K,)` depth `sure` of `criteria.from_position`, metres."""
+    """`(K,)` depth `sure`, up to which a certain axis covers the landmark, metres, see `criteria.from_position`."""
     bottom: np.ndarray
-    """`(K,)` first height bin of `bands`; with tables, the row of orientations that surely cover the landmark."""
+    """`(K,)` first height bin of `bands`; with tables, the row of the orientations with which the landmark is certainly
+    covered.
+    """
     top: np.ndarray
-    """`(K,)` last height bin; with tables, the row of orientations that may cover the landmark."""
+    """`(K,)` last height bin of `bands`; with tables, the row of the orientations with which the landmark may be
+    covered.
+    """
     reached: np.ndarray
     """`(K,)` True if some orientation may cover the landmark."""
     u: np.ndarray
-    """`(K,)` first coordinate of the unit direction; float32, padded to a multiple of `LANES`, as are `v`, `w` and
-    `close`.
+    """`(K,)` first coordinate of the unit direction to the landmark; float32, padded to a multiple of `LANES`, as are
+    `v`, `w` and `close`.
     """
     v: np.ndarray
-    """`(K,)` second coordinate of the unit direction."""
+    """`(K,)` second coordinate of the unit direction to the landmark."""
     w: np.ndarray
-    """`(K,)` third coordinate of the unit direction."""
+    """`(K,)` third coordinate of the unit direction to the landmark."""
     close: np.ndarray
     """`(K,)` least squared cosine between the direction of the landmark and the direction of a landmark that it may
     hide.
@@ -82,7 +85,7 @@ class Viewpoint(NamedTuple):
 
 @allocating
 def viewpoint_for(count: Integer) -> Viewpoint:
-    """Return a `Viewpoint` for `count` landmarks."""
+    """Return a new `Viewpoint` for `count` landmarks, not yet filled."""
     whole = (count + LANES - 1) & -LANES
     return Viewpoint(
         np.empty((6, count)), np.empty(count, np.int64), np.empty((6, count)), np.empty(count, np.int64),
@@ -109,7 +112,7 @@ def gather(
     low: Any, high: Any, horizon: float, count: Integer, poses: FloatArray, indices: np.ndarray, near: FloatArray,
     index: np.ndarray,
 ) -> Any:  # fmt: skip
-    """Copy the landmarks at most `horizon` metres from a box.
+    """Copy the landmarks that are at most `horizon` metres from a box.
 
     Args:
         low, high: corners of the box, three numbers each.
@@ -158,8 +161,8 @@ def gather_near(
     o: Integer, part: Any, horizon: float, many: Integer, count: Integer, poses: FloatArray, indices: np.ndarray,
     view: Viewpoint,
 ) -> Any:  # fmt: skip
-    """Update the landmarks near the region and near the block of position `order[o]`, if `o` is the first position
-    there.
+    """Update the landmarks near the region and near the block of position `order[o]`, if this position is the first in
+    the region or in the block.
 
     Args:
         part: `first`, `last`, `order` and `positions`: the caller works on the positions `order[first:last]`, in
@@ -184,7 +187,7 @@ def gather_near(
 
 @inlined
 def fill_viewpoint(view: Viewpoint, count: Integer, camera: Vector, sight: Any, tables: Any) -> None:
-    """Fill `view` for the first `count` landmarks and a position of the camera, for all orientations."""
+    """Fill `view` for the first `count` landmarks as seen from a position of the camera, for all orientations."""
     near, index, x, y, z, squared, low, high, sure_depth = (
         view.near_poses, view.near_index, view.x, view.y, view.z, view.squared, view.low, view.high, view.sure_depth
     )  # fmt: skip
@@ -235,8 +238,8 @@ def is_hidden(
 def is_shown(k: Integer, view: Viewpoint, count: Integer, p: Integer, sight: Any, room: Any) -> Any:
     """True if some orientation sees landmark k from position p: within reach, not blocked by the room, not hidden.
 
-    The first `count` landmarks may hide landmark k. `room` has the obstacles, True if there are none, and the results
-    of `obstacles.find_ends`.
+    The first `count` landmarks may hide landmark k. `room` is a tuple: the obstacles, a flag that is True if there are
+    none, and the results of `obstacles.find_ends`.
     """
     obstacles, clear, ends = room
     if not view.reached[k] or (
@@ -270,12 +273,13 @@ def list_shown(view: Viewpoint, count: Integer, p: Integer, sight: Any, room: An
 def see_alone(
     pose: Any, positions: FloatArray, p: Integer, sight: Any, obstacles: Any, ends: Any, bands: np.ndarray
 ) -> Any:
-    """Offset of a landmark from position p and the axes that may cover it; other landmarks are ignored.
+    """Find the offset of a landmark from position p, and the axes that may cover the landmark; other landmarks are
+    ignored.
 
     Args:
         pose: position and unit normal of the landmark.
         positions: positions of the camera, `(P, 3)`, metres.
-        ends: result of `obstacles.find_ends`, whose first landmark is this one.
+        ends: result of `obstacles.find_ends`, whose first row belongs to this landmark.
         bands: result of `directions.height_index`.
 
     Returns:

@@ -52,9 +52,9 @@ def visible(evaluator: Evaluator, deployment: Deployment, positions: FloatArray,
     Args:
         deployment: K landmarks.
         positions: positions of the camera, or of the body of a rig, `(N, 3)`, world frame, metres.
-        axes: optical axis and image's right of the camera (or of the body), two unit vectors in the world frame,
-            `(N, 6)` (`lmd.geometry.se3.axis_and_right`). `(N, 3)` without the right suffices for
-            criteria that need no roll.
+        axes: optical axis and image's right of the camera (or of the body), two unit vectors in the world frame, `(N,
+            6)` (`lmd.geometry.se3.axis_and_right`). The optical axis alone, `(N, 3)`, suffices for criteria that need
+            no roll.
     """
     return np.asarray(visible_to_each(evaluator, deployment, positions, axes).any(axis=0))
 
@@ -66,7 +66,8 @@ def visible_to_each(
     axes: FloatArray,
     states: IntArray | None = None,
 ) -> BoolArray:
-    """Mask of the landmarks covered from each pose by each camera of the scene, `(C, N, K)`; args as in `visible`.
+    """Mask of the landmarks that each camera of the scene covers from each pose, `(C, N, K)`; arguments as in
+    `visible`.
 
     With a crowd, `states` `(N,)` has the crowd state in each pose.
     """

@@ -22,7 +22,7 @@ TRAPEZOID_NUMBERS = 6
 
 
 def trapezoids(region: Any) -> FloatArray:
-    """Trapezoids of a region, cut along v at each of its vertices, `(T, 6)`."""
+    """Cut a region along v at each of its vertices into T trapezoids, `(T, 6)`."""
     import shapely
 
     rings = [np.asarray(ring.coords)[:, :2] for ring in shapely.get_parts(shapely.boundary(region))]
@@ -95,7 +95,7 @@ def spread(pieces: FloatArray, at: FloatArray) -> FloatArray:
 
 
 def gathered(pieces: FloatArray, places: FloatArray) -> FloatArray:
-    """Inverse of `spread`: map places `(..., 2)` to the unit square."""
+    """Inverse of `spread`: map points (a, b) of trapezoids, `(..., 2)`, to the unit square."""
     left, right, low_left, low_right, high_left, high_right = np.moveaxis(pieces, -1, 0)
     one, two = high_left - low_left, high_right - low_right
     share = (places[..., 0] - left) / np.maximum(right - left, 1e-300)
@@ -110,9 +110,10 @@ spread_one = inlined(_spread)
 
 @inlined
 def nearest(pieces, start, stop, a, b):  # type: ignore[no-untyped-def]
-    """Trapezoid nearest to (a, b) among `start` to `stop`: its index, and its point nearest to (a, b).
+    """Find the trapezoid nearest to the point (a, b) among the rows `start` to `stop - 1` of `pieces`. Return the row,
+    and the coordinates of the trapezoid's point that is nearest to (a, b).
 
-    The point is exact inside a trapezoid and for rectangles, otherwise approximate.
+    The coordinates are exact inside a trapezoid and for rectangles, otherwise approximate.
     """
     piece, least, at_a, at_b = start, np.inf, a, b
     for t in range(start, stop):
@@ -130,7 +131,7 @@ def nearest(pieces, start, stop, a, b):  # type: ignore[no-untyped-def]
 
 @inlined
 def allows(pieces, start, stop, a, b):  # type: ignore[no-untyped-def]
-    """True if (a, b) is in one of the trapezoids `start` to `stop`."""
+    """True if the point (a, b) is in one of the trapezoids in rows `start` to `stop - 1` of `pieces`."""
     _, p, q = nearest(pieces, start, stop, a, b)
     return abs(p - a) + abs(q - b) <= EDGE_TOLERANCE
 
@@ -139,8 +140,8 @@ def allows(pieces, start, stop, a, b):  # type: ignore[no-untyped-def]
 def find_nearest(pieces, first, surface, at, out, piece):  # type: ignore[no-untyped-def]
     """Find the allowed places nearest to points `at` `(N, 2)` on surfaces `surface` `(N,)`.
 
-    Writes the places to `out` `(N, 2)` and the indices of their trapezoids to `piece` `(N,)`. The trapezoids of surface
-    s are `first[s]` to `first[s + 1]`.
+    Writes the places to `out` `(N, 2)` and the indices of their trapezoids to `piece` `(N,)`. Rows `first[s]` to
+    `first[s + 1] - 1` of `pieces` are the trapezoids of surface s.
     """
     for k in range(len(at)):
         start, stop = first[surface[k]], first[surface[k] + 1]

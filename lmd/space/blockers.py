@@ -1,5 +1,5 @@
-"""Convex bodies that block lines of sight, each the intersection of half-spaces; and polygons of a floor plan, with the
-upright bodies outside a polygon.
+"""Convex bodies that block lines of sight, each the intersection of half-spaces. Functions for polygons make the
+upright bodies that fill the space outside a floor plan.
 """
 
 from collections.abc import Sequence
@@ -15,27 +15,27 @@ OVERLAP_M = 1e-9
 
 
 class Body(NamedTuple):
-    """Convex body with m planes."""
+    """Convex body, the intersection of m half-spaces bounded by planes."""
 
     normals: FloatArray
     """Outward unit normals, `(m, 3)`."""
     offsets: FloatArray
-    """Offset n . x of each plane, metres, `(m,)`."""
+    """Offset n . x of each plane, where n is its normal, metres, `(m,)`."""
     solid: BoolArray
-    """True for faces, False for planes shared with another body, `(m,)`."""
+    """True for planes that are faces of the body, False for planes between the body and an adjacent body, `(m,)`."""
 
 
 class Blockers(NamedTuple):
-    """Arrays of the J planes of M bodies."""
+    """M convex bodies, as arrays of their J planes in total."""
 
     normals: np.ndarray
     """Outward unit normals, `(J, 3)`."""
     offsets: np.ndarray
-    """Offset n . x of each plane, moved by the tolerance, metres, `(J,)`."""
+    """Offset n . x of each plane, where n is its normal, moved by the tolerance, metres, `(J,)`."""
     solid: np.ndarray
-    """True for faces, False for planes shared with another body, `(J,)`."""
+    """True for planes that are faces of a body, False for planes between two adjacent bodies, `(J,)`."""
     first: np.ndarray
-    """Planes of body m are `first[m]` to `first[m + 1]`, `(M + 1,)`."""
+    """Rows `first[m]` to `first[m + 1] - 1` of the other arrays are the planes of body m, `(M + 1,)`."""
 
     @classmethod
     def of(cls, bodies: Sequence[Body]) -> "Blockers":
@@ -60,7 +60,7 @@ class Blockers(NamedTuple):
         return np.asarray((np.maximum.reduceat(self.heights(points), self.first[:-1], axis=-1) < 0.0).any(axis=-1))
 
     def clear(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
-        """Mask of the lines between points `(..., 3)` that no body blocks, `(...)`."""
+        """Mask of the straight lines between pairs of points `(..., 3)` that no body blocks, `(...)`."""
         start, end = self.heights(starts), self.heights(ends)
         with np.errstate(all="ignore"):  # t is unused for lines that do not cross the plane
             t = start / (start - end)
@@ -127,7 +127,8 @@ def on_hull(polygon: Any) -> Any:
 
 
 def upright_bodies(polygon: Any) -> list[Body]:
-    """Upright bodies of unlimited height that fill a polygon's holes, and its convex hull outside the polygon.
+    """Upright bodies of unlimited height that fill a polygon's holes, and the parts of the convex hull outside the
+    polygon.
 
     Sides on the hull are left out, as no line between two points of the polygon crosses them.
     """

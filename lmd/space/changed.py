@@ -21,7 +21,7 @@ class Changed:
         """Room from which this room is derived."""
 
     def __getattr__(self, name: str) -> Any:
-        """Public member of the original room."""
+        """Return a public attribute of the original room."""
         if name.startswith("_") or name == "original":  # neither a dataclass nor a room that is still being unpickled
             raise AttributeError(name)
         return getattr(self.original, name)
@@ -54,7 +54,7 @@ ON_BORDER = 1e-9
 
 
 class _Cells(NamedTuple):
-    """P cells that contain records, ordered by x, y and z."""
+    """P grid cells that contain positions of a recording ("records"), ordered by x, y and z."""
 
     of: IntArray
     """Index of the cell of each record, `(T,)`."""
@@ -90,7 +90,7 @@ class RecordedRoom(Changed):
         room: room of the recording.
         positions: positions of T records, metres, `(T, 3)`.
         seconds: duration of each record, seconds, `(T,)`.
-        spacing: edge of the cells, metres: one number or one per axis. The world's origin is a corner of a cell.
+        spacing: edge length of the cells, metres: one number or one per axis. The world's origin is a corner of a cell.
 
     Raises:
         InputError: the spacing is not positive, or the cells would not fit into memory.
@@ -128,11 +128,13 @@ class RecordedRoom(Changed):
         return self._positions[self._cells.chosen]
 
     def passable(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
-        """Mask of the lines that are `clear`; the clearance is ignored, as recorded poses may violate the clearance."""
+        """Mask of the straight paths that no obstacle blocks (`clear`); the clearance is not applied, as recorded poses
+        may violate the clearance.
+        """
         return np.asarray(self.clear(starts, ends))
 
     def finer(self) -> "RecordedRoom":
-        """See `Space.finer`: cells of half the edge."""
+        """See `Space.finer`: the cells of the returned room have half the edge length."""
         half = tuple(np.broadcast_to(self._spacing, 3) / 2.0)
         return RecordedRoom(self.original, self._positions, self._seconds, half)
 
@@ -197,7 +199,7 @@ class DrivenRoom(RecordedRoom):
         return self._positions
 
     def finer(self) -> "DrivenRoom":
-        """See `Space.finer`: the frames are as fine as can be."""
+        """See `Space.finer`: the room itself, as the frames cannot be refined."""
         return self
 
     def describe(self) -> str:

@@ -1,12 +1,12 @@
 """Crowds: people and other robots as upright cylinders that stand on the floor and hide landmarks.
 
-A crowd state is a set of cylinders. S states are drawn once, so all deployments meet equal crowds (common random
-numbers), and one cylinder hides all landmarks behind it at the same time.
+A crowd state is a set of cylinders. S states are drawn once, so all deployments are compared in identical crowds
+(common random numbers), and one cylinder hides all landmarks behind it at the same time.
 
 A cylinder is an open convex set. A line of sight from p to q is blocked if its part in the cylinder has a positive
-length. The points p + t d, d = q - p, are horizontally inside for |t d_h - e|^2 < r^2 with e from p to the axis, so for
-t between (b -+ sqrt(b^2 - a c)) / a with a = |d_h|^2, b = d_h . e, c = |e|^2 - r^2. The planes of the cylinder's lower
-and upper end limit t further.
+length. The points p + t d, d = q - p, are horizontally inside for |t d_h - e|^2 < r^2 with e the vector from p to the
+axis, so for t between (b -+ sqrt(b^2 - a c)) / a with a = |d_h|^2, b = d_h . e, c = |e|^2 - r^2. The planes of the
+cylinder's lower and upper end limit t further.
 
 The camera is never inside a cylinder: a cylinder closer to the camera than the clearance is left out for that camera.
 """
@@ -40,7 +40,7 @@ ROUNDING = 1e-9  # rounding tolerance of a share times a number, before it is ro
 
 
 def worst_of(number: int, share: float) -> int:
-    """Number of the worst among `number` values: a share of the number, rounded up."""
+    """Number of values that count as the worst among `number` values: the fraction `share` of `number`, rounded up."""
     return max(1, math.ceil(share * number - ROUNDING))
 
 
@@ -77,21 +77,23 @@ class Crowd(Checked):
     """
 
     number: Count
-    """Cylinders in each state."""
+    """Number of cylinders in each state."""
     radius: Annotated[float | tuple[float, float], number_or_span] = 0.25
-    """Radius, metres: a number, or the least and the greatest of a uniform distribution."""
+    """Radius, metres: a number, or the lowest and the highest value of a uniform distribution."""
     height: Annotated[float | tuple[float, float], number_or_span] = 1.75
-    """Height above the floor, metres, as `radius`."""
+    """Height above the floor, metres: a number, or the lowest and the highest value of a uniform distribution."""
     clearance: NotNegative = 0.3
     """Least distance of a cylinder from the camera, metres; a closer cylinder is left out."""
     states: Count = 20
     """Number S of states."""
     fitness: Annotated[str, partial(choice, options=FITNESS)] = "mean"
-    """Fitness over the states: `mean`, or `worst` for the mean over the share `worst` of the states."""
+    """Fitness over the states: `mean` for the mean over all states, `worst` for the mean over the worst states (a
+    fraction `worst` of all states).
+    """
     worst: Annotated[float, partial(real, above=0.0, high=1.0)] = 0.05
-    """Share of the states that count as the worst, rounded up to whole states."""
+    """Fraction of the states that count as the worst; the number of these states is rounded up."""
     seed: Index = 0
-    """Seed of the states."""
+    """Random seed with which the states are drawn."""
 
     def _validate(self) -> None:
         bounded("states, which take 5 kB each", self.states, MOST_STATES, "crowd", "states")
@@ -118,7 +120,7 @@ class CrowdStates:
         return len(self.people)
 
     def only(self, state: int) -> "CrowdStates":
-        """Crowd with only the state of an index."""
+        """Crowd states reduced to the one with the index `state`."""
         return CrowdStates(self.crowd, self.people[[state]])
 
     @property
@@ -141,7 +143,7 @@ class CrowdStates:
 
     def clear(self, position: FloatArray, points: FloatArray) -> BoolArray:
         """Mask of the lines from a camera position `(3,)` to points `(..., 3)` that no cylinder blocks, for a crowd
-        with one state; the reference.
+        with one state. Reference for the compiled kernels.
         """
         assert len(self) == 1, "the reference is about one state"
         standing = self.people[0][self.present(position[None], np.zeros(1, dtype=np.int64))[0]]

@@ -42,7 +42,7 @@ class FloorPlan(Checked):
     band: Annotated[Sequence[float], partial(span, point=False)] | None = None
     """Lowest and highest z of landmarks on upright surfaces, metres; None for all heights."""
     margin: NotNegative = 0.0
-    """Distance of landmarks from the edges of a surface along its u and v, metres."""
+    """Distance of landmarks from the edges of a surface, measured along the surface's u and v, metres."""
     path: str | None = None
     """Path of the file from which the plan was read."""
     note: str = ""
@@ -135,7 +135,7 @@ class FloorPlan(Checked):
 
     @cached_property
     def _faces(self) -> dict[str, Surface]:
-        """All faces by name, as rectangles without keep-outs."""
+        """All faces by name, as whole rectangles; keep-outs are not cut out."""
         faces = [self._wall(f"wall_{i}", edge, -1.0) for i, edge in enumerate(edges(self.outline))]
         for i, hole in enumerate(self.holes):
             faces += [self._wall(f"hole_{i}_wall_{j}", edge, 1.0) for j, edge in enumerate(edges(hole))]
@@ -160,7 +160,7 @@ class FloorPlan(Checked):
 
     @property
     def faces(self) -> tuple[Surface, ...]:
-        """Faces that can be seen from inside the room, without keep-outs cut out."""
+        """Faces that can be seen from inside the room; keep-outs are not cut out."""
         return tuple(self._faces.values())
 
     @property
@@ -171,7 +171,7 @@ class FloorPlan(Checked):
 
     @property
     def fixtures(self) -> list[Fixture]:
-        """Keep-outs and obstacles; one without a name is named by its index."""
+        """Keep-outs and obstacles; a part without a name is named by its index."""
         parts = [(f"keep_out {i}", *pair) for i, pair in enumerate(zip(self.keep_out, self.kept_out, strict=True))]
         parts += [(f"obstacle {i}", part, part.corners()) for i, part in enumerate(self.obstacles)]
         return [Fixture(part.name or number, corners) for number, part, corners in parts]
@@ -195,7 +195,7 @@ class FloorPlan(Checked):
         return tuple(self._carrier(self._faces[name]) for name in names)
 
     def _carrier(self, face: Surface) -> Surface:
-        """Face with its allowed region."""
+        """Surface of a face with its allowed region for landmarks."""
         taken = [_covered(face, obstacle) for obstacle in self.obstacles]
         taken += [part.region(face) for part in self.keep_out if part.surface == face.name]
         region = free_of(face, self._region(face), self.margin, self.band, taken)
@@ -208,7 +208,9 @@ class FloorPlan(Checked):
         return face.where(region)
 
     def _region(self, face: Surface) -> Any:
-        """Existing part of a face's rectangle; for an obstacle's face, the part that has the room in front."""
+        """Part of a face's bounding rectangle that belongs to the face. For a face of an obstacle, the part with space
+        of the room in front of it.
+        """
         import shapely
 
         along, up = face.extent

@@ -1,4 +1,4 @@
-"""Floor plan of the free region of an occupancy grid, for maps of robots."""
+"""Floor plan of the free region of an occupancy grid, such as a robot's map."""
 
 import math
 from typing import Any, NamedTuple
@@ -31,7 +31,9 @@ class OccupancyGrid(NamedTuple):
     path: str
     """Path of the map's file, for messages."""
     cells: IntArray
-    """Occupancy in per cent, -1 for unknown, `(H, W)`; the first row has the lowest y in the frame of the picture."""
+    """Occupancy in per cent, -1 for unknown, `(H, W)`; row 0 has the lowest y before `origin` rotates and moves the
+    map.
+    """
     resolution: float
     """Side of a cell, metres."""
     origin: tuple[float, float, float]
@@ -41,7 +43,7 @@ class OccupancyGrid(NamedTuple):
     is_free: BoolArray
     """Mask of the free cells, `(H, W)`."""
     note: str = ""
-    """Remark on an ambiguous file, a clause; empty without ambiguity."""
+    """Clause about ambiguities of the file; empty if there are none."""
 
     def in_map(self, at: FloatArray) -> FloatArray:
         """Convert points (column, row) in cells, from the corner of cell (0, 0), to points of the map frame, metres."""
@@ -148,7 +150,7 @@ def _free_region(
 
 
 def _at(grid: OccupancyGrid, parts: IntArray, start: tuple[float, ...], corner: IntArray) -> int:
-    """Label of the part of the free region that contains a point."""
+    """Label of the part of the free region that contains the point `start`."""
     column, row = np.floor(grid.in_cells(np.array(start)) - corner).astype(int)
     inside = 0 <= row < parts.shape[0] and 0 <= column < parts.shape[1]
     if not inside or not parts[row, column]:
@@ -200,7 +202,9 @@ def _polygon(region: BoolArray) -> Any:
 
 
 def _simplified(polygon: Any, tolerance: float, grid: OccupancyGrid) -> Any:
-    """Polygon whose edges fit the border of a polygon of cells within a tolerance, in cells; rings do not touch."""
+    """Polygon with fewer vertices whose edges follow the border of a polygon of cells within a tolerance, in cells; its
+    rings do not touch each other.
+    """
     import shapely
 
     contours = []
@@ -234,7 +238,7 @@ def _simplified(polygon: Any, tolerance: float, grid: OccupancyGrid) -> Any:
 
 
 def _fitted(simple: FloatArray, contour: FloatArray, tolerance: float) -> FloatArray:
-    """Move the vertices of a ring so that its edges are the lines of least squares through the contour.
+    """Move the vertices of a ring so that its edges are least-squares lines through the vertices of the contour.
 
     A vertex is not moved if an edge would exceed the tolerance.
 

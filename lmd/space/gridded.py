@@ -116,7 +116,7 @@ SAME_WAY = 1e-6
 
 
 def clear_of(blockers: Blockers | Triangles | None, starts: FloatArray, ends: FloatArray) -> BoolArray:
-    """Mask of the lines between points `(..., 3)` that are not blocked, `(...)`."""
+    """Mask of the straight lines between pairs of points `(..., 3)` that are not blocked, `(...)`."""
     if blockers is None:
         return np.ones(np.broadcast_shapes(starts.shape, ends.shape)[:-1], dtype=np.bool_)
     return blockers.clear(starts, ends)
@@ -244,7 +244,9 @@ class Gridded(Checked, ABC):
         return self._reached(size, kronecker((self.sample(1, rng)[0] - low) / extent))
 
     def _reached(self, size: int, following: Callable[[int], FloatArray]) -> FloatArray:
-        """First `size` reachable points of the sequence `following`, scaled from the unit cube to the box."""
+        """Return the first `size` reachable points of a sequence; `following` returns its next points in the unit cube,
+        which are scaled to the box.
+        """
         low, high = self.box
         drawn, tries = np.empty((0, 3)), 0
         while len(drawn) < size:
@@ -272,11 +274,11 @@ class Gridded(Checked, ABC):
         return np.where(hangs.any(axis=-1), np.argmax(np.where(same, facing + 1.0, facing), axis=-1), -1)
 
     def _carried(self, points: FloatArray) -> tuple[SurfaceArrays, BoolArray, BoolArray]:
-        """Surfaces at points `(..., 3)`.
+        """Find the surfaces on which points `(..., 3)` lie.
 
         Returns:
-            W surfaces; mask of the rectangles that contain each point, `(..., W)`; mask of the allowed regions that
-            contain each point, `(..., W)`.
+            arrays of the W surfaces; mask of the surfaces whose rectangle contains each point, `(..., W)`; mask of the
+            surfaces whose allowed region contains each point, `(..., W)`.
         """
         carriers = SurfaceArrays.of(self.surfaces())
         every = np.arange(len(carriers.normal))

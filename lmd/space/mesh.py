@@ -114,7 +114,9 @@ def standing_on(surface: Surface, triangles: FloatArray, height: float) -> list[
 
 
 def _between(corners: FloatArray, height: FloatArray, low: float, high: float) -> FloatArray:
-    """Corners, `(m, 3)` in any order, of the part of a triangle `(3, 3)` between the heights `low` and `high`."""
+    """Cut out the part of a triangle `(3, 3)` between the heights `low` and `high`; return its corners in any order,
+    `(m, 3)`.
+    """
     found = [corners[(height >= low) & (height <= high)]]
     for i, j in ((0, 1), (1, 2), (2, 0)):
         for limit in (low, high):
@@ -159,7 +161,7 @@ def doubt_of(mesh: Mesh, undecided: bool) -> str | None:
 
 
 def _built_along(corners: FloatArray, up: FloatArray) -> float:
-    """Share of the area of triangles `(T, 3, 3)` that is level or upright with respect to `up` `(3,)`."""
+    """Fraction of the area of triangles `(T, 3, 3)` that is horizontal or vertical, if `up` `(3,)` points up."""
     vertical, area = np.abs(unit_normals(corners) @ up), areas_of(corners)
     return float(
         area[(vertical < np.sin(BUILT_TOLERANCE_RAD)) | (vertical > np.cos(BUILT_TOLERANCE_RAD))].sum() / area.sum()
@@ -189,7 +191,7 @@ class Interior:
     """
 
     triangles: Triangles
-    """Mesh."""
+    """Triangles of the mesh."""
     low: FloatArray
     """Lower corner of the box around the mesh, metres, `(3,)`."""
     high: FloatArray

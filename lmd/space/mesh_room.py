@@ -31,9 +31,9 @@ class MeshRoom(Gridded):
     """
 
     scan: Scan
-    """Mesh."""
+    """Mesh with its surfaces and its free space."""
     reachable: Annotated[FreeVolume, partial(made, kind=FreeVolume)]
-    """`FreeVolume`, or a mapping of its arguments."""
+    """Reachable volume: a `FreeVolume`, or a mapping of its arguments."""
     spacing: Any
     """Largest distance between neighbouring positions, metres: one number or one per axis."""
     positions: GridKind = "cells"

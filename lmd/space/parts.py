@@ -39,7 +39,7 @@ def check_metres(size: Iterable[float], makes: str, hint: str, argument: str) ->
         size: lengths along x, y and z, metres.
         makes: beginning of the message, which states the cause.
         hint: end of the message, which states the remedy.
-        argument: name of the argument.
+        argument: name of the argument that the error reports.
     """
     lengths = list(size)
     if not SHORTEST <= max(lengths) <= LONGEST or min(lengths) > FLATTEST:
@@ -73,7 +73,7 @@ class Obstacle(Checked):
     """Box with sides along x, y and z, such as a rack, that blocks lines of sight and excludes the camera.
 
     Raises:
-        InputError: the box is empty, or a face is unknown.
+        InputError: the box is empty, or the name of a face is unknown.
     """
 
     low: Point
@@ -197,7 +197,7 @@ class KeepOut(Checked):
     Left and below are as seen by a viewer who faces a wall with z up, or the floor or ceiling with y up.
 
     Raises:
-        InputError: the part is empty, or is given neither by both spans nor by the corners.
+        InputError: the part is empty, or neither both spans nor the corners are given.
     """
 
     surface: str

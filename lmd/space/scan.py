@@ -203,10 +203,11 @@ class Scan(Checked):
         return [part for part in self.keep_out if part.surface == surface.name]
 
     def _inside(self, surface: Surface, region: Any, standing: Sequence[Any]) -> Any:
-        """Part of a patch's region inside the room, so not below the floor, beyond a wall or in furniture.
+        """Part of a patch's region that borders on the inside of the room: not below the floor, beyond a wall or in
+        furniture.
 
         Triangles on the patch divide the region into cells; strips narrower than 2 `FREE_BEFORE_M` are ignored. As no
-        triangle crosses a cell, a cell is inside the room if any of its points is.
+        triangle crosses a cell, a cell is inside the room if any point of the cell is inside.
         """
         import shapely
 
@@ -245,8 +246,8 @@ class Scan(Checked):
     def fixtures(self, surfaces: Sequence[Surface]) -> list[Fixture]:
         """Named objects of the file other than floor, ceiling and walls, and keep-outs on surfaces.
 
-        An object is a wall if it spans the share `WALL` of the room's height. An object is floor or ceiling if it
-        covers the share `GROUND` of the room's bounding rectangle.
+        An object is a wall if its height is at least the fraction `WALL` of the room's height. An object is floor or
+        ceiling if it covers at least the fraction `GROUND` of the room's bounding rectangle.
         """
         low, high = self.bounds
         found = []

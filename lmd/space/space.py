@@ -34,12 +34,13 @@ class Relevance(Checked):
     """
 
     background: NotNegative = 1.0
-    """Weight of positions in no region."""
+    """Weight of positions outside all regions."""
     regions: Sequence[Mapping[str, Any]] = ()
     """Closed boxes `{low: [x, y, z], high: [x, y, z], weight: w}`, metres, world frame; later regions override earlier
     ones."""
     path: str | None = None
-    """CSV with columns `x,y,z,weight` for every position of the grid, instead of background and regions."""
+    """CSV file with columns `x,y,z,weight` and a row for every position of the grid; replaces background and regions.
+    """
 
     def _validate(self) -> None:
         if self.path is not None and self.regions:
@@ -123,7 +124,7 @@ class Space(Protocol):
         """Obstacles between points of the room; None for a convex and empty room."""
 
     def clear(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
-        """Mask of the lines between points `(..., 3)` of the room that are not blocked, `(...)`.
+        """Mask of the straight lines between pairs of points `(..., 3)` of the room that are not blocked, `(...)`.
 
         Reference for the compiled kernels.
         """
@@ -188,8 +189,8 @@ def lower_edge(room: Space, surface: Surface) -> float:
 
 
 def outwards(room: Space, surface: Surface) -> FloatArray:
-    """Direction `(2,)` from a wall to its name in a drawing: backwards for a wall at the edge of the room, forwards for
-    a wall inside the room.
+    """Direction `(2,)` in which a drawing puts the name of a wall: behind a wall at the edge of the room, in front of a
+    wall inside the room.
     """
     low, high = room.bounds()
     middle, normal = surface.point(*np.divide(surface.extent, 2.0)), surface.normal

@@ -102,7 +102,7 @@ class Surface:
         return replace(self, origin=self.origin + a * self.u + b * self.v, extent=extent, allowed=allowed)
 
     def where(self, region: Any) -> "Surface":
-        """Surface with `region` as its allowed region."""
+        """Copy of the surface with `region` as its allowed region."""
         import shapely
 
         whole = shapely.box(0.0, 0.0, *self.extent)
@@ -140,7 +140,7 @@ class Surface:
         """Surface coordinates of `count` cell centres of a grid with nearly square cells.
 
         For the paper's walls and `count` 15 the grid is 5 x 3. On a surface with an allowed region, the grid is refined
-        until at least `count` centres are in the region; `count` evenly spaced ones of these are returned.
+        until at least `count` centres are in the region; `count` evenly spaced centres among them are returned.
         """
         if count == 0:
             return []
@@ -197,7 +197,7 @@ def free_of(face: Surface, region: Any, margin: float, band: Sequence[float] | N
 
     Args:
         face: surface.
-        region: existing part of the face, a shapely polygon.
+        region: part of the bounding rectangle that belongs to the face, a shapely polygon.
         margin: distance from the edges of the region and of `taken` along u and v, metres.
         band: lowest and highest z on an upright face, metres.
         taken: regions that exclude landmarks.
@@ -216,7 +216,7 @@ class SurfaceArrays(NamedTuple):
     """W surfaces as arrays, for vectorised and compiled code."""
 
     origin: np.ndarray
-    """Point with a = b = 0, metres, `(W, 3)`."""
+    """Corner of each surface at a = b = 0, metres, `(W, 3)`."""
     u: np.ndarray
     """Unit vectors u of the surfaces, see `Surface.u`, `(W, 3)`."""
     v: np.ndarray
@@ -228,11 +228,11 @@ class SurfaceArrays(NamedTuple):
     pieces: np.ndarray
     """Trapezoids of the allowed regions, see `lmd.space.allowed`, `(T, 6)`."""
     first: np.ndarray
-    """Trapezoids of surface w are `first[w]` to `first[w + 1]`, `(W + 1,)`."""
+    """Rows `first[w]` to `first[w + 1] - 1` of `pieces` are the trapezoids of surface w, `(W + 1,)`."""
     of_piece: np.ndarray
     """Surface of each trapezoid, `(T,)`."""
     shares: np.ndarray
-    """Cumulative shares of the trapezoids' areas, for drawing random trapezoids, `(T,)`."""
+    """Cumulative areas of the trapezoids as fractions of the total area, for drawing random trapezoids, `(T,)`."""
 
     @classmethod
     def of(cls, surfaces: Sequence[Surface]) -> "SurfaceArrays":

@@ -4,10 +4,10 @@ A line from p to q crosses a triangle if p and q lie on different sides of the t
 plane than the tolerance. The line must also meet the plane within the triangle's edges. The effective extent at an edge
 depends on the adjacent triangle:
 
-- If the line crosses the planes of both triangles in equal senses, both triangles are extended over the edge by the
-  tolerance, so that no line passes between the two.
-- If the line crosses the planes in opposite senses, the line only touches the surface at the edge. Then both triangles
-  are shortened by the tolerance. A triangle without a neighbour at an edge is shortened there, too.
+- If the line crosses the planes of both triangles in the same direction, both triangles are extended over the edge by
+  the tolerance, so that no line passes between the two.
+- If the line crosses the planes in opposite directions, the line only touches the surface at the edge. Then both
+  triangles are shortened by the tolerance. A triangle without a neighbour at an edge is shortened there, too.
 
 A line through a corner only touches the surface if it only touches the surface at some edge of that corner. So a line
 that touches an edge or a corner, or runs along a face, is clear, as in `lmd.space.blockers`.
@@ -37,8 +37,8 @@ def box_tree(
         high: upper corners of the boxes, `(T, 3)`.
 
     Returns:
-        permutation of the boxes, `(T,)`; centres, halves `(N, 3)`, skip, first and stop `(N,)` of the nodes as in
-        `lmd.space.triangles.Triangles`.
+        permutation of the boxes, `(T,)`; for the N nodes of the hierarchy, `centres` and `halves` `(N, 3)`, and `skip`,
+        `first` and `stop` `(N,)` as in `lmd.space.triangles.Triangles`.
     """
     middle = low + high
     order: list[IntArray] = []
@@ -71,7 +71,9 @@ def box_tree(
 
 
 def _cut(part: IntArray, low: FloatArray, high: FloatArray, middle: FloatArray) -> Sequence[IntArray]:
-    """Cut boxes into two parts, by the surface area heuristic (MacDonald and Booth, 1990); few boxes at the median."""
+    """Cut boxes into two parts, by the surface area heuristic (MacDonald and Booth, 1990); few boxes are cut at the
+    median.
+    """
     if len(part) <= SMALL:
         part = part[np.argsort(middle[part, np.argmax(np.ptp(middle[part], axis=0))], kind="stable")]
         return part[: len(part) // 2], part[len(part) // 2 :]
@@ -109,13 +111,15 @@ class Triangles(NamedTuple):
     offsets: np.ndarray
     """Offset n . x of each plane, `(T,)`."""
     corners: np.ndarray
-    """Corners, `(T, 3, 3)`."""
+    """Corners of each triangle, `(T, 3, 3)`."""
     borders: np.ndarray
     """Inward unit normal m of each edge in the plane of the triangle, and offset m . x of the edge, `(T, 3, 4)`."""
     beyond: np.ndarray
-    """Unit normal of the neighbour at each edge, oriented consistently with `normals`, `(T, 3, 3)`; 0 for none."""
+    """Unit normal of the adjacent triangle at each edge, oriented consistently with `normals`, `(T, 3, 3)`; 0 if there
+    is none.
+    """
     apex: np.ndarray
-    """Index of the vertex at each corner, `(T, 3)`."""
+    """Index of the mesh's vertex at each corner of a triangle, `(T, 3)`."""
     ending: np.ndarray
     """Rows of `spokes` for the edges that end at vertex v are `ending[v]` to `ending[v + 1]`, `(V + 1,)`."""
     spokes: np.ndarray
@@ -123,13 +127,13 @@ class Triangles(NamedTuple):
     centres: np.ndarray
     """Centres of the boxes, `(N, 3)`."""
     halves: np.ndarray
-    """Half the extent of the boxes, `(N, 3)`."""
+    """Half the side lengths of the boxes, `(N, 3)`."""
     skip: np.ndarray
     """Index of the next box that is not inside this one, `(N,)`."""
     first: np.ndarray
-    """Index of the first triangle of a leaf, `(N,)`."""
+    """Index of the first triangle in each leaf, `(N,)`."""
     stop: np.ndarray
-    """Index after the last triangle of a leaf, `(N,)`; equal to `first` for inner boxes."""
+    """Index after the last triangle in each leaf, `(N,)`; equal to `first` for inner boxes."""
     tolerance: float
     """Largest distance from a triangle's plane or edge at which a line only touches the triangle, metres."""
 
@@ -171,7 +175,7 @@ class Triangles(NamedTuple):
         return self._of_each(_find_kept, starts, ends, clearance)
 
     def _of_each(self, find: Callable[..., None], starts: FloatArray, ends: FloatArray, *more: float) -> BoolArray:
-        """Result of a kernel for each line between points `(..., 3)`, `(...)`."""
+        """Result of the kernel `find` for each line between points `(..., 3)`, `(...)`."""
         starts, ends = np.broadcast_arrays(starts, ends)
         found = np.empty(starts.shape[:-1], dtype=np.bool_)
         first, last = (np.ascontiguousarray(p).reshape(-1, 3) for p in (starts, ends))

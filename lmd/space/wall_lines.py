@@ -48,7 +48,7 @@ class ReadPlan(NamedTuple):
     stretches: Sequence[Stretch]
     """Parts of the walls without landmarks."""
     scale: str
-    """Text on the unit of the file, such as `resolution = 0.05`, for messages."""
+    """Text that states the unit of the file, such as `resolution = 0.05`, for messages."""
     note: str = ""
     """Remark on omitted or ambiguous parts, a sentence; empty without a remark."""
 
@@ -80,13 +80,13 @@ class Drawing(NamedTuple):
     walls: Any
     """Lines of the walls, a shapely geometry."""
     windows: Any
-    """Lines of the windows, which close gaps."""
+    """Lines of the windows, which close gaps between walls."""
     boxes: list[tuple[str, Any]]
     """Doors and windows that are blocks of the drawing: `door` or `window`, and the box, a shapely polygon."""
     unit: str
-    """Name of the unit."""
+    """Name of the drawing's unit of length."""
     note: str
-    """Clause about the layers that are left out."""
+    """Clause about the layers that are not read."""
 
 
 def plan_of(path: str, drawing: Drawing, gap: float, start: Sequence[float] | None) -> ReadPlan:
@@ -99,7 +99,7 @@ def plan_of(path: str, drawing: Drawing, gap: float, start: Sequence[float] | No
         path: path of the file, for messages.
         drawing: lines of the file.
         gap: widest gap between walls that is closed, metres.
-        start: point of the room, metres; None for the largest region.
+        start: point inside the room, metres; None for the largest region.
 
     Raises:
         InputError: walls enclose no room.
@@ -188,7 +188,9 @@ def _enclosed(path: str, drawing: Drawing, gap: float, start: Sequence[float] | 
 
 
 def _shared(corners: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
-    """Edges that two triangles `(T, 3, 2)` share: indices of both triangles, and lengths."""
+    """Find the edges that two of the triangles `(T, 3, 2)` share: indices of the first and of the second triangle, and
+    lengths of the edges.
+    """
     sides = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2, 2)
     swap = (sides[:, 0, 0] > sides[:, 1, 0]) | ((sides[:, 0, 0] == sides[:, 1, 0]) & (sides[:, 0, 1] > sides[:, 1, 1]))
     sides[swap] = sides[swap][:, ::-1]
@@ -200,7 +202,7 @@ def _shared(corners: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
 
 
 def _openings(edge: FloatArray, near: Any, boxes: list[tuple[str, Any]]) -> Iterator[tuple[float, float, str]]:
-    """Start, end and name of the parts of an edge without a wall, and of the parts at a door or a window."""
+    """Start, end and name of each part of an edge that has no wall, or that is at a door or a window."""
     import shapely
 
     line, spans = shapely.LineString(edge), []

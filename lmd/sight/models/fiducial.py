@@ -9,12 +9,13 @@ seen if
   sigma)^2), with `pitch` and `blur` of the detector and sigma^2 = psf_sigma^2 + (c / 4)^2 + motion_blur^2 / 12, where c
   is the diameter of the circle of confusion of a thin lens at the depth of the tag's centre;
 - the square root of its image area is at least `edge` pixels;
-- the corners of its picture lie in the rectangular image, at least `margin` pixels from the border;
-- no other footprint covers its centre or a corner of its picture. Footprints include the quiet zone.
+- the corners of its black square lie in the rectangular image, at least `margin` pixels from the border;
+- no footprint of another tag covers its centre or a corner of its black square. Footprints include the quiet zone.
 
-Let (u, v, w) be the tag's centre in the camera frame, and t, s its right and up. The Jacobian J maps metres in the
-plane of the tag to pixels. The column for t is (f_u (t_u - t_w u / w) / w, f_v (t_v - t_w v / w) / w). The column for s
-has s_u, s_v and s_w in place of t_u, t_v and t_w. The smaller eigenvalue of J^T J is at least T if 2 T <= |J|^2 and T^2
+Let (u, v, w) be the tag's centre in the camera frame, and t, s the tag's unit vectors to the right and up. The Jacobian
+J maps metres in the plane of the tag to pixels. The column for t is (f_u (t_u - t_w u / w) / w, f_v (t_v - t_w v / w) /
+w). The column for s has s_u, s_v and s_w in place of t_u, t_v and t_w. The smaller eigenvalue of J^T J is at least T if
+2 T <= |J|^2 and T^2
 - |J|^2 T + det(J)^2 >= 0. Moreover |det J| = f_u f_v |n . d| / w^3.
 
 Each border of a pinhole image bounds a half-space in the camera frame, so the corner farthest out decides. With lens
@@ -67,10 +68,12 @@ class Fiducial(Checked):
         tag: size and family of the tags.
         detector: name of measured limits (`aruco`, `apriltag`, `apriltag_decimate2`, `wpilib`), or a file, see
             `lmd.sight.models.limits`.
-        limits: replacements for single limits; all limits for a detector or a family that was not measured.
+        limits: values that replace single limits; for a detector or a family that was not measured, `limits` must give
+            all limits.
         psf_sigma: standard deviation of the point spread function in focus, pixels.
         motion_blur: path of an image point during the exposure, pixels.
-        edges: edge of the tag at each landmark, or one edge for all, metres; None for the edge of `tag`.
+        edges: edge length of the tag at each landmark, or one length for all, metres; None for the edge length of
+            `tag`.
 
     Raises:
         InputError: the tag is a point, the detector's limits are not known, or a value is out of range.
@@ -93,11 +96,11 @@ class Fiducial(Checked):
 
     @property
     def spacing(self) -> float:
-        """See `Criteria.spacing`; the edge of a footprint."""
+        """See `Criteria.spacing`: the edge length of a footprint."""
         return self.tag.paper_edge
 
     def sized(self, edges: tuple[float, ...]) -> "Fiducial":
-        """Copy of the criteria for landmarks with the given edges, metres."""
+        """Copy of the criteria for landmarks with the given edge lengths, metres."""
         return replace(self, edges=edges)
 
     def sight(self, camera: Camera) -> FiducialSight | LensSight:
@@ -196,7 +199,7 @@ class Fiducial(Checked):
 
 @lru_cache
 def _through(lens: Lens, widest: float, flat: FiducialSight) -> LensSight:
-    """Compiled model for a lens with distortion and the greatest angle `widest` from its axis, rad.
+    """Compiled model for a lens with distortion; `widest` is the greatest angle from the optical axis, rad.
 
     `flat` is the compiled model without distortion.
     """

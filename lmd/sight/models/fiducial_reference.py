@@ -55,7 +55,7 @@ def in_bent_rectangle(sight: LensSight, centre: FloatArray, sides: list[FloatArr
 def resolved(
     sight: FiducialSight, centre: FloatArray, sides: list[FloatArray], offset: FloatArray, normals: FloatArray
 ) -> BoolArray:
-    """Mask `(A, K)` of the tags with sufficient pitch and area; arguments as in `in_rectangle` and `faces`."""
+    """Mask `(A, K)` of the tags whose pitch and image area suffice; arguments as in `in_rectangle` and `faces`."""
     (u, v, w), ((tu, tv, tw), (su, sv, sw)) = centre, sides
     with np.errstate(all="ignore"):  # a tag beside the camera is not resolved; NaN compares as False
         per = 1.0 / w
@@ -66,7 +66,7 @@ def resolved(
 
 
 def resolved_by_lens(sight: LensSight, centre: FloatArray, sides: list[FloatArray]) -> BoolArray:
-    """Mask `(A, K)` of the tags with sufficient pitch and area through a lens with distortion."""
+    """Mask `(A, K)` of the tags whose pitch and image area suffice, for a lens with distortion."""
     (u, v, w), ((tu, tv, tw), (su, sv, sw)), flat = centre, sides, sight.flat
     with np.errstate(all="ignore"):
         xu, xv, xw, yu, yv, yw = slope_of(sight.lens, u, v, w)
@@ -79,7 +79,9 @@ def resolved_by_lens(sight: LensSight, centre: FloatArray, sides: list[FloatArra
 
 
 def _suffices(sight: FiducialSight, square: FloatArray, determinant: FloatArray, per: FloatArray) -> BoolArray:
-    """Mask of sufficient pitch and area for `square` = |J|_F^2 and `determinant` = |det J| at the depth 1 / `per`."""
+    """Mask of the tags whose pitch and area suffice, from `square` = |J|_F^2 and `determinant` = |det J| at the depth 1
+    / `per`.
+    """
     blur = sight.defocus - sight.focus * per
     least = sight.sharp + sight.blurred * (blur * blur)
     enough = (2.0 * least <= square) & (determinant >= sight.area)
@@ -87,7 +89,7 @@ def _suffices(sight: FiducialSight, square: FloatArray, determinant: FloatArray,
 
 
 def hidden_by_others(sight: FiducialSight, offset: FloatArray, normals: FloatArray) -> BoolArray:
-    """Mask `(K,)` of the tags with the centre or a corner behind the footprint of another tag.
+    """Mask `(K,)` of the tags of which the centre or a corner is behind the footprint of another tag.
 
     A footprint does not hide points at most `TOLERANCE` metres behind its plane, such as tags on its wall.
     """

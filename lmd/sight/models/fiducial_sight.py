@@ -36,7 +36,7 @@ from lmd.sight.obstacles import half_edge
 def footprint_hides(sight: Any, half: float, a: Vector, n: Vector, b: Vector, m: Vector) -> Any:
     """True if the footprint of tag A with normal n hides the centre or a corner of tag B with normal m.
 
-    `half` is half the edge of B; a and b are the offsets from the camera, metres.
+    `half` is half the edge length of B; a and b are the offsets of the tags from the camera, metres.
     """
     height, (t, u), (r, s) = -dot3(n, a), upright_axes(n, sight.level), upright_axes(m, sight.level)
     r, s = times3(half, r), times3(half, s)
@@ -114,29 +114,29 @@ class FiducialSight(NamedTuple):
     reach: float
     """See `SightModel.reach`."""
     facing: float
-    """Cosine of the greatest incidence angle."""
+    """Cosine of the greatest incidence angle at which a tag is detected."""
     half: Column
-    """Half the edge of the black square, metres."""
+    """Half the edge length of the black square, metres."""
     footprint: Column
-    """Half the edge of the paper, metres."""
+    """Half the edge length of the footprint (black square and quiet zone), metres."""
     level: float
     """Tolerance for vertical normals, see `lmd.geometry.squares.upright`."""
     left: float
-    """Tangent of the angle between the optical axis and the left border, less the margin."""
+    """Tangent of the angle between the optical axis and the left border of the image, less the margin."""
     right: float
-    """Tangent of the angle to the right border, less the margin."""
+    """Tangent of the angle between the optical axis and the right border, less the margin."""
     top: float
-    """Tangent of the angle to the top border, less the margin."""
+    """Tangent of the angle between the optical axis and the top border, less the margin."""
     bottom: float
-    """Tangent of the angle to the bottom border, less the margin."""
+    """Tangent of the angle between the optical axis and the bottom border, less the margin."""
     focal_u: float
     """Focal length along the image's rows, pixels."""
     focal_v: float
     """Focal length along the image's columns, pixels."""
     area: Column
-    """Least |det J|, pixels^2 / metre^2."""
+    """Least |det J| at which a tag is detected, pixels^2 / metre^2."""
     sharp: Column
-    """Least eigenvalue of J^T J without defocus, pixels^2 / metre^2.
+    """Least eigenvalue of J^T J at which a tag without defocus is detected, pixels^2 / metre^2.
 
     With defocus, the eigenvalue at the depth w must be at least sharp + blurred (defocus - focus / w)^2.
     """
@@ -166,7 +166,7 @@ class FiducialSight(NamedTuple):
         return self._replace(reach=-1.0)
 
     def among(self, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray) -> "FiducialSight":
-        """See `SightModel.among`; flush footprints in a convex room do not hide each other."""
+        """See `SightModel.among`; footprints flush with the walls of a convex room do not hide each other."""
         return self if may_hide(self, self.horizon, low, high, landmarks, normals) else self.unhidden()
 
     def shrunk(self, size: float) -> "FiducialSight":
@@ -175,7 +175,7 @@ class FiducialSight(NamedTuple):
 
 
 def of_sizes(sights: Sequence[FiducialSight]) -> FiducialSight:
-    """Compiled model of K tags from the compiled model of each."""
+    """Join the compiled models of K single tags into one model."""
     largest = max(sights, key=lambda sight: sight.half)
     columns: dict[str, Any] = {name: np.array([getattr(sight, name) for sight in sights]) for name in SIZED}
     return largest._replace(**columns)
@@ -229,7 +229,7 @@ def _from_position(sight: Any, offset: Vector, normal: Vector, slack: float) -> 
 
 @from_around.register(FiducialSight)
 def _from_around(sight: Any, offset: Vector, normal: Vector, radius: float) -> Any:
-    """Bounds of `criteria.from_around` by the incidence angle alone."""
+    """Bounds of `criteria.from_around` that use the incidence angle only."""
     distance, along = math.sqrt(dot3(offset, offset)), radius - dot3(normal, offset)
     nearest, farthest = max(distance - radius, 0.0), distance + radius
     reached = (along >= min(sight.facing * nearest, sight.facing * farthest)) & (along >= 0.0)
@@ -264,7 +264,7 @@ def _inside(sight: Any, tag: tuple[Vector, Vector, Vector]) -> Any:
 
 @inlined
 def _clear(sight: Any, tag: tuple[Vector, Vector, Vector], along: float) -> Any:
-    """True if pitch and area suffice; arguments as in `_inside`, `along` is n . d."""
+    """True if the pitch and the image area of a tag suffice; arguments as in `_inside`, `along` is n . d."""
     (u, v, w), (tu, tv, tw), (uu, uv, uw) = tag
     per = 1.0 / w
     fu, fv, at_u, at_v = sight.focal_u * per, sight.focal_v * per, u * per, v * per

@@ -24,7 +24,8 @@ def _polynomial(coefficients: Any, h: float) -> Any:
 
 @inlined
 def stretch_at(sight: Any, height: float) -> Any:
-    """Upper bound on the image motion per rotation of the direction, for 1 - cos(theta) <= `height`.
+    """Upper bound on the motion of an image point per angle by which its direction turns, for 1 - cos(theta) <=
+    `height`.
 
     The bound is in focal lengths per radian.
     """
@@ -44,7 +45,7 @@ def room_within(sight: Any, point: Vector, per: float) -> Any:
 
 @inlined
 def in_rectangle(sight: Any, point: Vector) -> Any:
-    """True if the image contains a point; exact."""
+    """True if the image contains a point; the test is exact."""
     flat, (across, down) = sight.flat, image_of(sight.lens, point[0], point[1], point[2])
     inside = point[2] >= sight.cosine * math.sqrt(dot3(point, point))
     return inside & (-flat.left <= across) & (across <= flat.right) & (-flat.top <= down) & (down <= flat.bottom)

@@ -2,8 +2,8 @@
 
 The functions differ from `fiducial_sight` in two points:
 
-- the centre and each corner are projected through the lens. The images must lie in the image rectangle and within the
-  camera's widest angle from the optical axis, which may exceed 90 degrees.
+- the centre and each corner are projected through the lens. The projections must lie in the image rectangle and within
+  the camera's widest angle from the optical axis, which may exceed 90 degrees.
 - J is the Jacobian of the projection through the lens.
 
 Bounds follow from the angular stretch of the lens (`lmd.geometry.lens.Stretch`). Anywhere in the image, a tag at the
@@ -68,7 +68,7 @@ class LensSight(NamedTuple):
     cosine: float
     """Cosine of the camera's widest angle from the optical axis."""
     min_depth_ratio: float
-    """Least `lens_models.depth_of` over distance within the widest angle."""
+    """Least ratio of `lens_models.depth_of` to the distance, over all directions within the widest angle."""
     min_pitch: float
     """Least image length of a metre that faces the camera at a distance of 1 m, pixels."""
     max_pitch: float
@@ -122,7 +122,7 @@ class LensSight(NamedTuple):
 
 
 def of_sizes_behind_lens(sights: Sequence[LensSight]) -> LensSight:
-    """Compiled model of K tags from the compiled model of each."""
+    """Join the compiled models of K single tags behind a lens into one model."""
     largest = max(sights, key=lambda sight: sight.flat.half)
     pinholes: Any = tuple(of_sizes(each) for each in zip(*(sight.pinholes for sight in sights), strict=True))
     return largest._replace(flat=of_sizes([sight.flat for sight in sights]), pinholes=pinholes)

@@ -26,7 +26,7 @@ class Limits(Checked):
     """Limits within which a detector finds a tag, in the terms of `lmd.detection.corner_errors`.
 
     Args:
-        pitch: a, least pitch without blur, pixels per module.
+        pitch: a, least pitch (image length of a module) without blur, pixels per module.
         blur: k, increase with the blur sigma: the least pitch is sqrt(pitch^2 + (blur sigma)^2).
         edge: m, least square root of the image area, pixels.
         incidence: b, greatest angle between the tag's normal and the direction to the camera, degrees.
@@ -43,9 +43,10 @@ class Limits(Checked):
     margin: NotNegative
 
     def found(self, pitch: FloatArray, incidence: FloatArray, edge: FloatArray, sigma: FloatArray) -> BoolArray:
-        """Mask of the views that the detector finds, for tags wholly in the image; arrays of equal shape.
+        """Mask of the views in which the detector finds the tag, for tags wholly in the image; all arrays have one
+        shape.
 
-        Views with NaN (behind the camera) are not found.
+        In views with NaN, the tag is behind the camera and is not found.
 
         Args:
             pitch: pitch, pixels per module.
@@ -106,7 +107,7 @@ class Preset:
 
 @cache
 def measured() -> dict[tuple[str, str], Preset]:
-    """Presets of this package by detector and family."""
+    """Presets of this package, keyed by (detector, family)."""
     presets = [Preset.from_yaml(path) for path in sorted(FOLDER.iterdir()) if path.suffix in SUFFIXES]
     return {(preset.detector, preset.family): preset for preset in presets}
 
@@ -117,7 +118,8 @@ def limits_of(detector: str, family: str, changes: Mapping[str, Any]) -> Limits:
     Args:
         detector: name of a measured detector, or the path of a preset.
         family: one of `lmd.scene.families.FAMILIES`.
-        changes: replacements for single limits; all limits for a detector and a family without a preset.
+        changes: values that replace single limits; without a preset for detector and family, `changes` must give all
+            limits.
 
     Raises:
         InputError: there is no preset for detector and family, or `changes` has an unknown key.

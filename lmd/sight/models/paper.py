@@ -1,8 +1,8 @@
 """The paper's four criteria: resolution, field of view, focus and occlusion (Sec. III).
 
-The NumPy reference has one function per equation; `PaperSight` is the compiled half. Decisions are closed inequalities
-with the shared `TOLERANCE`, and sums are written out term by term. Compiled code repeats the operations in their order,
-so its counts are identical even for a landmark exactly on a boundary.
+The NumPy reference has one function per equation; `PaperSight` is the model of sight for compiled code. Decisions are
+closed inequalities with the shared `TOLERANCE`, and sums are written out term by term. Compiled code repeats the
+operations in their order, so its counts are identical even for a landmark exactly on a boundary.
 
 Let z be the depth along the optical axis of a landmark at distance d. The landmark is covered, unless occluded, iff
 
@@ -53,7 +53,9 @@ class PaperSight(NamedTuple):
 
     @property
     def horizon(self) -> float:
-        """See `SightModel.horizon`; infinite for `whole_line`, as landmarks at any distance may hide others."""
+        """See `SightModel.horizon`; infinite for `whole_line`, as a landmark at any distance may hide another
+        landmark.
+        """
         if self.min_cosine <= 0.0 or (self.whole_line and self.reach >= 0.0):
             return math.inf
         return (self.max_depth / self.min_cosine + math.sqrt(max(self.reach, 0.0))) * (1.0 + 2.0 * TOLERANCE)
@@ -63,7 +65,7 @@ class PaperSight(NamedTuple):
         return self._replace(reach=-1.0)
 
     def among(self, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray) -> "PaperSight":
-        """See `SightModel.among`; no occlusion is excluded."""
+        """See `SightModel.among`; returns the model itself, as no occlusion is excluded."""
         return self
 
     def shrunk(self, size: float) -> "PaperSight":
@@ -128,8 +130,9 @@ class Visibility(Checked):
 
     Args:
         thold: coverage-strength threshold, pixel/mm.
-        nu: virtual diameter nu_k of a landmark, metres; a landmark closer than this to the line of sight of another
-            hides it. 0 switches the test off, so an optimiser may put several landmarks on one point.
+        nu: virtual diameter nu_k of a landmark, metres; a landmark closer than nu to the line of sight to another
+            landmark hides this other landmark. 0 switches the test off, so an optimiser may put several landmarks on
+            one point.
         occlusion: `paper` tests the distance to the whole line through camera and landmark, as printed.
             `line_of_sight` tests only landmarks in front of the camera that are at most as far away as the hidden
             landmark. `none` ignores other landmarks. All modes require the landmark to face the camera.
@@ -268,7 +271,7 @@ def hidden_by_others(offset: FloatArray, visibility: Visibility) -> BoolArray:
 
     Args:
         offset: d = s - p, metres, `(K, 3)`.
-        visibility: has the virtual diameter nu and the occlusion mode.
+        visibility: criteria with the virtual diameter nu and the occlusion mode.
     """
     count = len(offset)
     if not visibility.tests_other_landmarks:
