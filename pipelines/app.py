@@ -1,4 +1,6 @@
-"""Context of a running application: package, configuration, command line and folder; and errors in one sentence."""
+"""Context of a running application: its package, configuration, command line and folder. Errors end it in one
+sentence.
+"""
 
 import errno
 import os
@@ -33,7 +35,9 @@ WITHOUT_EFFECT = (
 
 
 def lmd_experiment(*, _root_: DictConfig) -> str:
-    """mlflow experiment of the composed command: `EXPERIMENT`, or the command's own, such as `lmd compare`."""
+    """Name of the mlflow experiment for the composed command: `EXPERIMENT`, or a name of the command's own (`lmd
+    compare`).
+    """
     studies = list(_root_.get("studies") or {})
     # The configuration of a job lacks Hydra's part, and a configuration composed from Python has no job.
     hydra = HydraConfig.get() if "hydra" not in _root_ and HydraConfig.initialized() else _root_.get("hydra")
@@ -48,12 +52,14 @@ OmegaConf.register_new_resolver("lmd.conf", lambda name: str(Path(CONF, name)), 
 
 
 def command_of(pipeline: str) -> str:
-    """Command of a pipeline for messages, in the form in which the user called this process."""
+    """Text of the shell command that starts `pipeline`, for messages, in the form in which the user called this
+    process.
+    """
     return f"python -m pipelines.{pipeline}" if IN_CHECKOUT else f"lmd-{pipeline.replace('_', '-')}"
 
 
 def flat_settings(cfg: DictConfig, *keys: str) -> dict[str, Any]:
-    """Resolved settings below `keys` (by default all), such as `{"room.spacing": 0.5, ...}`."""
+    """Resolved settings below the given `keys` (by default all settings), such as `{"room.spacing": 0.5, ...}`."""
     resolved: Any = OmegaConf.to_container(cfg, resolve=True)
     return _flat({key: resolved[key] for key in keys or resolved})
 
@@ -71,13 +77,14 @@ def run_directory() -> Path:
 
 
 def choices(picked: Mapping[Any, Any] | None = None) -> dict[str, str]:
-    """Option picked in each config group, such as `{"room": "paper_simulation"}`, without Hydra's own groups.
+    """Name of the option chosen in each config group, such as `{"room": "paper_simulation"}`, without Hydra's own
+    groups.
 
-    A group in another place, such as `odometry@objective.odometry`, gets the name of this place, as mlflow allows no @
-    in names.
+    A group that is used at another key, such as `odometry@objective.odometry`, gets the name of this key, as mlflow
+    allows no @ in names.
 
     Args:
-        picked: Hydra's `choices`, by default those of this job.
+        picked: Hydra's `choices`; by default the `choices` of this job.
     """
     picked = HydraConfig.get().runtime.choices if picked is None else picked
     return {k.rpartition("@")[2]: str(v) for k, v in picked.items() if v is not None and not k.startswith("hydra/")}
@@ -85,10 +92,11 @@ def choices(picked: Mapping[Any, Any] | None = None) -> dict[str, str]:
 
 @contextmanager
 def ends_reported() -> Iterator[None]:
-    """Context that ends with one sentence and exit code 1 on bad input, a full disk, or a folder in a file's place.
+    """Context that ends the process with one sentence and exit code 1 if input is refused, the disk is full, or a
+    folder has the name of a file to be written.
 
-    Bad input leaves no folder. A failed allocation of memory counts as bad input, as only the largest arrays are
-    checked beforehand (`lmd.core.memory`).
+    After refused input no folder of the run is left. A failed allocation of memory counts as refused input, as only the
+    largest arrays are checked beforehand (`lmd.core.memory`).
     """
     from lmd.core.checks import InputError
 
@@ -107,7 +115,7 @@ def ends_reported() -> Iterator[None]:
 
 @contextmanager
 def doing(step: str) -> Iterator[None]:
-    """Context of a step whose name is printed if it takes longer than `SHOWN_AFTER` seconds."""
+    """Context of a step of the work; the step's name is printed if the step takes longer than `SHOWN_AFTER` seconds."""
     shown = threading.Timer(SHOWN_AFTER, print, [f"{step} ..."], {"file": sys.stderr, "flush": True})
     shown.daemon = True
     shown.start()
@@ -118,7 +126,9 @@ def doing(step: str) -> Iterator[None]:
 
 
 def say(text: str) -> None:
-    """Print text unless it is empty; if the reader of stdout, such as `head`, has ended, it is dropped silently."""
+    """Print text unless it is empty; if the program that reads stdout, such as `head`, has ended, the text is
+    dropped.
+    """
     try:
         print(text, end="\n" if text else "", flush=True)
     except BrokenPipeError:
@@ -133,7 +143,9 @@ def discard_empty(directory: Path) -> None:
 
 
 def spelled(override: str) -> str:
-    """Quote the value of an override such as `deployment.count=+5`, as Hydra would read `+5` as the number 5."""
+    """Quote the value of an override such as `deployment.count=+5`, which Hydra would otherwise read as the number
+    5.
+    """
     return re.sub(r"(?<=[=,])\+(\d+)(?=,|$)", r"'+\1'", override) if override.startswith(COUNT) else override
 
 
@@ -150,12 +162,14 @@ def key_and_value(override: str) -> tuple[str, str]:
 
 
 def changes_results(key: str) -> bool:
-    """False for a key, or a group, that changes no result of a run."""
+    """Return False for a config key or group that has no effect on the results of a run, such as the number of
+    threads.
+    """
     return re.split("[./@]", key)[0] not in WITHOUT_EFFECT
 
 
 def search_path() -> list[str]:
-    """Overrides that add folders of configuration; other overrides depend on these."""
+    """Overrides that add folders to Hydra's search path; all other overrides are to be read with these folders."""
     own = HydraConfig.get().overrides.hydra if HydraConfig.initialized() else []
     return [override for override in own if override.startswith("hydra.searchpath=")]
 
@@ -167,11 +181,11 @@ def config_dir() -> list[str]:
 
 
 def task_overrides() -> list[tuple[str, str]]:
-    """Overrides of this job: pairs of a key (or group) and the override."""
+    """Overrides of this job, as pairs: the key (or group) of the override, and the whole override."""
     return keyed_overrides(HydraConfig.get().overrides.task)
 
 
 def keyed_overrides(overrides: Iterable[str]) -> list[tuple[str, str]]:
-    """Pairs of a key (or group) and the override."""
+    """Pairs of a key (or group) and the whole override, for each of the `overrides`."""
     parsed = OverridesParser.create().parse_overrides(list(overrides))
     return [(str(override.key_or_group), str(override.input_line)) for override in parsed]

@@ -34,7 +34,9 @@ SAME_EDGE = 1e-6  # maximum difference between edges that count as equal, metres
 
 
 class Parts(NamedTuple):
-    """Arguments of `lmd.problem.Problem`; the objective may not fit the landmarks."""
+    """Arguments of `lmd.problem.Problem`, which have not been checked together: the objective may not fit the
+    landmarks.
+    """
 
     scene: "Scene"
     objective: "Objective"
@@ -54,7 +56,7 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
 
     Args:
         cfg: the configuration.
-        count: key of the number of landmarks, for messages.
+        count: config key that gives the number of landmarks, for error messages.
 
     Raises:
         InputError: the parts of the problem do not fit together.
@@ -68,7 +70,7 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
 
 
 def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
-    """Build the parts of a problem, see `build_problem`."""
+    """Build the parts of a problem without checking that the parts fit together; arguments as for `build_problem`."""
     from lmd.core.checks import InputError, check_members, integer
     from lmd.core.threads import MOST_THREADS
     from lmd.objectives.base import Objective
@@ -117,10 +119,10 @@ def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
 
 
 def _check_settings(cfg: DictConfig) -> None:
-    """Check the settings that are not arguments of the objects of a problem.
+    """Check those settings that are not passed to an object of the problem.
 
     Raises:
-        InputError: a setting is refused.
+        InputError: a setting has a value that is not allowed.
     """
     from lmd.core.checks import boolean, choice, integer, seed_number
     from lmd.optimisers.encoding import KINDS
@@ -140,7 +142,7 @@ def _scene(cfg: DictConfig) -> "Scene":
     """Build the scene of a configuration.
 
     Raises:
-        InputError: one of its parts is refused.
+        InputError: a part of the scene refuses its arguments.
     """
     from lmd.core.checks import InputError, check_members
     from lmd.scene.scene import Scene
@@ -175,7 +177,7 @@ def camera_of(node: DictConfig) -> "Camera | Rig":
     camera of its own.
 
     Raises:
-        InputError: a camera or the rig is refused.
+        InputError: a camera or the rig refuses its arguments.
     """
     alone = editable(node)
     if (mounts := plain(alone.pop("rig", None))) is None:
@@ -192,10 +194,10 @@ def camera_of(node: DictConfig) -> "Camera | Rig":
 
 
 def visibility_of(node: DictConfig) -> "tuple[Criteria, Crowd | None]":
-    """Build the visibility model and the crowd of the group `visibility`; None without a crowd.
+    """Build the visibility model and the crowd of the group `visibility`; the crowd is None if the group has no crowd.
 
     Raises:
-        InputError: a setting is refused.
+        InputError: the visibility model or the crowd refuses its arguments.
     """
     from lmd.core.checks import check_members
     from lmd.scene.criteria import Criteria
@@ -219,7 +221,9 @@ def refuse_crowd(problem: "Problem", command: str) -> None:
 
 
 def _note_unusual(room: "Space", tag: "Tag", deployment: "Deployment") -> None:
-    """Print the number of tags whose edges are from their file, by edge, and of tags with a corner behind a face."""
+    """Print notes: the number of tags whose edge length is from their own file, for each length, and the ids of tags
+    with a corner behind a face of the room, where no camera sees the corner.
+    """
     from lmd.core.words import few
     from lmd.geometry.squares import corners
 
@@ -257,7 +261,7 @@ def budget_of(cfg: DictConfig) -> "Budget":
     """Build the budget of a configuration.
 
     Raises:
-        InputError: the budget is refused.
+        InputError: a limit of the budget is not positive, or no limit is given.
     """
     from lmd.optimisers.ledger import Budget
 
@@ -270,7 +274,7 @@ def seeds_of(cfg: DictConfig) -> range:
     """Seeds of several runs: `seed`, `seed + 1`, ...; their number is `seeds`.
 
     Raises:
-        InputError: `seed` or `seeds` is refused, or the memory is too small for the runs.
+        InputError: `seed` or `seeds` is not an allowed number, or the memory is too small for all runs.
     """
     from lmd.core.checks import integer, seed_number
     from lmd.core.memory import check_memory

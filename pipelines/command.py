@@ -1,4 +1,6 @@
-"""Command: runs a function of a configuration that Hydra composes. A command stops on a signal, and can run a sweep."""
+"""Command: a function that Hydra calls with a composed configuration. A command stops on a signal, and can run a
+sweep.
+"""
 
 import atexit
 import gc
@@ -30,16 +32,18 @@ PRINTED = {*HELP, "--hydra-help", "--cfg", "-c", "--info", "-i"}  # options with
 
 @dataclass(frozen=True)
 class Command:
-    """Command: a callable without arguments."""
+    """Command of the project: calling the object without arguments runs the command."""
 
     name: str
-    """Name of the command, the module and the configuration, such as `optimise`."""
+    """Name of the command, which is also the name of its module and of its configuration, such as `optimise`."""
     task: Callable[[DictConfig], Study | float | None]
-    """Function of the configuration; if it returns a study, the study is conducted."""
+    """Function that is called with the configuration; a returned study is then conducted."""
     like: str = ""
-    """Command whose configuration this command shares, beside `settings`; for commands outside of this package."""
+    """Name of the command whose configuration this command extends by `settings`; for commands outside of this
+    package.
+    """
     settings: Mapping[str, Any] = field(default_factory=dict)
-    """Further keys of the configuration, with their defaults."""
+    """Keys that are added to the configuration of the command `like`, with their default values."""
 
     def __call__(self) -> None:
         """Run the command with the command line of this process."""
@@ -74,7 +78,7 @@ class Command:
 
 
 def help_of(command: str, overrides: Iterable[str]) -> str:
-    """Text of `--help`: a line for each group of a command, with the options of the group."""
+    """Text of `--help`: for each config group of a command, a line that lists the options of the group."""
     from hydra import compose as by_hydra
     from hydra import initialize_config_dir
 
@@ -90,8 +94,8 @@ def help_of(command: str, overrides: Iterable[str]) -> str:
 
 
 def offer_file_formats() -> None:
-    """Add the folders `file_formats` on the search path to those of `lmd.formats.registry`, here and in later
-    processes.
+    """Let `lmd.formats.registry` also read the folders `file_formats` on the search path, in this process and in
+    processes that it starts.
     """
     sources = HydraConfig.get().runtime.config_sources
     folders = [os.path.join(source.path, "file_formats") for source in sources if source.schema == "file"]

@@ -40,7 +40,7 @@ def compare(cfg: DictConfig) -> Study:
 
 
 def _on_one_problem(cfg: DictConfig) -> Study:
-    """Study of the optimisers on the problem of the configuration."""
+    """Study that compares the optimisers on the single problem of the configuration."""
     from lmd.core.checks import choice
     from lmd.optimisers.ledger import curve
 
@@ -87,10 +87,10 @@ def _on_one_problem(cfg: DictConfig) -> Study:
 
 
 def _over_suite(cfg: DictConfig) -> Study:
-    """Study of the optimisers on problems of the suite; it writes the leaderboard.
+    """Study that compares the optimisers on problems of the suite, and writes the leaderboard.
 
     Raises:
-        InputError: a setting is refused.
+        InputError: a setting has a value that is not allowed.
     """
     from lmd.core.checks import InputError, choice
     from lmd.suite import document
@@ -123,7 +123,7 @@ def _over_suite(cfg: DictConfig) -> Study:
 
 
 def _configurations(taken: Mapping[str, Mapping[str, DictConfig]]) -> str:
-    """Table of the exact configuration of each entry of `optimisers`."""
+    """Table, as text, of the exact configuration that was used for each entry of `optimisers`."""
     from lmd.core.words import as_code, markdown_table
 
     flat = {entry: flat_settings(next(iter(configs.values())), "optimiser") for entry, configs in taken.items()}
@@ -135,8 +135,8 @@ def _configurations(taken: Mapping[str, Mapping[str, DictConfig]]) -> str:
 
 
 def problems_of(cfg: DictConfig) -> "Mapping[str, BlackBox]":
-    """Problems of `suite`: a set, a name or a list of names; a set is taken without the problems with several
-    objectives.
+    """Problems that the key `suite` chooses by the name of a set, the name of a problem, or a list of names; problems
+    with several objectives are left out of a set.
 
     Raises:
         InputError: there is no such problem, or the configuration also chooses parts of a problem.
@@ -160,7 +160,9 @@ def problems_of(cfg: DictConfig) -> "Mapping[str, BlackBox]":
 
 
 def _taken(entry: str, cfg: DictConfig, boxes: "Mapping[str, BlackBox]") -> dict[str, DictConfig]:
-    """Configurations of an entry of `optimisers`, for the problems that it supports."""
+    """Configuration of an entry of `optimisers` for each problem that the optimiser supports, keyed by the name of the
+    problem.
+    """
     from lmd.core.checks import InputError
 
     taken, refused = dict[str, DictConfig](), ""

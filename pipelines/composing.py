@@ -1,9 +1,10 @@
-"""Configuration of a command: composed by Hydra, and again within the job with the options that the configuration
-names.
+"""Configuration of a command: composed by Hydra, and then composed again within the job, with the options that keys of
+the configuration choose.
 
-When Hydra composes first, `run=DIR`, `suite=NAME`, `survey=DIR`, `map=DIR`, `varies=cameras` and a lone
-`deployment.path=FILE` are ordinary keys. `settled` reads these keys, puts the options that they choose into Hydra's
-config store, and composes again with these options in front of the command line, which keeps its precedence.
+When Hydra composes for the first time, `run=DIR`, `suite=NAME`, `survey=DIR`, `map=DIR`, `varies=cameras`, and
+`deployment.path=FILE` without a choice of `deployment`, are ordinary keys. `settled` reads these keys, puts the options
+that they choose into Hydra's config store, and composes again with these options in front of the command line, which
+keeps its precedence.
 
 Groups whose nodes describe objects are open: a key that no file has is passed on to the class of the object, which
 refuses unknown keys.
@@ -75,12 +76,12 @@ def compose(command: str, *overrides: str) -> DictConfig:
 
 
 def settled(cfg: DictConfig) -> DictConfig:
-    """Final configuration of this job, read-only: with the options that its keys choose.
+    """Final configuration of this job, read-only; it includes the options that keys such as `run` and `suite` choose.
 
-    Hydra's record of the job, and the record's file in the folder of the job, get these options, too.
+    These options are also added to Hydra's record of the job, in memory and in the folder of the job.
 
     Raises:
-        InputError: a run, a frozen problem, a survey or a map is refused.
+        InputError: the run, frozen problem, survey or map that a key names cannot be used.
     """
     job: Any = HydraConfig.get()
     if (again := _overrides(cfg, job.job.config_name, job.overrides.task, job.runtime)) is not None:
@@ -107,8 +108,8 @@ def recompose(config_name: str, overrides: Sequence[str], setting: str, entry: s
     Args:
         config_name: name of the configuration.
         overrides: its overrides.
-        setting: key that asks for this configuration, for messages.
-        entry: value of the key.
+        setting: key whose value asks for this configuration, for error messages.
+        entry: value of the key `setting`.
 
     Raises:
         InputError: Hydra refuses the overrides.
@@ -134,7 +135,7 @@ def _without_hydra(composed: DictConfig) -> DictConfig:
 
 
 def _final(cfg: DictConfig) -> DictConfig:
-    """Read-only configuration without the keys that other keys rule out."""
+    """Read-only copy of the configuration, without keys that have no meaning beside the values of other keys."""
     left_out = ("cameras", "body") if cfg.get("varies") == "tags" else ()
     final = OmegaConf.masked_copy(cfg, [str(key) for key in cfg if key not in left_out])
     OmegaConf.set_readonly(final, True)
@@ -142,13 +143,13 @@ def _final(cfg: DictConfig) -> DictConfig:
 
 
 def _overrides(cfg: DictConfig, command: str, given: Sequence[str], runtime: Any) -> list[str] | None:
-    """Overrides of the command line, preceded by the overrides that keys of the configuration choose; None without such
-    overrides.
+    """Overrides that keys of the configuration choose, followed by the overrides of the command line; None if no key
+    chooses an override.
 
     Args:
         cfg: configuration.
         command: name of the command.
-        given: overrides of the command line.
+        given: overrides on the command line.
         runtime: Hydra's record of the run.
     """
     from lmd.core.checks import InputError
@@ -180,17 +181,20 @@ def _overrides(cfg: DictConfig, command: str, given: Sequence[str], runtime: Any
 
 
 def _stored(parts: Mapping[str, Any], option: str) -> dict[str, str]:
-    """Put nodes of groups into Hydra's config store, and return the overrides that choose these nodes."""
+    """Put config nodes, keyed by group, into Hydra's config store under the name `option`, and return the overrides
+    that choose these nodes.
+    """
     for group, part in parts.items():
         ConfigStore.instance().store(option, part, group)
     return {f"+{group}" if group in NODES else group: option for group in parts}
 
 
 def _of_suite(cfg: DictConfig, named: Iterable[str]) -> dict[str, str]:
-    """Nodes and overrides for a frozen problem of the suite.
+    """Store the config nodes of a frozen problem of the suite, and return the overrides that choose these nodes.
 
     Raises:
-        InputError: the problem is unknown or for another command, or the command line chooses a part of it.
+        InputError: the problem is unknown or belongs to another command, or the command line chooses a part of the
+            problem.
     """
     from lmd.core.checks import InputError
     from lmd.suite import document
@@ -216,7 +220,9 @@ def _of_suite(cfg: DictConfig, named: Iterable[str]) -> dict[str, str]:
 
 
 def _of_survey(directory: Path, trust: Trust) -> dict[str, str]:
-    """Nodes and overrides for the views of a survey: its run, cameras, tags and detector."""
+    """Store the config nodes with which a survey was made (its run, cameras, tags and detector), and return the
+    overrides that choose these nodes.
+    """
     before, parts = _parts_of(directory, "survey", trust, ("camera", "tag"))
     found = {"frames": "0", "margin": "0", "detectors": f"[{','.join(before.get('detectors') or {})}]"}
     return {**_stored(parts, "survey"), **found, **({"run": quoted(before["run"])} if before.get("run") else {})}
@@ -225,7 +231,8 @@ def _of_survey(directory: Path, trust: Trust) -> dict[str, str]:
 def _of_run(
     cfg: DictConfig, directory: Path, named: Iterable[str], command: str, options: Mapping[str, str], trust: Trust
 ) -> dict[str, str]:
-    """Nodes and overrides for the problem and the landmarks of an earlier run.
+    """Store the config nodes of the problem and the landmarks of an earlier run, and return the overrides that choose
+    these nodes.
 
     The fixed landmarks and the number of landmarks of that run are also defaults for other sources of landmarks.
 
@@ -284,11 +291,11 @@ def count_of(run: str | Path) -> int:
 
 
 def compared(cfg: DictConfig) -> dict[str, DictConfig]:
-    """Configuration for each entry of `deployments`, by the name of the entry; without entries, that of the command
-    line.
+    """Configuration for each entry of `deployments`, keyed by the name of the entry; if there is no entry, only the
+    configuration of the command line.
 
-    An entry is an option of `conf/deployment`, or a name, an option and overrides. On the command line,
-    `deployment.path` applies to entries with files, and `deployment.count` to all other entries.
+    An entry is the name of an option of `conf/deployment`, or a mapping of a name to an option and overrides. On the
+    command line, `deployment.path` applies to entries with files, and `deployment.count` to all other entries.
 
     Raises:
         InputError: an entry is refused.

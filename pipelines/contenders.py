@@ -36,15 +36,15 @@ class Contender:
     """Run of a comparison: an optimiser with a seed on a problem."""
 
     optimiser: str
-    """Entry of `optimisers`."""
+    """Entry of `optimisers` that names the optimiser, with its overrides."""
     cfg: DictConfig
     """Configuration of `optimise` for this entry."""
     seed: int
     """Seed of the run."""
     problem: str = ""
-    """Problem of the suite; empty for the problem of `cfg`."""
+    """Name of the problem in the suite; empty if the run is on the problem that `cfg` describes."""
     evaluations: int = 0
-    """Budget of the run for a problem of the suite."""
+    """Number of evaluations that the run may use on a problem of the suite."""
 
     @property
     def name(self) -> str:
@@ -54,12 +54,12 @@ class Contender:
 
     @property
     def tags(self) -> dict[str, str]:
-        """Tags of the tracked run."""
+        """Tags with which the run is tracked."""
         return {"job": digest(self.name)[:DIGEST_LENGTH], "choice.optimiser": self.optimiser.split()[0]}
 
     @property
     def parts(self) -> tuple[Any, ...]:
-        """Settings that determine the result."""
+        """Settings that determine the result of the run, by which a stored result is found again."""
         if not self.problem:
             return flat_settings(self.cfg, *SAME_WHEN_RESUMED, "budget", "validate"), self.seed
         from lmd.suite import document
@@ -68,7 +68,9 @@ class Contender:
         return flat_settings(self.cfg, "optimiser", "encoding", "validate"), self.seed, *frozen
 
     def folder(self, comparison: Path) -> Path:
-        """Folder of the run within the folder of the comparison; a long name ends in a digest."""
+        """Folder of the run within the folder of the comparison; a name that would be too long is cut, and ends in a
+        digest.
+        """
         name, ending = self.name.replace("/", "_"), f" {digest(self.name)[:DIGEST_LENGTH]}"
         return comparison / "runs" / self.problem / (name if len(name) <= LONGEST else name[:LONGEST] + ending)
 
@@ -80,14 +82,15 @@ Log = Callable[[Contender, "OptimiserRun", str | None], None]
 def contend(
     cfg: DictConfig, jobs: Sequence[Contender], report: Told, log: Log = lambda *_: None, **about: Any
 ) -> Study:
-    """Study that does the runs of a comparison; results that an equal comparison has stored are reused.
+    """Study that does the runs of a comparison; results that an earlier comparison has stored for equal settings are
+    reused.
 
     Args:
         cfg: configuration of `compare`.
-        jobs: the runs.
-        report: function that reports on the finished runs.
+        jobs: the runs to be compared.
+        report: function that makes the report from the results of the finished runs.
         log: function that records a finished run as a child of the tracked run.
-        about: description or problem of the tracked run, see `Study`.
+        about: arguments `about` or `problem` of `Study`.
     """
     from lmd.core.checks import file_path
 
@@ -113,7 +116,9 @@ def contend(
 
 
 def _done(directory: Path, folder: str, job: Contender) -> "tuple[str, OptimiserRun]":
-    """Name and result of a run; the run is done unless its result is stored, and its files are written."""
+    """Name and result of a run. The run is done first unless its result is stored; its files are written in either
+    case.
+    """
     from lmd.core.files import write_whole
     from lmd.evaluation.comparison import OptimiserRun
     from lmd.scene.deployment import Deployment
@@ -127,7 +132,7 @@ def _done(directory: Path, folder: str, job: Contender) -> "tuple[str, Optimiser
 
 
 def _searched(job: Contender) -> dict[str, Any]:
-    """Do a run on one thread; return its figures, and the texts of its files."""
+    """Do a run on one thread; return its metrics, and the texts of its files, as a document."""
     from lmd.core.tables import write_table
     from lmd.evaluation.tradeoff import SAMPLE
     from lmd.evaluation.validation import Sample, headline_off_grid, validation_metrics

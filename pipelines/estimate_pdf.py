@@ -12,7 +12,7 @@ SETTINGS = ("divisions", "mean_interval", "significance")
 
 
 def estimate(cfg: DictConfig) -> Study:
-    """Estimate the PDF of the configured recording."""
+    """Prepare the estimate of the orientation PDF from the configured recording."""
     import numpy as np
 
     from lmd.core.checks import seed_number

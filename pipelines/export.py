@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 def build_export(cfg: DictConfig, key: str, tag: "Tag") -> "Export":
     """Build the export of the formats that a configuration lists at `key`.
 
-    Null means all formats except those that cannot be printed, which a note names.
+    The value null means all formats; formats that cannot be printed for these tags are left out, and named in a note.
 
     Raises:
         InputError: a format is unknown, or cannot hold the tags.

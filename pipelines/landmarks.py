@@ -1,4 +1,6 @@
-"""Landmarks from the groups `deployment` and `tag`: fixed landmarks, numbers and sizes."""
+"""Landmarks that the config groups `deployment` and `tag` describe: fixed landmarks, numbers of landmarks, and tag
+sizes.
+"""
 
 import re
 from copy import deepcopy
@@ -20,13 +22,14 @@ MORE = re.compile(r"\+(\d+)")  # a count of landmarks in addition to the fixed o
 
 
 def fixed_of(node: DictConfig, family: str | None) -> "Deployment | None":
-    """Landmarks that keep their poses; None if no landmark is fixed.
+    """Read the landmarks that keep their poses; None if no landmark is fixed.
 
-    With `marked`, only landmarks that the file marks as fixed are fixed; the file of a run also has movable landmarks.
+    With the key `marked`, only those landmarks are returned that the file marks as fixed, as the file of a run also
+    holds movable landmarks.
 
     Args:
         node: group `deployment`.
-        family: family of the tags; None for points.
+        family: name of the tag family; None for landmarks that are points.
 
     Raises:
         InputError: the file cannot be read, or holds no deployment of that family.
@@ -45,12 +48,15 @@ def fixed_of(node: DictConfig, family: str | None) -> "Deployment | None":
 
 
 def table_in(node: DictConfig) -> dict[str, Any]:
-    """Arguments of `read_deployment` for tables, if given, from a group `deployment`."""
+    """Arguments for tables of landmarks that a group `deployment` passes to `read_deployment`; only those that are
+    given.
+    """
     return {key: plain(node[key]) for key in TABLE if node.get(key) is not None}
 
 
 def others_of(node: DictConfig, fixed: "Deployment | None") -> tuple[int | None, DictConfig]:
-    """Number of landmarks, including fixed ones, and node of the source of the other landmarks.
+    """Total number of landmarks, including fixed landmarks, and the config node of the source of the landmarks that are
+    not fixed.
 
     The number is None if no landmark is fixed or no count is given. A file may also contain the fixed landmarks, so the
     number of landmarks in a file is checked after the fixed landmarks are added.
@@ -77,7 +83,7 @@ def others_of(node: DictConfig, fixed: "Deployment | None") -> tuple[int | None,
 
 
 def take_sizes(node: DictConfig, tag: DictConfig) -> None:
-    """Set `tag.edges` to the sizes in the files of the tags if the user gives no sizes.
+    """Set `tag.edges` to the edge lengths that the landmark files state, if the user gives no lengths.
 
     Args:
         node: group `deployment`.
@@ -98,8 +104,8 @@ def take_sizes(node: DictConfig, tag: DictConfig) -> None:
 
 
 def spell_counts(node: DictConfig, tag: DictConfig) -> None:
-    """Read a list `deployment.count` as `tag.counts`, the number of placed tags of each size; `deployment.count`
-    becomes the sum.
+    """Convert a list in `deployment.count` to `tag.counts`, the number of placed tags of each size, and set
+    `deployment.count` to the sum of the list.
 
     Fixed landmarks are not counted.
 
@@ -125,10 +131,10 @@ def spell_counts(node: DictConfig, tag: DictConfig) -> None:
 def divide_paper(
     cfg: DictConfig, scene: "Scene", objective: "Objective", threads: int | None, fixed: "Deployment | None"
 ) -> "Scene":
-    """Choose the count of each size within `tag.paper` or `tag.budget`, unless counts are given; return the scene with
-    them.
+    """Choose the number of tags of each size within the limit `tag.paper` or `tag.budget`, unless the numbers are
+    given; return the scene with these numbers.
 
-    The counts are written to the groups `deployment` and `tag`, and are printed in a note.
+    The chosen numbers are written to the groups `deployment` and `tag`, and are printed in a note.
 
     Args:
         cfg: configuration, which is changed.

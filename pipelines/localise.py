@@ -68,7 +68,7 @@ def localise(cfg: DictConfig) -> Study:
 
 
 def _cameras(cfg: DictConfig) -> "Camera | Rig":
-    """Cameras of the configuration; if it has none, those of the survey whose folder is the map."""
+    """Cameras of the configuration; if it names none, the cameras of the survey whose folder is given as the map."""
     from lmd.formats.calibrations import calibrated_camera
     from lmd.formats.rigs import read_mounts, rig_of
 
@@ -87,7 +87,7 @@ def _map(cfg: DictConfig, tag: "Tag") -> "FixedMap":
     """Read the map of the tags.
 
     Raises:
-        InputError: there is no map, there are two maps, or the file is refused.
+        InputError: no map or two maps are given, or the file is not a valid map.
     """
     from lmd.adjust.prior import Hanging
     from lmd.core.checks import InputError

@@ -31,11 +31,11 @@ def note(text: str) -> None:
 
 @contextmanager
 def keyed(group: str = "", /, **keys: str) -> Iterator[None]:
-    """Context that makes an `InputError` name the config key of an argument in place of the argument.
+    """Context in which an `InputError` about an argument names the config key of this argument instead.
 
     Args:
         group: key of the node whose keys are the arguments; empty for top-level keys.
-        keys: keys of arguments from other nodes, by argument.
+        keys: config keys of arguments that do not come from this node, keyed by the name of the argument.
     """
     from lmd.core.checks import InputError
 
@@ -51,7 +51,7 @@ def keyed(group: str = "", /, **keys: str) -> Iterator[None]:
 
 
 def instantiate(node: Any, **extra: Any) -> Any:
-    """Build the object that a config node describes; the only caller of Hydra's instantiate.
+    """Build the object that a config node describes; no other function calls Hydra's `instantiate`.
 
     Raises:
         InputError: the object refuses its arguments.
@@ -74,11 +74,11 @@ def instantiate(node: Any, **extra: Any) -> Any:
 
 
 def _refusal(error: Exception, extra: Mapping[str, Any]) -> str:
-    """Error about a node that replaces Hydra's error: the fault, and the arguments or names that exist.
+    """Message in place of Hydra's error about a node: it states the fault, and the arguments or names that exist.
 
     Args:
         error: Hydra's error.
-        extra: arguments that are not keys of the node.
+        extra: arguments that were passed beside the keys of the node.
     """
     from lmd.core.checks import failure
     from lmd.core.optional import lack_of
@@ -103,12 +103,14 @@ def _refusal(error: Exception, extra: Mapping[str, Any]) -> str:
 
 
 def plain(node: Any) -> Any:
-    """Resolved values of a configuration node; other values are returned unchanged."""
+    """Convert a config node to plain Python values, with interpolations resolved; other values are returned
+    unchanged.
+    """
     return OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node
 
 
 def settings_of(cfg: DictConfig, key: str) -> DictConfig:
-    """Settings at a key, after a check that the value is a node and not a name.
+    """Config node at a key, after a check that the value there is a node and not the name of an option.
 
     Raises:
         InputError: the value at the key is not a node.

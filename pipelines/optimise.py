@@ -40,7 +40,7 @@ SAME_WHEN_RESUMED = (*GROUPS, "encoding", "deployment", "optimiser", "seed")
 
 
 def optimise(cfg: DictConfig) -> Study:
-    """Prepare the search for landmarks, or for the poses of cameras."""
+    """Prepare the search for the best landmarks, or for the best poses of cameras."""
     from lmd.core.checks import choice
 
     is_rig = choice("varies", cfg.varies, ("tags", "cameras")) == "cameras"
@@ -78,7 +78,7 @@ def optimise(cfg: DictConfig) -> Study:
 
 
 def _accuracy(cfg: DictConfig, problem: "Problem", found: "Result") -> Mapping[str, float]:
-    """Figures of the accuracy of single images; empty unless the objective is one of localisation."""
+    """Metrics of the accuracy of single images; empty if the objective is not one of localisation."""
     from lmd.evaluation.accuracy import accuracy_metrics
     from lmd.objectives.localisation import Localisation
 
@@ -87,7 +87,7 @@ def _accuracy(cfg: DictConfig, problem: "Problem", found: "Result") -> Mapping[s
 
 
 def _checkpoint_of(cfg: DictConfig, optimiser: "Optimiser", problem: "Problem") -> "Checkpoint":
-    """Make the checkpoint of a run; if a run is resumed, from the checkpoint of that run.
+    """Make the checkpoint of a run; if the run resumes an earlier run, from the earlier run's checkpoint.
 
     Raises:
         InputError: the run to resume has other settings, or cannot be read.
@@ -106,13 +106,13 @@ def _checkpoint_of(cfg: DictConfig, optimiser: "Optimiser", problem: "Problem") 
 def _run(
     problem: "Problem", budget: "Budget", checkpoint: "Checkpoint", tracker: "Tracker", every: float
 ) -> "tuple[Result, bool]":
-    """Optimise; return the result, and True if a second signal ended the run in the middle of a batch.
+    """Run the optimiser; return the result, and True if a second signal ended the run in the middle of a batch.
 
     Args:
         problem: problem of the run.
         budget: budget of the run.
         checkpoint: checkpoint of the optimiser.
-        tracker: tracker of the curve.
+        tracker: tracker that records the curve of the best fitness.
         every: time between checkpoints, seconds.
     """
     from lmd.core.compiled import is_compiling
@@ -136,7 +136,7 @@ def _run(
 
 
 def _how_to_go_on() -> str:
-    """Command that resumes this run; empty if there is no checkpoint."""
+    """Shell command that resumes this run; empty if there is no checkpoint."""
     from lmd.optimisers.checkpoint import CHECKPOINT_FILE
 
     if not ((folder := run_directory()) / CHECKPOINT_FILE).exists():
@@ -146,7 +146,7 @@ def _how_to_go_on() -> str:
 
 
 def build_camera_problem(cfg: DictConfig) -> "tuple[CameraProblem, dict[Camera, Any]]":
-    """Build the problem of placing cameras; also return the calibration of each kind of camera.
+    """Build the problem of placing cameras; return it together with the calibration of each kind of camera.
 
     Raises:
         InputError: the parts of the problem do not fit together.

@@ -35,7 +35,7 @@ RESERVED_BYTES = 1 << 16  # reserved disk space, bytes: enough for landmarks and
 
 Content = TypeVar("Content")
 locks = ExitStack()
-"""Locks of directories that this process holds until its command ends."""
+"""Locks on directories, which this process holds until its command ends."""
 
 
 class RunDirectory(HydraCallback):
@@ -63,12 +63,14 @@ class RunDirectory(HydraCallback):
                 locks.callback((place / LOCK).unlink, missing_ok=True)
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Check the disk of the sweep's directory."""
+        """Check that the disk can take files in the sweep's directory."""
         self._check(Path(config.hydra.sweep.dir))
 
     @staticmethod
     def _check(directory: Path) -> None:
-        """Exit if the existing folder in or above a directory cannot take the directory's files."""
+        """Exit if no files can be written to a directory or, while it does not exist, to the nearest existing folder
+        above it.
+        """
         directory = directory.resolve()
         there = next(place for place in (directory, *directory.parents) if place.exists())
         usage = shutil.disk_usage(there)
@@ -83,12 +85,12 @@ class RunDirectory(HydraCallback):
 
 @contextmanager
 def held(directory: Path, wait: bool = True) -> Iterator[int | None]:
-    """Lock a directory for this process and for processes that inherit the descriptor; None if another one has the
-    lock.
+    """Lock a directory for this process and for processes that inherit the yielded file descriptor; yield None if
+    another process holds the lock.
 
     Args:
         directory: the directory.
-        wait: True to wait for the other process.
+        wait: True to wait until the other process releases the lock.
 
     Raises:
         OSError: the file of the lock cannot be written.
@@ -108,10 +110,11 @@ def held(directory: Path, wait: bool = True) -> Iterator[int | None]:
 
 
 def all_or_none(directory: Path, write: Callable[[Path], object]) -> list[Path]:
-    """Call `write` with a temporary folder, then move its files to `directory`; after an error, no file is left.
+    """Call `write` with a temporary folder, then move the written files to `directory`; after an error, none of the
+    files is left.
 
     Returns:
-        the files in `directory`, sorted.
+        paths of the moved files in `directory`, sorted.
 
     Raises:
         OSError: a file cannot be written, or has the name of a folder in `directory`.
@@ -129,7 +132,9 @@ def all_or_none(directory: Path, write: Callable[[Path], object]) -> list[Path]:
 
 
 def write_all(directory: Path, writers: Mapping[str, Callable[[Path], object]]) -> list[Path]:
-    """Write files, given as functions by file name, all or none; see `all_or_none`."""
+    """Write several files to a directory, either all of them or none; `writers` has a function for each file name, see
+    `all_or_none`.
+    """
 
     def fill(folder: Path) -> None:
         for name, write in writers.items():
@@ -142,7 +147,7 @@ def write_all(directory: Path, writers: Mapping[str, Callable[[Path], object]]) 
 
 @contextmanager
 def space_reserved(directory: Path) -> Iterator[None]:
-    """Context that reserves disk space for the results, in case the disk fills up meanwhile.
+    """Context that reserves disk space for the results, in case other files fill the disk during the run.
 
     Raises:
         OSError: the disk is already full.
@@ -165,7 +170,8 @@ def read_history(path: Path) -> "list[Record]":
 
 
 def read_document(path: Path, content_of: Callable[[dict[str, Any]], Content]) -> Content | None:
-    """Content of a JSON document; None without a file. A damaged file is renamed, with a warning, and ignored.
+    """Content of a JSON document; None if there is no file. A damaged file is renamed with a warning, and counts as
+    missing.
 
     Args:
         content_of: function that converts the keys and values of the document; it raises ValueError, KeyError or

@@ -1,4 +1,4 @@
-"""Input of surveys and localisations: detections from photographs, a video, or a file; odometry."""
+"""Input of surveys and localisations: odometry, and tag detections from photographs, a video, or a file."""
 
 from dataclasses import replace
 from functools import partial
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 
 def detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector", tag: "Tag") -> "DetectedTags":
-    """Get the detections of tags of the family of `tag`; copies of images are left out.
+    """Get the detections of tags that belong to the family of `tag`; duplicates of images are left out.
 
     Raises:
-        InputError: photographs and detections are both given or both missing, or a file cannot be read or has another
-            family.
+        InputError: photographs and detections are both given or both missing, or a file cannot be read or holds another
+            tag family.
     """
     from lmd.core.checks import InputError
     from lmd.detection.photographed import detected_in_photographs
@@ -56,7 +56,7 @@ def detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector",
 
 
 def with_camera_of_bag(cfg: DictConfig) -> DictConfig:
-    """Configuration with the calibration in the bag `photographs`, if no other calibration is given."""
+    """Configuration that includes the camera calibration in the bag `photographs`, if no other calibration is given."""
     from lmd.formats.bags import CAMERA_INFO, Bag, is_bag
 
     if cfg.photographs is None or "path" not in cfg.camera or cfg.camera.path is not None or cfg.camera.get("rig"):
@@ -70,10 +70,10 @@ def with_camera_of_bag(cfg: DictConfig) -> DictConfig:
 
 
 def reader_of(cfg: DictConfig) -> "tuple[str, Detector]":
-    """Name of the detector, and the detector.
+    """Name of the configured detector, and the detector itself.
 
     Raises:
-        InputError: there is no detector, there are several, or the detector's corner errors are unknown.
+        InputError: no detector or several detectors are configured, or the detector's corner errors are unknown.
     """
     from lmd.core.checks import InputError
 
@@ -86,11 +86,11 @@ def reader_of(cfg: DictConfig) -> "tuple[str, Detector]":
 
 
 def odometry_of(given: Any, key: str) -> "Trajectory | None":
-    """Trajectory of the body, given a path or the keys of a trajectory file.
+    """Read the odometry as a trajectory of the body, given the path of the file or a mapping of the reader's arguments.
 
     Args:
-        given: value at the key; None without odometry.
-        key: key of the configuration.
+        given: value at the config key `key`; None if there is no odometry.
+        key: config key, for error messages.
 
     Raises:
         InputError: the file cannot be read, or is not a trajectory.

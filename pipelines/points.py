@@ -1,4 +1,7 @@
-"""Points of a trade-off: parallel searches at points along curves; results are stored on disk."""
+"""Points of a trade-off between the number and size of landmarks: parallel searches, with results stored on disk.
+
+A *ladder* is the series of points with one edge length and one seed, in which only the number of landmarks varies.
+"""
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -30,12 +33,12 @@ ARRAYS = ("positions", "normals", "surfaces")  # arrays of a deployment that are
 
 @dataclass(frozen=True)
 class Ladder:
-    """Numbers of landmarks of one edge, for one seed."""
+    """Series of points of a trade-off with one edge length and one seed, for different numbers of landmarks."""
 
     cfg: DictConfig
     """Configuration of the pipeline."""
     edge: float
-    """Edge of all tags, metres; 0 for landmarks that are points."""
+    """Edge length of all tags, metres; 0 for landmarks that are points."""
     seed: int
     """Seed of the searches."""
 
@@ -46,7 +49,7 @@ class Ladder:
         return cfg
 
     def problem(self, count: int) -> "Problem":
-        """Build the problem of a point.
+        """Build the problem of the point with `count` landmarks.
 
         Raises:
             InputError: the parts of the problem do not fit together.
@@ -54,26 +57,28 @@ class Ladder:
         return build_problem(self.point(count), "counts")
 
     def anew(self, count: int) -> "Found":
-        """Result of a search from the configured start."""
+        """Result of the search with `count` landmarks that begins from the configured start."""
         from lmd.evaluation.tradeoff import ANEW
 
         return self._search(count, self.problem(count), ANEW)
 
     def improved(self, known: "Mapping[int, Found]", chosen: Iterable[int]) -> "dict[int, Found]":
-        """Results of searches that start from the results of neighbours, see `lmd.evaluation.tradeoff.improved`."""
+        """Results of searches that begin from the results for neighbouring numbers of landmarks, keyed by the number;
+        see `lmd.evaluation.tradeoff.improved`.
+        """
         from lmd.evaluation.tradeoff import improved
 
         return improved(known, chosen, self.problem, self._search)
 
     def figures(self, count: int, found: "Found") -> dict[str, float]:
-        """Figures of a result."""
+        """Metrics of the result `found` with `count` landmarks, on the grid and off it."""
         from lmd.evaluation.tradeoff import SAMPLE
 
         score = partial(figures_of, self.problem(count), found.deployment, self.seed)
         return self._kept(count, f"figures of {SAMPLE}", found.deployment, score)  # type: ignore[no-any-return]
 
     def _search(self, count: int, problem: "Problem", way: str) -> "Found":
-        """Search from the start of a point's problem, with the budget for a point."""
+        """Search from the start of the given problem, with the budget of one point."""
         from lmd.evaluation.tradeoff import Found
         from lmd.scene.deployment import Deployment
         from lmd.scene.deployment_sources import GivenDeployment
@@ -92,14 +97,16 @@ class Ladder:
     def _kept(
         self, count: int, what: str, given: "Deployment | None", compute: Computed, read: Callable[[Any], Any] = dict
     ) -> Any:
-        """Result of the kind `what` at a point, computed from a deployment or read from disk, see `kept`."""
+        """Read the result of the kind `what` for the point with `count` landmarks from disk, or compute and store it;
+        see `kept`.
+        """
         settings = flat_settings(self.point(count), *SAME_WHEN_RESUMED, "budget")
         arrays = None if given is None else [getattr(given, name).tolist() for name in ARRAYS]
         return kept(str(self.cfg.kept), (settings, what, arrays), compute, read)
 
 
 def figures_of(problem: "Problem", deployment: "Deployment", seed: int) -> dict[str, float]:
-    """Figures of a deployment on the grid, and off the grid on a sample drawn with `seed`."""
+    """Metrics of a deployment on the grid, and off the grid for a sample of random poses drawn with `seed`."""
     from lmd.evaluation.accuracy import accuracy_metrics
     from lmd.evaluation.tradeoff import SAMPLE
     from lmd.evaluation.validation import validation_metrics
@@ -109,15 +116,16 @@ def figures_of(problem: "Problem", deployment: "Deployment", seed: int) -> dict[
 
 
 def shares_among(figures: Iterable[str]) -> list[str]:
-    """Names of the figures that are fractions in [0, 1] to be maximised."""
+    """Names of those metrics that are fractions in [0, 1] to be maximised."""
     return [name for name in figures if not NO_SHARE.fullmatch(name)]
 
 
 class Points:
-    """Results at all points. A point is given by the number of a ladder, and a number of landmarks.
+    """Results at all points of a trade-off. A point is given by the index of its ladder (see this module) and its
+    number of landmarks.
 
     Args:
-        ladders: ladders of every edge and seed.
+        ladders: ladders, one for each pair of an edge length and a seed.
         workers: number of processes; None for every processor.
     """
 
@@ -127,8 +135,8 @@ class Points:
         self._figures: dict[tuple[int, int], dict[str, float]] = {}
 
     def look(self, chosen: Sequence[tuple[int, int]]) -> None:
-        """Search at points, from the configured start and from neighbours' results, and score the best result at each
-        point.
+        """Search at the chosen points, first from the configured start and then from the results of neighbouring
+        points, and evaluate the best result of each point.
         """
         anew = {(n, count): partial(self.ladders[n].anew, count) for n, count in chosen}
         for (n, count), found in self._done("searched anew", anew):
@@ -141,8 +149,8 @@ class Points:
         self._figures |= dict(self._done("scored", scored))
 
     def _done(self, what: str, jobs: Mapping[Any, Callable[[], Any]]) -> Iterator[tuple[Any, Any]]:
-        """Do jobs in processes; yield keys, a ladder's number and numbers of landmarks, with results in the order of
-        completion.
+        """Do jobs in processes; yield the key and the result of each job, in the order of completion. A key is the
+        index of a ladder followed by one or more numbers of landmarks.
         """
         results = in_processes(_do, list(jobs.items()), self._workers, lambda job: self.name(*job[0]))
         for i, (key, result) in enumerate(results, 1):
@@ -150,18 +158,20 @@ class Points:
             yield key, result
 
     def name(self, number: int, *counts: int) -> str:
-        """Name of a point, or of several points of one ladder."""
+        """Name for messages of one point, or of several points that belong to one ladder."""
         ladder, size = self.ladders[number], f" edge={self.ladders[number].edge}" if self.ladders[number].edge else ""
         return f"K={','.join(map(str, counts))}{size} seed={ladder.seed}"
 
     def __iter__(self) -> "Iterator[tuple[Ladder, int, str, Found, dict[str, float]]]":
-        """Iterate over the points: ladder, number of landmarks, name, result, and figures."""
+        """Iterate over the points: ladder, number of landmarks, name of the point, result of the search, and
+        metrics.
+        """
         for n, count in sorted(self._figures):
             yield self.ladders[n], count, self.name(n, count), self._found[n][count], self._figures[n, count]
 
     @property
     def table(self) -> "pd.DataFrame":
-        """Table with a row for each point: `edge`, `count`, `seed`, `way` and the figures."""
+        """Table with a row for each point: the columns `edge`, `count`, `seed`, `way` and one for each metric."""
         import pandas as pd
 
         return pd.DataFrame([

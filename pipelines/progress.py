@@ -1,4 +1,4 @@
-"""Progress of a run: bar, curve, checkpoints."""
+"""Progress of a run: the progress bar, the curve of the best fitness, and checkpoints."""
 
 import sys
 import threading
@@ -29,23 +29,25 @@ tqdm.set_lock(threading.RLock())  # tqdm's own lock has a semaphore, which a pro
 
 
 def bar(total: int | None, unit: str, initial: int = 0) -> "tqdm[Any]":
-    """Progress bar: live on a terminal, a line every `LOG_SECONDS` in a file."""
+    """Make a progress bar: updated in place on a terminal, or written as a line every `LOG_SECONDS` if the output is a
+    file.
+    """
     interval = 0.1 if sys.stderr.isatty() else LOG_SECONDS
     return tqdm(total=total, initial=initial, unit=f" {unit}", mininterval=interval, leave=False)
 
 
 class Progress:
-    """Callback of a run: shows the best fitness, logs the curve and saves checkpoints.
+    """Callback of a run: it shows the best fitness, records its curve, and saves checkpoints.
 
     A warning is printed at the beginning if the optimiser cannot be checkpointed.
 
     Args:
-        budget: budget of the run, the end of the bar.
-        tracker: tracker of the curve.
+        budget: budget of the run; the progress bar ends when the budget is used up.
+        tracker: tracker that records the curve.
         checkpoint: checkpoint of the optimiser.
         directory: folder of the checkpoint.
         every: time between checkpoints, seconds.
-        logged: True if the tracked run already has the history in the optimiser's ledger.
+        logged: True if the record of the run already contains the history in the optimiser's ledger.
     """
 
     def __init__(
@@ -69,7 +71,9 @@ class Progress:
         return stop.requested
 
     def flush(self, optimiser: Optimiser, ended: bool = False) -> None:
-        """Save a checkpoint and log the new part of the curve, to the end of the budget if the search has `ended`."""
+        """Save a checkpoint and record the new part of the curve; if the search has `ended`, the curve is drawn to the
+        end of the budget.
+        """
         self._warning_of(self.save)
         points = curve(optimiser.ledger.history, self.budget) if ended else self._curve(optimiser.ledger)
         self.tracker.log_curve("best_fitness", points[self.logged :])
@@ -77,12 +81,12 @@ class Progress:
         self.saved = time.monotonic()
 
     def _curve(self, ledger: Ledger) -> list[tuple[int, float, float]]:
-        """Curve of the best fitness up to the budget spent."""
+        """Points of the curve of the best fitness, up to the part of the budget that is spent."""
         spent = ledger.seconds if self.budget.evaluations is None else ledger.evaluations
         return curve(ledger.history, self.budget, spent + ROUNDING)
 
     def _warning_of(self, save: Callable[[], None]) -> None:
-        """Call a function that saves; if it fails, warn once, and the run continues without checkpoints."""
+        """Call the function `save`; if it fails, warn once, and continue the run without checkpoints."""
         try:
             save()
         except (OSError, InputError) as error:
@@ -92,7 +96,7 @@ class Progress:
             self.warned = True
 
     def close(self) -> None:
-        """Remove the bar."""
+        """Remove the progress bar."""
         with suppress(OSError):
             self.bar.close()
 
@@ -118,14 +122,14 @@ class Stages:
         return stop.requested
 
     def close(self) -> None:
-        """Remove the bar."""
+        """Remove the progress bar."""
         if self._bar is not None:
             with suppress(OSError):
                 self._bar.close()
 
     @property
     def doing(self) -> str:
-        """Name of the stage."""
+        """Name of the present stage."""
         return "reading photographs or detections" if self._stage is None else self._stage.value
 
     @property

@@ -1,5 +1,5 @@
-"""Provenance of a run: parameters, command, version of the code, contents of files; and results stored by
-provenance.
+"""Provenance of a run: its parameters, command, version of the code, and contents of files. Results are stored under a
+digest of these.
 """
 
 import getpass
@@ -34,12 +34,12 @@ LARGEST_READ = 1 << 32  # files up to this size are read, bytes; for larger file
 
 
 def command_line(pipeline: str, overrides: Sequence[str]) -> str:
-    """Command of this project in the form for a shell."""
+    """Command of this project as a line for a shell."""
     return " ".join([command_of(pipeline), shlex.join(overrides)]).strip()
 
 
 def source_tags(pipeline: str) -> dict[str, str]:
-    """Tags of a run with user, command, version and commit, mostly under mlflow's own names."""
+    """Tags that say how a run was made: user, command, version and commit, mostly under names that mlflow defines."""
     tags = {"mlflow.source.name": command_of(pipeline), "mlflow.source.type": "LOCAL", "mlflow.user": _user()}
     given = sys.argv[1:]
     if current_job() is not None:  # when repeated by hand, a command must not write to the folder of the sweep
@@ -63,7 +63,9 @@ def _version() -> dict[str, str]:
 
 
 def repeating(tags: Mapping[str, str]) -> str:
-    """Text in Markdown: the command in a run's `source_tags`, and the commit at which to repeat the command."""
+    """Text in Markdown with the command in a run's `source_tags`, and the commit at which the command repeats the
+    run.
+    """
     from lmd.core.words import as_code
 
     commit = tags.get("mlflow.source.git.commit", "")[:9]
@@ -72,7 +74,7 @@ def repeating(tags: Mapping[str, str]) -> str:
 
 
 def write_sources(directory: Path) -> None:
-    """Write the list of installed packages, unless the disk is full."""
+    """Write the list of installed packages to a directory; nothing is written if the disk is full."""
     try:
         directory.mkdir(parents=True, exist_ok=True)
         (directory / PACKAGES_FILE).write_text(_packages())
@@ -82,7 +84,9 @@ def write_sources(directory: Path) -> None:
 
 @cache
 def _packages() -> str:
-    """Installed packages, `name==version` a line, by the names of their metadata, which takes a few milliseconds."""
+    """List of the installed packages, one line `name==version` each, from the names of their metadata files, which
+    takes a few milliseconds.
+    """
     found = {name for folder in filter(os.path.isdir, sys.path) for name in os.listdir(folder)}
     names = (name.removesuffix(".dist-info").replace("-", "==", 1) for name in found if name.endswith(".dist-info"))
     return "".join(f"{name}\n" for name in sorted(names, key=str.lower))
@@ -99,7 +103,9 @@ def _git(*arguments: str) -> str:
 
 
 def parameters(cfg: DictConfig, choices: Mapping[str, str]) -> dict[str, Any]:
-    """Choices of groups, and the settings that have a value below the groups."""
+    """Parameters of a run: the option chosen in each config group, and those settings below the groups that have a
+    value.
+    """
     settings = {key: value for key, value in flat_settings(cfg).items() if value not in (None, [])}
     left_out = ("run", "_target_", "_partial_")  # the settings of an earlier run are themselves parameters
     kept = [key for key in {**choices, **settings} if changes_results(key) and key.split(".")[-1] not in left_out]
@@ -107,16 +113,19 @@ def parameters(cfg: DictConfig, choices: Mapping[str, str]) -> dict[str, Any]:
 
 
 def digest(*parts: Any) -> str:
-    """Digest of parts: equal for equal parts if the files that the parts name have equal contents."""
+    """Digest of any values; files that the values name enter with their contents, so that equal digests mean equal
+    input.
+    """
     text = json.dumps([*parts, contents_of(parts)], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def contents_of(settings: Any) -> dict[str, str]:
-    """Digest of every file named in `settings`, such as `{"contents of flight.csv": "9f86d081884c7d65"}`.
+    """Digest of the contents of every file named in `settings`, such as `{"contents of flight.csv":
+    "9f86d081884c7d65"}`.
 
-    A text at any key is used if it is the path of a file, or of a folder with files. A word that happens to be such a
-    path does no harm.
+    Every text in the settings that is the path of a file, or of a folder with files, is used. A word that happens to be
+    a path does no harm.
 
     Args:
         settings: resolved settings, nested in any way, or overrides.
@@ -132,7 +141,7 @@ def contents_of(settings: Any) -> dict[str, str]:
 
 
 def texts_in(settings: Any) -> Iterator[str]:
-    """Texts in settings, nested in any way."""
+    """All texts in settings that are nested in any way."""
     if isinstance(settings, str):
         yield settings
     elif isinstance(settings, Mapping | list | tuple):
@@ -148,10 +157,11 @@ def _digest_of(file: Path) -> str:
 
 
 def kept(folder: str, parts: tuple[Any, ...], compute: Computed, content_of: Callable[[Any], Content]) -> Content:
-    """Read a result from the disk, or compute and store it, under a digest of everything that determines the result.
+    """Read a stored result from the disk, or compute and store it; it is stored under a digest of everything that
+    determines the result.
 
     Args:
-        folder: folder of the results.
+        folder: folder that holds the stored results.
         parts: settings and deployments that determine the result, see `digest`; the digest includes the code of `lmd`.
         compute: function that computes the result as a document.
         content_of: function that converts a document, see `read_document`.

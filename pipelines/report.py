@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def report(cfg: DictConfig) -> None:
-    """Write report.md on the newest sweep of each name, with pictures, to the run directory."""
+    """Write report.md, which describes the newest sweep of each name, with pictures, to the run directory."""
     from lmd.core.checks import InputError
 
     from .operations.tracking import MlflowReader
@@ -43,7 +43,7 @@ def report(cfg: DictConfig) -> None:
 
 
 def _load(reader: "MlflowReader", run_id: str, trust: Trust) -> "tuple[Problem, Deployment]":
-    """Problem and deployment of a run, from the files of the run."""
+    """Load the problem and the deployment of a run from the files that the run has stored."""
     import numpy as np
 
     from lmd.core.checks import InputError

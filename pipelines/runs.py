@@ -1,7 +1,7 @@
 """List the newest runs, or send entries that could not be recorded: `python -m pipelines.runs [last=20] [sync=FOLDER]`.
 
-First, unfinished runs whose process has ended are marked. If the tracking store stops answering, a run continues with a
-journal in its folder; `sync` sends the journals below a folder to `tracking.uri`.
+Beforehand, unfinished runs whose process has ended are marked as failed. If the tracking store stops answering, a run
+continues with a journal in its folder; `sync` sends the journals below a folder to `tracking.uri`.
 """
 
 import socket
@@ -33,7 +33,7 @@ def runs(cfg: DictConfig) -> None:
     """List the newest runs of the configured store, or send the journals below a folder.
 
     Raises:
-        InputError: a setting is refused, or the store cannot be used.
+        InputError: a setting has a value that is not allowed, or the store cannot be used.
     """
     from lmd.core.checks import InputError, integer, printable
 
@@ -65,8 +65,8 @@ def runs(cfg: DictConfig) -> None:
 
 
 def going_on(run: "pd.Series") -> str:
-    """Command that resumes a run, from the record of the run. Empty if the run has finished, has left no checkpoint, or
-    is the job of a sweep, which the command of the sweep resumes.
+    """Shell command that resumes a run, taken from the record of the run. Empty if the run has finished or has left no
+    checkpoint, or if it is a job of a sweep, which the command of the sweep resumes.
 
     Args:
         run: row of `MlflowReader.runs`.

@@ -1,4 +1,4 @@
-"""Score of a deployment: first landmarks and figures are written, then everything that can be computed again."""
+"""Score of a deployment. Landmarks and metrics are written first, then everything that can be computed again."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -29,7 +29,9 @@ COMPARED = ("fitness", "off_grid", "qualified_ratio", "average_coverage_probabil
 
 
 def room_report(cfg: DictConfig, problem: "Problem") -> Report:
-    """Report on the room as it was interpreted, and on where people are in the way, before anything is computed."""
+    """Report on the room as it was interpreted, and on the places where people hide landmarks, before anything is
+    computed.
+    """
     if not cfg.picture:
         return Report()
     room, crowd = problem.scene.room, problem.scene.crowd
@@ -51,23 +53,23 @@ def scored(
     export: "Export | None" = None,
     in_haste: bool = False,
 ) -> Iterator[Report]:
-    """Reports on a deployment.
+    """Yield reports on a deployment.
 
-    Landmarks, figures and history cannot be computed again, so they are written first, and are kept.
+    Landmarks, metrics and history cannot be computed again, so they are written first, and stay if a later step fails.
 
     Args:
         cfg: configuration of the run.
         problem: problem of the deployment.
         deployment: the deployment.
-        history: best fitness over the run; a single evaluation gets no curve.
-        subject: subject of the run, in a word.
-        summary: more entries of metrics.json; with `stopped` = "interrupted" the run was cut short.
-        further: more entries that take seconds to compute.
-        export: further files.
+        history: records of the best fitness during the run; no curve is drawn for a single evaluation.
+        subject: subject of the run, one word.
+        summary: more entries of metrics.json; `stopped` = "interrupted" means that the run was cut short.
+        further: function that computes more entries of metrics.json, which takes seconds.
+        export: tag maps, plans and sheets to write; None for none.
         in_haste: True to leave out outputs that take seconds: validation, pictures, exports and `further` entries.
 
     Yields:
-        reports with the figures, among them `fitness` and, unless validation is left out, `off_grid`.
+        reports with the metrics, among them `fitness` and, unless validation is left out, `off_grid`.
     """
     from lmd.evaluation.validation import describe_validation, headline_off_grid, validation_metrics
     from lmd.evaluation.verdicts import causes
@@ -121,11 +123,12 @@ def scored(
 
 
 def score(cfg: DictConfig, own: Mapping[str, DictConfig]) -> Study:
-    """Prepare the score of deployments, with their studies: losses, sensitivity, as measured, as mounted.
+    """Prepare the score of deployments, and the configured studies: losses, sensitivity, tags as measured, tags as
+    mounted.
 
     Args:
         cfg: configuration of the command.
-        own: configuration of each deployment, by its name.
+        own: configuration of each deployment, keyed by the deployment's name.
     """
     subjects = {name: _Subject.of(each) for name, each in own.items()}
     (first, *_), is_alone = subjects.values(), len(subjects) == 1
@@ -158,7 +161,7 @@ def score(cfg: DictConfig, own: Mapping[str, DictConfig]) -> Study:
 
 
 class _Subject(NamedTuple):
-    """Deployment to be scored."""
+    """Deployment to be scored, as planned and as measured."""
 
     problem: "Problem"
     plan: "Deployment"
@@ -190,10 +193,10 @@ class _Subject(NamedTuple):
 
 
 def mounting_of(cfg: DictConfig) -> "MountingError":
-    """Mounting error of a configuration; a single number is the error of position.
+    """Mounting error of a configuration; a single number is the standard deviation of the position.
 
     Raises:
-        InputError: the error is refused.
+        InputError: a value is out of range.
     """
     from lmd.evaluation.mounting import MountingError
     from lmd.space.parts import made
@@ -203,7 +206,7 @@ def mounting_of(cfg: DictConfig) -> "MountingError":
 
 
 def _studied(cfg: DictConfig, subject: _Subject, name: str) -> Iterator[Report]:
-    """Reports on the score and on the studies of a deployment."""
+    """Yield the reports on the score and on the studies of a deployment."""
     texts, summary = "", dict[str, Any]()
     with doing("studying the deployment"):
         for key, files, figures, text in _studies(cfg, subject):
@@ -221,7 +224,8 @@ def _studies(cfg: DictConfig, subject: _Subject) -> Iterator[Studied]:
     """Conduct the studies of a deployment, one after the other.
 
     Yields:
-        name of a study, empty if its figures are those of the deployment; its files, figures and text.
+        name of a study, which is empty if its metrics belong to the deployment itself; files, metrics and text of the
+        study.
     """
     from lmd.core.checks import InputError
 

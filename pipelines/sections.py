@@ -1,4 +1,4 @@
-"""Sections of the reproduction report, in Markdown: results of stored sweeps beside results of the paper."""
+"""Sections of the reproduction report, in Markdown: they compare results of stored sweeps with results of the paper."""
 
 from collections.abc import Callable
 from typing import Any
@@ -33,7 +33,7 @@ OFF_GRID = "qualified ratio off the grid: here"
 
 
 def sections(source: Source) -> str:
-    """All sections in order; a section without runs names the command that makes the runs."""
+    """Text of all sections in order; a section whose runs are not stored names the command that makes the runs."""
     built: dict[str, tuple[str, Callable[[Source, pd.DataFrame], list[str]]]] = {
         "Convergence": ("table2", lambda source, jobs: _curves(source, "convergence", jobs, "EGA and SGA")),
         "Table III: one deployment, nine pairs (n, thold_p)": ("table3", _table_3),
@@ -95,7 +95,7 @@ def _landmark_count(source: Source, jobs: pd.DataFrame) -> list[str]:
 
 
 def _curves(source: Source, name: str, jobs: pd.DataFrame, title: str) -> list[str]:
-    """Picture of the convergence of optimisers; none if no run has its files."""
+    """Markdown lines with a picture of the convergence of optimisers; empty if the files of all runs are missing."""
     if not (runs := source.optimiser_runs(jobs)):
         return []
     caption = "Best fitness against evaluations, median and range of the seeds, and the share of targets reached"
@@ -103,7 +103,7 @@ def _curves(source: Source, name: str, jobs: pd.DataFrame, title: str) -> list[s
 
 
 def _origin(source: Source, sweep: str, jobs: pd.DataFrame) -> str:
-    """Text on the origin of a sweep's runs; if there are no runs, the command that makes them."""
+    """Text about the origin of a sweep's runs; if there are no runs, the command that makes the runs."""
     if jobs.empty:
         command, more = COMMANDS[sweep]
         made_by = as_code(f"{command_of(command)} experiment={sweep}{more}")
@@ -117,23 +117,23 @@ def _origin(source: Source, sweep: str, jobs: pd.DataFrame) -> str:
 
 
 def _of_row(jobs: pd.DataFrame, name: str) -> pd.DataFrame:
-    """Runs of a sweep for a row of Table II."""
+    """Runs of a sweep that belong to the row `name` of Table II of the paper."""
     _, column, value = TABLE_2_RUNS[name]
     return jobs[jobs[column] == value]
 
 
 def _of_pair(jobs: pd.DataFrame, n: int, thold_p: float) -> pd.DataFrame:
-    """Runs for (n, thold_p)."""
+    """Runs with the given values of n and thold_p."""
     return jobs[(jobs[PAIR].astype(float) == [n, thold_p]).all(axis=1)]
 
 
 def _typical(jobs: pd.DataFrame) -> str:
-    """Id of the run with the median qualified ratio; of two middle runs, the run with the lower ratio."""
+    """Id of the run with the median qualified ratio; if two runs are in the middle, of the run with the lower ratio."""
     return str(jobs[RATIO].sort_values(kind="stable").index[(len(jobs) - 1) // 2])
 
 
 def _beside(printed: Any, jobs: pd.DataFrame) -> list[str]:
-    """Cells of a row, per cent: printed figures beside medians of runs."""
+    """Cells of a table row, per cent: values printed in the paper beside medians of the runs."""
     cells = [f"{len(jobs)}"]
     for index in INDICES:
         paper, values = getattr(printed, index), jobs[f"metrics.{index}"]
@@ -142,7 +142,7 @@ def _beside(printed: Any, jobs: pd.DataFrame) -> list[str]:
 
 
 def _spread(ratios: "pd.Series[float]") -> str:
-    """Median in per cent, with the range if the ratios differ."""
+    """Text with the median of the ratios in per cent, followed by their range if the ratios differ."""
     median = _percent(ratios.median())
     return median if ratios.nunique() < 2 else f"{median} ({ratios.min():.2%} to {ratios.max():.2%})"
 

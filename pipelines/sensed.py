@@ -1,4 +1,6 @@
-"""Studies of `evaluate` that simulate cameras: flights over deployments, and detectors in rendered images."""
+"""Studies of `evaluate` that simulate cameras: flights in which a camera is localised, and detectors that read rendered
+images.
+"""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -20,7 +22,7 @@ Own = Mapping[str, DictConfig]
 
 
 def observe(cfg: DictConfig, own: Own) -> Study:
-    """Study of flights: localise a flying camera over deployments, with equal flights over each deployment."""
+    """Study of flights: a flying camera is localised by each deployment, with equal flights for all deployments."""
     from lmd.estimation.study import Flights
 
     seeds = seeds_of(cfg)
@@ -64,9 +66,9 @@ def observe(cfg: DictConfig, own: Own) -> Study:
 
 
 def _any_tag(cfg: DictConfig) -> DictConfig:
-    """Replace tags by points in a configuration if the visibility model is for points.
+    """Replace tags by points in a configuration whose visibility model is for points.
 
-    Overlapping papers are then accepted; pictures still show the papers.
+    Tags whose white margins overlap are then accepted; pictures still show the margins.
     """
     return cfg if "tag" in cfg.visibility else OmegaConf.merge(cfg, {"tag": {"edge": None}})  # type: ignore[return-value]
 
@@ -86,7 +88,7 @@ def in_batches(workers: int | None, function: Callable[[Any], Any], jobs: Sequen
 
 
 def _on_one_thread(function: Callable[[Any], Any], job: Any) -> Any:
-    """Do one job on one thread."""
+    """Do one job on a single thread."""
     from lmd.core.optional import optional
 
     optional("cv2", "detection").setNumThreads(1)
@@ -94,7 +96,9 @@ def _on_one_thread(function: Callable[[Any], Any], job: Any) -> Any:
 
 
 def detect(cfg: DictConfig, own: Own) -> Study:
-    """Study of detection: real detectors read rendered images of deployments, from equal random poses."""
+    """Study of detection: real detectors read images of the deployments, rendered from random poses that are equal for
+    all deployments.
+    """
     from lmd.core.checks import integer
     from lmd.core.optional import optional
 
@@ -124,10 +128,10 @@ def detect(cfg: DictConfig, own: Own) -> Study:
 
 
 def rendered(cfg: DictConfig, count: int) -> "Rendered":
-    """Deployment of a configuration, prediction for random poses, and detectors.
+    """Deployment of a configuration, with the predicted sightings from `count` random poses, and the detectors to test.
 
     Raises:
-        InputError: the deployment, the tag or a detector is refused.
+        InputError: the deployment, the tag or a detector cannot be used.
     """
     from lmd.core.checks import InputError
     from lmd.evaluation.detected import Rendered
@@ -142,7 +146,9 @@ def rendered(cfg: DictConfig, count: int) -> "Rendered":
 
 
 def _frames(study: "DetectionStudy", count: int, seed: int) -> dict[str, Callable[[Path], object]]:
-    """Pictures of the first frames of each deployment, with detections of the first detector, for every camera."""
+    """Functions that draw the first frames of each deployment and camera, with the detections of the first detector,
+    keyed by file name.
+    """
     import numpy as np
 
     from lmd.detection.frames import rendered_frame

@@ -1,4 +1,4 @@
-"""Sources of a reproduction report: tables of the paper, and runs in a tracking store."""
+"""Sources of a reproduction report: tables of the paper, and runs that a tracking store holds."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -64,9 +64,9 @@ class Source:
     """Folder of the pictures."""
 
     def jobs(self, sweep: str) -> pd.DataFrame:
-        """Finished runs of the newest sweep with a name, one for each job, the oldest first.
+        """Finished runs of the newest sweep with the name `sweep`: one run for each job, the oldest first.
 
-        A run is left out, with a note, if a parameter is not a number.
+        A run with a parameter that should be a number but is not is left out, with a note.
         """
         runs = self.runs.reindex(columns=COLUMNS)
         jobs: pd.DataFrame = runs[(runs["tags.sweep"] == sweep) & (runs["status"] == "FINISHED") & runs[PARENT].notna()]
@@ -83,7 +83,7 @@ class Source:
         return jobs
 
     def optimiser_runs(self, jobs: pd.DataFrame) -> list[OptimiserRun]:
-        """Results and histories of optimisations; a run without its files is left out, with a note."""
+        """Results and histories of optimiser runs; a run whose files are missing is left out, with a note."""
         found = []
         for run_id, job in jobs.iterrows():
             try:
@@ -97,7 +97,9 @@ class Source:
         return found
 
     def picture(self, name: str, caption: str, draw: Callable[..., None], *arguments: Any) -> str:
-        """Draw a picture: call `draw` with a path in the folder and `arguments`; return the picture in Markdown."""
+        """Draw a picture by calling `draw` with a path in the report's folder and `arguments`; return the Markdown that
+        shows the picture.
+        """
         path = self.folder / f"{name}.png"
         draw(path, *arguments)
         shrink(path)

@@ -1,7 +1,7 @@
-"""Studies of one or several deployments that `evaluate` conducts, in addition to the score.
+"""Studies of one or several deployments that the command `evaluate` conducts in addition to the score.
 
-Each study has a function that checks the settings and returns the study. Arguments are the configuration of the
-command, and the configurations of the deployments by name.
+For each study there is a function that checks the settings and returns the study. Its arguments are the configuration
+of the command, and the configurations of the deployments, keyed by name.
 """
 
 import sys
@@ -25,7 +25,7 @@ Own = Mapping[str, DictConfig]
 
 
 def accuracy(cfg: DictConfig, own: Own) -> Study:
-    """Study of accuracy: predict the accuracy of single images."""
+    """Study of accuracy: predict how accurately single images localise the camera."""
     import numpy as np
 
     problems = {name: build_problem(each) for name, each in own.items()}
@@ -52,8 +52,8 @@ def accuracy(cfg: DictConfig, own: Own) -> Study:
 
 
 def bound(cfg: DictConfig, own: Own) -> Study:
-    """Study of bounds: bound the results of all deployments of a problem, and the share of the bounds that a greedy
-    choice reaches.
+    """Study of bounds: compute upper bounds on the results of all deployments of a problem, and the fraction of the
+    bounds that a greedy choice reaches.
     """
     from lmd.core.checks import real
     from lmd.evaluation.bounds import (
@@ -130,7 +130,9 @@ def bound(cfg: DictConfig, own: Own) -> Study:
 
 
 def uncertainty(cfg: DictConfig, own: Own) -> Study:
-    """Study of uncertainty: describe the uncertainty of the pose from one image, as tables, laws and code."""
+    """Study of uncertainty: describe the standard deviations of the pose from one image, by tables, fitted formulas
+    ("laws") and code.
+    """
     import numpy as np
 
     from lmd.core.checks import InputError

@@ -34,28 +34,31 @@ Curve = Iterable[tuple[int, float, float]]
 
 @dataclass(frozen=True)
 class Report:
-    """Part of a study's results, which is written and printed as soon as the study yields it."""
+    """Part of a study's results; it is written and printed as soon as the study yields it."""
 
     files: Mapping[str, Any] = field(default_factory=dict)
-    """Contents by file name: a table, columns of a table, keys of a JSON document, text, or a function that writes to a
-    path."""
+    """Contents of the files to write, keyed by file name: a table, columns of a table, keys of a JSON document, text,
+    or a function that writes to a path.
+    """
     figures: Mapping[str, float] = field(default_factory=dict)
-    """Figures for the tracked run."""
+    """Metrics for the tracked run, keyed by name."""
     curves: Mapping[str, Curve] = field(default_factory=dict)
-    """Curves for the tracked run, see `Tracker.log_curve`."""
+    """Curves for the tracked run, keyed by name, see `Tracker.log_curve`."""
     text: str = ""
     """Text for the terminal."""
     lines: Mapping[str, str] = field(default_factory=dict)
-    """Labelled lines for the end of the terminal's text."""
+    """Lines, keyed by label, that are printed at the end of the terminal's text."""
     is_whole: bool = False
-    """True if the results are complete: from here on, a signal only leaves out further reports."""
+    """True if the results are complete with this report: a signal that comes later only leaves out further reports."""
     is_extra: bool = False
-    """True if files that do not fit on the disk are left out, and if a signal may interrupt the writing."""
+    """True for a report that may be lost: files that do not fit on the disk are left out, and a signal may interrupt
+    the writing.
+    """
     is_cut: bool = False
     """True if a signal has ended the study early; the process exits with the signal's code."""
 
     def below(self, folder: str) -> "Report":
-        """This report, with its files in a folder."""
+        """Copy of this report whose files are written to the subfolder `folder`."""
         return replace(self, files={f"{folder}/{name}": content for name, content in self.files.items()})
 
 
@@ -64,19 +67,21 @@ class Study:
     """Study with checked settings and built objects, ready to be conducted."""
 
     subject: str
-    """Subject of the run, in a word."""
+    """Subject of the run, one word."""
     run: Callable[[Tracker], Report | Iterable[Report]]
-    """Function that conducts the study, and returns a report or yields several; see `reports`."""
+    """Function that conducts the study; it returns one report or yields several, see `reports`."""
     about: str = ""
     """Description of the run; by default the title of its problem."""
     problem: "Problem | None" = None
-    """Problem of the study, or None."""
+    """Problem that the study is about; None for a study without a problem."""
     earlier: tuple[str | None, Path] = (None, Path())
-    """Tracked run that this study continues, if any, and the folder of that run."""
+    """Id of the tracked run that this study continues (None if nothing is continued or tracked), and the folder of that
+    run.
+    """
     hint: Callable[[], str] = str
-    """Function that returns a text on how to continue after an interruption."""
+    """Function that returns a text about how to continue after an interruption."""
     returned: str = ""
-    """Name of the figure that a sweep gets; empty for none."""
+    """Name of the metric whose value is returned to Hydra's sweeper; empty for none."""
 
     def reports(self, tracker: Tracker) -> Generator[Report, None, None]:
         """Conduct the study; yield its reports."""
@@ -85,7 +90,7 @@ class Study:
 
 
 def conduct(cfg: DictConfig, study: Study) -> float | None:
-    """Conduct a study as a tracked run, and return the figure for sweepers.
+    """Conduct a study as a tracked run, and return the value for Hydra's sweeper.
 
     Args:
         cfg: configuration of the run.
@@ -141,7 +146,9 @@ def conduct(cfg: DictConfig, study: Study) -> float | None:
 
 
 def _written(directory: Path, report: Report) -> tuple[list[Path], list[str]]:
-    """Write the files of a report; return the files, and a text about each file that does not fit on the disk."""
+    """Write the files of a report; return the paths of the files, and a text about each file that does not fit on the
+    disk.
+    """
     writers = {name: _writer(name, content) for name, content in report.files.items()}
     files, failed = list[Path](), list[str]()
     if not report.is_extra:
@@ -156,7 +163,7 @@ def _written(directory: Path, report: Report) -> tuple[list[Path], list[str]]:
 
 
 def _writer(name: str, content: Any) -> Callable[[Path], object]:
-    """Make a function that writes a content to a path."""
+    """Make a function that writes `content` to a path, in the format of the file name `name`."""
     if callable(content):
         return content  # type: ignore[no-any-return]
     if isinstance(content, str):
@@ -178,12 +185,13 @@ def _print_hint(study: Study) -> None:
 
 @contextmanager
 def tracked(cfg: DictConfig, study: Study) -> Iterator[Tracker]:
-    """Context with a started run of the configured tracker. Exceptions mark the run FAILED, and Ctrl-C KILLED; bad
-    input removes it.
+    """Context with a started run of the configured tracker. An exception marks the run as FAILED, and Ctrl-C as KILLED;
+    if the input is refused, the record of the run is removed.
 
     Args:
-        cfg: configuration, logged as parameters.
-        study: study of the run. A new run is linked to the run that it continues if the records differ.
+        cfg: configuration, whose settings are recorded as parameters.
+        study: study of the run. If the record of the run that it continues cannot be extended, a new record is linked
+            to that run.
     """
     tracker: Tracker = instantiate(cfg.tracking)
     directory, pipeline, job = run_directory(), HydraConfig.get().job.name, current_job()
@@ -218,12 +226,12 @@ def tracked(cfg: DictConfig, study: Study) -> Iterator[Tracker]:
 
 
 def title_of(problem: "Problem", subject: str) -> str:
-    """Title for pictures of a run: the subject and the main settings."""
+    """Title for the pictures of a run: its subject and the main settings of the problem."""
     return f"{subject} {problem.objective.name} K={problem.count}"
 
 
 def dataset_of(cfg: DictConfig, problem: "Problem") -> tuple[str, str]:
-    """Name and digest of a problem, by which mlflow filters runs: its datasets.
+    """Name and digest of a problem; mlflow filters runs by these, which it calls a dataset.
 
     Equal problems have equal digests, whichever options compose them. A frozen problem of the suite has its own name
     and digest.
@@ -241,7 +249,7 @@ def dataset_of(cfg: DictConfig, problem: "Problem") -> tuple[str, str]:
 
 
 def derived(problem: "Problem") -> dict[str, Any]:
-    """Parameters of a run that the configuration does not state: the counts of landmarks."""
+    """Parameters of a run that the configuration does not state: the numbers of landmarks."""
     counts = problem.scene.tag.counts
     return {"deployment.count": problem.count, **({} if counts is None else {"tag.counts": list(counts)})}
 
@@ -249,14 +257,14 @@ def derived(problem: "Problem") -> dict[str, Any]:
 def log_child(
     tracking: DictConfig, run: RunStart, parent: str | None, metrics: Mapping[str, float], curve: Curve = ()
 ) -> None:
-    """Record a finished run as the child of another run, with the landmarks in its folder.
+    """Record a finished run as the child of another run, with the file of landmarks in its folder.
 
     Args:
-        tracking: group `tracking`.
-        run: the run.
-        parent: parent run, if any.
-        metrics: its figures.
-        curve: its best fitness, see `Tracker.log_curve`.
+        tracking: config group `tracking`.
+        run: description of the finished run.
+        parent: id of the parent run; None for none.
+        metrics: metrics of the finished run, keyed by name.
+        curve: curve of the best fitness in the finished run, see `Tracker.log_curve`.
     """
     tracker: Tracker = instantiate(tracking)
     tracker.start(run if parent is None else replace(run, tags={**run.tags, PARENT_TAG: parent}))

@@ -38,7 +38,7 @@ KNOWN = ("origin", "points", "boards", "printed", "motion", "edges")
 
 
 def survey(cfg: DictConfig) -> Study:
-    """Prepare the survey: estimate the map of the tags in the configured photographs or detections."""
+    """Prepare the survey, which estimates the map of the tags from the configured photographs or detections."""
     from lmd.core.checks import InputError, boolean, integer, seed_number
     from lmd.evaluation.audit import audited, in_the_open
     from lmd.evaluation.verdicts import verdicts
@@ -89,7 +89,9 @@ def survey(cfg: DictConfig) -> Study:
 
 @contextmanager
 def _map_or_nothing(stages: "Stages") -> Iterator[None]:
-    """Context that reports a stop before there is a map, and removes the empty folder."""
+    """Context that prints a message if the survey is stopped before there is a map, and then removes the empty
+    folder.
+    """
     try:
         yield
     except Stopped:
@@ -99,7 +101,7 @@ def _map_or_nothing(stages: "Stages") -> Iterator[None]:
 
 
 def _scene(cfg: DictConfig, room: "Space | None", camera: "Camera | Rig", tag: "Tag") -> "Scene":
-    """Scene for the audit of the map; a placeholder replaces an unknown room.
+    """Scene with which the map is audited; a placeholder stands for a room that is not given.
 
     Raises:
         InputError: the visibility model is for points, not for tags.
@@ -117,10 +119,10 @@ def _scene(cfg: DictConfig, room: "Space | None", camera: "Camera | Rig", tag: "
 
 
 def _known(cfg: DictConfig, tag: "Tag") -> "PriorKnowledge":
-    """Read the prior knowledge about the tags.
+    """Read the prior knowledge about the tags' poses.
 
     Raises:
-        InputError: a file cannot be read, or a number is refused.
+        InputError: a file cannot be read, or a number is out of range.
     """
     from lmd.adjust.prior import Hanging
     from lmd.core.checks import InputError, boolean, integer
@@ -149,18 +151,18 @@ def _known(cfg: DictConfig, tag: "Tag") -> "PriorKnowledge":
 
 
 def camera_files(count: int) -> list[str]:
-    """Names of the calibration files of cameras."""
+    """Names of the calibration files that a survey writes, one for each of `count` cameras."""
     return ["camera.yaml"] if count == 1 else [f"camera_{number}.yaml" for number in range(1, count + 1)]
 
 
 def _files(
     found: "Survey", room: "Space | None", tag: "Tag", title: str, detected: "DetectedTags | None"
 ) -> dict[str, Any]:
-    """Contents of the files of a survey.
+    """Contents of the files of a survey, keyed by file name.
 
     Args:
-        found: the survey.
-        room: the room; None if unknown.
+        found: result of the survey.
+        room: the room; None if it is not given.
         tag: the tags.
         title: title of the picture.
         detected: detections in all frames; None if they were read from a file.
@@ -198,7 +200,7 @@ def _files(
 
 
 def _audit_files(audit: "Audit", detector: str, title: str) -> dict[str, Any]:
-    """Contents of the files of an audit."""
+    """Contents of the files of an audit, keyed by file name."""
     import pandas as pd
 
     from lmd.detection.predictions import figures

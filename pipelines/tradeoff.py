@@ -1,4 +1,5 @@
-"""Trade number and size of landmarks: `python -m pipelines.tradeoff counts=[20,40,60] edges=[0.1,0.15] [overrides]`.
+"""Trade off the number and size of landmarks: `python -m pipelines.tradeoff counts=[20,40,60] edges=[0.1,0.15]
+[overrides]`.
 
 The trade-off is one run and not a sweep, as the search at each point also starts from the results of neighbouring
 points. Searches run in parallel, and results are stored on disk.
@@ -31,8 +32,8 @@ COVERED, LOCALISED = "covered_share", "localised_share_20mm"  # figures off the 
 
 
 def tradeoff(cfg: DictConfig) -> Study:
-    """Prepare searches for every number of landmarks, edge and seed.
-    With `size`, the study of the tags' range takes the place of searches.
+    """Prepare searches for every combination of a number of landmarks, an edge length and a seed. With the key `size`,
+    the range at which tags are detected is studied instead.
     """
     if cfg.size:
         return size(cfg)
@@ -119,7 +120,7 @@ def _listed(name: str, value: Any) -> list[Any]:
 
 
 def _report(cfg: DictConfig, table: "pd.DataFrame", problem: "Problem", figure: str, wanted: float | None) -> Report:
-    """Report on the table of points."""
+    """Report on the table of points: curves, and the least number of landmarks that reaches the value `wanted`."""
     from lmd.evaluation.maps import percent_text
     from lmd.evaluation.tradeoff import fewest, front
     from lmd.evaluation.validation import headline_off_grid

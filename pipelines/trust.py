@@ -1,4 +1,4 @@
-"""Checks of code named in configurations of other origin, as Hydra would import and call every `_target_`.
+"""Checks of the code that configurations of other origin name, as Hydra would import and call every `_target_`.
 
 A configuration is of other origin if it is neither part of this project nor on the command line. Examples are the
 configuration of `run=DIR`, configurations in a tracking store, and the overrides of a resumed run. Such a configuration
@@ -31,20 +31,23 @@ MOST_CHARACTERS = 1_000_000
 
 @dataclass(frozen=True)
 class Trust:
-    """Names that the user trusts in configurations of other origin."""
+    """Code that the user trusts in configurations of other origin."""
 
     names: tuple[str, ...] = ()
-    """Packages and single targets that the user trusts."""
+    """Names of packages and of single functions or classes that the user trusts."""
     folders: tuple[Path, ...] = (Path(CONF),)
-    """Folders of configuration; a target in a file there is trusted in the group of the file."""
+    """Folders with configuration files; a `_target_` in one of these files is trusted in the config group of the
+    file.
+    """
 
     @classmethod
     def of(cls, cfg: DictConfig, runtime: Any) -> "Trust":
-        """Trust from the user's settings: `trust=[...]`, and the folders and packages on the search path.
+        """Make the object from the user's settings: the list `trust=[...]`, and the folders and packages on the search
+        path.
 
         Args:
             cfg: configuration of the command.
-            runtime: Hydra's record of the run, with the places where it has looked for configurations.
+            runtime: Hydra's record of the run, which lists the places where Hydra has looked for configurations.
 
         Raises:
             InputError: `trust` is not a list of names.
@@ -63,7 +66,7 @@ class Trust:
 
         Args:
             found: configuration as plain data.
-            source: name of the source, for messages.
+            source: name of the configuration's source, for error messages.
 
         Raises:
             InputError: a node names code that is not trusted, or is not a node.
@@ -89,7 +92,7 @@ class Trust:
         """Check a value of a configuration of other origin.
 
         Args:
-            source: name of the source, for messages.
+            source: name of the configuration's source, for error messages.
             key: key of the value in the configuration, which begins with its group.
             value: plain data, nested in any way.
 
@@ -129,7 +132,9 @@ class Trust:
                 raise InputError(f"{place} is imported, not defined, by what you trust ({PAGE}).")
 
     def _texts_of(self, group: str) -> list[str]:
-        """Contents of the files of a group, and of command files, which have nodes that are not groups."""
+        """Texts of the files of a config group, and of the files of commands, which contain nodes that belong to no
+        group.
+        """
         files = (file for at in self.folders for file in (*(at / group).rglob("*.yaml"), *at.glob("*.yaml")))
         return [file.read_text(encoding="utf-8", errors="replace") for file in files]
 
@@ -158,7 +163,7 @@ def read_yaml(file: Path, source: str) -> dict[Any, Any]:
 
 
 def _place(found: Any, key: str, name: str) -> Any:
-    """Value to which the interpolation `${name}` in the value at `key` leads; None if there is none."""
+    """Value to which the interpolation `${name}` in the value at `key` refers; None if there is no such value."""
     up = len(name) - len(name.lstrip("."))
     for word in [*(key.split(".")[:-up] if up else []), *re.findall(r"\w+", name)]:
         entries = dict(enumerate(found)) if isinstance(found, list) else found if isinstance(found, Mapping) else {}
@@ -167,7 +172,8 @@ def _place(found: Any, key: str, name: str) -> Any:
 
 
 def _leaves(source: str, key: str, value: Any, seen: set[int]) -> Iterator[tuple[str, Any]]:
-    """Values below a key that are not containers, and all values of `_target_`, with their keys.
+    """Yield all values below a key that are not containers, and the values of every `_target_`, together with their
+    keys.
 
     Raises:
         InputError: a container occurs twice, for example by an alias of YAML, or a key or a value is not plain data.

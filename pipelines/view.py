@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def view(cfg: DictConfig) -> None:
-    """Serve the planner for the configured deployment until a signal ends it."""
+    """Serve the planner for the configured deployment in the browser, until a signal ends it."""
     import numpy as np
 
     from lmd.core.checks import integer
@@ -64,7 +64,7 @@ def view(cfg: DictConfig) -> None:
 
 
 def _keep_unsaved(directory: Path, plan: "Plan", ups: bool) -> None:
-    """Write unsaved tags to the directory or, if that fails, to a temporary directory."""
+    """Write the unsaved tags of the plan to the run's directory or, if that fails, to a temporary directory."""
     for place in (directory.resolve, partial(tempfile.mkdtemp, prefix="lmd_")):
         try:
             (written,) = write_all(Path(place()), {"unsaved.csv": partial(plan.deployment.to_csv, ups=ups)})
@@ -79,7 +79,7 @@ command = Command("view", view)
 
 
 def main() -> None:
-    """Run the command; end immediately after a signal."""
+    """Run the command; after a signal, end the process immediately."""
     try:
         command()
     except SystemExit as ended:

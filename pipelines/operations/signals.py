@@ -26,12 +26,13 @@ class Stopped(KeyboardInterrupt):
 
 
 class Stop:
-    """Effect of SIGINT, SIGTERM and SIGHUP, which depends on the current block.
+    """State of this process towards SIGINT, SIGTERM and SIGHUP; the current `with` block decides the effect of a
+    signal.
 
-    Outside all blocks the process ends immediately, as it has no results yet. Within `raising`, the first signal raises
-    `Stopped`, and later signals are ignored while the process cleans up. Within `deferred`, the first signal sets
-    `requested` and the second signal raises `Stopped`. Within `shielded`, a signal only sets `requested`. Within
-    `postponed`, signals wait.
+    Outside all blocks a signal ends the process immediately, as it has no results yet. Within `raising`, the first
+    signal raises `Stopped`, and later signals are ignored while the process cleans up. Within `deferred`, the first
+    signal sets `requested` and the second signal raises `Stopped`. Within `shielded`, a signal only sets `requested`.
+    Within `postponed`, signals wait.
 
     A library, or the clean-up, may fail with another error when a signal interrupts it. This error is printed in one
     line, and `Stopped` is raised in its place.
@@ -46,7 +47,7 @@ class Stop:
 
     @property
     def requested(self) -> bool:
-        """True after a signal was received."""
+        """True if a signal has been received."""
         return self._number != 0
 
     @property
@@ -70,8 +71,8 @@ class Stop:
         """Context in which the first signal sets `requested` and the second signal raises `Stopped`.
 
         Args:
-            worth_waiting: function that returns False if there is no step to wait for; the first signal then raises
-                `Stopped`.
+            worth_waiting: function that returns False if there is no unfinished step to wait for; the first signal then
+                raises `Stopped`.
             step: name of the step to wait for.
         """
 
@@ -89,7 +90,7 @@ class Stop:
 
     @contextmanager
     def postponed(self) -> Iterator[None]:
-        """Context in which signals wait; signals take effect at the end of the context."""
+        """Context in which signals are held back; they take effect at the end of the context."""
         waiting: list[int] = []
         try:
             with self._acting(waiting.append):
@@ -129,7 +130,7 @@ class Stop:
 
 
 def tell(text: str) -> None:
-    """Write a line to stderr, bypassing Python's buffers, which the signal may have interrupted."""
+    """Write a line to stderr directly, as the signal may have interrupted a write to Python's buffer."""
     with suppress(OSError):  # the reader may have ended
         os.write(2, f"\n{text}\n".encode())
 
@@ -139,7 +140,9 @@ def _ignore(number: int) -> None:
 
 
 def _unless_stopped(unraisable: "sys.UnraisableHookArgs") -> None:
-    """Ignore a `Stopped` that was raised where exceptions do not propagate; `requested` is set nevertheless."""
+    """Ignore a `Stopped` that was raised in code from which Python cannot propagate exceptions, such as a destructor;
+    `requested` is set nevertheless.
+    """
     if not isinstance(unraisable.exc_value, Stopped):
         sys.__unraisablehook__(unraisable)
 

@@ -1,1 +1,3 @@
-"""Sweeps: each job in its own process, one parent run, a table, and continuation of an interrupted sweep."""
+"""Sweeps: each job runs in its own process; one parent run and a table cover all jobs; an interrupted sweep can
+continue.
+"""

@@ -1,4 +1,4 @@
-"""Hydra callback that begins and ends a sweep, with the tracked run and the table of the sweep."""
+"""Hydra callback that begins and ends a sweep: it keeps the tracked parent run, and writes the table of the jobs."""
 
 import atexit
 import os
@@ -22,10 +22,12 @@ from .supervisor import STOPPED, SWEEP_VARIABLE, lost, settle
 
 
 class SweepRecord(Callback):
-    """Hydra callback that starts the parent run of a sweep and, at the end, writes the sweep's table."""
+    """Hydra callback that starts the tracked parent run of a sweep and, at the end, writes the table of the sweep's
+    jobs.
+    """
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Start the parent run, or continue the parent run of the sweep that this command extends."""
+        """Start the tracked parent run of the sweep, or continue it if this command extends an earlier sweep."""
         folder = SweepFolder(pin_sweep_folder(config))
         folder.path.mkdir(parents=True, exist_ok=True)
         with held(folder.path):  # another process may begin an equal command
@@ -47,7 +49,9 @@ class SweepRecord(Callback):
 
 
 def _begin(config: DictConfig, folder: SweepFolder) -> bool:
-    """Start the parent run, or continue that of the previous sweep in this folder; True if there is one."""
+    """Start the tracked parent run of a sweep, or continue the run of the earlier sweep in this folder; return True if
+    such a run exists.
+    """
     from lmd.core.checks import InputError
 
     before, overrides = folder.load(), swept(config)
@@ -69,7 +73,7 @@ def _begin(config: DictConfig, folder: SweepFolder) -> bool:
 
 
 def _cut_short(config: DictConfig) -> None:
-    """Close a sweep that ended before all jobs had ended."""
+    """Close a sweep that ended while some of its jobs had not ended."""
     folder = SweepFolder(config.hydra.sweep.dir)
     sweep = folder.load()
     if sweep is not None and sweep.round == 0 and not folder.jobs():  # the first job was refused
@@ -84,10 +88,10 @@ def _cut_short(config: DictConfig) -> None:
 
 
 def _close(config: DictConfig, reason: str = "") -> bool:
-    """Write the table of a sweep and end its run; True unless the run ended as FINISHED.
+    """Write the table of a sweep and end its tracked run; return False only if the run ended as FINISHED.
 
     Args:
-        reason: reason of the failure of the run; if empty, the run fails if a job failed.
+        reason: reason why the run has failed; if it is empty, the run counts as failed if one of its jobs failed.
     """
     from lmd.core.words import as_code
 

@@ -1,4 +1,4 @@
-"""Records of a sweep and its jobs on disk, which processes and machines share, and which later commands continue."""
+"""Records of a sweep and its jobs on disk. Processes and machines share the records, and later commands add to them."""
 
 import os
 import shutil
@@ -16,13 +16,13 @@ class Sweep:
     """Record of a sweep, the content of `sweep.json`."""
 
     name: str
-    """Name: the experiment of the sweep, or the varied keys."""
+    """Name of the sweep: the name of its experiment, or else the varied keys."""
     varied: tuple[str, ...]
-    """Config keys that differ between the jobs, keys of earlier commands first."""
+    """Config keys whose values differ between the jobs; the keys of earlier commands come first."""
     run_id: str | None = None
-    """Tracked run of the sweep, the parent of the runs of the jobs; None if nothing is tracked."""
+    """Id of the tracked run of the sweep, which is the parent of the jobs' runs; None if nothing is tracked."""
     round: int = 0
-    """Number of commands that have extended the sweep, before the last command."""
+    """Number of earlier commands that have worked on this sweep; 0 for the first command."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Job:
     sweep: str
     """Name of the sweep."""
     parent: str | None
-    """Tracked run of the sweep, if any."""
+    """Id of the tracked run of the sweep; None if nothing is tracked."""
     number: int
     """Number of the job in the sweep, from 0."""
     overrides: tuple[str, ...]
@@ -42,21 +42,21 @@ class Job:
     status: str = "running"
     """`running`, `finished`, `interrupted`, `failed` (by an error of its own) or `killed`."""
     value: float | None = None
-    """Value that the finished job returned."""
+    """Value of the job's task for Hydra's sweeper; None before the job has finished."""
     reason: str = ""
-    """Reason for which the job did not finish."""
+    """Reason why the job did not finish; empty if there is none."""
     seconds: float = 0.0
     """Wall time of the job, including all earlier attempts that it continues, seconds."""
     round: int = 0
-    """Value of `Sweep.round` in the last command that contains this job."""
+    """`Sweep.round` of the last command that contains this job."""
 
     @property
     def label(self) -> str:
-        """Overrides that distinguish the job from the others."""
+        """Text of the overrides in which the job differs from the other jobs."""
         return " ".join(f"{key}={value}" for key, value in self.varied.items()) or " ".join(self.overrides)
 
     def tags(self, name: str) -> dict[str, str]:
-        """Tags of the tracked run that name the sweep and the folder `name` of the job."""
+        """Tags for the tracked run of the job: they name the sweep, and `name`, the folder of the job."""
         from ..tracking import PARENT_TAG
 
         return {"sweep": self.sweep, "job": name} | ({PARENT_TAG: self.parent} if self.parent else {})
@@ -76,11 +76,11 @@ class JobFolder:
         self.checkpoint = self.path / "checkpoint.npz"  # as in lmd.optimisers.checkpoint, which is slow to import
 
     def load(self) -> Job | None:
-        """Read the record of the job; None if there is none."""
+        """Read the record of the job; None if the folder has no record."""
         return read_document(self.record, lambda values: Job(**values | {"overrides": tuple(values["overrides"])}))
 
     def finished(self) -> Job | None:
-        """Read the record of the job if the job has finished and its figures are complete; else None."""
+        """Read the record of the job if the job has finished and its metrics are complete; otherwise return None."""
         job = self.load()
         is_lost = self.metrics.exists() and not self.figures()
         return None if job is None or job.status != "finished" or is_lost else job
@@ -90,7 +90,7 @@ class JobFolder:
         write_document(self.record, asdict(job))
 
     def figures(self) -> dict[str, Any]:
-        """Figures in metrics.json; empty if there is no such file."""
+        """Metrics of the job in metrics.json, keyed by name; empty if there is no such file."""
         return read_document(self.metrics, dict) or {}
 
 
@@ -107,7 +107,7 @@ class SweepFolder:
         self.picture = self.path / "groups.png"
 
     def load(self) -> Sweep | None:
-        """Read the record of the sweep; None if there is none."""
+        """Read the record of the sweep; None if the folder has no record."""
         return read_document(self.record, lambda values: Sweep(**values | {"varied": tuple(values["varied"])}))
 
     def save(self, sweep: Sweep) -> None:
@@ -116,14 +116,14 @@ class SweepFolder:
         write_document(self.record, asdict(sweep))
 
     def job_of(self, digest: str) -> JobFolder | None:
-        """Folder of the job whose configuration has this digest, with which the folder's name ends; None if there is
-        none.
+        """Folder of the job whose configuration has the digest `digest`, which is the end of the folder's name; None if
+        no folder has this end.
         """
         return next((JobFolder(path) for path in self.path.glob(f"*{digest}")), None)
 
     def jobs(self) -> list[tuple[JobFolder, Job]]:
-        """Jobs with their folders: jobs of the last command, in the order of the command, then finished jobs of earlier
-        commands.
+        """Jobs with their folders: the jobs of the last command, in the order of the command, followed by finished jobs
+        of earlier commands.
         """
         last = 0 if (sweep := self.load()) is None else sweep.round
         found = [(folder, job) for folder in map(JobFolder, self.path.iterdir()) if (job := folder.load()) is not None]
@@ -131,7 +131,7 @@ class SweepFolder:
         return sorted(kept, key=lambda entry: (-entry[1].round, entry[1].number))
 
     def discard(self) -> None:
-        """Remove the record of a sweep that has no job yet, and the folder unless it holds other files."""
+        """Remove the record of a sweep that has no job yet, and also its folder unless the folder holds other files."""
         self.record.unlink(missing_ok=True)
         if {path.name for path in self.path.iterdir()} <= {"multirun.yaml", LOCK}:  # the first is Hydra's own file
             shutil.rmtree(self.path)
@@ -145,7 +145,7 @@ def current_job() -> tuple[JobFolder, Job] | None:
 
 
 def reason_of(error: BaseException) -> str:
-    """Text, in one line, of the error that ended a run."""
+    """One-line text about the error that ended a run."""
     from lmd.core.checks import InputError
 
     if isinstance(error, SystemExit) and not isinstance(error.code, str):

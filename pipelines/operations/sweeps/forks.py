@@ -1,4 +1,6 @@
-"""Jobs as processes forked from Python's fork server, which has already imported the modules of jobs (`ready`)."""
+"""Jobs as processes that are forked from Python's fork server, which has imported the modules of jobs beforehand
+(`ready`).
+"""
 
 import importlib
 import multiprocessing
@@ -20,7 +22,7 @@ context = multiprocessing.get_context("forkserver")
 
 
 class Descriptor:
-    """File descriptor that is passed to a process of the server."""
+    """File descriptor that is passed to a process forked from the fork server."""
 
     def __init__(self, number: int) -> None:
         self._number = number
@@ -32,14 +34,16 @@ class Descriptor:
 def process(
     pipeline: str, arguments: list[str], environment: dict[str, str], streams: Mapping[int, int], kept: Iterable[int]
 ) -> ForkServerProcess:
-    """Make the process of a job, in its own session; the first process waits until the server has imported `ready`.
+    """Make the process of a job, in its own session; the first such process waits until the fork server has imported
+    `ready`.
 
     Args:
         pipeline: module whose `main` is called.
         arguments: arguments of its command line.
-        environment: environment variables; packages that the server has imported may have read the server's variables.
-        streams: descriptors that become 0, 1 and 2.
-        kept: further descriptors that stay open.
+        environment: environment variables of the job; packages that the server has imported may already have read the
+            server's variables.
+        streams: descriptors that become the job's standard streams, keyed by their numbers 0, 1 and 2.
+        kept: further descriptors that stay open in the job.
     """
     multiprocessing.set_start_method("forkserver", force=True)  # workers of joblib use another start method
     context.set_forkserver_preload([*TRACKED, READY_MODULE])
@@ -50,7 +54,7 @@ def process(
 def _do(
     pipeline: str, arguments: list[str], environment: dict[str, str], streams: dict[int, int], _kept: list[int]
 ) -> None:
-    """Run a job within a process of the server."""
+    """Run a job in a process that was forked from the fork server."""
     ready = sys.modules.get(READY_MODULE)
     for number, handler in (ready.BEFORE if ready else {}).items():
         signal.signal(number, handler)
@@ -59,13 +63,13 @@ def _do(
 
 
 def run_module(pipeline: str, arguments: list[str], environment: dict[str, str], streams: dict[int, int]) -> None:
-    """Run a module in a process of the server, as `python -m` would.
+    """Run a module in a process that was forked from the fork server, as `python -m` would run it.
 
     Args:
-        pipeline: the module.
+        pipeline: name of the module.
         arguments: arguments of its command line.
-        environment: environment variables; variables that imported modules have set stay.
-        streams: descriptors that become 0, 1 and 2.
+        environment: environment variables of the job; variables that imported modules have set are kept.
+        streams: descriptors that become the job's standard streams, keyed by their numbers 0, 1 and 2.
     """
     for number, descriptor in streams.items():
         os.dup2(descriptor, number)

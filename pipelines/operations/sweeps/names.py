@@ -1,4 +1,4 @@
-"""Names of sweeps and jobs, of their runs and of their folders."""
+"""Names of sweeps and jobs: of their tracked runs, and of their folders."""
 
 import re
 from collections.abc import Sequence
@@ -26,11 +26,12 @@ def override_tags(overrides: Sequence[str]) -> dict[str, str]:
 
 
 def short_name(subject: str, overrides: Sequence[str], given: Sequence[str] = ()) -> str:
-    """Name of a run: varied values come first, as tables cut the end: `ega n=4 p=0.7 s1`, `n=4 ega room=hall`.
+    """Name of a run, such as `ega n=4 p=0.7 s1` or `n=4 ega room=hall`; values that vary come first, as tables cut long
+    names.
 
     Args:
-        subject: subject of the run, in a word.
-        overrides: overrides that vary.
+        subject: subject of the run, one word.
+        overrides: overrides whose values vary between runs.
         given: further overrides of the command line.
     """
     varies = in_name(overrides, subject)[: NAME_LENGTH - len(subject) - 1]
@@ -40,8 +41,8 @@ def short_name(subject: str, overrides: Sequence[str], given: Sequence[str] = ()
 
 
 def in_name(overrides: Sequence[str], *left_out: str) -> str:
-    """Overrides in the form used in names: `n=4`, `s1` for the seed, and the file's name for a path. Overrides that
-    change no result, or that have a value of `left_out`, are omitted.
+    """Overrides in the form used in names: `n=4`, `s1` for the seed, and only the file's name for a path. Left out are
+    overrides that change no result, and overrides with one of the values `left_out`.
     """
     words = []
     for key, text in map(key_and_value, overrides):
@@ -53,25 +54,25 @@ def in_name(overrides: Sequence[str], *left_out: str) -> str:
 
 
 def slug(text: str) -> str:
-    """Replace the characters of `text` that need quotes in a path or an override."""
+    """Replace all characters of `text` that would need quotes in a path or an override."""
     return re.sub(r"[^\w.-]+", "-", text)[:SLUG_LENGTH].strip("-.")
 
 
 def _settings(root: DictConfig) -> Any:
-    """Resolved configuration without Hydra's part and without keys that change no result."""
+    """Resolved configuration without Hydra's own part, and without keys that have no effect on results."""
     task = OmegaConf.masked_copy(root, [str(key) for key in root if key != "hydra"])
     resolved: Any = OmegaConf.to_container(task, resolve=True)
     return {key: value for key, value in resolved.items() if changes_results(key)}
 
 
 def swept(root: DictConfig) -> list[str]:
-    """Overrides of a sweep: the stored overrides, then those of the command line."""
+    """Overrides of a sweep: first the overrides stored with its experiment, then the overrides of the command line."""
     stored = root.hydra.sweeper.get("params") or {}
     return [*(f"{key}={value}" for key, value in stored.items()), *root.hydra.overrides.task]
 
 
 def varied_keys(overrides: Sequence[str]) -> tuple[str, ...]:
-    """Keys of the `overrides` that have more than one value."""
+    """Keys for which the `overrides` list more than one value."""
     from hydra.core.override_parser.overrides_parser import OverridesParser
 
     parsed = OverridesParser.create().parse_overrides(list(overrides))
@@ -79,13 +80,15 @@ def varied_keys(overrides: Sequence[str]) -> tuple[str, ...]:
 
 
 def sweep_name(root: DictConfig) -> str:
-    """Name of a sweep: the experiment or search or, if neither is given, the varied keys."""
+    """Name of a sweep: the name of its experiment or search or, if neither is given, the varied keys."""
     stored = root.hydra.runtime.choices.get("experiment")
     return slug(stored or "_".join(varied_keys(swept(root)))) or "sweep"
 
 
 def sweep_title(root: DictConfig) -> str:
-    """Name of a sweep's run: the varied keys, then the other overrides: `n x thold_p x optimiser room=hall`."""
+    """Name of a sweep's tracked run: the varied keys, then the other overrides, as in `n x thold_p x optimiser
+    room=hall`.
+    """
     varied = varied_keys(swept(root))
     given = [o for o in root.hydra.overrides.task if key_and_value(o)[0] not in varied]
     keys = [key.split(".")[-1] for key in varied if key != SEED] or [SEED]
@@ -93,16 +96,16 @@ def sweep_title(root: DictConfig) -> str:
 
 
 def sweep_folder(*, _root_: DictConfig) -> str:
-    """Name of a sweep's folder: equal names for equal varied keys and equal other settings that change results, for any
-    values of the varied keys.
+    """Name of a sweep's folder. Two sweeps have equal names if they vary the same keys (over any values) and agree in
+    all other settings that affect results.
     """
     varied = sorted(varied_keys(swept(_root_)))
     return f"{slug(sweep_name(_root_))}-{digest(_settings(_root_), varied)[:DIGEST_LENGTH]}"
 
 
 def job_folder(*, _root_: DictConfig) -> str:
-    """Name of a job's folder within the sweep's folder: equal names for equal settings that change results, contents of
-    files, and values of varied keys, such as `threads`.
+    """Name of a job's folder within the sweep's folder. Two jobs have equal names if they agree in all settings that
+    affect results, in the contents of files, and in the values of all varied keys, even of keys such as `threads`.
     """
     folder = SweepFolder(_root_.hydra.sweep.dir)
     sweep, values = folder.load(), map(key_and_value, _root_.hydra.overrides.task)
@@ -116,10 +119,10 @@ def job_folder(*, _root_: DictConfig) -> str:
 
 
 def pin_sweep_folder(config: DictConfig) -> Path:
-    """Write the folder of a sweep into the configuration of the jobs, which cannot derive the folder; return the
-    folder.
+    """Write the path of the sweep's folder into the configuration of the jobs, which cannot derive the path; return the
+    path.
 
-    Counts such as +5 are quoted, as Hydra would read them as numbers.
+    Values such as +5 are quoted in the path, as Hydra would read them as numbers.
     """
     folder = Path(config.hydra.sweep.dir)
     with read_write(config.hydra):

@@ -1,6 +1,7 @@
-"""Modules that a sweep's fork server imports before the first job; only this server imports the module.
+"""Imports for a sweep's fork server, which loads this module before the first job; no other process imports this
+module.
 
-Importing takes longer than a small job. The server runs no job itself, so that jobs share no state.
+The imports take longer than a small job. The server itself runs no job, so that jobs share no state.
 """
 
 import gc

@@ -1,7 +1,7 @@
-"""Results of a sweep: a table of jobs, and figures of groups of jobs for the tracked run.
+"""Results of a sweep: a table of the jobs, and metrics of groups of jobs for the tracked run.
 
-A group consists of jobs that differ only in the seed. Figures are never over several groups, as groups have different
-problems or methods.
+A group consists of jobs that differ only in the seed. A median or a best value is never taken across groups, as groups
+have different problems or methods.
 """
 
 import csv
@@ -28,23 +28,25 @@ Group = tuple[str, ...]  # values of the grouping keys
 
 
 class Outcome(NamedTuple):
-    """Job with its figures."""
+    """Job of a sweep together with its metrics."""
 
     folder: JobFolder
     """Folder of the job."""
     job: Job
     """Record of the job."""
     figures: Mapping[str, Any]
-    """Content of metrics.json; empty for an unfinished job."""
+    """Metrics of the job, the content of metrics.json; empty if the job has not finished."""
 
 
 def outcomes(jobs: Iterable[tuple[JobFolder, Job]]) -> list[Outcome]:
-    """Jobs with their figures."""
+    """Jobs together with their metrics, which are read from the jobs' folders."""
     return [Outcome(folder, job, folder.figures() if job.status == "finished" else {}) for folder, job in jobs]
 
 
 def write_jobs(path: Path, sweep: Sweep, found: list[Outcome]) -> None:
-    """Write a table with a row for each job: folder, varied keys, status, figures, seconds, reason of a failure."""
+    """Write a table with a row for each job: folder, varied keys, status, metrics, seconds, and the reason of a
+    failure.
+    """
     known = [key for key in FIGURES if _values(found, key)]
     with path.open("w", newline="") as file:
         writer = csv.DictWriter(file, ["folder", *sweep.varied, "status", *known, "seconds", "reason"], restval="")
@@ -55,8 +57,8 @@ def write_jobs(path: Path, sweep: Sweep, found: list[Outcome]) -> None:
 
 
 def best_group(sweep: Sweep, found: list[Outcome]) -> dict[str, float]:
-    """For the group with the highest median fitness, best value and median of each figure over the seeds; empty if
-    problems differ.
+    """Best value and median over the seeds of each metric, for the group of jobs with the highest median fitness; empty
+    if the jobs have different problems.
     """
     known = [members for members in _groups(sweep, found).values() if _values(members, "fitness")]
     if not known or any(map(_is_of_problem, grouping_keys(sweep))):
@@ -68,7 +70,9 @@ def best_group(sweep: Sweep, found: list[Outcome]) -> dict[str, float]:
 
 
 def draw_groups(path: Path, sweep: Sweep, found: list[Outcome]) -> list[Path]:
-    """Draw the groups of finished searches; return the paths of the pictures, empty without a search."""
+    """Draw the results of the groups that contain finished searches; return the paths of the pictures, empty if no
+    search has finished.
+    """
     from lmd.plot.charts import Searched, save_groups_figure
 
     def searched(members: list[Outcome]) -> list[Searched]:
@@ -84,8 +88,9 @@ def draw_groups(path: Path, sweep: Sweep, found: list[Outcome]) -> list[Path]:
 
 
 def by_group(sweep: Sweep, found: list[Outcome]) -> str:
-    """Table in Markdown with the best value and the median of every group of jobs. If two keys vary, a table of the
-    medians comes first, with the first grouping key across and the others down.
+    """Table in Markdown with the best value and the median of each metric, a row for each group of jobs. If two keys
+    vary, a table of medians comes first: a column for each value of the first grouping key, and a row for each value of
+    the other key.
     """
     from lmd.core.words import escaped, markdown_table
 
@@ -113,7 +118,9 @@ def by_group(sweep: Sweep, found: list[Outcome]) -> str:
 
 
 def grouping_keys(sweep: Sweep) -> list[str]:
-    """Varied keys except the seed: first keys of the method, such as the optimiser, then keys of the problem."""
+    """Varied keys except the seed: first the keys that choose the method, such as the optimiser, then the keys of the
+    problem.
+    """
     return sorted((key for key in sweep.varied if key != SEED), key=_is_of_problem)
 
 
@@ -122,7 +129,7 @@ def _is_of_problem(key: str) -> bool:
 
 
 def _groups(sweep: Sweep, found: list[Outcome]) -> dict[Group, list[Outcome]]:
-    """Outcomes by the values of the grouping keys."""
+    """Outcomes of the jobs, grouped by the values of the grouping keys."""
     groups = dict[Group, list[Outcome]]()
     for each in found:
         groups.setdefault(tuple(each.job.varied.get(key, "") for key in grouping_keys(sweep)), []).append(each)

@@ -1,4 +1,4 @@
-"""Execution of a sweep's job in its own process."""
+"""Execution of one job of a sweep, in a process of its own."""
 
 import os
 import signal
@@ -30,7 +30,8 @@ LOST = "its process was killed, and the sweep with it"
 
 
 def run(cfg: DictConfig, pipeline: Callable[[DictConfig], float | None]) -> float | None:
-    """Run a pipeline in this process or, as the job of a sweep that `SweepRecord` began, in a process of its own.
+    """Run a pipeline; if it is a job of a sweep that `SweepRecord` began, in a process of its own, otherwise in this
+    process.
 
     The process of a job writes the outcome to the job's folder, and stops when the sweep has ended.
     """
@@ -53,7 +54,9 @@ def run(cfg: DictConfig, pipeline: Callable[[DictConfig], float | None]) -> floa
 
 
 def _stop_with_the_sweep() -> None:
-    """Signal this process when standard input is closed; the sweep holds standard input open."""
+    """Send this process a signal as soon as its standard input is closed; the sweep keeps it open while the sweep
+    runs.
+    """
     while os.read(0, 1):
         pass
     stop.why = STOPPED
@@ -61,10 +64,10 @@ def _stop_with_the_sweep() -> None:
 
 
 def _supervise(cfg: DictConfig) -> float | None:
-    """Run one job of a sweep in a process of its own, unless the job has finished; return the value of the job, NaN
-    after a failure.
+    """Run one job of a sweep in a process of its own, unless the job has finished before; return the value of the job,
+    NaN after a failure.
 
-    A failure is recorded but not raised, so that no job can end a sweep, whichever launcher is used.
+    A failure is recorded but not raised, so that a failed job does not end the sweep, with any launcher of Hydra.
     """
     folder, job, launcher = JobFolder(run_directory()), _job(), HydraConfig.get().launcher
     # Number of threads: as configured, else 1 if jobs share a machine; None stands for every processor.
@@ -99,7 +102,7 @@ def _supervise(cfg: DictConfig) -> float | None:
 
 
 def _job() -> Job:
-    """Job described by Hydra's part of a job's configuration."""
+    """Record of the present job, made from Hydra's part of the job's configuration."""
     context = HydraConfig.get()
     sweep = SweepFolder(context.sweep.dir).load()
     assert sweep is not None, "SweepRecord has written it before any job began"
@@ -109,10 +112,11 @@ def _job() -> Job:
 
 
 def _execute(arguments: list[str], threads: int | None, folder: JobFolder, lock: int | None) -> tuple[int, bool]:
-    """Run the process of a job to the end; return the exit code, and True if the sweep was interrupted meanwhile.
+    """Run the process of a job to its end; return the exit code, and True if the sweep was interrupted while the job
+    ran.
 
-    The process has a session of its own, so Ctrl-C reaches the process only once, by the pipe. The process inherits the
-    lock of its folder, so the folder stays locked if the sweep is killed.
+    The process has a session of its own, so Ctrl-C reaches it only once, when the pipe to its standard input is closed.
+    The process inherits the lock of its folder, so the folder stays locked if the sweep is killed.
     """
     if threads is not None:  # set before the server starts, as its packages read the variables at import
         os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(threads)))
@@ -138,7 +142,9 @@ def _execute(arguments: list[str], threads: int | None, folder: JobFolder, lock:
 
 
 def _settled(job: Job, code: int) -> Job:
-    """Record of a job whose process has ended with `code`, which gives the reason if the job has written none."""
+    """Record of a job whose process has ended with the exit code `code`; the code gives the reason of a failure for
+    which the job has written no reason.
+    """
     if job.status != "running":
         return job
     if code in CODES:
@@ -149,14 +155,16 @@ def _settled(job: Job, code: int) -> Job:
 
 
 def lost(job: Job, stopped: bool = False) -> Job:
-    """Record of a job whose process ended, with the whole sweep, before writing a record; `stopped` is True after a
-    signal.
+    """Record of a job whose process ended together with the whole sweep, before the job wrote its record; `stopped` is
+    True if a signal ended the sweep.
     """
     return replace(job, status="interrupted" if stopped else "killed", reason=STOPPED if stopped else LOST)
 
 
 def settle(tracking: DictConfig, folder: JobFolder, job: Job, params: Mapping[str, Any] | None = None) -> None:
-    """Settle the tracked runs of a job whose process has ended; a job without a run gets one if `params` is given."""
+    """End the tracked runs of a job whose process has ended; if the job has no tracked run, a run is recorded if
+    `params` is given.
+    """
     from lmd.core.checks import InputError
 
     if job.parent is None:

@@ -1,4 +1,4 @@
-"""Experiment tracking: recording runs in a store, and reading them back."""
+"""Experiment tracking: runs are recorded in a store, and read back from it."""
 
 import os
 

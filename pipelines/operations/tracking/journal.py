@@ -26,7 +26,7 @@ IDENTITY = re.compile(r"\d{1,9} \d{1,19} [0-9a-f-]{36}" if BOOT.is_file() else r
 
 
 class Journal:
-    """Entries of one run, each a line of JSON.
+    """Entries for the record of one run; each entry is a line of JSON in a file.
 
     Args:
         path: file of the journal.
@@ -38,7 +38,8 @@ class Journal:
 
     @classmethod
     def of(cls, folder: Path) -> "Journal":
-        """Read the journal in the folder of a run; empty if there is none. An incomplete last line is ignored.
+        """Read the journal in the folder of a run; the journal is empty if there is no file. An incomplete last line is
+        ignored.
 
         Args:
             folder: folder of the run.
@@ -60,11 +61,13 @@ class Journal:
 
     @property
     def store(self) -> str | None:
-        """Address of the run's store; None before the run had a store."""
+        """Address of the store to which the run belongs; None if no store has accepted the run yet."""
         return next((str(entry["uri"]) for entry in reversed(self.entries) if {"run_id", "uri"} <= entry.keys()), None)
 
     def add(self, entry: Entry) -> None:
-        """Add an entry; on a full disk, the entry is written together with the next entry that fits."""
+        """Add an entry; if the disk is full, the entry is written later, together with the next entry for which there
+        is space.
+        """
         self.entries.append(entry)
         with suppress(OSError):
             self.write()
@@ -87,17 +90,17 @@ class Journal:
         self.on_disk = len(self.entries)
 
     def remove(self) -> None:
-        """Remove the file, after all entries were sent."""
+        """Remove the journal's file, as all entries have been sent."""
         with suppress(OSError):
             self.path.unlink(missing_ok=True)
 
 
 def hand_in(journal: Journal, uri: str) -> str:
-    """Send the journal that an ended run has left, and remove the journal; entries that the store has are not
+    """Send the journal that an ended run has left, and remove the file; entries that are already in the store are not
     duplicated.
 
     Returns:
-        text about the outcome, in one line.
+        one-line text about the outcome.
 
     Raises:
         InputError: the store cannot be used, or no run has written the journal.
@@ -131,7 +134,9 @@ def hand_in(journal: Journal, uri: str) -> str:
 
 
 def end_those_gone(store: Store) -> None:
-    """End as FAILED the unfinished runs of this host whose process has ended, and name them on stderr."""
+    """Mark as FAILED the unfinished runs of this host whose process has ended, and print the names of these runs on
+    stderr.
+    """
     for run in store.matching("attributes.status = 'RUNNING'"):
         if is_gone(run.data.tags):
             store.send(run.info.run_id, {"end": "FAILED", "reason": GONE, "at": now()})
@@ -139,12 +144,14 @@ def end_those_gone(store: Store) -> None:
 
 
 def this_process() -> dict[str, str]:
-    """Tags of a run that identify this process: host, number and start."""
+    """Tags that identify this process in the record of a run: host, process number and start time."""
     return {"host": socket.gethostname(), "process": _identity(os.getpid())}
 
 
 def is_gone(tags: dict[str, str]) -> bool:
-    """True if the process that the tags identify has ended; False for another host, or if the tags have none."""
+    """True if the process that the tags identify has ended; False if it was on another host, or the tags identify no
+    process.
+    """
     process = tags.get("process", "")
     if tags.get("host") != socket.gethostname() or not IDENTITY.fullmatch(process):
         return False
@@ -155,7 +162,8 @@ def is_gone(tags: dict[str, str]) -> bool:
 
 
 def _identity(number: int) -> str:
-    """Number of a process, and start counted from the boot, as the clock may be changed; without /proc only the number.
+    """Process number, and the start time of the process counted from the boot, as the clock may be changed; without
+    /proc only the number.
 
     Raises:
         FileNotFoundError, ProcessLookupError: there is no such process.

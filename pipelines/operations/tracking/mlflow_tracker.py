@@ -26,7 +26,7 @@ class MlflowTracker(NoTracker):
         experiment_name: mlflow experiment that holds the runs.
 
     Raises:
-        InputError: the address is refused.
+        InputError: the address is not one of a tracking store.
     """
 
     def __init__(self, uri: str, experiment_name: str) -> None:
@@ -172,7 +172,7 @@ class MlflowTracker(NoTracker):
 
 
 def _written(params: Mapping[str, Any]) -> dict[str, str]:
-    """Parameters in the form in which mlflow stores them."""
+    """Parameters as texts, in the form in which mlflow stores them."""
     return {key: str(value)[:PARAM_LENGTH] for key, value in params.items()}
 
 

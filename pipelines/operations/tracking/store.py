@@ -33,14 +33,14 @@ LOCK_SECONDS = 60.0  # maximum wait for another process that creates the tables 
 
 
 class Store:
-    """mlflow experiment of a store, connected at its first use.
+    """Experiment of mlflow in a tracking store; the connection is made at the first use.
 
     Args:
         uri: `sqlite:///path` (relative to the working directory) or the address of a server.
         experiment_name: mlflow experiment that holds the runs.
 
     Raises:
-        InputError: the address is refused.
+        InputError: the address is not one of a tracking store.
     """
 
     def __init__(self, uri: str, experiment_name: str) -> None:
@@ -50,7 +50,7 @@ class Store:
 
     @cached_property
     def experiment_id(self) -> str:
-        """Id of the experiment; a missing experiment is created."""
+        """Id of the experiment, which is created if it does not exist."""
         return _prepared(self.client, self.experiment_name)
 
     @cached_property
@@ -94,12 +94,12 @@ class Store:
     def undisturbed(self) -> AbstractContextManager[None]:
         """Context in which signals wait while a file is written, as writing locks the database for other processes.
 
-        For a server it does nothing: no file is locked, and a call may take minutes to fail.
+        For a store on a server the context has no effect: no file is locked, and a call may take minutes to fail.
         """
         return stop.postponed() if self.is_local else nullcontext()
 
     def create(self, name: str, params: Mapping[str, str], tags: Mapping[str, str], ago: float) -> str:
-        """Create a run that began `ago` seconds before now, and return its id; the run's name ends with the id."""
+        """Create a run that began `ago` seconds ago, and return the run's id, which is also the end of its name."""
         from mlflow.entities import Param
 
         # Tags are set when the run is created, as a kill could otherwise leave a run without tags.
@@ -111,7 +111,7 @@ class Store:
         return run_id
 
     def find(self, run_id: str) -> "Run | None":
-        """Run of the experiment; None if the experiment has no such run, or it was deleted.
+        """Run of the experiment with the id `run_id`; None if there is no such run, or if it was deleted.
 
         Raises:
             InputError: the store cannot be used.
@@ -168,7 +168,7 @@ class Store:
 
 
 def _prepared(client: "MlflowClient", name: str, artifacts: str | None = None) -> str:
-    """Id of the experiment `name`; a missing experiment is created.
+    """Id of the experiment `name`, which is created if it does not exist.
 
     Args:
         artifacts: address for the files of a new experiment; None for the default of the store.
@@ -188,7 +188,7 @@ def _prepared(client: "MlflowClient", name: str, artifacts: str | None = None) -
 
 
 def _id_of(client: "MlflowClient", uri: str, name: str) -> str:
-    """Id of an experiment of the store `uri`.
+    """Id of the experiment `name` in the store `uri`.
 
     Raises:
         InputError: there is no such experiment, or it was deleted.
@@ -204,7 +204,7 @@ def _id_of(client: "MlflowClient", uri: str, name: str) -> str:
 
 
 def is_of_store(error: Exception) -> bool:
-    """True if an error means that the store cannot be used."""
+    """True if an error means that the tracking store cannot be used."""
     from mlflow.exceptions import MlflowException
     from sqlalchemy.exc import SQLAlchemyError
 
@@ -212,13 +212,13 @@ def is_of_store(error: Exception) -> bool:
 
 
 def first_line(error: Exception) -> str:
-    """First line of an error's message that is about its cause."""
+    """First line of an error's message that states the cause of the error."""
     lines = (str(error) or type(error).__name__).splitlines()
     return next((line for line in lines if not line.startswith("(raised as a result of")), lines[0])
 
 
 def now() -> int:
-    """Present time as in mlflow: milliseconds since 1970."""
+    """Present time in the unit of mlflow: milliseconds since 1970."""
     return int(1000 * time.time())
 
 

@@ -1,4 +1,4 @@
-"""Experiment tracking: interface of trackers; the interface itself records nothing."""
+"""Interface of trackers, which record runs; the base class records nothing."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,20 +12,20 @@ Entry = dict[str, Any]  # entry of a journal
 
 @dataclass(frozen=True)
 class RunStart:
-    """Description of a run at its beginning."""
+    """Description of a run that is about to be recorded."""
 
     name: str
-    """Name in lists."""
+    """Name of the run in lists."""
     folder: Path
-    """Folder of the run's files, and of its journal until all entries are sent."""
+    """Folder that holds the run's files, and its journal until all entries are sent."""
     params: Mapping[str, Any] = field(default_factory=dict)
-    """Settings."""
+    """Settings of the run, keyed by config key."""
     tags: Mapping[str, str] = field(default_factory=dict)
-    """Further tags, by which runs can be found."""
+    """Further tags, by which the run can be found."""
     ago: float = 0.0
     """Time since the run began, seconds."""
     dataset: tuple[str, str] | None = None
-    """Name and digest of the problem, called a dataset by mlflow; None for a run without a problem."""
+    """Name and digest of the problem, which mlflow calls a dataset; None for a run without a problem."""
 
 
 class NoTracker:
@@ -33,18 +33,18 @@ class NoTracker:
 
     @property
     def run_id(self) -> str | None:
-        """Id of the started run; None if nothing is recorded."""
+        """Id of the run that was started; None if nothing is recorded."""
         return None
 
     def start(self, run: RunStart, run_id: str | None = None) -> None:
-        """Begin a run, or continue the run `run_id` if it was not deleted.
+        """Begin to record a run, or continue the record of the run `run_id` unless that run was deleted.
 
         Raises:
-            InputError: the store cannot be used for a new run.
+            InputError: a new run cannot be recorded in the store.
         """
 
     def goes_on(self, run_id: str, folder: Path, params: Mapping[str, Any]) -> bool:
-        """True if the run `run_id` can be continued as one history: it has these params, is unfinished, was last in
+        """True if the record of the run `run_id` can be continued: the run has these params, is unfinished, was last in
         `folder`, and has not been continued by another run.
 
         Raises:
@@ -53,35 +53,37 @@ class NoTracker:
         return False
 
     def discard(self) -> None:
-        """Delete the started run."""
+        """Delete the record of the run that was started."""
 
     def settle(self, run: RunStart, status: str, reason: str = "", files: Sequence[Path] = ()) -> None:
-        """Settle the runs with the tags of `run`, whose processes have ended. Runs that are RUNNING, or that were ended
-        because their process was gone, are ended with `status`. Only the newest run is kept, and gets the files. If
-        there is no run, one is recorded unless the status is FINISHED.
+        """Settle the records of runs that have the tags of `run` and whose processes have ended. Runs that are RUNNING,
+        or that were marked because their process was gone, get the `status`. Only the newest run is kept, and gets the
+        files. If there is no such run, one is recorded unless the status is FINISHED.
 
         Raises:
             InputError: the store cannot be used.
         """
 
     def log_curve(self, metric: str, points: Iterable[tuple[int, float, float]]) -> None:
-        """Log a curve of points (step, value, seconds since the beginning of the run)."""
+        """Record a curve, given as points (step, value, seconds since the beginning of the run)."""
 
     def log_metrics(self, metrics: Mapping[str, float]) -> None:
-        """Log final figures."""
+        """Record the final metrics of the run."""
 
     def log_artifacts(self, paths: Iterable[Path]) -> None:
-        """Store copies of files."""
+        """Record copies of files."""
 
     def finish(self, status: str, reason: str = "") -> None:
         """End the run as FINISHED, KILLED or FAILED, with the reason as a tag."""
 
     def describe(self) -> str:
-        """Text that tells where the run is recorded, in one line."""
+        """One-line text that says where the run is recorded."""
         return "not tracked (tracking=none)"
 
     def views(self, params: Sequence[str]) -> list[str]:
-        """Links to the child runs of this run, grouped by params; empty if the store does not answer."""
+        """Links to pages that show the child runs of this run, grouped by params; empty if the store does not
+        answer.
+        """
         return []
 
 

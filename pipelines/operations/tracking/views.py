@@ -1,6 +1,6 @@
-"""Pages of mlflow that show the figures of runs when opened: views of an experiment and of a sweep.
+"""Pages of mlflow that show the metrics of runs: views of an experiment and of a sweep.
 
-`views.json` has the state of mlflow's page of runs, in the form that mlflow's links have.
+`views.json` holds the settings of mlflow's page of runs, in the form in which mlflow's links contain them.
 """
 
 import base64
@@ -27,17 +27,19 @@ FIGURES = ("off_grid", "qualified_ratio", "localised_share", "evaluations", "wal
 
 
 def view_of(figures: Sequence[str] = ()) -> str:
-    """View of an experiment whose runs have these figures; by default figures of deployments and of sweeps."""
+    """View of an experiment with a column for each of the given metrics; by default the metrics of deployments and of
+    sweeps.
+    """
     if not figures or {*figures} & {*FIGURES}:
         figures = (FIGURES[0], "best/off_grid", "median/off_grid", *FIGURES[1:])
     return _state(VARIED, figures[:MOST_FIGURES], "page")
 
 
 def sweep_view(run_id: str, params: Sequence[str]) -> str:
-    """View of the jobs of the sweep with the run `run_id`, with charts that have a band for each group.
+    """View of the jobs of the sweep with the run `run_id`; its charts show a band for each group of jobs.
 
     Args:
-        run_id: run of the sweep, which is hidden, as its charts would come first.
+        run_id: id of the sweep's own run, which is hidden, as its charts would come first.
         params: parameters that group jobs.
     """
     keys = [{"mode": "param", "groupByData": param} for param in params]
@@ -50,7 +52,7 @@ def sweep_view(run_id: str, params: Sequence[str]) -> str:
 
 
 def share(client: "MlflowClient", experiment_id: str, view: str, name: str = VIEW) -> None:
-    """Add a view to an experiment; links refer to the view by `name`."""
+    """Add a view to an experiment under the name `name`, by which links refer to it."""
     client.set_experiment_tag(experiment_id, f"{SHARED}{name}", view)
 
 
@@ -68,7 +70,9 @@ def link(address: str, experiment_id: str, view: str = VIEW, mode: str = "TABLE"
 
 
 def _state(params: Sequence[str], figures: Sequence[str], *parts: str, **changes: Any) -> str:
-    """State of mlflow's page of runs in the form used in links: columns of parameters, then columns of figures."""
+    """Settings of mlflow's page of runs in the form used in links: columns of parameters come first, then columns of
+    metrics.
+    """
     states = json.loads(Path(__file__).with_suffix(".json").read_text())
     columns = [*(f"params.`{param}`" for param in params), *(f"metrics.`{figure}`" for figure in figures)]
     state: dict[str, Any] = {"selectedColumns": columns, "columnOrder": ["attributes.`Run Name`", *columns]}
