@@ -4,8 +4,9 @@ A sighting has eight residuals e, pixels, and chi^2 = |e|^2 / sigma^2, see `lmd.
 steps, with the weights of reweighted least squares, minimise the sum of the Student losses of sightings, and the losses
 of priors and of links of motion.
 
-The *kept* unknowns are tags, mounts except the first, the bias of odometry, and nuisance parameters; frames are
-eliminated (`lmd.adjust.frames`). With the blocks H_ff, H_kk and H_kf, the step of the kept unknowns solves
+The *kept* unknowns are those that remain when the frames are eliminated (`lmd.adjust.frames`): poses of tags, mounts
+except the first, the bias of odometry, and nuisance parameters. With the blocks H_ff, H_kk and H_kf, the step of the
+kept unknowns solves
 
     (H_kk - H_kf H_ff^-1 H_fk) d_k = g_k - H_kf H_ff^-1 g_f.
 
@@ -48,7 +49,7 @@ class System(NamedTuple):
     """Normal equations at one linearisation, after the elimination of the frames."""
 
     matrix: FloatArray
-    """Matrix, `(6 kept, 6 kept)`."""
+    """Matrix on the left side, for the kept unknowns in blocks of six, `(6 kept, 6 kept)`."""
     right: FloatArray
     """Right side, `(kept, 6)`."""
     frames: SeparateFrames | LinkedFrames
@@ -56,7 +57,9 @@ class System(NamedTuple):
 
     @property
     def informed(self) -> tuple[IntArray, FloatArray]:
-        """Rows of the kept unknowns that have information, `(n,)`, and the matrix of these rows, `(n, n)`."""
+        """Indices of the n rows of `matrix` whose unknowns have information, `(n,)`, and `matrix` restricted to these
+        rows and columns, `(n, n)`.
+        """
         rows = np.flatnonzero(np.diag(self.matrix) > 0.0)
         return rows, self.matrix[np.ix_(rows, rows)]
 
@@ -73,7 +76,7 @@ class System(NamedTuple):
         return float(np.linalg.slogdet(self.informed[1])[1]) + self.frames.log_determinant
 
     def reached(self, kept: FloatArray) -> FloatArray:
-        """H_fk x for values x `(kept, 6, ...)` of all kept unknowns, `(F, 6, ...)`."""
+        """Product H_fk x, `(F, 6, ...)`, for values x of all kept unknowns, `(kept, 6, ...)`."""
         return np.concatenate([part.reached(kept) for part in self.frames.parts])
 
 
@@ -112,8 +115,8 @@ class Adjustment:
         self.share = max(1.0 - unknowns / (RESIDUALS * len(sightings)), LEAST_SHARE)  # of the squares, after a fit
 
     def _jacobians(self, some: Sightings, at: Reprojection) -> list[tuple[IntArray, FloatArray]]:
-        """Index `(n,)` of the kept block, and Jacobian by this block `(n, 8, 6)`, of each sighting, for each kind of
-        unknown.
+        """For each kind of kept unknown: the index of the block that each of n sightings depends on, `(n,)`, and the
+        Jacobian of the sighting's residuals with respect to this block, `(n, 8, 6)`.
         """
         found = [(some.tag, at.by_tag)]
         if self.mounts.stop > self.mounts.start:
@@ -132,8 +135,8 @@ class Adjustment:
 
         Args:
             poses: poses.
-            floor: floor of the standard deviation of corners, pixels.
-            damping: relative growth of diagonals.
+            floor: standard deviation of corners beyond the detector's own, pixels.
+            damping: relative increase of the diagonals of the blocks (Levenberg-Marquardt).
             weight: weight of every sighting and prior; None for robust weights.
         """
         kept, is_robust = Kept(self.kept), weight is None
@@ -177,7 +180,7 @@ class Adjustment:
         return Part(block, summed(product(at.by_frame, error)[..., 0]), panel, rows)
 
     def _moved(self, poses: Poses, kept: FloatArray, system: System) -> Poses:
-        """Poses after a step `(kept, 6)` of the kept unknowns, with frames by back-substitution."""
+        """Poses after a step `(kept, 6)` of the kept unknowns; the steps of the frames follow by back-substitution."""
         frames, mounts, twists = poses.frames.copy(), poses.mounts.copy(), kept[self.mounts]
         frames[self.seen] = frames[self.seen] @ exp(system.frames.steps(system.reached(kept)))
         mounts[1 : 1 + len(twists)] = mounts[1 : 1 + len(twists)] @ exp(twists)
@@ -197,8 +200,9 @@ class Adjustment:
         """Take one step of all unknowns, nuisance parameters included, in units of their prior standard deviations.
 
         Args:
-            poses, floor: best poses and floor for the present nuisance parameters.
-            damping: relative growth of diagonals.
+            poses, floor: best poses, and best standard deviation of corners beyond the detector's own, for the present
+                nuisance parameters.
+            damping: relative increase of the diagonals of the blocks (Levenberg-Marquardt).
             off: distance of the nuisance parameters from their prior means, `(n, 6)`.
 
         Returns:
@@ -212,8 +216,8 @@ class Adjustment:
         return self._moved(poses, step, system), step[self.first_lens :], variance[self.first_lens :]
 
     def loss(self, poses: Poses, floor: float, sightings: Sightings | None = None) -> float:
-        """Total loss of sightings, priors and links; `sightings` replaces the sightings by equally many through other
-        cameras.
+        """Total loss of sightings, priors and links. If `sightings` are given, they replace the sightings of the
+        adjustment: its detections, but with other camera parameters.
         """
         some = self.sightings if sightings is None else sightings
         return self._loss(squared_errors(some, poses), self._prior_loss(poses), floor)
@@ -229,9 +233,9 @@ class Adjustment:
 
         Args:
             poses: initial poses.
-            floor: initial floor, pixels.
+            floor: initial standard deviation of corners beyond the detector's own, pixels.
             steps: maximum number of steps.
-            most: maximum of the floor; None for the initial floor.
+            most: upper limit of the estimated floor, pixels; None for the initial floor.
 
         Returns:
             poses; floor, pixels: the standard deviation of corners beyond the detector's own.
@@ -256,7 +260,9 @@ class Adjustment:
         return Poses(*map(_orthonormal, (poses.tags, poses.frames, poses.mounts))), floor
 
     def fixed_system(self, poses: Poses, floor: float) -> System:
-        """System with the least-squares weight that reproduces the covariance of the robust fit, see `efficiency`."""
+        """Normal equations in which all sightings have one least-squares weight, chosen to reproduce the covariance of
+        the robust fit, see `efficiency`.
+        """
         slope, spread = self.efficiency(poses, floor)
         return self.system(poses, floor, 0.0, slope**2 / spread)
 
@@ -268,8 +274,9 @@ class Adjustment:
     def frame_covariances(self, poses: Poses, floor: float) -> FloatArray:
         """Marginal covariance of the right-hand twist of each frame of `seen`, `(F, 6, 6)`.
 
-        With the covariance C of the kept unknowns, it is H_ff^-1 + H_ff^-1 H_fk C H_kf H_ff^-1. The inflation counts in
-        C, and for frames that are linked; the errors of one frame are not correlated with others.
+        With the covariance C of the kept unknowns, it is H_ff^-1 + H_ff^-1 H_fk C H_kf H_ff^-1. The factor `inflation`
+        enlarges C, and H_ff^-1 if frames are linked; without links it does not, as the errors in one frame are
+        independent of those in other frames.
         """
         system = self.fixed_system(poses, floor)
         values, vectors = np.linalg.eigh(np.nan_to_num(system.covariance))
@@ -277,7 +284,9 @@ class Adjustment:
         return system.frames.covariances(system.reached(root), self.inflation**-2.0 if self.links is None else 1.0)
 
     def _update_share(self, poses: Poses, floor: float) -> None:
-        """Set the share of the squared errors that remains after a fit in which links or a map hold some unknowns."""
+        """Set the fraction of the expected squared errors that remains after the fit, if links or a map also constrain
+        the unknowns.
+        """
         if self.links is not None or self.prior.joint is not None:
             here, there = (self.system(poses, floor, 0.0, weight).log_determinant for weight in (1.0, 1.0 + CHANGE))
             taken = (there - here) / np.log1p(CHANGE)
@@ -285,7 +294,9 @@ class Adjustment:
 
 
 def _orthonormal(poses: FloatArray) -> FloatArray:
-    """Poses with orthonormal rotations, as products accumulate rounding errors; NaN stays NaN."""
+    """Poses with rotations that are made orthonormal again, as products of poses accumulate rounding errors; NaN stays
+    NaN.
+    """
     result, known = poses.copy(), np.isfinite(poses).all(axis=(1, 2))
     result[known] = pose_of(nearest_rotations(poses[known, :3, :3]), poses[known, :3, 3])
     return result

@@ -1,4 +1,5 @@
-"""Candidate poses from single sightings: of frames, given tags, or of tags, given frames; and rough mounts.
+"""Candidate poses from single sightings: poses of frames if the tags are placed, or of tags if the frames are placed;
+and rough poses of cameras on the body.
 
 Two poses of a tag in front of a camera look alike (IPPE), so each sighting proposes two poses.
 
@@ -72,10 +73,11 @@ def single_poses(sightings: Sightings) -> SinglePoses:
 
 
 class Candidates:
-    """Candidate poses for the owners of some sightings: frames whose tags are placed, or tags whose frames are placed.
+    """Candidate poses for the *owners* of some sightings, the frames or tags to be placed: frames whose tags are
+    placed, or tags whose frames are placed.
 
     Args:
-        some: the sightings that judge candidates.
+        some: the sightings with which candidates are compared.
         poses: poses of the placed tags and frames, and of the mounts.
         by_frame: True if owners are frames, False if they are tags.
     """
@@ -88,8 +90,9 @@ class Candidates:
         self._order, self._begins = np.argsort(self.owner, kind="stable"), np.cumsum(self.counts) - self.counts
 
     def _judges(self, owner: IntArray) -> tuple[Sightings, IntArray, Callable[[FloatArray], Reprojection]]:
-        """Sightings that judge poses of the owners `(P,)`; for each sighting, the index of the pose that it judges; and
-        a function from poses `(P, 4, 4)` to the reprojection of these sightings.
+        """Sightings with which P candidate poses of the owners `owner` `(P,)` are compared; for each sighting, the
+        index of its candidate pose; and a function that computes the reprojection of these sightings from the poses
+        `(P, 4, 4)`.
         """
         pose = np.repeat(np.arange(len(owner)), self.counts[owner])
         pairs = self._order[self._begins[owner[pose]] + rank_within(pose)]
@@ -102,7 +105,7 @@ class Candidates:
         return some, pose, at
 
     def agreed(self, poses: FloatArray) -> FloatArray:
-        """Number of sightings of each of M owners that agree with the owner's pose `(M, 4, 4)`, `(M,)`."""
+        """For each of M owners, number of its sightings that agree with its pose `(M, 4, 4)`; `(M,)`."""
         some, pose, at = self._judges(np.arange(len(self.owners)))
         return np.asarray(np.bincount(pose, agreeing(some, at(poses).squared), minlength=len(self.owners)))
 
@@ -116,8 +119,8 @@ class Candidates:
         return np.asarray(order[rank_within(owner[order]) < count])
 
     def proposals(self, single: FloatArray) -> tuple[FloatArray, IntArray]:
-        """Poses of the owners by their largest sightings, `(P, 4, 4)`, after Gauss-Newton steps with robust losses of
-        decreasing scale, and their owners, `(P,)`.
+        """Poses that the largest sightings of each owner propose, `(P, 4, 4)`, after Gauss-Newton steps with robust
+        losses of decreasing scale; and the owner of each pose, `(P,)`.
 
         Args:
             single: two poses of the tag of each sighting in its camera, `(N, 2, 4, 4)`.
@@ -143,7 +146,8 @@ class Candidates:
 def place(
     some: Sightings, single: FloatArray, poses: Poses, by_frame: bool, fewest: int, share: float
 ) -> tuple[IntArray, FloatArray]:
-    """Place frames by placed tags, or tags by placed frames; their present poses are candidates as well.
+    """Estimate poses of frames from placed tags, or of tags from placed frames; their present poses are candidates as
+    well.
 
     Args:
         some: sightings.
@@ -151,7 +155,7 @@ def place(
         poses: present poses.
         by_frame: True to place frames, False to place tags.
         fewest: minimum number of sightings that must agree.
-        share: minimum share of the sightings that must agree.
+        share: minimum fraction of the sightings that must agree.
 
     Returns:
         indices `(m,)` and poses `(m, 4, 4)` of the frames or tags that are placed.
@@ -194,11 +198,12 @@ def rank_within(owner: IntArray) -> IntArray:
 
 
 def measured_mounts(views: FloatArray, mounts: FloatArray) -> FloatArray:
-    """Mounts `(C, 4, 4)`: measured in frames in which two cameras show tags, for cameras that are mounted elsewhere,
-    and as given for the others.
+    """Poses of the cameras on the body, `(C, 4, 4)`. If frames in which two cameras show tags contradict the given pose
+    of a camera, its pose is measured from these frames; the other poses are as given.
 
     Args:
-        views: pose of each camera in each frame by the camera's own images, `(C, F, 4, 4)`; NaN if not known.
+        views: pose of each camera in each frame, estimated from the camera's own images, `(C, F, 4, 4)`; NaN if not
+            known.
         mounts: poses of the cameras on the body, which is the first camera, `(C, 4, 4)`.
     """
     found = mounts.copy()

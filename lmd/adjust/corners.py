@@ -5,7 +5,8 @@ distribution with nu degrees of freedom. With chi^2 = |e|^2 / sigma^2 of d resid
 log(1 + chi^2 / nu). The weight in iteratively reweighted least squares is (nu + d) / (nu + chi^2).
 
 The variance of a corner's coordinate is the detector's variance plus the squared *floor*, which stands for errors of
-lenses and bodies. The floor is estimated so that the weighted mean of chi^2 has the value expected for normal errors.
+lenses and bodies. The floor is estimated such that the weighted mean of chi^2 equals its expected value for normal
+errors.
 
 Source: Lange et al., "Robust Statistical Modeling Using the t Distribution".
 """
@@ -140,28 +141,30 @@ def _by_twist(slope: FloatArray, points: FloatArray) -> FloatArray:
 
 
 def squared_errors(sightings: Sightings, poses: Poses) -> FloatArray:
-    """Squared error |e|^2 of each sighting, pixels^2, `(N,)`; NaN if the tag or the frame has no pose."""
+    """Squared reprojection error |e|^2 of each sighting, pixels^2, `(N,)`; NaN if the tag or the frame has no pose."""
     return Reprojection(sightings, *poses.of(sightings)).squared
 
 
 def agreeing(sightings: Sightings, error: FloatArray) -> BoolArray:
-    """True for sightings whose squared error, `(N,)`, agrees with a rough pose; False for NaN."""
+    """Mask of the sightings whose squared error `error`, pixels^2, `(N,)`, is small enough for a rough pose; False for
+    NaN.
+    """
     return np.asarray(np.sqrt(error / 4.0) < AGREES * sightings.sizes + AGREES_PIXELS)
 
 
 def fitting(sightings: Sightings, error: FloatArray, floor: float) -> BoolArray:
-    """Mask of the inliers among sightings with squared errors `(N,)`; False for NaN."""
+    """Mask of the inliers among sightings with squared errors `error`, pixels^2, `(N,)`; False for NaN."""
     near = np.sqrt(error / 4.0) <= np.maximum(OUTLIER_PIXELS, OUTLIER_SHARE * sightings.sizes)
     return np.asarray((error / sightings.variance(floor) <= OUTLIER_CHI_SQUARE) | near)
 
 
 def student_weight(square: FloatArray, residuals: int | IntArray = RESIDUALS) -> FloatArray:
-    """Weights (nu + d) / (nu + chi^2) for d residuals."""
+    """Weights (nu + d) / (nu + chi^2), for chi^2 `square` of d residuals."""
     return np.asarray((DEGREES_OF_FREEDOM + residuals) / (DEGREES_OF_FREEDOM + square))
 
 
 def student_losses(square: FloatArray, residuals: int = RESIDUALS) -> FloatArray:
-    """Losses (nu + d) / 2 log(1 + chi^2 / nu) for d residuals."""
+    """Losses (nu + d) / 2 log(1 + chi^2 / nu), for chi^2 `square` of d residuals."""
     return np.asarray((DEGREES_OF_FREEDOM + residuals) / 2.0 * np.log1p(square / DEGREES_OF_FREEDOM))
 
 
@@ -171,12 +174,13 @@ def student_loss(square: FloatArray, residuals: int = RESIDUALS) -> float:
 
 
 def floor_of(error: FloatArray, noise: FloatArray, most: float) -> float:
-    """Find the floor, pixels, at most `most`, at which the squared errors have their expected mean, by bisection.
+    """Find, by bisection, the floor (standard deviation of corners beyond the detector's own), pixels, at which the
+    squared errors have their expected mean.
 
     Args:
         error: squared errors |e|^2 of sightings, scaled up for the degrees of freedom of the fit, pixels^2, `(N,)`.
         noise: standard deviation of a coordinate of a corner according to the detector, pixels, `(N,)`.
-        most: greatest floor, pixels.
+        most: upper limit of the floor, pixels.
     """
     low, high = 0.0, most
     for _ in range(FLOOR_BISECTIONS):
@@ -190,10 +194,11 @@ def floor_of(error: FloatArray, noise: FloatArray, most: float) -> float:
 
 
 def efficiency(square: FloatArray) -> tuple[float, float]:
-    """Mean slope of the estimating equations and variance of their right side (sandwich formula), from chi^2 `(N,)`.
+    """Mean slope of the robust estimating equations and variance of their right side (sandwich formula), from chi^2 of
+    N sightings, `square` `(N,)`.
 
     With weights w(chi^2), the slope is the mean of w + 2 w' chi^2 / 8, and the variance is the mean of w^2 chi^2 / 8.
-    Least squares with the weight slope^2 / variance of all sightings has the covariance of the robust fit.
+    Least squares that give all sightings the weight slope^2 / variance have the covariance of the robust fit.
     """
     weight = student_weight(square)
     slope = (weight - 2.0 / RESIDUALS * square * weight / (DEGREES_OF_FREEDOM + square)).mean()
@@ -201,12 +206,14 @@ def efficiency(square: FloatArray) -> tuple[float, float]:
 
 
 def weighted_product(one: FloatArray, other: FloatArray, weight: FloatArray) -> FloatArray:
-    """A^T w B of each sighting, `(N, a, b)`, for A `(N, r, a)`, B `(N, r, b)` and weights `(N,)`."""
+    """Product A^T w B of each sighting, `(N, a, b)`, for A `(N, r, a)`, B `(N, r, b)` and weights `(N,)`."""
     return np.asarray((np.swapaxes(one, 1, 2) * weight[:, None, None]) @ other)
 
 
 def sums_by(owner: IntArray, count: int) -> Callable[[FloatArray], FloatArray]:
-    """Make a function that sums values `(N, ...)` of N sightings for each owner, to `(count, ...)`."""
+    """Make a function that sums values `(N, ...)` of N sightings over the sightings of each of `count` owners, `(count,
+    ...)`.
+    """
     from scipy.sparse import csc_array
 
     matrix = csc_array((np.ones(len(owner)), owner, np.arange(len(owner) + 1)), shape=(count, len(owner)))
@@ -219,7 +226,7 @@ def sums_by(owner: IntArray, count: int) -> Callable[[FloatArray], FloatArray]:
 
 
 def solved(matrices: FloatArray, right: FloatArray) -> FloatArray:
-    """Solutions `(n, m)` of n systems `(n, m, m)`."""
+    """Solutions `(n, m)` of n linear systems with `matrices` `(n, m, m)` and right sides `right` `(n, m)`."""
     return np.asarray(np.linalg.solve(matrices, right[..., None])[..., 0], dtype=np.float64)
 
 

@@ -1,7 +1,8 @@
-"""Motion of a body, estimated from its drive: spread of the motion, errors across gaps, and smoothest sequence of
-poses.
+"""Motion of a body, estimated from its drive: noise of the motion model (its *spread*), errors across gaps between
+frames, and smoothest sequence of poses.
 
-The spread s of a motion is estimated by maximum evidence: with theta = log s^2,
+The spread s, which scales the standard deviations of a motion model, is estimated by maximum evidence: with theta = log
+s^2,
 
     d chi^2 / d theta + d log |Q| / d theta + d log |H| / d theta = 0,
 
@@ -12,7 +13,8 @@ Errors of a constant velocity across gaps are measured in pieces of the drive wi
 far apart as the gap is long, the velocities before and after predict the relative pose. The error of the prediction is
 the difference from the relative pose that the frames in between give.
 
-The smoothest sequence of poses decides between two poses of a frame that look alike (Viterbi).
+A frame that shows one tag has two poses with similar images; the smoothest sequence of poses decides between them
+(Viterbi).
 
 Source: MacKay, "Bayesian Interpolation".
 """
@@ -42,7 +44,7 @@ ROUGH_TURN, ROUGH_PLACE, MOVING = 0.1, 0.15, 1.0
 
 
 def with_motion(joint: Adjustment, motion: Motion) -> Adjustment:
-    """Adjustment with another spread of the motion; the pairs of linked frames do not change."""
+    """Adjustment with the given motion model; the pairs of linked frames do not change."""
     assert joint.links is not None
     other, first = copy(joint), joint.links.first
     information = motion.information(joint.seen[first], joint.seen[first + 1])
@@ -51,7 +53,7 @@ def with_motion(joint: Adjustment, motion: Motion) -> Adjustment:
 
 
 def spread_motion(joint: Adjustment, poses: Poses, floor: float) -> Motion:
-    """Motion with the spread of maximum evidence, for the motion of an adjustment."""
+    """Motion model of an adjustment, with the spread of maximum evidence."""
     motion, links = joint.prior.motion, joint.links
     assert motion is not None
     assert links is not None
@@ -85,7 +87,7 @@ def spread_motion(joint: Adjustment, poses: Poses, floor: float) -> Motion:
 
 
 def measured_motion(joint: Adjustment, poses: Poses, floor: float) -> Motion:
-    """Motion with the spread of maximum evidence and the measured errors across gaps, for the motion of an adjustment.
+    """Motion model of an adjustment, with the spread of maximum evidence and the measured errors across gaps.
 
     Raises:
         InputError: odometry contradicts the images.
@@ -104,7 +106,7 @@ def bridged_gaps(motion: Motion, poses: FloatArray) -> FloatArray:
 
     Args:
         motion: motion at a constant velocity, in pieces.
-        poses: poses of the frames, `(F, 4, 4)`; frames of one piece are contiguous and have a common world.
+        poses: poses of the frames, `(F, 4, 4)`; frames of one piece are contiguous and share a world frame.
     """
     assert motion.piece is not None
     rows, clock = [], motion.times - np.nanmin(motion.times)
@@ -165,8 +167,8 @@ class Nodes:
 
 
 def smoothest(nodes: Nodes, poses: Poses) -> Poses:
-    """Poses of the nodes in the worlds of their parts: the smoothest sequence among the poses that the largest
-    sightings propose and the rough poses of the frames.
+    """Poses of the nodes, each in the world frame of its part: the smoothest sequence among the rough poses of the
+    frames and the poses that the largest sightings propose.
     """
     some, motion, placed = nodes.sightings, nodes.motion, poses.frames[nodes.frame]
     order = np.lexsort((-some.sizes, some.frame))

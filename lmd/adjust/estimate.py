@@ -1,11 +1,12 @@
 """Estimate of poses: bundle adjustment without outliers from initial poses, marginal covariances, blocks of time.
 
 *Blocks of time*: the covariance C of an adjustment assumes that errors of sightings are independent. The errors in a
-drive are correlated, as exposure, blur and errors of the lens model change slowly. So frames are cut into blocks of
-time with equally many sightings. Block b adds S_b to the normal equations S = C^-1, and g_b to their right side, which
-sums to 0. Block b contributes x_b = C (1 - S_b C)^-1/2 g_b to the error of the map. The covariance of the map is the
-sum of x_b x_b', which equals C if errors are uncorrelated. The inverse in place of the inverse root would be the
-jackknife, which leaves each block out. The jackknife overrates blocks that alone hold a part of the map.
+drive are correlated, as exposure, blur and errors of the lens model change slowly. So the frames are divided into
+blocks of time with equal numbers of sightings. Block b adds S_b to the normal equations S = C^-1, and g_b to their
+right side, which sums to 0. Block b contributes x_b = C (1 - S_b C)^-1/2 g_b to the error of the map. The covariance of
+the map is the sum of x_b x_b', which equals C if errors are uncorrelated. With the inverse in place of the inverse
+root, this would be the jackknife, which leaves out one block at a time. The jackknife overestimates the effect of a
+block that alone determines a part of the map.
 
 Source: Bell and McCaffrey, "Bias reduction in standard errors for linear regression with multi-stage samples" (CR2).
 """
@@ -43,7 +44,7 @@ class Lenses:
     """Nuisance parameters of the cameras, see `lmd.adjust.refinement`."""
 
     seen: Observations
-    """Detections, and the given cameras."""
+    """Detections, with the cameras as given."""
     optics: tuple[Optics, ...]
     """Refined optics of the cameras."""
     sigmas: tuple[FloatArray, ...]
@@ -67,9 +68,10 @@ class Estimate:
     that are not placed.
     """
     used: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))
-    """Mask of the inliers, `(N,)`: the sightings from which the map is made; empty for rough poses, as `misfits`."""
+    """Mask of the inliers, `(N,)`: the sightings from which the map is made; empty for rough poses, like `misfits`."""
     misfits: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))
-    """Mask of the outliers, `(N,)`: sightings of tags and in frames of the map that do not fit the pose of their tag.
+    """Mask of the outliers, `(N,)`: sightings that do not fit the pose of their tag, although their tag and frame
+    belong to the map.
     """
     floor: float = FLOOR_PIXELS
     """Standard deviation of corners beyond the detector's own, pixels."""
@@ -79,10 +81,11 @@ class Estimate:
     """Nuisance parameters of the cameras; None if cameras are exact."""
 
     def adjusted(self, most: float = FLOOR_PIXELS) -> "Estimate":
-        """Estimate with adjusted poses of the map, which is group 0; `most` is the maximum of the floor.
+        """Estimate in which the poses of the map (the tags of group 0, and their frames) are adjusted without outliers.
+        The floor, see `lmd.adjust.corners`, is at most `most`, pixels.
 
         Raises:
-            InputError: no sightings agree.
+            InputError: no two sightings agree on a pose of the camera.
         """
         sightings, prior, poses, group, floor = self.sightings, self.prior, self.poses, self.group, most
         of_map = (group[sightings.tag] == 0) & poses.known_frames[sightings.frame]
@@ -129,7 +132,7 @@ class Estimate:
         return np.asarray((self.group == 0) & np.isfinite(of_tags).all(axis=1))
 
     def _blocks(self, first: int, last: int, size: int = 6) -> FloatArray:
-        """Covariances of the kept blocks from `first` to `last`."""
+        """Covariances of the kept unknowns from index `first` to `last` (excluded), in blocks of `size` rows."""
         return diagonal_blocks(self.covariance[6 * first : 6 * last, 6 * first : 6 * last], size)
 
     @property
@@ -139,7 +142,7 @@ class Estimate:
 
     @cached_property
     def frame_covariances(self) -> FloatArray:
-        """Marginal covariance of the twist of each frame, `(F, 6, 6)`; NaN for frames without a pose."""
+        """Marginal covariance of the twist of each frame's pose, `(F, 6, 6)`; NaN for frames without a pose."""
         found = np.full((self.sightings.frames, 6, 6), np.nan)
         if self.used.any():
             with threadpool_limits(limits=ONE_THREAD):
@@ -191,7 +194,7 @@ class Estimate:
 
     @property
     def are_astray(self) -> BoolArray:
-        """True for tags of which most sightings, and at least `FEWEST_MISFITS`, are outliers, `(K,)`."""
+        """Mask of the tags with at least `FEWEST_MISFITS` outliers, which are also most of their sightings, `(K,)`."""
         counts = self.sightings.counts(self.misfits)
         return np.asarray((counts >= FEWEST_MISFITS) & (counts > self.sightings.counts(self.used)))
 
@@ -202,13 +205,13 @@ class Estimate:
         return replace(self, poses=replace(self.poses, tags=every))
 
     def moved(self, motion: FloatArray) -> "Estimate":
-        """Estimate after a motion `(4, 4)` of the world."""
+        """Estimate with all poses moved by a rigid motion `(4, 4)` of the world frame."""
         poses = replace(self.poses, tags=motion @ self.poses.tags, frames=motion @ self.poses.frames)
         return replace(self, poses=poses, prior=replace(self.prior, tags=motion @ self.prior.tags))
 
 
 def constraining(sightings: Sightings, used: BoolArray, prior: Prior) -> BoolArray:
-    """True for the `used` sightings that constrain the map, `(N,)`.
+    """Mask of those `used` sightings that constrain the map, `(N,)`.
 
     A sighting that is alone in its frame constrains the map only if the frame is linked to another frame. In a known
     map (`Prior.joint`) such a sighting determines the pose of the frame.
@@ -223,7 +226,8 @@ def constraining(sightings: Sightings, used: BoolArray, prior: Prior) -> BoolArr
 
 
 def inflation(found: Estimate) -> float:
-    """Factor on the standard deviations of positions, from blocks of time: the geometric mean over tags, at least 1.
+    """Factor, at least 1, by which errors that are correlated in time enlarge the standard deviations of positions: the
+    geometric mean over tags, from blocks of time.
 
     The factor is 1 if there are too few frames for blocks. If frames are linked, only frames with two or more tags are
     used, in the largest part of the map that such frames connect.
@@ -245,7 +249,7 @@ def inflation(found: Estimate) -> float:
 
 
 def _blocks_of_time(found: Estimate) -> list[IntArray]:
-    """Frames of each block of time, ascending."""
+    """Indices of the frames in each block of time, ascending."""
     counts = np.bincount(found.sightings.frame[found.used], minlength=found.sightings.frames)[found.frames]
     middle = np.cumsum(counts) - counts / 2.0
     blocks = int(np.clip(len(counts) // FEWEST_IN_BLOCK, FEWEST_BLOCKS, MOST_BLOCKS))

@@ -2,10 +2,10 @@
 
 *Second poses* are poses on which several outliers of a tag agree: the tag was moved, or two tags have its id.
 
-*Sizes* follow from images that show two tags, as the distance between the tags is constant. Let s be the ratio of the
-edges of tag b and tag a over the stated ratio. Let t_a and t_b be the centres in a camera's frame that follow from the
-stated edges. Then |s t_b - t_a| is constant over images from different places. The ratios of all pairs give the size of
-each tag relative to most others.
+*Sizes* follow from images that show two tags, as the distance between the tags is constant. Let s be the true ratio of
+the edge lengths of tags b and a, divided by the stated ratio. Let t_a and t_b be the tags' centres in a camera's frame,
+computed with the stated edges. Then |s t_b - t_a| is constant over images from different places. The ratios of all
+pairs give the size of each tag relative to most others.
 """
 
 from collections.abc import Callable
@@ -50,8 +50,8 @@ class SecondPlace(NamedTuple):
     sightings: int
     """Number of sightings that agree with the second pose."""
     moved: int | None
-    """Index of the first frame after the move; None if frames show the tag at both poses in turns, as two tags have its
-    id.
+    """Index of the first frame after the move; None if frames show the tag now at one pose and now at the other, so
+    that two tags have its id.
     """
     later: bool
     """True if the second pose is the later pose."""
@@ -63,13 +63,15 @@ class Faults(NamedTuple):
     second_places: list[SecondPlace]
     """Second poses of tags that were moved or whose id two tags share."""
     sizes: dict[int, float]
-    """Estimated edges of tags with a wrong size, metres, by id."""
+    """Estimated edge lengths of the tags whose stated size is wrong, metres, keyed by id."""
     misread: IntArray
     """`(K,)` number of sightings with each id that fit no pose of the tag."""
 
 
 def second_places(found: Estimate, gross: BoolArray) -> list[SecondPlace]:
-    """Second poses of tags, on which several of the `gross` outliers, mask `(N,)`, agree."""
+    """Second poses of tags: poses on which several outliers of a tag agree; `gross` is the mask of the outliers,
+    `(N,)`.
+    """
     every, counts, places = found.sightings, found.sightings.counts(gross), []
     some = every.of(np.flatnonzero(gross & (counts[every.tag] >= FEWEST_SIGHTINGS)))
     tags = placed_tags(some, found.poses, FEWEST_SIGHTINGS, LEAST_SHARE)
@@ -89,8 +91,8 @@ def second_places(found: Estimate, gross: BoolArray) -> list[SecondPlace]:
 
 
 def _change(first: IntArray, second: IntArray) -> int | None:
-    """Frame at which a tag was moved, between the `first` and the `second` frames; None if first and second frames are
-    mixed.
+    """Frame at which a tag was moved, given the frames that show it at its `first` and at its `second` pose; None if
+    these frames are not separated in time.
     """
     begins = int(np.quantile(second, OUT_OF_ORDER_SHARE / 2.0))
     mixed = (first >= begins).mean() > OUT_OF_ORDER_SHARE
@@ -99,12 +101,12 @@ def _change(first: IntArray, second: IntArray) -> int | None:
 
 
 def with_best_edges(seen: Observations, begun: Callable[[Observations], tuple[Begun, int]]) -> tuple[Begun, BoolArray]:
-    """Result of `begun` with the stated edges or, if more sightings agree with it, with the edges of `odd_sizes`; and
-    mask of the tags with another edge than stated, `(K,)`.
+    """Call `begun` with the stated edge lengths and with those of `odd_sizes`, and return the result with which more
+    sightings agree; and mask of the tags whose edge length differs from the stated one, `(K,)`.
 
     Args:
         seen: detections.
-        begun: result for some detections, and number of sightings that agree with it.
+        begun: function of detections that returns a result and the number of sightings that agree with it.
     """
     apart = seen.through().with_separate_cameras()
     (found, agreed), (factors, odd) = begun(seen), odd_sizes(apart, single_poses(apart).poses[:, 0])
@@ -116,12 +118,15 @@ def with_best_edges(seen: Observations, begun: Callable[[Observations], tuple[Be
 
 
 def odd_sizes(sightings: Sightings, single: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Factor on the stated edge of each tag, `(K,)`, and mask of the tags whose size must be estimated, `(K,)`.
+    """Estimated factor on the stated edge length of each tag, `(K,)`, and mask of the tags whose size must be
+    estimated from all frames, `(K,)`.
 
-    These are the tags with a factor other than 1 and, if there are such tags, also tags without a known ratio.
+    The mask has the tags with a factor other than 1. If there are any, it also has the tags whose size relative to
+    other tags is unknown.
 
     Args:
-        sightings: sightings in which each camera is a body of its own.
+        sightings: sightings in which each camera is treated as a body of its own, see
+            `Sightings.with_separate_cameras`.
         single: for each sighting, the better pose of its tag in the camera's frame, `(N, 4, 4)`.
     """
     from scipy.sparse import coo_array
@@ -164,14 +169,14 @@ def odd_sizes(sightings: Sightings, single: FloatArray) -> tuple[FloatArray, Boo
 
 
 def with_sizes(found: Estimate, odd: BoolArray, others: float, tried: bool) -> tuple[Estimate, BoolArray]:
-    """Estimate in which the sizes of some tags are unknowns of the refinement, and the mask of the tags with another
-    size than stated, `(K,)`.
+    """Estimate in which the sizes of some tags are unknowns of the refinement, and the mask of the tags whose size
+    differs from the stated size, `(K,)`.
 
     Args:
         found: estimate with the stated sizes.
-        odd: mask of the tags that are known to have another size, `(K,)`.
-        others: standard deviation of the other tags, see `Sightings.size_sigmas`.
-        tried: True if further tags may have another size.
+        odd: mask of the tags whose stated size is known to be wrong, `(K,)`.
+        others: prior standard deviation of the size of the other tags, see `Sightings.size_sigmas`.
+        tried: True if the stated size of further tags may be wrong.
     """
     for _ in range(ROUNDS if tried else 0):
         found, changed = resized(found, odd, np.ones_like(odd))
@@ -184,19 +189,22 @@ def with_sizes(found: Estimate, odd: BoolArray, others: float, tried: bool) -> t
 
 
 def other_sizes(found: Estimate, odd: BoolArray) -> dict[int, float]:
-    """Edges, metres, by id, of the tags `odd` `(K,)` whose edges differ from those of most others by `DIFFERS`."""
+    """Estimated edge lengths, metres, keyed by id, of those tags in the mask `odd` `(K,)` whose size differs by more
+    than `DIFFERS` from the size that most tags agree on.
+    """
     edges, ids = found.sightings.present_edges, found.sightings.ids
     differs = odd & (np.abs(edges / np.median(edges[~odd] if (~odd).any() else edges) - 1.0) > DIFFERS)
     return dict(zip(ids[differs].tolist(), edges[differs].tolist(), strict=True))
 
 
 def resized(found: Estimate, odd: BoolArray, among: BoolArray) -> tuple[Estimate, BoolArray]:
-    """Estimate with edges from all frames for tags with a wrong size, and the mask of these tags, `(K,)`.
+    """Estimate in which the edge lengths of wrongly sized tags are estimated from all frames, and the mask of these
+    tags, `(K,)`.
 
     Args:
         found: estimate.
-        odd: mask of the tags that are known to have another size, which are always estimated, `(K,)`.
-        among: mask of the tags whose size may be wrong, `(K,)`.
+        odd: mask of the tags whose stated size is known to be wrong, `(K,)`; their edge lengths are always estimated.
+        among: mask of the tags whose stated size may be wrong, `(K,)`.
     """
     every, tags, count = found.sightings, found.poses.tags.copy(), len(found.group)
     some = every.of(found.poses.known_frames[every.frame] & (found.group[every.tag] <= 0))
@@ -223,7 +231,7 @@ def resized(found: Estimate, odd: BoolArray, among: BoolArray) -> tuple[Estimate
 
 
 def without_faults(found: Estimate, odd: BoolArray) -> tuple[Estimate, Faults]:
-    """Estimate with corrected sizes and the later poses of moved tags, and all faults.
+    """Estimate with corrected sizes, in which moved tags have their later poses; and all faults.
 
     Args:
         found: estimate.

@@ -1,8 +1,9 @@
 """Elimination of the frames from the normal equations of a bundle adjustment.
 
-A sighting connects one frame with tags, cameras and other *kept* unknowns. So the block H_ff of the frames is block
-diagonal, or block tridiagonal if motion links each frame with the next one (`lmd.adjust.motion`). With links, its
-Cholesky factor is a band matrix. Time and memory are linear in the number of frames.
+A sighting connects one frame with tags, cameras and other *kept* unknowns (see `lmd.adjust.adjustment`). So the block
+H_ff of the frames is block diagonal, or block tridiagonal if motion links each frame with the next one
+(`lmd.adjust.motion`). With links, its Cholesky factor is a band matrix. Time and memory are linear in the number of
+frames.
 
 Source: Triggs et al., "Bundle Adjustment - A Modern Synthesis"; Barfoot, "State Estimation for Robotics".
 """
@@ -24,16 +25,16 @@ class Part(NamedTuple):
     """Normal equations of f successive frames."""
 
     block: FloatArray
-    """H_ff from the sightings, `(f, 6, 6)`."""
+    """Blocks of H_ff due to the sightings, `(f, 6, 6)`."""
     gradient: FloatArray
-    """g_f, `(f, 6)`."""
+    """Right side g_f of the frames, `(f, 6)`."""
     panel: FloatArray
     """H_fk for the r kept blocks `rows`, `(f, 6, r, 6)`."""
     rows: IntArray
     """Indices of the kept blocks, `(r,)`."""
 
     def reached(self, kept: FloatArray) -> FloatArray:
-        """H_fk x for values x `(kept, 6, ...)` of all kept unknowns, `(f, 6, ...)`."""
+        """Product H_fk x, `(f, 6, ...)`, for values x of all kept unknowns, `(kept, 6, ...)`."""
         some = kept[self.rows]
         wide = self.panel.reshape(-1, 6 * len(self.rows)) @ some.reshape(6 * len(self.rows), -1)
         return wide.reshape(len(self.panel), 6, *some.shape[2:])
@@ -65,7 +66,9 @@ class SeparateFrames:
         return solved(self.block, self.gradient - pull)
 
     def covariances(self, reach: FloatArray, share: float) -> FloatArray:
-        """Diagonal blocks, `(F, 6, 6)`, of `share` H_ff^-1 + H_ff^-1 R R^T H_ff^-1, where `reach` is R `(F, 6, m)`."""
+        """Covariances of the frames: the diagonal blocks, `(F, 6, 6)`, of `share` H_ff^-1 + H_ff^-1 R R^T H_ff^-1,
+        where `reach` is R `(F, 6, m)`.
+        """
         moved = np.linalg.solve(self.block, reach)
         return np.asarray(share * np.linalg.inv(self.block) + moved @ np.swapaxes(moved, 1, 2))
 
@@ -76,10 +79,10 @@ class SeparateFrames:
 
 
 class LinkedFrames:
-    """F frames that links connect, with the methods of `SeparateFrames`.
+    """F frames that links of motion connect; the class has the methods of `SeparateFrames`.
 
     Args:
-        parts: equations of the frames by the sightings.
+        parts: equations of the frames due to the sightings.
         links: the links.
         poses: poses of the frames, `(F, 4, 4)`.
         is_robust: True for robust weights of the links.

@@ -1,4 +1,6 @@
-"""The gauge of a map, the choice of its world frame: covariances that do not depend on it, and maps laid on others."""
+"""The gauge of a map, that is, the choice of its world frame: covariances that do not depend on the gauge, and
+alignment of one map with another.
+"""
 
 import numpy as np
 
@@ -13,7 +15,7 @@ REFINING_STEPS = 8
 
 
 def rows_of(tags: IntArray) -> IntArray:
-    """Rows of some tags in matrices with six rows for each tag."""
+    """Row indices of the tags `tags` in a matrix that has six rows for each tag."""
     return np.asarray((6 * tags[:, None] + np.arange(6)).ravel())
 
 
@@ -53,15 +55,17 @@ def in_world(poses: FloatArray, covariances: FloatArray) -> FloatArray:
 
 
 def world_from_twists(poses: FloatArray) -> FloatArray:
-    """Matrices from right-hand twists of poses to shifts and rotations about the axes of the world, `(n, 6, 6)`."""
+    """Matrices that map right-hand twists of poses to shifts along, and rotations about, the axes of the world, `(n, 6,
+    6)`.
+    """
     whole = np.zeros((len(poses), 6, 6))
     whole[:, :3, 3:] = whole[:, 3:, :3] = poses[:, :3, :3]
     return whole
 
 
 def worst_sigmas(covariances: FloatArray) -> FloatArray:
-    """Standard deviations of shift, metres, and rotation, rad, in their worst directions, of twists, `(n, 2)`; NaN
-    where `covariances` `(n, 6, 6)` are.
+    """Standard deviations of the shift, metres, and of the rotation, rad, each in its worst direction, `(n, 2)`, from
+    the `covariances` of twists, `(n, 6, 6)`; NaN where a covariance is NaN.
     """
     found, known = np.full((len(covariances), 2), np.nan), np.isfinite(covariances).all(axis=(1, 2))
     for column, part in enumerate((slice(3, 6), slice(0, 3))):
@@ -71,7 +75,7 @@ def worst_sigmas(covariances: FloatArray) -> FloatArray:
 
 
 def twists_between(here: FloatArray, there: FloatArray) -> FloatArray:
-    """Twists from poses `here` to poses `there`, `(n, 6)`; NaN where one of the two is not known."""
+    """Twists from poses `here` to poses `there`, `(n, 6)`; NaN where one of the two poses is not known."""
     twists, known = np.full((len(here), 6), np.nan), np.isfinite(here[:, 0, 0]) & np.isfinite(there[:, 0, 0])
     twists[known] = log(inverse(here[known]) @ there[known])
     return twists
@@ -118,8 +122,8 @@ def angle_between_normals(here: FloatArray, there: FloatArray) -> FloatArray:
 
 
 def _fitted(points: FloatArray, others: FloatArray, weights: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Least-squares motions `(n, 4, 4)` from points `(n, m, 3)` to others (Kabsch), and True where the points determine
-    the rotation, `(n,)`.
+    """Rigid motions `(n, 4, 4)` that map `points` `(n, m, 3)` to the points `others` in the least-squares sense
+    (Kabsch), and mask of the motions whose rotation the points determine, `(n,)`.
     """
     share = weights / weights.sum(axis=1, keepdims=True)
     middles = [(share[..., None] * each).sum(axis=1, keepdims=True) for each in (points, others)]

@@ -1,4 +1,6 @@
-"""Intrinsics of cameras and shifts of corners: priors, derivatives, and estimates with their standard deviations."""
+"""Intrinsics of cameras, and shifts of corners in their images, as unknowns: priors, derivatives, and estimates with
+their standard deviations.
+"""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -25,7 +27,7 @@ GRID_SIDE = 9  # number of places along each side of the image at which `unsure`
 
 @dataclass(frozen=True)
 class Optics:
-    """Camera, and the shift of edges in its images."""
+    """Camera, and the shift of the tags' edges in its images."""
 
     camera: Camera
     """The camera."""
@@ -57,7 +59,7 @@ class Calibrated:
     shift: float
     """Shift of corners inward in the camera's images, pixels."""
     covariance: FloatArray
-    """`(P + n, P + n)` covariance of `intrinsics_of(found)`, then of n shifts."""
+    """`(P + n, P + n)` covariance of the P values `intrinsics_of(found)`, followed by n shifts."""
 
     @property
     def sigma(self) -> FloatArray:
@@ -71,8 +73,8 @@ class Calibrated:
 
     @cached_property
     def unsure(self) -> float:
-        """Standard deviation of image points due to the intrinsics, without the effect of a rotation: median over the
-        image, pixels.
+        """Standard deviation of image points due to the uncertain intrinsics, without the part that a rotation of the
+        camera could explain: median over the image, pixels.
         """
         size, bundle = len(self.sigma), _bundle(self.found)
         moved = parameter_slopes(self.found, bundle).reshape(-1, size)
@@ -82,7 +84,7 @@ class Calibrated:
         return float(np.sqrt(np.median(square)))
 
     def document(self) -> dict[str, Any]:
-        """Entries for a JSON file; centres from the image's border, pixels."""
+        """Entries for a JSON file; principal points are pixels from the image's border."""
         rows = {"given": intrinsics_of(self.given), "found": intrinsics_of(self.found), "sigma": self.sigma}
         names = {"focal_pixels": slice(2), "principal_point": slice(2, 4), "distortion": slice(4, None)}
         figures = {row: {name: values[part].tolist() for name, part in names.items()} for row, values in rows.items()}
@@ -138,7 +140,7 @@ def prior_sigmas(camera: Camera, rough: bool = False) -> FloatArray:
 
 
 def _bundle(camera: Camera) -> FloatArray:
-    """Directions of a grid of places in the image, without places beyond the image of the lens, `(n, 3)`."""
+    """Directions of the rays through a grid of image points, without points beyond the lens's image, `(n, 3)`."""
     places = np.linspace(0.0, 1.0, GRID_SIDE)
     image = np.stack(np.meshgrid(places * camera.image_width, places * camera.image_height), axis=-1)
     bundle = bearings(camera, image.reshape(-1, 2))
@@ -146,7 +148,7 @@ def _bundle(camera: Camera) -> FloatArray:
 
 
 def parameter_slopes(camera: Camera, directions: FloatArray) -> FloatArray:
-    """Derivatives of the images of directions `(..., 3)` by the intrinsics, pixels, `(..., 2, P)`."""
+    """Derivatives of image points with respect to the intrinsics, pixels, `(..., 2, P)`, at `directions` `(..., 3)`."""
     image = directions[..., :2] / directions[..., 2:] if camera.lens is None else camera.lens.project(directions)
     columns = [image * axis for axis in np.eye(2)] + [np.broadcast_to(axis, image.shape) for axis in np.eye(2)]
     given = _coefficients(camera)

@@ -3,8 +3,8 @@
 Both models constrain the relative pose of consecutive frames, with a covariance that grows with the gap between the
 frames. A frame that shows a single tag thus places the tag relative to the tags in earlier and later frames.
 
-- *Odometry* O is a trajectory in a frame of its own, whose relative poses drift. The error of frame j relative to frame
-  i is r = log((O_i^-1 O_j)^-1 T_i^-1 T_j). Each short step adds independent errors of rotation and translation, with a
+- *Odometry* O is a trajectory in a frame of its own; its relative poses drift. The error of frame j relative to frame i
+  is r = log((O_i^-1 O_j)^-1 T_i^-1 T_j). Each short step adds independent errors of rotation and translation, with a
   covariance Q in proportion to the step's length; errors propagate to frame j. With the sum C of Ad_O Q Ad_O^T over all
   steps, the covariance of r is Ad_O_j^-1 (C_j - C_i) Ad_O_j^-T. The bias b per metre, a twist for scale and heading, is
   an unknown of the drive. With the sum B of Ad_O times the length of each step, r contains Ad_O_j^-1 (B_j - B_i) b.
@@ -52,18 +52,22 @@ MOST_OFF, MOST_BIAS = 0.5, 8.0
 
 
 class LinkErrors(NamedTuple):
-    """Errors of M links with r components, and their Jacobians by the b unknowns of each frame."""
+    """Errors of M links, with r components each, and their Jacobians with respect to the b unknowns of each frame."""
 
     error: FloatArray
     """`(M, r)` errors."""
     by_first: FloatArray
-    """`(M, r, b)` Jacobian by the first frame: its right-hand twist, and its turn rate and velocity if b = 12."""
+    """`(M, r, b)` Jacobian with respect to the unknowns of the link's first frame: its right-hand twist and, if b = 12,
+    its turn rate and velocity.
+    """
     by_second: FloatArray
-    """`(M, r, b)` Jacobian by the second frame."""
+    """`(M, r, b)` Jacobian with respect to the unknowns of the link's second frame."""
     by_bias: FloatArray
-    """`(M, r, 6)` Jacobian by `bias`; `(M, r, 0)` for a constant velocity."""
+    """`(M, r, 6)` Jacobian with respect to `bias`; `(M, r, 0)` for a constant velocity."""
     bias: FloatArray
-    """`(6,)` error common to all metres of odometry, in units of `BIAS`; `(0,)` for a constant velocity."""
+    """`(6,)` bias b of odometry, the error per metre that all steps share, in units of `BIAS`; `(0,)` for a constant
+    velocity.
+    """
 
 
 @dataclass(frozen=True)
@@ -77,11 +81,13 @@ class Links:
     seconds: FloatArray
     """`(M,)` time between the two frames, seconds."""
     information: FloatArray
-    """`(M, r, r)` inverse of the covariance of the error."""
+    """`(M, r, r)` inverse covariance of each link's error."""
     steps: FloatArray | None = None
     """`(M, 4, 4)` relative poses by odometry; None for a constant velocity."""
     by_bias: FloatArray | None = None
-    """`(M, 6, 6)` derivatives of the relative poses by the bias of odometry; None for a constant velocity."""
+    """`(M, 6, 6)` derivatives of the relative poses with respect to the bias of odometry; None for a constant
+    velocity.
+    """
 
     def at(self, poses: FloatArray) -> LinkErrors:
         """Errors of the links, and Jacobians, at poses of the frames, `(F, 4, 4)`."""
@@ -111,12 +117,16 @@ class Links:
         return LinkErrors(np.concatenate([off, change], axis=1), by_first, by_second, nothing, np.zeros(0))
 
     def _ways(self, poses: FloatArray) -> FloatArray:
-        """Rotation vector of each link, and shift in the world, from its first to its second frame, `(M, 6)`."""
+        """Motion from the first to the second frame of each link: rotation vector, rad, and shift along the world's
+        axes, metres, `(M, 6)`.
+        """
         before, after = poses[self.first], poses[self.first + 1]
         return np.hstack([log(inverse(before) @ after)[:, :3], after[:, :3, 3] - before[:, :3, 3]])
 
     def _rates(self, poses: FloatArray) -> FloatArray:
-        """Turn rates and velocities that fit the poses best, `(F, 6)`: derivatives of natural cubic splines."""
+        """Turn rates, rad/s, and velocities in the world, m/s, of the frames, `(F, 6)`: derivatives of natural cubic
+        splines through the poses.
+        """
         from scipy.linalg import solveh_banded
 
         h, pull = self.seconds, 6.0 * self._ways(poses) / self.seconds[:, None] ** 2
@@ -140,8 +150,8 @@ class Links:
         return np.asarray(np.einsum("mi,mij,mj->m", error, self.information, error))
 
     def loss(self, poses: FloatArray) -> float:
-        """Loss of the links and of the bias at poses of the frames, `(F, 4, 4)`; the loss is robust against large
-        errors of odometry, as wheels slip.
+        """Loss of the links and of the bias at poses of the frames, `(F, 4, 4)`; the loss of odometry is robust against
+        large errors, as wheels may slip.
         """
         at = self.at(poses)
         squares, bias = self.squares(at.error), float(at.bias @ at.bias)
@@ -152,11 +162,13 @@ class Links:
         return 0.5 * float((least + slipped).sum()) + 0.5 * bias
 
     def weights(self, squares: FloatArray) -> FloatArray:
-        """Robust weights of the links, `(M,)`, from chi^2."""
+        """Robust weights of the links, `(M,)`, from their chi^2 `squares` `(M,)`."""
         return np.ones(len(squares)) if self.steps is None else MOST_SQUARE / np.maximum(squares, MOST_SQUARE)
 
     def check(self, poses: FloatArray) -> None:
-        """Raise `InputError` if odometry contradicts the images, by poses of the frames, `(F, 4, 4)`."""
+        """Raise `InputError` if odometry contradicts the images, from which the poses of the frames, `(F, 4, 4)`, were
+        estimated.
+        """
         if self.steps is None or not len(self.first):
             return
         at = self.at(poses)
@@ -176,18 +188,25 @@ class Motion:
     times: FloatArray
     """`(F,)` seconds, ascending; NaN for frames without a time."""
     spread: tuple[float, float] = STEADY
-    """Standard deviations of rotation and translation in the units of `STEADY` or `DRIFT`."""
+    """Spread of the motion model: factors on the standard deviations of rotation and of translation, in the units of
+    `STEADY` (constant velocity) or `DRIFT` (odometry).
+    """
     path: FloatArray | None = None
     """`(F, 4, 4)` poses of the body by odometry, NaN for frames without odometry; None for a constant velocity."""
     drift: FloatArray | None = None
-    """Sums C, `(F, 2, 6, 6)`: covariances due to errors of rotation and of translation, for a spread of 1."""
+    """Sums C up to each frame, `(F, 2, 6, 6)`: covariances due to errors of rotation and of translation, for a spread
+    of 1.
+    """
     bias_sums: FloatArray | None = None
-    """Sums B, `(F, 6, 6)`: derivatives with respect to the bias."""
+    """Sums B up to each frame, `(F, 6, 6)`: derivatives of the poses by odometry with respect to the bias."""
     piece: IntArray | None = None
-    """Piece of each frame, `(F,)`; frames of different pieces are not linked. None for a single piece."""
+    """Index of the piece to which each frame belongs, `(F,)`; frames of different pieces are not linked. None for a
+    single piece.
+    """
     gaps: FloatArray | None = None
-    """`(n, 3)` lengths of gaps, seconds, ascending, for which a constant velocity was tested in pieces without gaps,
-    and the spreads that explain the errors across them; longer gaps are not bridged. None without tests.
+    """Errors of a constant velocity across gaps, as measured in pieces of the drive without gaps, `(n, 3)`: the length
+    of the gap, seconds, ascending, and the spreads of rotation and of translation that explain the errors. Longer gaps
+    are not bridged. None if nothing was measured.
     """
 
     @classmethod
@@ -231,7 +250,7 @@ class Motion:
         return cls(times, DRIFT, path, np.stack(drift, axis=1), bias, np.concatenate([[0], np.cumsum(gaps)])[place])
 
     def of(self, frames: IntArray, part: IntArray) -> "Motion":
-        """Motion between `frames` `(n,)`, with links only between frames of equal `part` `(n,)`."""
+        """Motion between the frames with indices `frames` `(n,)`; only frames with equal `part` `(n,)` are linked."""
         piece = part if self.piece is None else part * (self.piece.max() + 1) + self.piece[frames]
         path, drift, bias = (None if own is None else own[frames] for own in (self.path, self.drift, self.bias_sums))
         return replace(self, times=self.times[frames], piece=piece, path=path, drift=drift, bias_sums=bias)
@@ -251,7 +270,7 @@ class Motion:
         return float(max(self.gaps[good, 0], default=SHORTEST_GAP))
 
     def _spreads(self, seconds: FloatArray) -> FloatArray:
-        """Spreads of a constant velocity over gaps `(M,)`, `(M, 2)`."""
+        """Spreads of rotation and of translation, `(M, 2)`, for a constant velocity across gaps of `seconds` `(M,)`."""
         spreads = np.broadcast_to(self.spread, (len(seconds), 2))
         if self.gaps is None or not len(self.gaps):
             return spreads
@@ -268,12 +287,16 @@ class Motion:
         return np.asarray(there if self.piece is None else there & (self.piece[i] == self.piece[j]))
 
     def follows(self, frames: IntArray) -> BoolArray:
-        """True for each of the ascending `frames`, after the first, that is linked to its predecessor, `(F - 1,)`."""
+        """Mask over the ascending `frames` `(F,)`, without the first: True if the frame is linked to its predecessor,
+        `(F - 1,)`.
+        """
         i, j = frames[:-1], frames[1:]
         return np.asarray(self.relates(i, j) & (self.times[j] > self.times[i]))
 
     def linked(self, frames: IntArray) -> BoolArray:
-        """True for each of the ascending `frames` that is linked to its predecessor or successor, `(F,)`."""
+        """Mask over the ascending `frames` `(F,)`: True if the frame is linked to its predecessor or its successor,
+        `(F,)`.
+        """
         follows = np.concatenate([[False], self.follows(frames), [False]])
         return np.asarray(follows[1:] | follows[:-1])
 
@@ -288,7 +311,9 @@ class Motion:
         return Links(6, first, seconds, information, inverse(self.path[i]) @ self.path[j], bias)
 
     def information(self, i: IntArray, j: IntArray) -> FloatArray:
-        """Inverse covariance of the error in the pose of frames j, `(M,)`, relative to frames i, see `Links`."""
+        """Inverse covariances of the errors in the poses of the frames with indices j `(M,)` relative to the frames
+        with indices i `(M,)`, see `Links.information`.
+        """
         turn, place = self.spread
         if self.path is None or self.drift is None:
             seconds = self.times[j] - self.times[i]
@@ -306,7 +331,7 @@ class Motion:
         Args:
             i, j: indices of frames, `(M,)`.
             velocities: turn rates and velocities of all frames in the body's frame, `(F, 6)`, NaN if unknown; None for
-                a body that stands still. Ignored if the motion is odometry.
+                a body at rest. Ignored if the motion is odometry.
         """
         if self.path is not None:
             return np.asarray(inverse(self.path[i]) @ self.path[j])
@@ -326,9 +351,10 @@ def turn_twist(turn: FloatArray) -> FloatArray:
 
 
 def seconds_of(times: Sequence[str]) -> FloatArray:
-    """Times of frames, seconds, `(F,)`, from their texts; NaN for names of images.
+    """Times of frames, seconds, `(F,)`, from texts; NaN for a text that is the name of an image.
 
-    Numbers are seconds, or ms, us or ns since 1970. The resolution is a tenth of a microsecond.
+    Numbers are seconds, or milliseconds, microseconds or nanoseconds since 1970. The resolution is a tenth of a
+    microsecond.
     """
     result = np.full(len(times), np.nan)
     for index, text in enumerate(times):

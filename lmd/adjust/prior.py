@@ -23,7 +23,7 @@ STEPS = 6  # Gauss-Newton steps for the pose of a sheet
 
 
 class Kept:
-    """Normal equations of `count` unknowns, in blocks of six."""
+    """Normal equations of the kept unknowns (see `lmd.adjust.adjustment`), in `count` blocks of six."""
 
     def __init__(self, count: int) -> None:
         self.matrix, self.right = np.zeros((6 * count, 6 * count)), np.zeros((count, 6))
@@ -31,8 +31,8 @@ class Kept:
         self.diagonal = np.zeros((count, 6, 6))  # added to the matrix last, so that it can be damped
 
     def add(self, index: IntArray | slice, information: FloatArray, off: FloatArray) -> None:
-        """Add independent priors `(n, 6)` on the unknowns `index`, whose distance from the expected values is `off`
-        `(n, 6)`.
+        """Add independent priors on the unknowns of the blocks `index` `(n,)`: `information` `(n, 6)` is the inverse
+        variance of each unknown, `off` `(n, 6)` its distance from the expected value.
         """
         self.diagonal[index] += information[..., None] * np.eye(6)
         self.right[index] -= information * off
@@ -60,19 +60,21 @@ class Sheets:
 
     @cached_property
     def turned(self) -> FloatArray:
-        """A_k, `(M, 6, 6)`."""
+        """Matrices A_k = Ad(R_k^-1) of the tags, `(M, 6, 6)`."""
         return adjoint_matrix(inverse(self.poses))
 
     @cached_property
     def pairs(self) -> tuple[IntArray, IntArray]:
-        """Indices of all pairs of tags on one sheet, including each tag with itself."""
+        """Indices (first and second tag) of all pairs of tags that are on one sheet, including each tag with itself."""
         one, other = np.nonzero(self.board[:, None] == self.board)
         return one, other
 
     def fitted(self, tags: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Twists d_k `(M, 6)`, and their chi^2 `(M,)`, for tags at `tags` `(K, 4, 4)` and each sheet at its best pose.
+        """Twists d_k `(M, 6)`, and their chi^2 `(M,)`, for tags with the poses `tags` `(K, 4, 4)`; each sheet has the
+        pose that fits its tags best.
 
-        The fit of a sheet starts with the pose that the tag with the best agreement of the other tags gives.
+        Each tag proposes a pose of its sheet; the fit starts with the proposal on which the tags of the sheet agree
+        best.
         """
 
         def off(sheets: FloatArray, which: IntArray | slice) -> tuple[FloatArray, FloatArray]:
@@ -92,7 +94,7 @@ class Sheets:
         return off(sheets[self.board], slice(None))
 
     def _normal(self, scaled: FloatArray) -> FloatArray:
-        """A' D A of each sheet, `(S, 6, 6)`, for D `(M, 6)`."""
+        """Matrix A' D A of each sheet, `(S, 6, 6)`, for the diagonals `scaled` of D, `(M, 6)`."""
         return self._summed(np.swapaxes(self.turned, 1, 2) @ (scaled[..., None] * self.turned))
 
     def _summed(self, values: FloatArray) -> FloatArray:
@@ -102,7 +104,9 @@ class Sheets:
         return result
 
     def add_to(self, kept: Kept, tags: FloatArray, is_robust: bool) -> None:
-        """Add the joint information of the tags, linearised at `tags` `(K, 4, 4)`."""
+        """Add the joint information of the sheets' tags to the normal equations `kept`, linearised at the poses `tags`
+        `(K, 4, 4)`.
+        """
         (twists, squares), (one, other) = self.fitted(tags), self.pairs
         scaled = self.information * (student_weight(squares, 6)[:, None] if is_robust else np.ones((len(squares), 1)))
         kept.add(self.tag, scaled, twists)
@@ -113,7 +117,7 @@ class Sheets:
 
 @dataclass(frozen=True)
 class Hanging(Checked):
-    """Standard deviations of tags from their expected poses, along the axes of each tag.
+    """Standard deviations of the poses at which tags hang from their expected poses, along the axes of each tag.
 
     Raises:
         InputError: a standard deviation is not positive.
@@ -145,7 +149,9 @@ class Mounts:
 
     @property
     def information(self) -> FloatArray:
-        """Inverse variances of the twist of each of the C - 1 unknown mounts, `(C - 1, 6)`."""
+        """Inverse variances of the twist of each unknown mount, that is, of every camera but the first, `(C -
+        1, 6)`.
+        """
         return np.tile(np.repeat(self.sigmas, 3) ** -2.0, (len(self.poses) - 1, 1))
 
     def off(self, mounts: FloatArray) -> FloatArray:
@@ -168,8 +174,9 @@ class Prior:
     motion: Motion | None = None
     """Motion between the frames; None if frames are independent of each other."""
     joint: FloatArray | None = field(default=None, repr=False)
-    """`(6 K, 6 K)` information on the twists of all tags from their expected poses, if their errors are correlated. It
-    replaces the values of `information`, which then only select the tags with a prior. None for independent tags.
+    """`(6 K, 6 K)` information (inverse covariance) on the twists of all tags from their expected poses, if the errors
+    of different tags are correlated. It replaces the values of `information`, which then only select the tags with a
+    prior. None for independent tags.
     """
 
     @property
@@ -179,7 +186,7 @@ class Prior:
 
     @property
     def exact(self) -> BoolArray:
-        """True for tags with exactly known poses, `(K,)`: no sighting moves them."""
+        """Mask of the tags whose pose is known exactly, so that the adjustment keeps it, `(K,)`."""
         return np.asarray((self.information >= 0.5 * EXACT_SIGMA**-2.0).all(axis=1))
 
     @property
@@ -194,7 +201,7 @@ class Prior:
         return twists
 
     def squares(self, off: FloatArray) -> FloatArray:
-        """chi^2 of each tag, `(K,)`, from its twist `off`."""
+        """chi^2 of each tag, `(K,)`, from its twist `off` `(K, 6)` from the expected pose."""
         return np.asarray((self.information * off**2).sum(axis=1))
 
     def loss(self, poses: Poses) -> float:
@@ -215,7 +222,9 @@ class Prior:
         return loss
 
     def add_to(self, kept: Kept, poses: Poses, is_robust: bool) -> None:
-        """Add the information on tags, then on mounts, linearised at `poses`; exact poses keep the full weight."""
+        """Add the information on tags and mounts to the normal equations `kept`, linearised at `poses`; robust weights,
+        if asked for, do not apply to exact poses.
+        """
         count, off = len(self.tags), self.off(poses.tags)
         if self.joint is not None:
             kept.cells[:count, :count] += self.joint.reshape(count, 6, count, 6).transpose(0, 2, 1, 3)

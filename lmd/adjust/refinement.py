@@ -4,11 +4,12 @@ All nuisance parameters have priors, so that the covariance of the poses account
 
 - *Intrinsics* theta: a corner p that is detected at x has the residual e = pi(p, theta) - x, where pi is the
 projection.
-  The derivative of e by theta is d pi(p, theta) / d theta. Each step recomputes the directions.
+  The derivative of e with respect to theta is d pi(p, theta) / d theta. Each step recomputes the directions.
 - *Shifts*: blur and exposure move all edges in the images of a camera inward or outward by s_1 + s_2 (2 / pitch)^2
-  pixels. This adds to the measured shift of the detector. Tags then look smaller or larger.
+  pixels. The pitch is the number of pixels per module of the tag. The shift adds to the detector's measured shift, and
+  makes tags look smaller or larger.
 - *Shapes*: see `lmd.adjust.sightings.SHAPES`. The standard deviation of shapes is estimated by
-  expectation-maximisation, as the root of the mean of squares plus variances.
+  expectation-maximisation, as the root of the mean, over modes and tags, of the squared estimate plus its variance.
 """
 
 from collections.abc import Callable, Sequence
@@ -45,7 +46,8 @@ def _never(_done: int, _most: int) -> bool:
 
 
 def with_lenses(found: Estimate, seen: Observations, is_rough: bool = False) -> Estimate:
-    """Estimate with the given cameras and with nuisance parameters as unknowns, which begin at their prior means.
+    """Estimate with nuisance parameters of the cameras as unknowns; they begin at their prior means, that is, with the
+    given cameras.
 
     Args:
         found: estimate with the given cameras.
@@ -66,7 +68,9 @@ def _lenses_of(found: Estimate) -> Lenses:
 
 
 def _through(found: Estimate, lenses: Lenses) -> Estimate:
-    """Estimate with other `lenses`: sightings through these lenses, with the present shapes of tags."""
+    """Estimate whose cameras have the nuisance parameters `lenses`; sightings are computed anew for these cameras, with
+    the present shapes of tags.
+    """
     names = ("edges", "shapes", "shape_sigma", "size_sigmas", "taken")
     some = replace(lenses.seen.through(lenses.optics), **{name: getattr(found.sightings, name) for name in names})
     some = with_nuisances(some, lenses.optics, lenses.sigmas, found.poses)
@@ -120,7 +124,7 @@ def _stepped(
     """
 
     def loss(one: Estimate, some: Sightings | None = None) -> float:
-        """Loss of all sightings and priors."""
+        """Loss of the estimate `one`: of its sightings, or of `some` in their place, and of all priors."""
         nuisances = 0.5 * float((joint.nuisance_information[:, None] * nuisances_off(one) ** 2).sum())
         return nuisances + joint.loss(one.poses, found.floor, some)
 
@@ -189,7 +193,7 @@ def refine(
 
     Args:
         found: see `with_lenses`.
-        keep: True to keep cameras and shapes; their uncertainty still counts.
+        keep: True to keep cameras and shapes as they are; their uncertainty still enters the covariance.
         is_stopped: called before each round with its number and the maximum number of rounds; returns True to stop with
             the present state.
     """
@@ -203,10 +207,11 @@ def refine(
 
 
 def edge_doubts(found: Estimate) -> list[str]:
-    """Sentence on the edge of all tags, if another edge explains the images and the known poses better.
+    """Sentence that doubts the edge length of the tags, if another edge length of all tags explains the images and the
+    known poses better; else an empty list.
 
-    The growth of all tags is one more unknown. Larger edges move corners outward in proportion to the size of a tag in
-    the image; a shift does not depend on the size.
+    The common growth of all tags is estimated as one more unknown. Larger edges move corners outward in proportion to
+    the size of a tag in the image; a shift does not depend on the size.
 
     Args:
         found: result of `refine`.

@@ -1,12 +1,12 @@
 """Sightings: detections of tags as measurements of bundle adjustment.
 
 Let b be the direction of a detected corner, a unit vector in the camera's frame. J `(2, 3)` is the Jacobian of the
-image, pixels, with respect to a displacement in the tangent plane of the unit sphere at b. A corner at p in the
+projection, pixels, with respect to a displacement of b in the tangent plane of the unit sphere. A corner at p in the
 camera's frame has the residual e = J p / (b . p), pixels. The residual equals the reprojection error up to terms of
 second order in e, and needs the inverse of the lens model only once.
 
 Paper bends and printers stretch, so the corners of a printed tag do not lie on an exact flat square. In addition to
-rigid motions, a tag has five modes of deformation, and a growth of its size, `SHAPES`.
+rigid motions, a tag has five modes of deformation and a change of scale, its *growth*; the six are `SHAPES`.
 """
 
 from collections.abc import Sequence
@@ -38,7 +38,7 @@ SMALL_PITCH = 2.0  # pixels per module at which the shift of small tags counts i
 
 
 def _shapes() -> FloatArray:
-    """Orthonormal modes of deformation, `(6, 4, 3)`, see `SHAPES`."""
+    """Orthonormal modes of deformation, each a displacement of the four corners, `(6, 4, 3)`, see `SHAPES`."""
     rigid = [np.broadcast_to(axis, (4, 3)) for axis in np.eye(3)] + [np.cross(axis, SQUARE) for axis in np.eye(3)]
     basis, *_ = np.linalg.svd(np.stack([other.ravel() for other in (*rigid, SQUARE)], axis=1))
     return np.asarray(np.vstack([basis[:, 7:].T, SQUARE.ravel() / np.linalg.norm(SQUARE)]).reshape(6, 4, 3))
@@ -55,32 +55,33 @@ class Sightings:
     ids: IntArray
     """`(K,)` ids of the tags, ascending."""
     edges: FloatArray
-    """`(K,)` edges of the tags' black squares, metres."""
+    """`(K,)` edge lengths of the tags' black squares, metres."""
     frames: int
     """Number F of frames. Simultaneous images of all cameras are one frame."""
     cameras: int
     """Number C of cameras."""
     frame: IntArray
-    """`(N,)` index of the frame."""
+    """`(N,)` index of the frame of each sighting."""
     camera: IntArray
-    """`(N,)` index of the camera."""
+    """`(N,)` index of the camera of each sighting."""
     tag: IntArray
-    """`(N,)` index of the tag."""
+    """`(N,)` index of the tag of each sighting."""
     image: FloatArray
     """Corners as detected, `(N, 4, 2)`, pixels from the image's border."""
     directions: FloatArray
-    """`(N, 4, 3)` directions b of the corners."""
+    """`(N, 4, 3)` directions b of the corners, unit vectors in the camera's frame."""
     tangents: FloatArray
-    """J of the corners, `(N, 4, 2, 3)`, pixels."""
+    """Jacobians J of the projection at the corners, `(N, 4, 2, 3)`, pixels."""
     sizes: FloatArray
-    """`(N,)` length of the shortest side in the image, pixels."""
+    """`(N,)` length of the tag's shortest side in the image, pixels."""
     pitch: FloatArray
-    """`(N,)` pixels per module along the shortest side."""
+    """`(N,)` pixels per module of the tag along its shortest side in the image."""
     noise: FloatArray
     """`(N,)` standard deviation of a coordinate of a corner according to the detector, pixels."""
     lens: FloatArray
-    """`(N, 8, 6 L)` derivatives of e by the camera's nuisance parameters, in units of their prior standard deviations,
-    see `lmd.adjust.refinement`; L = 0 without nuisances."""
+    """`(N, 8, 6 L)` derivatives of e with respect to the camera's nuisance parameters, in units of their prior standard
+    deviations, see `lmd.adjust.refinement`; L = 0 without nuisances.
+    """
     shapes: FloatArray
     """`(K, 6)` deformations of the tags along `SHAPES`, metres."""
     shape_sigma: float
@@ -89,7 +90,7 @@ class Sightings:
     """`(K,)` prior standard deviation of the growth of each tag, metres; NaN for the standard deviation of the other
     modes."""
     taken: float
-    """Degrees of freedom that the nuisance parameters take from the residuals."""
+    """Number of degrees of freedom that the estimated nuisance parameters take from the residuals."""
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -114,14 +115,14 @@ class Sightings:
 
     @property
     def shape_sigmas(self) -> FloatArray:
-        """Prior standard deviations of the modes of each tag, metres, `(K, 6)`."""
+        """Prior standard deviations of the six modes `SHAPES` of each tag, metres, `(K, 6)`."""
         sigmas = np.full((len(self.ids), 6), self.shape_sigma)
         sigmas[:, MODES] = np.where(np.isnan(self.size_sigmas), self.shape_sigma, self.size_sigmas)
         return sigmas
 
     @property
     def present_edges(self) -> FloatArray:
-        """Edges with the growth of each tag, metres, `(K,)`."""
+        """Edge length of each tag including its estimated growth, metres, `(K,)`."""
         return np.asarray(self.edges + 2.0 * self.shapes[:, MODES] / np.linalg.norm(SQUARE))
 
     def variance(self, floor: float) -> FloatArray:
@@ -136,7 +137,9 @@ class Sightings:
 
 
 def shift_basis(pitch: FloatArray) -> FloatArray:
-    """Factors of the two shift parameters (all tags, small tags) at each pitch `(N,)`, `(N, 2)`."""
+    """Factors 1 and (2 / pitch)^2 of the two shift parameters s_1 and s_2 (see `lmd.adjust.refinement`) at each pitch
+    `(N,)`; `(N, 2)`.
+    """
     return np.stack([np.ones_like(pitch), (SMALL_PITCH / pitch) ** 2], axis=1)
 
 
@@ -167,7 +170,7 @@ class Observations:
     """Detections of K tags, and the errors of the detector that made them.
 
     Raises:
-        InputError: the number of cameras differs.
+        InputError: the numbers of optics and of cameras in the detections differ.
     """
 
     detected: DetectedTags
@@ -177,7 +180,7 @@ class Observations:
     ids: IntArray
     """Ids of the tags, ascending, `(K,)`; detections of other tags are ignored."""
     edges: FloatArray
-    """`(K,)` edges of the tags' black squares, metres."""
+    """`(K,)` edge lengths of the tags' black squares, metres."""
     modules: int
     """Number N of modules along an edge in the tags' family."""
     errors: CornerErrors
@@ -189,15 +192,15 @@ class Observations:
             raise InputError(f"cameras must have one camera for each of {named}, got {len(self.optics)}.", "cameras")
 
     def renumbered(self, quarters: IntArray | int) -> "Observations":
-        """Detections whose first corner moves back by `quarters` corners: one number for each tag, `(K,)`, or for all
-        tags.
+        """Detections with renumbered corners: the corner with index 0 gets the index `quarters`, one number for all
+        tags or for each tag, `(K,)`.
         """
         every = np.broadcast_to(quarters, len(self.ids))
         return replace(self, detected=self.detected.renumbered(self.ids, every))
 
     def through(self, optics: Sequence[Optics] | None = None) -> Sightings:
-        """Sightings through other optics; detections with a corner outside the image or the domain of the lens model
-        are left out.
+        """Sightings of the detections by cameras with other `optics`; detections with a corner outside the image or
+        outside the domain of the lens model are left out.
         """
         cameras, shifts = zip(*((one.camera, one.shifts) for one in optics or self.optics), strict=True)
         known = np.flatnonzero(np.isin(self.detected.ids, self.ids))

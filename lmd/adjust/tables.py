@@ -1,4 +1,4 @@
-"""Results that a survey and a localisation share: rows, figures and lines of text about an estimate."""
+"""Results that a survey and a localisation share: table rows, metrics and lines of text about an estimate."""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -37,32 +37,34 @@ def pose_columns(poses: FloatArray) -> dict[str, ArrayLike]:
 
 
 def covariance_columns(poses: FloatArray, covariances: FloatArray) -> dict[str, ArrayLike]:
-    """Columns of the upper triangles, row by row, of covariances in the world frame, from covariances of twists `(n, 6,
-    6)`.
+    """Columns of covariances in the world frame, computed from covariances of twists `(n, 6, 6)`; the columns hold the
+    upper triangle of each matrix, row by row.
     """
     world = in_world(poses, covariances)
     return {f"cov_{AXES[i]}_{AXES[j]}": world[:, i, j] for i in range(6) for j in range(i, 6)}
 
 
 def quantiles(name: str, values: FloatArray) -> dict[str, float]:
-    """Median and 90 % quantile of the values that are known; empty if none is known."""
+    """Median and 90 % quantile of the values that are not NaN, keyed by `name` with a suffix; empty if there is
+    none.
+    """
     known = values[np.isfinite(values)]
     return {f"{name}/{share}": float(np.quantile(known, share / 100.0)) for share in (50, 90)} if known.size else {}
 
 
 def both(figures: Mapping[str, float], name: str, factor: float = 1e3, digits: str = ".2g") -> str:
-    """Text with both `quantiles` of a quantity."""
+    """Text with the median and the 90 % quantile of a quantity, see `quantiles`."""
     low, high = (factor * figures[f"{name}/{share}"] for share in (50, 90))
     return f"{low:{digits}} (90 %: {high:{digits}})"
 
 
 def plain(values: ArrayLike) -> list[Any]:
-    """Values for JSON: null for NaN."""
+    """Values for JSON, with None (null) in place of NaN."""
     return [None if value != value else value for value in np.asarray(values).tolist()]
 
 
 def figures_of(found: Estimate) -> dict[str, float]:
-    """Figures of an estimate: counts and pixels."""
+    """Metrics of an estimate: counts, and errors in pixels."""
     return {
         "sightings": float(found.used.sum()),
         "corner_floor": found.floor,
@@ -72,7 +74,9 @@ def figures_of(found: Estimate) -> dict[str, float]:
 
 
 def document_of(found: Estimate, detected: DetectedTags, sizes: Mapping[int, float]) -> dict[str, Any]:
-    """Entries of a JSON file: cameras, images, and the sizes, metres, by id, of tags with another size than stated."""
+    """Entries of a JSON file: cameras, images, and the estimated edge lengths, metres, keyed by id, of tags whose
+    stated size is wrong.
+    """
     return {
         "blurred": dict(detected.blurred),
         "copies": dict(detected.copies),
@@ -84,7 +88,9 @@ def document_of(found: Estimate, detected: DetectedTags, sizes: Mapping[int, flo
 def lines_of(
     found: Estimate, detected: DetectedTags, sizes: Mapping[int, float], doubts: Sequence[str]
 ) -> dict[str, str]:
-    """Lines for a terminal, by label: an estimate, the entries of `document_of`, and contradictions to the images."""
+    """Lines for a terminal, keyed by label: the estimate, the entries of `document_of`, and the sentences `doubts` on
+    contradictions to the images.
+    """
     lines, cameras = {}, found.calibrated
     if found.used.any():
         lines["corners"] = f"{both(figures_of(found), 'error', 1.0)} pixels off"

@@ -3,9 +3,9 @@
 Modules in the order of a localisation, each with its result:
 
 - `localise` calls all steps in order; its `Localisation` is the result.
-- `fixed_map` has the map: poses of the tags, with standard deviations.
+- `fixed_map` reads the map: poses of the tags, with standard deviations.
 - `images` finds rough poses of single images, or reasons to refuse images.
-- `changes` estimates all poses with the map as the prior (`lmd.adjust`), without tags that were moved, and finds new
-  tags and tags that are gone.
+- `changes` estimates all poses with the map as the prior (`lmd.adjust`), without the prior of tags that were moved, and
+  finds moved and new tags.
 - `results` formats tables and text.
 """

@@ -1,11 +1,12 @@
 """Tags that were moved since the map was made, and new tags.
 
-*Moved tags* are found by a bundle adjustment with the map as the prior. Let u be the twists of the tags from the map,
-with the posterior covariance P. The *trusted* tags r, which were not moved, have the prior N(0, S) with the information
-J = S_rr^-1. The pose of each tag in the map is compared with the pose by the images and all other trusted tags:
+*Moved tags* are found by a bundle adjustment with the map as the prior. Let u be the twists of the tags from their
+poses in the map to their estimated poses, with the posterior covariance P. S is the prior covariance of these twists.
+The *trusted* tags r, which were not moved, have the prior N(0, S) with the information matrix J = S_rr^-1. The pose of
+each tag in the map is compared with its pose according to the images and all other trusted tags:
 
-- If a trusted tag k was moved by t, its prior holds for u_k - t. The information on t is Q_kk with Q = J - J P J, and t
-  = Q_kk^-1 (J u)_k with the covariance Q_kk^-1.
+- If a trusted tag k was moved by t, its prior holds for u_k - t. The information matrix of t is Q_kk with Q = J - J P
+  J, and t = Q_kk^-1 (J u)_k with the covariance Q_kk^-1.
 - A tag k of the map that is not trusted is expected at A u_r, given the trusted tags, with A = S_kr J. So t = u_k - A
 u_r, with the
   covariance of u_k - A u_r under P, plus S_kk - A S_rk.
@@ -41,7 +42,7 @@ MOST_VARIANCE = 1.0  # a tag is not compared if a variance of its displacement, 
 
 
 class Change(NamedTuple):
-    """Change of a map."""
+    """Change of a map: a tag that was moved, or a new tag."""
 
     tag: int
     """Id of the tag."""
@@ -56,11 +57,11 @@ class Change(NamedTuple):
     before: FloatArray
     """`(4, 4)` pose in the map; NaN for a new tag."""
     chi_square: float = np.nan
-    """chi^2 of the difference from the map; NaN unless the tag was moved."""
+    """chi^2 of the difference between the present pose and the pose in the map; NaN for a new tag."""
 
     @property
     def shift(self) -> FloatArray:
-        """Shift along the axes of the tag's pose in the map, metres, `(3,)`."""
+        """Shift of the tag from its position in the map, along the axes of its pose in the map, metres, `(3,)`."""
         return np.asarray(self.before[:3, :3].T @ (self.pose - self.before)[:3, 3])
 
     @property
@@ -77,12 +78,14 @@ class Comparison(NamedTuple):
     moved: BoolArray
     """Mask of the tags that were moved, `(K,)`."""
     squares: FloatArray
-    """chi^2 of the displacement of each tag, `(K,)`; NaN for tags that cannot be compared with the others."""
+    """chi^2 of the displacement of each tag, `(K,)`; NaN for tags whose pose in the map cannot be compared with the
+    other tags.
+    """
     odd: BoolArray
-    """Mask of the tags with another size than stated, `(K,)`."""
+    """Mask of the tags whose size differs from the stated size, `(K,)`."""
     contradicted: int = 0
-    """Number of tags that differ from the map if it exceeds the share `MOST_MOVED` of the compared tags. The map and
-    the images then disagree as a whole, and no tag counts as moved.
+    """Number of tags that differ from the map, if they are more than the fraction `MOST_MOVED` of the compared tags;
+    else 0. Above this fraction the map and the images disagree as a whole, and no tag counts as moved.
     """
 
     def changes(self, here: FixedMap) -> list[Change]:
@@ -131,11 +134,11 @@ def compare(begun: Estimate, here: FixedMap, mounts: Mounts | None, gross: BoolA
     """Estimate all poses with the map as the prior, except the prior of moved tags, and refine the cameras at the end.
 
     Args:
-        begun: estimate with rough poses; cameras are refined if it has `lenses`.
+        begun: estimate with rough poses; if its `lenses` are not None, cameras are refined.
         here: map of the tags.
         mounts: prior of the mounts.
-        gross: mask of the tags that contradict the others, `(K,)`.
-        odd: mask of the tags known to have another size than stated, `(K,)`.
+        gross: mask of the tags that contradict the other tags, `(K,)`.
+        odd: mask of the tags whose stated size is known to be wrong, `(K,)`.
     """
     now, moved, squares, is_refined = begun, gross, np.full(len(gross), np.nan), begun.lenses is None
     for number in range(MOST_ROUNDS):

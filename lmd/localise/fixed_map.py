@@ -27,7 +27,7 @@ class FixedMap:
     poses: FloatArray
     """`(K, 4, 4)` tag (x right, y up, z out) to map; NaN for tags that the map lacks, see `among`."""
     edges: FloatArray
-    """`(K,)` edges of the black squares, metres."""
+    """`(K,)` edge lengths of the tags' black squares, metres."""
     sigmas: FloatArray
     """`(K, 6)` standard deviations of rotations about the axes of each tag, rad, and of shifts along them, metres."""
     covariance: FloatArray | None = None
@@ -46,16 +46,19 @@ class FixedMap:
         return np.isfinite(self.poses[:, 0, 0])
 
     def among(self, ids: IntArray, edge: float) -> "FixedMap":
-        """Map of the tags `ids` `(n,)`, ascending; tags that this map lacks have the edge `edge`, metres."""
+        """Map of the tags `ids` `(n,)`, ascending; tags that this map lacks get a pose of NaN and the edge length
+        `edge`, metres.
+        """
         _, there, own = np.intersect1d(self.ids, ids, return_indices=True)
         poses, edges, sigmas = np.full((len(ids), 4, 4), np.nan), np.full(len(ids), edge), np.zeros((len(ids), 6))
         poses[own], edges[own], sigmas[own] = self.poses[there], self.edges[there], self.sigmas[there]
         return FixedMap(ids, poses, edges, sigmas, spread(self.joint, there, own, len(ids)))
 
     def prior(self, moved: BoolArray, mounts: Mounts | None = None) -> Prior:
-        """Prior of all tags except those that were `moved`, mask `(K,)`, and of the mounts.
+        """Prior on the mounts and on the tags that were not moved; `moved` is a mask, `(K,)`.
 
-        A common motion of all tags has no variance in a surveyed map; it gets the minimum variance.
+        The covariance of a surveyed map gives a common motion of all tags zero variance; the prior raises it to a
+        minimum variance.
         """
         trusted, tags = self.has & ~moved, np.where(self.has[:, None, None], self.poses, np.eye(4))
         own, rows = np.flatnonzero(trusted), rows_of(np.flatnonzero(trusted))
@@ -69,7 +72,7 @@ class FixedMap:
 
         Args:
             path: file of the map.
-            tag: family of the tags, and edge of the tags without an edge in the file.
+            tag: family of the tags, and edge length of the tags without one in the file.
             errors: standard deviations of tags without a covariance.
             table: `axes` and `columns` of `lmd.formats.tag_maps.read_deployment`.
 
@@ -90,8 +93,8 @@ class FixedMap:
 
 
 def spread(matrix: FloatArray, chosen: IntArray, places: IntArray, count: int) -> FloatArray:
-    """Matrix of `count` tags, six rows for each, with the rows and columns of the tags `chosen` at `places` and 0
-    elsewhere.
+    """Matrix with six rows for each of `count` tags: the rows and columns of the tags `chosen` in `matrix` are copied
+    to the tags with the indices `places`; all other entries are 0.
     """
     result, rows, own = np.zeros((6 * count, 6 * count)), rows_of(places), rows_of(chosen)
     result[np.ix_(rows, rows)] = matrix[np.ix_(own, own)]
@@ -103,10 +106,11 @@ def surveyed_covariance(path: Any, deployment: Deployment) -> FloatArray | None:
 
     Args:
         path: file of the map, as a survey writes it; the file of the joint covariance is beside it.
-        deployment: K tags, in any order; tags that the survey lacks have no error.
+        deployment: K tags, in any order; tags that the survey lacks get zero covariance.
 
     Returns:
-        m^2 and rad^2, tag by tag, `(6 K, 6 K)`; None without a joint covariance.
+        covariance, m^2 and rad^2, with six rows for each tag, `(6 K, 6 K)`; None if there is no file of the joint
+        covariance.
 
     Raises:
         InputError: the file cannot be read.

@@ -31,7 +31,7 @@ CONTRADICTS, SURELY, MOST_ROUNDS = 0.5, 0.75, 12
 
 
 class State(Enum):
-    """Outcome of an image."""
+    """Outcome of the localisation of an image."""
 
     LOCALISED = "localised"
     NO_TAG = "no tag of the map"
@@ -43,11 +43,11 @@ class RoughPoses(NamedTuple):
     """Rough poses of F frames."""
 
     poses: Poses
-    """Poses. The pose of a tag is NaN if the map lacks or contradicts it; the pose of a frame is NaN without another
-    tag.
+    """Poses of tags, frames and mounts. The pose of a tag is NaN if the map lacks the tag, or if the tag contradicts
+    the map; the pose of a frame is NaN if it shows no tag with a pose.
     """
     others: FloatArray
-    """Best pose of each frame that differs from the pose in `poses`, `(F, 4, 4)`; NaN if there is none."""
+    """For each frame, the best pose that differs from its pose in `poses`, `(F, 4, 4)`; NaN if there is none."""
     gross: BoolArray
     """Mask of the tags that contradict the other tags, `(K,)`."""
 
@@ -55,8 +55,9 @@ class RoughPoses(NamedTuple):
 def rough_poses(sightings: Sightings, poses: Poses, sigmas: FloatArray) -> RoughPoses:
     """Find rough poses of the frames, and tags that contradict the other tags.
 
-    A sighting that does not fit the pose of its image counts fully against its tag; the sightings of an image without a
-    majority count half. Tags with the largest share are ignored, and images are localised again.
+    Each sighting that does not fit the pose of its image counts as one vote against its tag; in an image without a
+    majority, each sighting counts as half a vote. The tags with the largest fraction of votes against them are ignored,
+    and the images are localised again.
 
     Args:
         sightings: all sightings.
@@ -82,7 +83,9 @@ def rough_poses(sightings: Sightings, poses: Poses, sigmas: FloatArray) -> Rough
 
 
 def _blame(sightings: Sightings, poses: Poses, sigmas: FloatArray) -> FloatArray:
-    """For each tag, share of the sightings together with other tags that contradict these tags, `(K,)`."""
+    """For each tag, fraction of its sightings in images with other tags in which it contradicts these other tags,
+    `(K,)`.
+    """
     some = sightings.of(poses.known_tags[sightings.tag])
     at = Reprojection(some, *poses.of(some))
     expected = ((at.by_tag * sigmas[some.tag, None]) ** 2).sum(axis=(1, 2))
@@ -96,7 +99,9 @@ def _blame(sightings: Sightings, poses: Poses, sigmas: FloatArray) -> FloatArray
 
 
 def _proposed(sightings: Sightings, poses: Poses, single: FloatArray) -> tuple[Poses, FloatArray]:
-    """Poses with the best pose of each frame; and for each frame the best other pose that differs, `(F, 4, 4)`."""
+    """Poses in which each frame has its best pose; and for each frame the best pose that differs from it, `(F,
+    4, 4)`.
+    """
     known = np.flatnonzero(poses.known_tags[sightings.tag])
     best, other = np.full((2, sightings.frames, 4, 4), np.nan)
     poses = replace(poses, frames=best)
@@ -117,18 +122,20 @@ def _proposed(sightings: Sightings, poses: Poses, single: FloatArray) -> tuple[P
 
 
 def _are_apart(one: FloatArray, two: FloatArray, away: FloatArray) -> BoolArray:
-    """True where two poses `(n, 4, 4)` differ; `away` is the mean distance from the tags, metres, `(n,)`."""
+    """Mask of the pairs of poses `one` and `two`, `(n, 4, 4)` each, that differ clearly, `(n,)`; `away` is the mean
+    distance of the camera from the tags, metres, `(n,)`.
+    """
     shift = np.linalg.norm(one[:, :3, 3] - two[:, :3, 3], axis=1)
     return np.asarray((angle_between(one, two) > ANOTHER_RAD) | (shift > ANOTHER_SHARE * away))
 
 
 def states_of(found: Estimate, others: FloatArray) -> tuple[NDArray[np.object_], FloatArray]:
-    """Outcome of each frame, and both poses of frames that two poses fit, the better pose first, `(F, 2, 4, 4)`; NaN
-    for the other frames.
+    """Outcome of each frame, `(F,)`; and for frames that two poses fit almost equally well, the two poses, the better
+    pose first, `(F, 2, 4, 4)`; NaN for the other frames.
 
     Args:
         found: estimate with a pose of each frame that shows a tag of the map.
-        others: other poses of the frames, `(F, 4, 4)`; NaN without one.
+        others: other poses of the frames, `(F, 4, 4)`; NaN for a frame without another pose.
     """
     some = found.sightings.of(found.poses.known_tags[found.sightings.tag])
     seen = np.bincount(some.frame, minlength=some.frames)

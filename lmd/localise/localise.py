@@ -50,11 +50,13 @@ class Drive:
     """Knowledge of the body that carries the cameras, and of its motion."""
 
     mounts: FloatArray | None = None
-    """`(C, 4, 4)` poses of the cameras on the body, the first camera, by a tape measure; None for one camera."""
+    """`(C, 4, 4)` poses of the cameras on the body, which is the first camera, as measured by hand; None for one
+    camera.
+    """
     odometry: Trajectory | None = None
     """Trajectory of the body in any frame; None if unknown."""
     steady: bool | None = None
-    """False if the velocity may change suddenly, so that poses are not smoothed without odometry."""
+    """False if the velocity may change suddenly: poses are then smoothed only with odometry."""
 
     def motion(self, detected: DetectedTags) -> Motion | None:
         """Motion between the frames; None if it is unknown."""
@@ -73,7 +75,9 @@ class Localisation:
     known: FixedMap
     """The map."""
     renumbered: int
-    """Number of corners by which the first corner of all detections was moved back."""
+    """Index that corner 0 of every detection got when the corners were put into the order of the tags' frames; 0 if
+    their order was right.
+    """
     found: Estimate
     """Estimate of the poses of single images; frames that are refused have no pose."""
     states: tuple[State, ...]
@@ -81,13 +85,13 @@ class Localisation:
     smoothed: Estimate | None
     """Estimate of the smoothed poses; None if the motion between frames is unknown."""
     changes: tuple[Change, ...]
-    """Tags that were moved, then new tags, by id."""
+    """Tags that were moved, followed by new tags, each in the order of their ids."""
     comparison: Comparison
     """Comparison of the tags with the map."""
     sizes: dict[int, float]
-    """Estimated edges of the tags with another edge than stated, metres, by id."""
+    """Estimated edge lengths of the tags whose stated size is wrong, metres, keyed by id."""
     doubts: tuple[str, ...]
-    """Sentences on contradictions to the images: calibrations, mounts, tags that share an id."""
+    """Sentences on values that the images contradict: calibrations, mounts, ids that two tags share."""
 
 
 def localise(
@@ -108,7 +112,7 @@ def localise(
         errors: errors of the detector's corners.
         known: map.
         drive: mounts of the cameras and motion of the body; None for one camera with an unknown motion.
-        calibrate: False if cameras are exact; else they are refined within the uncertainty of a calibration.
+        calibrate: False if the cameras are exact; True to refine them within the uncertainty of a calibration.
 
     Raises:
         InputError: no tag of the map was detected, the cameras are not those of the detections, or odometry contradicts
@@ -157,7 +161,7 @@ def localise(
 
 
 def _map_of(detected: DetectedTags, tag: Tag, known: FixedMap) -> FixedMap:
-    """Map of the detected tags: those of the given map, and others that were seen at least twice.
+    """Map of the detected tags: those that the given map has, and further tags that were seen at least twice.
 
     Raises:
         InputError: no tag of the map was detected.
@@ -171,14 +175,16 @@ def _map_of(detected: DetectedTags, tag: Tag, known: FixedMap) -> FixedMap:
 
 
 def _begun(seen: Observations, here: FixedMap, mounts: Mounts) -> tuple[tuple[Observations, RoughPoses], int]:
-    """Detections and rough poses, and number of sightings that agree with these poses."""
+    """Find rough poses. Returns: the detections and the rough poses; number of sightings that agree with the rough
+    poses.
+    """
     rough = rough_poses(seen.through(), Poses(here.poses, np.empty((0, 4, 4)), mounts.poses), here.sigmas)
     return (seen, rough), int(agreeing(seen.through(), squared_errors(seen.through(), rough.poses)).sum())
 
 
 def _in_order(seen: Observations, here: FixedMap, mounts: Mounts) -> tuple[Observations, int]:
-    """Detections whose corners begin at the top left, and the number of corners by which the first corner was moved
-    back. Most sightings fit with this number, in frames with several tags of the map; 0 in a tie.
+    """Detections whose corners begin at the top left, and the index that corner 0 of the given detections got. It is
+    the index with which most sightings fit, in frames with several tags of the map; 0 in a tie.
     """
     detected = seen.detected
     of_map = np.flatnonzero(np.isin(detected.ids, here.ids[here.has]))
@@ -192,8 +198,8 @@ def _in_order(seen: Observations, here: FixedMap, mounts: Mounts) -> tuple[Obser
 
 
 def _with_all_tags(begun: Estimate, rough: RoughPoses, both: FloatArray) -> Estimate:
-    """Estimate with poses for tags without a rough pose, and without the frames that have two poses in `both` `(F, 2,
-    4, 4)`.
+    """Estimate that also has poses of the tags without a rough pose, and has no poses of the ambiguous frames, which
+    have two poses in `both` `(F, 2, 4, 4)`.
     """
     some, lost = begun.sightings, ~rough.poses.known_tags
     frames = np.where(np.isfinite(both[:, 0]), np.nan, begun.poses.frames)
@@ -221,8 +227,8 @@ def smoothed(found: Estimate, motion: Motion, both: FloatArray) -> Estimate | No
     Args:
         found: estimate of single images.
         motion: motion between the frames.
-        both: the two poses of frames that two poses fit, `(F, 2, 4, 4)`, NaN for others; the smoothest sequence
-            decides.
+        both: for frames that two poses fit almost equally well, the two poses, `(F, 2, 4, 4)`, NaN for other frames;
+            the smoothest sequence decides between the two.
 
     Returns:
         None if motion links no two frames with poses.
@@ -245,7 +251,7 @@ def smoothed(found: Estimate, motion: Motion, both: FloatArray) -> Estimate | No
 
 
 def _decided(found: Estimate, motion: Motion, both: FloatArray) -> Poses:
-    """Poses of the frames; where two poses fit, the pose nearer to the smoothest sequence."""
+    """Poses of the frames; for a frame that two poses fit, the pose nearer to the smoothest sequence of poses."""
     frames, opened = found.poses.frames.copy(), np.flatnonzero(np.isfinite(both[:, 0, 0, 0]))
     if opened.size:
         some = found.sightings.of(found.poses.known_tags[found.sightings.tag])

@@ -1,4 +1,4 @@
-"""Tables, figures and text of a localisation."""
+"""Tables, metrics and text of a localisation."""
 
 from collections import Counter
 from typing import Any
@@ -29,8 +29,8 @@ NAMED = 5  # largest number of refused frames, and of tags without a detection, 
 
 
 def frame_columns(result: Localisation, found: Estimate) -> dict[str, ArrayLike]:
-    """Columns of `poses.csv`, from the estimate of single images, or of `smoothed.csv`, from the smoothed one: state of
-    each image, pose, and covariance.
+    """Columns of `poses.csv` or `smoothed.csv`: state of each image, pose, and covariance. The estimate `found` is that
+    of single images or the smoothed one.
     """
     name = State.LOCALISED.value if found is result.found else "smoothed"
     known = zip(found.poses.known_frames, result.states, strict=True)
@@ -86,7 +86,7 @@ def _sentence(change: Change) -> str:
 
 
 def metrics(result: Localisation) -> dict[str, float]:
-    """Figures by name: metres, rad, pixels, counts."""
+    """Metrics of the localisation, keyed by name: lengths in metres, angles in rad, errors in pixels, counts."""
     figures = {
         "frames": float(len(result.states)),
         "compared": float(np.isfinite(result.comparison.squares).sum()),

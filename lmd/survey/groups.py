@@ -2,11 +2,12 @@
 
 1. Tags that several images show together form a part. Each other tag is a part by itself, as an id misread in one image
    would connect distant tags.
-2. A frame that shows a single tag of a part has two similar possible poses relative to the part (IPPE). For each part
-   the smoothest sequence of these poses is found (Viterbi).
-3. Each part is adjusted by itself, with links between its own frames, which also estimates the spread of the motion.
+2. A frame that shows a single tag of a part has two possible poses relative to the part, as two poses of a tag look
+   alike (IPPE). For each part the smoothest sequence of these poses is found (Viterbi).
+3. Each part is adjusted by itself, with links of motion between its own frames; this also estimates the noise of the
+   motion model (its *spread*).
 4. Two frames of different parts that are near in time give a relation, the relative pose of the parts. Parts are joined
-   by the relations on which most frames agree first (maximum spanning tree).
+   by relations, those on which most frames agree first (maximum spanning tree).
 """
 
 from collections.abc import Sequence
@@ -39,11 +40,11 @@ class Relation(NamedTuple):
     """Relative pose of two parts."""
 
     one: int
-    """Index of the one part."""
+    """Index of the first part."""
     other: int
-    """Index of the other part."""
+    """Index of the second part."""
     way: FloatArray
-    """Motion from the world of the part `other` to the world of the part `one`, `(4, 4)`."""
+    """Rigid motion from the world frame of the part `other` to the world frame of the part `one`, `(4, 4)`."""
     agreed: int
     """Number of frames of each part that agree on `way`."""
     seconds: float
@@ -51,7 +52,7 @@ class Relation(NamedTuple):
 
 
 def join_groups(sightings: Sightings, poses: Poses, group: IntArray, prior: Prior) -> tuple[Poses, IntArray, Prior]:
-    """Join groups of tags by the motion of the body.
+    """Join groups of tags that no image connects, by the motion of the body between frames.
 
     Args:
         sightings: sightings of the tags.
@@ -122,7 +123,7 @@ def _adjusted(nodes: Nodes, poses: Poses) -> tuple[Poses, Motion]:
 
 
 def _worlds(nodes: Nodes, poses: FloatArray, motion: Motion) -> tuple[FloatArray, IntArray]:
-    """Join parts by relations that imply no leap of the body.
+    """Join parts by those relations that imply no leap of the body, a sudden change of its pose.
 
     A leap between two joined parts has one of two causes. If the leaping frames of a part are fewer than the frames
     that support the weakest relation between the parts, the leaping frames were misread; otherwise the relation is
@@ -134,7 +135,8 @@ def _worlds(nodes: Nodes, poses: FloatArray, motion: Motion) -> tuple[FloatArray
         motion: motion between the frames.
 
     Returns:
-        motions of the parts to common worlds, `(P, 4, 4)`; index of the world of each part, `(P,)`.
+        rigid motions from the world frames of the parts to common world frames, `(P, 4, 4)`; index of the common world
+        of each part, `(P,)`.
     """
     velocities = nodes.motion.links(np.arange(len(nodes.frame))).velocities(poses)
     relations = _relations(nodes, poses, motion, velocities)
@@ -164,7 +166,8 @@ def _worlds(nodes: Nodes, poses: FloatArray, motion: Motion) -> tuple[FloatArray
 
 
 def _spanned(count: int, relations: Sequence[Relation]) -> tuple[FloatArray, IntArray, IntArray]:
-    """Worlds of the parts, see `_worlds`, by a spanning tree of the `relations`, which are taken in their order.
+    """Common worlds of the parts, see `_worlds`, from a spanning tree of the `relations`; earlier relations take
+    precedence.
 
     Returns:
         motions and worlds as in `_worlds`; index of the relation that first joined each pair of parts, which is the

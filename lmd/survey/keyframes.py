@@ -1,13 +1,13 @@
 """Keyframes: the frames of a video from which a map is made.
 
-Corner errors are correlated in consecutive images. On recordings, a map from five frames a second is as good as a map
-from all frames. Keyframes are evenly spaced in time. The selection must not depend on the motion or on the number of
-tags in view. Otherwise blurred or oblique images would have more weight than others, and maps would differ by more than
-their stated errors.
+Corner errors are correlated in consecutive images. In tests on recordings, a map from five frames per second was as
+good as a map from all frames. Keyframes are evenly spaced in time. The selection must not depend on the motion or on
+the number of tags in view. Otherwise blurred or oblique images would have more weight than others, and maps would
+differ by more than their stated errors.
 
 Two further kinds of frames are kept:
 
-- frames that are the only one to show a tag, or to show two tags together, as these frames connect the map.
+- a frame that alone shows a tag, or alone shows two tags together, as it connects the map.
 - frames close to a moment at which all tags in view change, as only motion connects the tags before and after.
 
 Frames without times are all kept.
@@ -46,7 +46,9 @@ def select_keyframes(detected: DetectedTags, every: int | None = None) -> Detect
 
 
 def _informative(seconds: FloatArray, shown: list[IntArray]) -> BoolArray:
-    """Mask of the keyframes, `(n,)`, given the times of the frames and the tags that each frame shows."""
+    """Mask of the keyframes, `(n,)`, given the times of the frames, seconds, `(n,)`, and the tags that each frame
+    shows.
+    """
     kept = _evenly(seconds, _at_changes(seconds, shown))
     together = [set(combinations_with_replacement(tags.tolist(), 2)) for tags in shown]
     connected = set().union(*(together[k] for k in np.flatnonzero(kept)))
@@ -58,7 +60,9 @@ def _informative(seconds: FloatArray, shown: list[IntArray]) -> BoolArray:
 
 
 def _evenly(seconds: FloatArray, needed: BoolArray) -> BoolArray:
-    """True for the `needed` frames and for few others, at most `LONGEST` apart where frames lie between them."""
+    """Mask of the keyframes: the `needed` frames, and as few others as keep neighbouring keyframes at most `LONGEST`
+    apart where there are frames between them.
+    """
     kept, since = np.ones(len(seconds), dtype=bool), np.nan
     for k, following in enumerate(np.append(seconds[1:], np.inf)):
         if not needed[k] and following - since <= LONGEST:

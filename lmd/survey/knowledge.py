@@ -54,7 +54,7 @@ class MeasuredPoints:
         """Read a CSV with the columns `id,x,y,z`; further columns are ignored.
 
         Raises:
-            InputError: the file cannot be read, or its points are refused.
+            InputError: the file cannot be read, or the values violate a condition of `MeasuredPoints`.
         """
         table = read_table(path, name="points")
         rows = table.numbers(("id", "x", "y", "z"), None)
@@ -63,7 +63,7 @@ class MeasuredPoints:
 
 @dataclass(frozen=True)
 class Boards(Checked):
-    """Flat sheets, each with several tags that all have the same side up.
+    """Flat printed sheets, each with several tags that all point up in one direction.
 
     Raises:
         InputError: a tag occurs twice, a sheet has only one tag, or `printed` is not positive.
@@ -91,7 +91,7 @@ class Boards(Checked):
         """Read a CSV with the columns `board,id,x,y`; further columns are ignored.
 
         Raises:
-            InputError: the file cannot be read, or its boards are refused.
+            InputError: the file cannot be read, or the values violate a condition of `Boards`.
         """
         table = read_table(path, name="boards")
         if "board" not in table:
@@ -100,7 +100,7 @@ class Boards(Checked):
         return cls(tuple(table.texts["board"]), Labels.of(table, ()).ids, rows[:, 1:], printed)
 
     def among(self, ids: IntArray) -> Sheets:
-        """Sheets of the tags `ids` `(K,)`, ascending."""
+        """Sheets with those tags that are among `ids` `(K,)`, ascending."""
         _, of, own = np.intersect1d(ids, self.ids, return_indices=True)
         places = np.hstack([self.places[own], np.zeros((len(own), 1))])
         board = np.unique(self.names, return_inverse=True)[1][own]
@@ -113,13 +113,13 @@ class PriorKnowledge:
     """Knowledge of the user before the survey; None for unknown entries.
 
     Raises:
-        InputError: an edge is no number above 0.
+        InputError: an edge length in `sizes` is not a number above 0.
     """
 
     plan: Deployment | None = None
     """Planned tags."""
     hanging: Hanging = field(default_factory=Hanging)
-    """Standard deviations of tags from their planned poses."""
+    """Standard deviations of the tags' true poses from their planned poses."""
     fixed: Deployment | None = None
     """Tags with exactly known poses."""
     points: MeasuredPoints | None = None
@@ -131,10 +131,10 @@ class PriorKnowledge:
     odometry: Trajectory | None = None
     """Trajectory of the body in any frame."""
     sizes: Mapping[int, float] = field(default_factory=dict)
-    """Edges of some tags, metres, by id; they take precedence over the edges of the plan."""
+    """Edge lengths of some tags, metres, keyed by id; they take precedence over those of the plan."""
     steady: bool | None = None
-    """True if the velocity changes little between frames that are near in time. None to assume a nearly constant
-    velocity if most frames show a single tag, or if images leave groups unconnected.
+    """True to assume a nearly constant velocity between frames that are near in time, False not to. None to assume it
+    if most frames show a single tag, or if images leave groups of tags unconnected.
     """
 
     def __post_init__(self) -> None:
@@ -151,7 +151,9 @@ class PriorKnowledge:
         return np.unique(np.concatenate([np.empty(0, dtype=np.int64), *named]))
 
     def edges(self, ids: IntArray, tag: Tag) -> FloatArray:
-        """Edges of tags, metres: from `sizes`, else from the plan or the fixed tags, else the edge of `tag`."""
+        """Edge lengths of the tags `ids` `(K,)`, metres, `(K,)`: from `sizes`, else from the plan or the fixed tags,
+        else that of `tag`.
+        """
         edges = np.full(len(ids), tag.size)
         stated = [(known.ids, known.edges) for known in (self.plan, self.fixed) if known is not None]
         for known, own in (*stated, (np.array(list(self.sizes), dtype=int), np.array(list(self.sizes.values())))):
@@ -165,8 +167,8 @@ class PriorKnowledge:
         return nothing if self.plan is None else _among(ids, self.plan.ids, poses_of(self.plan))
 
     def prior(self, ids: IntArray) -> Prior:
-        """Prior of the tags `ids` `(K,)`, ascending; fixed tags override points, and points override
-        the plan.
+        """Prior on the poses of the tags `ids` `(K,)`, ascending; the pose of a fixed tag overrides its measured
+        centre, which overrides its planned pose.
         """
         tags, information = np.tile(np.eye(4), (len(ids), 1, 1)), np.zeros((len(ids), 6))
         planned = np.isfinite(self.planned(ids)[:, 0, 0])

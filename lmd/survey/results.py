@@ -1,4 +1,4 @@
-"""Tables, figures, the JSON document and the text of a survey."""
+"""Tables, metrics, the JSON document and the text of a survey."""
 
 from typing import Any
 
@@ -29,7 +29,7 @@ TURNS = ("a quarter turn clockwise", "half a turn", "a quarter turn counter-cloc
 
 
 def _tags(poses: FloatArray, ids: IntArray, counts: IntArray, edges: FloatArray) -> Deployment:
-    """Deployment of tags at `poses`, with their numbers of inliers."""
+    """Deployment of tags with the poses `poses`, ids, numbers of inliers `counts`, and edge lengths."""
     labels = Labels(ids, {SIGHTINGS: [str(count) for count in counts.tolist()]})
     places = poses[:, :3, 3]
     surveyed = Surveyed(places, places, poses[:, :3, 1])
@@ -37,7 +37,7 @@ def _tags(poses: FloatArray, ids: IntArray, counts: IntArray, edges: FloatArray)
 
 
 def map_of(survey: Survey) -> Deployment:
-    """Tags of the map at their estimated poses, with their edges and numbers of inliers."""
+    """Tags of the map at their estimated poses, with their edge lengths and numbers of inliers."""
     found, chosen = survey.found, survey.placed
     edges = np.array([float(f"{edge:.6g}") for edge in found.sightings.present_edges[chosen]])
     return _tags(found.poses.tags[chosen], survey.ids[chosen], survey.used[chosen], edges)
@@ -94,7 +94,7 @@ def frame_columns(survey: Survey) -> dict[str, ArrayLike]:
 
 
 def tag_columns(survey: Survey) -> dict[str, ArrayLike]:
-    """Columns for every tag: state, numbers of sightings, and displacement from the planned pose.
+    """Columns of the table of all tags: state, numbers of sightings, and displacement from the planned pose.
 
     For `sigma` see `Estimate.sigmas`; `right`, `up` and `out` are metres in the tag's frame, `tilt_x`, `tilt_y` and
     `turn` rad about its axes.
@@ -122,7 +122,7 @@ def distances_from_plan(survey: Survey) -> FloatArray:
 
 
 def metrics(survey: Survey) -> dict[str, float]:
-    """Figures by name: metres, pixels, counts."""
+    """Metrics of the survey, keyed by name: lengths in metres, errors in pixels, counts."""
     found, placed, out = survey.found, survey.placed, survey.held_out
     return {
         "tags": float(placed.sum()),

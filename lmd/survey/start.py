@@ -8,7 +8,8 @@ places a tag or frame. At the end all tags and frames with large errors are trie
 adjusted as their number grows. Tags that no frame connects with the group begin another group, in a world of its own.
 
 With a plan, initialisation starts with the tags at their planned poses, and is accepted if nearly all sightings agree.
-As detectors may begin to number at another corner, all planned tags are tried at each of the four quarter turns.
+As detectors may number the corners from another corner, initialisation with a plan is tried with each of the four
+quarter turns of all planned tags.
 """
 
 from typing import NamedTuple
@@ -65,10 +66,10 @@ def initialise(sightings: Sightings, prior: Prior) -> Start:
 
 def in_one_world(sightings: Sightings, start: Start, prior: Prior, origin: int | None) -> tuple[Poses, IntArray, Prior]:
     """Initial poses of the body in the world of the prior, with groups joined by motion, and the prior with the
-    estimated spread of the motion; arguments as in `into_world`.
+    estimated spread of the motion; arguments as in `lmd.survey.world.into_world`.
 
     Raises:
-        InputError: a camera was never placed together with the first camera, or there is no world.
+        InputError: a camera was never placed together with the first camera, or the prior determines no world frame.
     """
     poses, group = _mounted(sightings, start.poses), start.group
     if prior.motion is not None:
@@ -84,11 +85,11 @@ def _check_groups(group: IntArray) -> None:
 
 
 def _mounted(sightings: Sightings, apart: Poses) -> Poses:
-    """Poses of the body from the poses of the cameras.
+    """Poses of the body, computed from the poses that were found for each camera as a body of its own.
 
     Args:
         sightings: sightings of the body.
-        apart: poses for `sightings.with_separate_cameras()`.
+        apart: poses of the cameras, found with `sightings.with_separate_cameras()`.
 
     Raises:
         InputError: a camera was never placed together with the first camera.
@@ -151,8 +152,8 @@ class Placing:
                 self._adjust(FINAL_STEPS)
 
     def _seed(self) -> bool:
-        """Begin a group with the frame that shows the most new tags whose pose is beyond doubt; False without such a
-        frame.
+        """Begin a new group with the frame that shows the most unplaced tags whose pose is beyond doubt. Return False
+        if there is no such frame.
         """
         sightings, (tag, frame) = self.sightings, self._placed
         fresh = ~tag & ~frame
@@ -168,12 +169,14 @@ class Placing:
         return True
 
     def _grow(self) -> bool:
-        """Place frames, then tags, if several sightings agree on the pose; False if none is placed."""
+        """Place frames, then tags, on whose pose several sightings agree. Return False if none is placed."""
         placed = [self.place(self.waiting(by_frame), by_frame) for by_frame in (True, False)]
         return any(placed)
 
     def _risk(self) -> bool:
-        """Place one tag, or else one frame, from the likeliest single sighting; False if none is likely enough."""
+        """Place one tag, or else one frame, from the likeliest single sighting. Return False if no sighting is likely
+        enough.
+        """
         for by_frame in (False, True):
             waiting = self.waiting(by_frame)
             best = waiting[np.argsort(-self.single.odds[waiting], kind="stable")][:1]
@@ -215,7 +218,8 @@ class Placing:
         self.tags, self.frames = poses.tags, poses.frames
 
     def place(self, index: IntArray, by_frame: bool, fewest: int = FEWEST) -> bool:
-        """Place the frames of the sightings `index` by placed tags, or the tags of the sightings by placed frames.
+        """Place the frames of the sightings `index` from placed tags, or the tags of these sightings from placed
+        frames.
 
         Args:
             index: indices of sightings.

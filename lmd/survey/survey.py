@@ -1,10 +1,10 @@
 """Survey: all steps from detections to a map of tags, in order.
 
 *Faults*: if the outliers of a tag (`Estimate.misfits`) agree on a second pose, the tag was moved, or two tags share the
-id. If the outliers do not agree, the id was misread. A tag has a wrong size if its sightings agree on another size,
+id. If they do not agree, the detector misread the id. A tag has a wrong size if its sightings agree on another size,
 with all frames fixed.
 
-*Held-out frames* are localised in a map from the other frames.
+*Held-out frames* are frames that are localised, as a check, in a map that is made from the other frames.
 """
 
 from collections.abc import Callable, Sequence
@@ -63,17 +63,17 @@ Observer = Callable[[SurveyStage, int, int], bool]
 
 
 class HeldOut(NamedTuple):
-    """Held-out frames, localised in a map."""
+    """Check of the map: held-out frames, localised in a map that is made from the other frames."""
 
     errors: FloatArray
-    """`(n,)` RMS reprojection errors of the sightings in held-out frames, pixels."""
+    """`(n,)` RMS reprojection errors of the n sightings in held-out frames, pixels."""
     shifts: FloatArray
-    """Distance of each frame from its position in the whole survey, metres, `(M,)`."""
+    """Distance of each of the M held-out frames from its position in the survey of all frames, metres, `(M,)`."""
 
 
 @dataclass(frozen=True)
 class Survey:
-    """Result of a survey; tags in the order of `found.sightings.ids`."""
+    """Result of a survey; arrays over K tags have the order of `found.sightings.ids`."""
 
     detected: DetectedTags
     """Detections."""
@@ -92,9 +92,11 @@ class Survey:
     turns: IntArray
     """`(2, K)` quarter turns of tags relative to the plan, see `lmd.survey.world.turns_of`."""
     joined: IntArray
-    """Group of each tag of the map by images alone, `(K,)`, if motion links the frames; else -1."""
+    """Index of the group to which each tag would belong if only images, and not motion, connected the tags of the map,
+    `(K,)`; -1 if motion does not link the frames.
+    """
     doubts: tuple[str, ...] = ()
-    """Sentences on contradictions to the photographs: calibrations, mounts, the tags' edge."""
+    """Sentences on values that the photographs contradict: calibrations, mounts, the tags' edge length."""
     interrupted: SurveyStage | None = None
     """Stage at which the survey was stopped early; results of later stages are missing."""
 
@@ -118,12 +120,12 @@ def survey(
     calibrate: bool | None = None,
     observer: Observer = lambda _stage, _done, _most: False,
 ) -> Survey:
-    """Estimate the map of the tags in detections.
+    """Estimate a map of tags from their detections.
 
     Args:
         detected: detections.
         cameras: cameras in the order of `detected.cameras`.
-        tag: family of the tags, and edge of the tags for which `known` has no edge.
+        tag: family of the tags, and edge length of the tags for which `known` has none.
         errors: errors of the detector's corners.
         known: prior knowledge.
         calibrate: True if the intrinsics are a rough guess; None to refine a calibration; False to keep the
@@ -131,7 +133,8 @@ def survey(
         observer: called at each stage, see `Observer`.
 
     Raises:
-        InputError: the detections connect no two tags, place no tag, or are of other tags or cameras.
+        InputError: the detections connect no two tags, do not determine the pose of any tag, or have other tags or
+            cameras than `tag` and `cameras`.
     """
     ids = _believed(detected, tag, known)
     seen = Observations(detected, tuple(map(Optics, cameras)), ids, known.edges(ids, tag), tag.modules, errors)
@@ -159,7 +162,8 @@ def _believed(detected: DetectedTags, tag: Tag, known: PriorKnowledge) -> IntArr
     """Ids of the tags in the prior knowledge and of the tags that were seen at least twice, ascending.
 
     Raises:
-        InputError: there is no such tag, or an edge is given for a tag that is neither known nor seen.
+        InputError: there is no such tag, or an edge length is given for a tag that is neither in the prior knowledge
+            nor seen.
     """
     often, counts = np.unique(detected.ids[detected.ids < tag.ids], return_counts=True)
     ids = np.union1d(known.ids, often[counts >= FEWEST_BELIEVED])
@@ -171,8 +175,8 @@ def _believed(detected: DetectedTags, tag: Tag, known: PriorKnowledge) -> IntArr
 
 
 def _turned(seen: Observations, known: PriorKnowledge) -> tuple[tuple[Observations, Prior, IntArray, Start], int]:
-    """Detections and prior after quarter turns of tags, these turns, and initial poses; and number of sightings that
-    agree with these poses.
+    """Find initial poses and quarter turns of tags. Returns: detections and prior with these turns applied, the turns,
+    and the initial poses; number of sightings that agree with the initial poses.
     """
     given = replace(known.prior(seen.ids), motion=_motion(seen, known))
     turned, prior, turns = seen, given, np.zeros((2, len(seen.ids)), dtype=np.int64)
@@ -231,8 +235,8 @@ def _steady(seen: Observations, known: PriorKnowledge) -> Motion | None:
 
 
 def _placed(found: Estimate, known: PriorKnowledge) -> tuple[BoolArray, BoolArray]:
-    """Mask of the tags of the map, `(K,)`, and mask of the tags left out only because their covariance is too large,
-    `(K,)`.
+    """Mask of the tags of the map, `(K,)`, and mask of the tags that are left out of the map only because their
+    covariance is too large, `(K,)`.
 
     Raises:
         InputError: no tag is placed.
@@ -254,7 +258,7 @@ def _placed(found: Estimate, known: PriorKnowledge) -> tuple[BoolArray, BoolArra
 
 
 def _held_out(found: Estimate) -> HeldOut | None:
-    """Localise every fifth frame in a map from the other frames."""
+    """Localise every fifth frame in a map that is made from the other frames; None if there are too few frames."""
     if len(found.frames) < FEWEST_FRAMES:
         return None
     every = found.sightings

@@ -1,11 +1,11 @@
-"""World frame of a map, defined by prior poses; and comparison of tags with their prior poses.
+"""World frame of a map, defined by prior poses; and comparison of the tags' poses with their prior poses.
 
 Sightings alone do not determine the world frame. Exactly known tags, a plan, measured centres or one tag determine it.
 
 *Turns*: OpenCV numbers the corners of an AprilTag from the bottom right. Such a tag seems to hang upside down: its pose
 is off by half a turn about the normal. Centres and normals do not depend on the order of corners, so they align the map
-with the plan. If a tag still differs from its plan by quarter turns, it hangs turned, or its corners are in another
-order.
+with the plan. If a tag still differs from its plan by quarter turns about its normal, it was hung rotated, or its
+corners are in another order.
 """
 
 from dataclasses import replace
@@ -27,8 +27,8 @@ NEAR, FACING, IN_QUARTERS, LEAST_SHARE = 0.3, 0.5, 0.35, 0.5
 
 
 def motion_to_prior(tags: FloatArray, prior: Prior) -> FloatArray | None:
-    """Motion `(4, 4)` from the world of `tags` `(K, 4, 4)` to the world of the prior; None if the prior does not
-    determine the motion.
+    """Rigid motion `(4, 4)` from the world frame of the poses `tags` `(K, 4, 4)` to the world frame of the prior; None
+    if the prior does not determine the motion.
 
     The fit uses centres and normals of the exactly known tags, or else of all tags with known orientation. If these
     tags determine no rotation, each tag proposes the motion to its expected pose, and the motion with the least loss is
@@ -55,8 +55,8 @@ def motion_to_prior(tags: FloatArray, prior: Prior) -> FloatArray | None:
 def into_world(
     sightings: Sightings, poses: Poses, group: IntArray, prior: Prior, origin: int | None
 ) -> tuple[Poses, IntArray, Prior]:
-    """Move all groups that the prior places into the world of the prior, as group 0; other groups keep their worlds,
-    and are numbered 1, 2, ...
+    """Move all groups that have tags with a prior into the world frame of the prior, as group 0; other groups keep
+    their own world frames, and are numbered 1, 2, ...
 
     Args:
         sightings: sightings of the tags.
@@ -66,7 +66,7 @@ def into_world(
         origin: id of the tag whose frame is the world if the prior holds no tag; None for the tag seen most often.
 
     Raises:
-        InputError: `origin` has no pose, or the prior does not determine a world.
+        InputError: the tag `origin` has no pose, or the prior does not determine a world frame.
     """
     tags, frames, counts = poses.tags.copy(), poses.frames.copy(), sightings.counts()
     owner, placed = np.full(sightings.frames, -1), group[sightings.tag] >= 0
@@ -97,7 +97,7 @@ def into_world(
 
 
 def turns_of(tags: FloatArray, group: IntArray, prior: Prior, in_order: bool) -> IntArray:
-    """Quarter turns of tags from their prior poses, clockwise as seen by the viewer.
+    """Quarter turns about their normals by which tags differ from their prior poses, clockwise as seen by the viewer.
 
     A turn that most tags share is attributed to the order of the corners, unless the order of the corners is known.
     Exactly known tags are assumed to hang as in the prior.
@@ -109,8 +109,8 @@ def turns_of(tags: FloatArray, group: IntArray, prior: Prior, in_order: bool) ->
         in_order: True if corners are known to begin at the top left.
 
     Returns:
-        turns by which the corners of detections are renumbered, and turns by which tags hang beside their prior poses,
-        0 if unknown, `(2, K)`.
+        two rows, `(2, K)`: turns by which the corners of detections are renumbered, and turns by which tags hang
+        rotated from their prior poses; 0 if unknown.
     """
     known = prior.is_posed & (group >= 0)
     seen = _quarters(tags, prior.tags, np.where(known, group, -1))
@@ -126,7 +126,9 @@ def turns_of(tags: FloatArray, group: IntArray, prior: Prior, in_order: bool) ->
 
 
 def _quarters(tags: FloatArray, planned: FloatArray, group: IntArray) -> IntArray:
-    """Quarter turns of tags `(K, 4, 4)` from their planned poses, by group `(K,)`; -1 if unknown."""
+    """Quarter turns about their normals by which tags with poses `tags` `(K, 4, 4)` differ from their `planned` poses,
+    after each group, `group` `(K,)`, is aligned with the plan; -1 if unknown.
+    """
     turned = np.full(len(group), -1)
     for g in np.unique(group[group >= 0]):
         own = np.flatnonzero(group == g)
