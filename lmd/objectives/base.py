@@ -1,4 +1,4 @@
-"""Objectives: the value of each position, the fitness of all values, and their names."""
+"""Objectives: the value of each position, the fitness computed from all values, and the names of objectives."""
 
 import re
 from collections.abc import Mapping
@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Headline:
-    """Label, unit and format of a figure in displays, such as the main figure of an objective.
+    """Label, unit and format in displays of a figure (a metric), such as the main figure of an objective.
 
     Args:
-        key: name among the figures.
+        key: name of the figure in mappings of figures.
         label: name in displays.
         scale: factor from the figure to the displayed unit.
         unit: unit, displayed after the number.
@@ -70,12 +70,12 @@ def figure_of(key: str) -> Headline:
 
 
 def labelled_figures(figures: Mapping[str, float]) -> dict[str, str]:
-    """Format figures as texts with units, keyed by label."""
+    """Format figures (values of metrics) as texts with units, keyed by label."""
     return {figure.label: figure.text(figures[figure.key]) for figure in map(figure_of, figures)}
 
 
 def with_error(figures: Mapping[str, float], key: str) -> str:
-    """Format a share with its standard error, if the error is known, such as `85.32% +- 0.06%`."""
+    """Format a fraction with its standard error, if the error is known, such as `85.32% +- 0.06%`."""
     error = figures.get(f"{key}_standard_error")
     return f"{figures[key]:.2%}{'' if error is None else f' +- {error:.2%}'}"
 
@@ -88,7 +88,7 @@ class Selection(Protocol):
         """Name of the quantity in displays."""
 
     def gains(self, poses: Deployment) -> FloatArray:
-        """Gain of each pose, `(N,)`; it does not increase when landmarks are chosen."""
+        """Gain of each pose, `(N,)`; the gain of a pose does not increase when further landmarks are chosen."""
 
     def add(self, pose: Deployment) -> None:
         """Add a landmark to the chosen landmarks."""
@@ -103,11 +103,13 @@ class Objective(Protocol):
 
     @property
     def n(self) -> int:
-        """Least number of landmarks in a useful view."""
+        """Least number of landmarks that a useful view must show."""
 
     @property
     def sampling(self) -> "Sampling | None":
-        """Positions and orientations of the fitness; None for the room's grid and the PDF itself."""
+        """Sample of positions and orientations on which the fitness is computed; None for the room's grid and the PDF
+        itself.
+        """
 
     @property
     def headline(self) -> Headline:
@@ -119,7 +121,7 @@ class Objective(Protocol):
 
     @property
     def value_label(self) -> str:
-        """Meaning of the value, for the legend of a picture."""
+        """Meaning of the value, for the legend of a plot."""
 
     @property
     def threshold(self) -> float:
@@ -138,13 +140,17 @@ class Objective(Protocol):
         """Fitness in [0, 1] that optimisers maximise: values `(..., P)`, weights `(P,)` -> `(...)`."""
 
     def shares(self, values: FloatArray) -> Mapping[str, FloatArray | BoolArray]:
-        """Contributions of positions to figures that are means over positions: arrays like `values`, keyed by name."""
+        """Contribution of each position to those figures (metrics) that are means over positions: arrays of the shape
+        of `values`, keyed by the figure's name.
+        """
 
     def figures(self, values: FloatArray, relevance: FloatArray) -> dict[str, float]:
-        """Figures of a deployment from values and relevance of the grid's positions, `(P,)` each."""
+        """Figures (metrics) of a deployment, computed from the values and the relevance of the grid's positions, `(P,)`
+        each.
+        """
 
     def describe(self, figures: Mapping[str, float], positions: int, count: int) -> dict[str, str]:
-        """Figures as labelled sentences for the terminal, with the numbers of positions and landmarks."""
+        """Figures as labelled sentences for the terminal, with the number of positions and the number of landmarks."""
 
     def describe_validation(self, figures: Mapping[str, float]) -> dict[str, str]:
         """Figures of `lmd.evaluation.validation` as labelled sentences for the terminal."""
@@ -152,14 +158,14 @@ class Objective(Protocol):
 
 @runtime_checkable
 class Incremental(Protocol):
-    """Interface of objectives whose values can be updated as single landmarks move."""
+    """Interface of objectives whose values can be updated when a single landmark moves."""
 
     def field(self, evaluator: Evaluator) -> "Field":
-        """Field that updates the values at the positions of `evaluator` when single landmarks move."""
+        """Incremental evaluator that updates the values at the positions of `evaluator` when single landmarks move."""
 
     def target(self, relevance: FloatArray) -> "Target":
-        """Return the `Target` that maps the values of a field to the fitness; `relevance` `(Q,)` is in the field's
-        order.
+        """Return the `Target`, which computes the fitness from the values of the field; `relevance` `(Q,)` is in the
+        field's order.
         """
 
 
@@ -168,19 +174,21 @@ class Selectable(Protocol):
     """Interface of objectives with a surrogate for greedy selection."""
 
     def selection(self, evaluator: Evaluator, relevance: FloatArray) -> Selection:
-        """Surrogate for greedy selection, before a landmark is chosen."""
+        """Surrogate for greedy selection; no landmark is chosen yet."""
 
 
 @runtime_checkable
 class SelfValidating(Protocol):
-    """Interface of objectives that compute figures off the grid themselves, not at random poses in the room."""
+    """Interface of objectives with their own validation: figures off the grid that are not computed at random poses in
+    the room.
+    """
 
     def off_grid(self, evaluator: Evaluator, deployment: Deployment) -> dict[str, float]:
         """Figures of a deployment off the grid; their names begin with `grid_free_`, and there may be none."""
 
 
 def incremental(objective: Objective) -> Incremental:
-    """Return an objective that has a field.
+    """Return the objective, after a check that it has a `field`, an incremental evaluator.
 
     Raises:
         InputError: the objective has no field.
@@ -194,7 +202,7 @@ def incremental(objective: Objective) -> Incremental:
 
 
 def selectable(objective: Objective) -> Selectable:
-    """Return an objective that has a selection.
+    """Return the objective, after a check that it has a `selection`, a surrogate for greedy selection.
 
     Raises:
         InputError: the objective has no selection.

@@ -61,14 +61,15 @@ def _worth_of_mean(target, p, units):  # type: ignore[no-untyped-def]
 
 @dataclass(frozen=True)
 class Coverage(AtLeast):
-    """Multiple coverage probability: the relevance-weighted share of positions whose P_n reaches thold_p.
+    """Multiple coverage probability: the fraction of positions, weighted by relevance, whose P_n reaches thold_p.
 
     This is Eq. argmaxH of the paper, normalised. The value of a position p is P_n(p).
 
     Args:
         n: least number of landmarks that the camera must see at the same time.
         thold_p: least P_n of a qualified position.
-        sampling: random positions and orientations of the fitness; None for the room's grid and the PDF itself.
+        sampling: random positions and orientations on which the fitness is computed; None for the room's grid and the
+            PDF itself.
 
     Raises:
         InputError: n < 1 or thold_p outside [0, 1].
@@ -102,7 +103,9 @@ class Coverage(AtLeast):
         return {"qualified_ratio": self.qualified(values), "average_coverage_probability": values}
 
     def figures(self, values: FloatArray, relevance: FloatArray) -> dict[str, float]:
-        """The three indices of the paper, fractions in [0, 1], and the cost H (a sum of relevance, Eq. H2)."""
+        """The paper's three indices of coverage, fractions in [0, 1], and the paper's cost H (a sum of relevance, Eq.
+        H2).
+        """
         return {
             **{key: float(share.mean()) for key, share in self.shares(values).items()},
             "maximum_coverage_probability": float(values.max()),
@@ -143,7 +146,7 @@ class Coverage(AtLeast):
 class MeanCoverage(Coverage):
     """Relevance-weighted mean of P_n over all positions.
 
-    Arguments as in `Coverage`; `thold_p` is used only for the figure of the qualified ratio.
+    Arguments as in `Coverage`; `thold_p` is used only for the metric "qualified ratio".
     """
 
     headline = figure_of("average_coverage_probability")
@@ -163,10 +166,10 @@ class MeanCoverage(Coverage):
 
 
 class CappedCount:
-    """Weighted sum of min(covered, n) over positions and axes, a `Selection`.
+    """Weighted sum of min(number of covered landmarks, n) over positions and axes; a `Selection`.
 
-    For n >= 2 the indicator of n covered landmarks is not submodular, as the first landmark gains nothing. The sum of
-    min(covered, n) is submodular if no landmark hides another.
+    For n >= 2 the indicator of n covered landmarks is not submodular, as the first landmark gains nothing. The sum
+    above is submodular if no landmark hides another.
 
     Args:
         evaluator: scene and positions.

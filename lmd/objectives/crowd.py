@@ -1,4 +1,6 @@
-"""Fitness and figures over the crowd states of a scene, and the target of the worst groups of positions."""
+"""Fitness and metrics over the crowd states of a scene, and the `Target` that uses the worst groups of positions
+only.
+"""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -15,16 +17,16 @@ from lmd.space.crowd import worst_mean, worst_of
 
 
 class WorstGroups(NamedTuple):
-    """Mean of a target over the worst of S groups; a `Target`."""
+    """Fitness of the worst groups among S groups of positions; a `Target`."""
 
     target: Any
-    """Target of all positions, whose relevance has an equal sum in each group."""
+    """Target that is applied to all positions; the relevance has an equal sum in each group."""
     groups: IntArray
-    """`(Q,)` group of each position, 0 to S - 1."""
+    """`(Q,)` index of each position's group, 0 to S - 1."""
     number: int
     """Number S of groups."""
     worst: int
-    """Number of the worst groups."""
+    """Number of groups that count as the worst."""
 
     @property
     def relevance(self) -> FloatArray:
@@ -32,7 +34,9 @@ class WorstGroups(NamedTuple):
         return self.target.relevance  # type: ignore[no-any-return]
 
     def of_worst(self, units: IntArray) -> Any:
-        """Target of the groups that are worst at the values `units` `(Q,)`; its slope there equals this target's."""
+        """Target of the groups that are the worst for the values `units` `(Q,)`; at these values it has the slope of
+        this target.
+        """
         terms = np.array([contribution(self.target, p, units[p]) for p in range(len(units))])
         sums = np.bincount(self.groups, terms, self.number)
         chosen = np.argsort(sums, kind="stable")[: self.worst]
@@ -70,7 +74,9 @@ def _worst_of_units(target: Any, units: Any) -> Any:
 
 @inner
 def _mean_of_worst(sums: FloatArray, worst: Integer) -> Any:
-    """Mean of the `worst` smallest of S sums, times S, as each sum is a share of the fitness. Overwrites `sums`."""
+    """Mean of the `worst` smallest of S sums, times S, as each sum is a part of the fitness. The function overwrites
+    `sums`.
+    """
     total, number = 0.0, len(sums)
     for _ in range(worst):
         least = 0
@@ -96,13 +102,15 @@ WORST = "worst_crowd_"  # prefix of the figures of the worst states
 
 
 def seeks_worst(evaluator: Evaluator) -> bool:
-    """True if the fitness is that of the worst crowd states."""
+    """True if the fitness is the mean over the worst crowd states."""
     crowd = evaluator.scene.crowd
     return crowd is not None and crowd.crowd.fitness == "worst"
 
 
 def over_states(objective: Objective, values: FloatArray, evaluator: Evaluator, relevance: FloatArray) -> FloatArray:
-    """Fitness `(...)` from values `(..., P)` and weights `(P,)` of the positions of an evaluator."""
+    """Fitness `(...)`, over the crowd states if there is a crowd, from values `(..., P)` and weights `(P,)` of the
+    positions of an evaluator.
+    """
     if not seeks_worst(evaluator):
         return objective.fitness(values, relevance)
     count = len(_states(evaluator)[0])
@@ -112,7 +120,7 @@ def over_states(objective: Objective, values: FloatArray, evaluator: Evaluator, 
 
 
 def target_of(objective: Objective, field: Field, evaluator: Evaluator, relevance: FloatArray) -> Target:
-    """Return the target that maps the values of a field of `evaluator` to the fitness of `over_states`."""
+    """Return the `Target` that computes the fitness of `over_states` from the values of a field of `evaluator`."""
     target = incremental(objective).target(in_order(field, relevance))
     if not seeks_worst(evaluator):
         return target
@@ -123,12 +131,16 @@ def target_of(objective: Objective, field: Field, evaluator: Evaluator, relevanc
 
 
 def slope_target(target: Target, units: IntArray) -> Target:
-    """Target whose fitness is a sum over positions; its slope at the values `units` `(Q,)` is that of `target`."""
+    """Target whose fitness is a sum over positions, and which has the slope of `target` at the values `units`
+    `(Q,)`.
+    """
     return target.of_worst(units) if isinstance(target, WorstGroups) else target
 
 
 def worst_figures(objective: Objective, values: FloatArray, evaluator: Evaluator) -> dict[str, float]:
-    """Headline figure of values `(P,)` in the worst crowd states, keyed by its name; empty without a crowd."""
+    """The objective's main figure in the worst crowd states, computed from values `(P,)` and keyed by its name; empty
+    without a crowd.
+    """
     if evaluator.scene.crowd is None:
         return {}
     key = objective.headline.key
@@ -137,7 +149,9 @@ def worst_figures(objective: Objective, values: FloatArray, evaluator: Evaluator
 
 
 def describe_crowd(objective: Objective, figures: Mapping[str, float], evaluator: Evaluator) -> dict[str, str]:
-    """Crowd and its worst states as labelled sentences for the terminal; empty without a crowd."""
+    """Labelled sentences for the terminal about the crowd and about the metrics in its worst states; empty without a
+    crowd.
+    """
     crowd = evaluator.scene.crowd
     if crowd is None:
         return {}
@@ -151,7 +165,7 @@ def describe_crowd(objective: Objective, figures: Mapping[str, float], evaluator
 
 
 def worst_share(shares: FloatArray, evaluator: Evaluator) -> FloatArray:
-    """Mean of `shares` `(P,)` over the states with the lowest mean."""
+    """Mean of `shares` `(P,)`, values in [0, 1], over the crowd states that have the lowest means."""
     count = len(_states(evaluator)[0])
     return worst_mean(shares.reshape(count, -1).mean(axis=-1), _worst_count(evaluator, count))
 

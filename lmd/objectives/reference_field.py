@@ -1,4 +1,5 @@
-"""Incremental field for visibility models without a compiled half: each move is a full evaluation.
+"""Field (incremental evaluator) for visibility models without a compiled model of sight: each move costs a full
+evaluation.
 
 The field runs as plain Python (`lmd.incremental.field.runner`). This field has no stacks, as the model cannot be
 evaluated without occlusion.
@@ -23,20 +24,20 @@ class ReferenceState(NamedTuple):
     poses: np.ndarray
     """`(6, K)` positions, metres, and unit normals."""
     surfaces: np.ndarray
-    """`(K,)` indices of the surfaces."""
+    """`(K,)` indices of the surfaces that carry the landmarks."""
     units: np.ndarray
-    """`(Q,)` quantised values."""
+    """`(Q,)` quantised value of each position."""
 
 
 class ReferenceScratch(NamedTuple):
-    """The move tried last; after the move is carried out, the old place and the old values."""
+    """Working memory with the move tried last; after the move is carried out, with the old place and the old values."""
 
     pose: np.ndarray
-    """`(6,)` position (metres) and unit normal."""
+    """`(6,)` position (metres) and unit normal of the place tried."""
     surface: np.ndarray
-    """`(1,)` index of the surface."""
+    """`(1,)` index of the surface of the place tried."""
     units: np.ndarray
-    """`(Q,)` quantised values."""
+    """`(Q,)` quantised values after the move."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class ReferenceField:
     """A `lmd.incremental.field.Field` with the values of an objective at the positions of an evaluator.
 
     Args:
-        objective: computes the values.
+        objective: objective that computes the values.
         evaluator: evaluator with the Q positions.
     """
 
@@ -77,7 +78,8 @@ class ReferenceField:
 
 
 def field_of(objective: Objective, evaluator: Evaluator) -> Field:
-    """Incremental field of an objective; a `ReferenceField` if the visibility model has no compiled half.
+    """Field (incremental evaluator) of an objective; a `ReferenceField` if the visibility model has no compiled model
+    of sight.
 
     Raises:
         InputError: the objective has no field.

@@ -1,4 +1,4 @@
-"""Random positions and orientations for the fitness, as an optimiser would overfit the room's grid."""
+"""Random positions and orientations on which the fitness is computed, as an optimiser would overfit the room's grid."""
 
 import math
 from dataclasses import dataclass, replace
@@ -20,8 +20,8 @@ class Sampling(Checked):
     """Size of a stratified random sample of positions and orientations.
 
     Args:
-        positions: number of positions drawn in the cell of each grid position; they share the relevance of that
-            position.
+        positions: number of positions drawn in the cell of each grid position; the relevance of the grid position is
+            divided among them.
         divisions: one orientation is drawn in each of 2 `divisions` x `divisions` cells of equal probability of the
             continuous distribution behind the PDF. A PDF of the yaw alone has fewer cells, see
             `lmd.scene.pdf.OrientationPdf.stratified`. A PDF from samples is used unchanged.
@@ -37,8 +37,8 @@ class Sampling(Checked):
         object.__setattr__(self, "divisions", divisions_of(self.divisions))
 
     def evaluator(self, scene: Scene, repeats: int, rng: np.random.Generator, threads: int | None) -> Evaluator:
-        """Evaluator at random positions, `repeats` in each cell of the grid. Cells are in grid order, and this order is
-        repeated `repeats` times.
+        """Evaluator at random positions, of which `repeats` are drawn in each cell of the grid. Positions are in the
+        order of the cells, and this order is repeated `repeats` times.
 
         Raises:
             InputError: there is not enough memory for the positions.
@@ -55,8 +55,8 @@ class Sampling(Checked):
         return Evaluator(drawn, positions, threads, states=_states(scene.crowd, repeats, cells, rng))
 
     def repeats(self, scene: Scene, least: int) -> int:
-        """Number of positions in each cell: `least`. If the fitness is that of the worst crowd states, a `least` above
-        the number of states is rounded up to a multiple of this number.
+        """Number of positions drawn in each cell: `least`. If the fitness is the mean over the worst crowd states, and
+        `least` exceeds the number of states, `least` is rounded up to a multiple of this number.
         """
         crowd = scene.crowd
         if crowd is None or crowd.crowd.fitness == "mean" or least < len(crowd):
@@ -67,8 +67,8 @@ class Sampling(Checked):
 def _states(crowd: CrowdStates, repeats: int, cells: int, rng: np.random.Generator) -> IntArray:
     """Crowd state at each position of `jittered_grid`, `(repeats cells,)`.
 
-    For the mean over states, the states are spread evenly over the positions of each cell, and over cells. For the
-    worst states, each state (of all states, or of a random choice) has equally many positions in all cells.
+    For the mean over states, the states are distributed evenly over the positions of each cell, and over the cells. For
+    the worst states, each state that is used (all states, or a random choice) has equally many positions in all cells.
     """
     count = len(crowd)
     if crowd.crowd.fitness == "mean":

@@ -2,7 +2,8 @@
 
 A landmark is removed by a move to a place where no camera sees it and where it hides no other landmark. Only the
 affected views are evaluated again, so all pairs of 90 landmarks cost no more than a hundred evaluations. Moves are not
-settled, as the removed landmark neither hides others at its new place nor is hidden there.
+settled (`lmd.incremental.field.settle`), as the removed landmark, at its new place, neither hides another landmark nor
+is hidden.
 """
 
 import numpy as np
@@ -20,8 +21,8 @@ def without_landmarks(field: Field, target: Target, deployment: Deployment) -> F
     """Fitness without landmarks i and j, `(K, K)`; on the diagonal, fitness without landmark i.
 
     Args:
-        field: incremental field of the values.
-        target: fitness of the values.
+        field: incremental evaluator of the values.
+        target: function that computes the fitness from the values.
         deployment: K landmarks.
     """
     state, count = field.state(deployment), len(deployment)
@@ -37,16 +38,16 @@ def without_landmarks(field: Field, target: Target, deployment: Deployment) -> F
 
 
 def removal_order(field: Field, target: Target, deployment: Deployment) -> tuple[IntArray, FloatArray]:
-    """Greedy order of removal: each step removes the landmark whose loss leaves the greatest fitness, the first if
-    equal.
+    """Greedy order of removal: each step removes the landmark without which the fitness is greatest; among equals, the
+    landmark with the lowest index.
 
     Args:
-        field: incremental field of the values.
-        target: fitness of the values.
+        field: incremental evaluator of the values.
+        target: function that computes the fitness from the values.
         deployment: K landmarks.
 
     Returns:
-        Indices of the landmarks, `(K,)`, and the fitness that is left after each removal, `(K,)`.
+        Indices of the landmarks, `(K,)`, and the fitness after each removal, `(K,)`.
     """
     state, count = field.state(deployment), len(deployment)
     scratches, run = layers(field.scratch(state), 1), runner(field, perform)

@@ -6,10 +6,11 @@ landmarks, `lmd.objectives.localisation` sums up their information, `lmd.sight.v
 
 Landmarks are dropped in stages, the cheapest first:
 
-1. landmarks farther than the horizon (a distance) from a region, which is 16 blocks of positions, then from a block; 2.
-for each position, landmarks that are too near or too far, or that face away from the camera; 3. landmarks that the room
-blocks; 4. landmarks that other landmarks hide. An occluder lies in nearly the direction of the hidden landmark: a test
-in single precision finds the possible occluders, and the exact test decides.
+1. landmarks farther than the horizon (a distance) from a region, which is 16 blocks of positions, then from a block;
+2. for each position, landmarks that are too near or too far, or that face away from the camera;
+3. landmarks that the room blocks;
+4. landmarks that other landmarks hide. An occluder lies in nearly the direction of the hidden landmark: a test in
+   single precision finds the possible occluders, and the exact test decides.
 """
 
 import math

@@ -48,7 +48,7 @@ class Drives(Checked):
 
     @cached_property
     def first(self) -> IntArray:
-        """First frame of each drive, and F, `(D + 1,)`."""
+        """Index of the first frame of each drive, and F, `(D + 1,)`."""
         return np.concatenate([[0], np.cumsum([len(drive.time) for drive in self.trajectories])]).astype(np.int64)
 
     @cached_property
@@ -63,19 +63,21 @@ class Drives(Checked):
 
     @cached_property
     def axes(self) -> FloatArray:
-        """Optical axis and right of all frames, `(F, 6)`."""
+        """Optical axis and image's right in all frames, unit vectors, `(F, 6)`."""
         return axis_and_right(self.poses)
 
     @cached_property
     def seconds(self) -> FloatArray:
-        """Time until the next frame of the drive, `(F,)`; the last frame lasts as long as the frame before it."""
+        """Time until the next frame of the drive, seconds, `(F,)`; the last frame of a drive lasts as long as the frame
+        before.
+        """
         steps = [np.round(np.diff(drive.time), DECIMALS) for drive in self.trajectories]
         return np.concatenate([np.append(step, step[-1]) for step in steps])
 
     @cached_property
     def moves(self) -> FloatArray:
-        """Displacement since the frame before, metres, world frame, and variances of the odometry along each axis, m^2,
-        and about each axis, rad^2, `(F, 5)`; zeros for the first frame of a drive.
+        """Motion from the previous frame to each frame, `(F, 5)`: displacement, world frame, metres, and variance of
+        the odometry along each axis, m^2, and about each axis, rad^2. The first frame of a drive has zeros.
         """
         moves = np.zeros((len(self.poses), 5))
         for first, drive in zip(self.first, self.trajectories, strict=False):
@@ -87,7 +89,9 @@ class Drives(Checked):
 
     @property
     def start(self) -> FloatArray:
-        """Covariance of the initial pose, `(21,)`, with the numbers of `lmd.objectives.filtered.lanes`."""
+        """Covariance of the initial pose, `(21,)`, in the order of numbers described in
+        `lmd.objectives.filtered.lanes`.
+        """
         start = np.zeros(21)
         start[[0, 3, 5]] = min(self.start_position, UNKNOWN_POSITION) ** 2
         start[[15, 18, 20]] = min(self.start_attitude, UNKNOWN_ATTITUDE) ** 2
@@ -103,14 +107,14 @@ class Drives(Checked):
 
     @cached_property
     def of_frame(self) -> IntArray:
-        """Index of the drive of each frame, `(F,)`."""
+        """Index of the drive to which each frame belongs, `(F,)`."""
         return np.repeat(np.arange(len(self)), np.diff(self.first))
 
     def relative(self, relevance: FloatArray) -> FloatArray:
         """Relevance of each frame divided by the total relevance of its drive, `(F,)`.
 
         Raises:
-            InputError: a drive has no relevance.
+            InputError: the total relevance of a drive is zero.
         """
         whole = np.add.reduceat(relevance, self.first[:-1])
         if not whole.all():
@@ -122,6 +126,6 @@ class Drives(Checked):
         """Mean of values of the frames `(..., F)` over each drive, `(..., D)`, weighted by relevance `(F,)`.
 
         Raises:
-            InputError: a drive has no relevance.
+            InputError: the total relevance of a drive is zero.
         """
         return np.asarray(np.add.reduceat(values * self.relative(relevance), self.first[:-1], axis=-1))

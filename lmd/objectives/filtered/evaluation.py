@@ -1,6 +1,6 @@
-"""Filtered poses of whole deployments: information of every frame, then the filter along each drive; and the reference.
+"""Filtered poses for a whole deployment, computed from the information of every frame by a filter along each drive.
 
-The reference is in NumPy; compiled code must equal it bit for bit.
+A reference in NumPy is included; the compiled code must equal the reference bit for bit.
 """
 
 from typing import Any, NamedTuple
@@ -30,10 +30,10 @@ from lmd.sight.views import visible_to_each
 
 
 class FrameInformation(NamedTuple):
-    """Fisher information from the tags in view of each frame."""
+    """Fisher information about the pose in each frame, from the tags in view."""
 
     sums: FloatArray
-    """`(F, 21)` numbers as in `lmd.objectives.localisation.information`."""
+    """`(F, 21)` information, in the order of numbers described in `lmd.objectives.localisation.information`."""
     informed: BoolArray
     """`(F,)` mask of the frames with enough tags in view."""
 
@@ -44,7 +44,7 @@ class FilteredPoses(NamedTuple):
     known: BoolArray
     """`(F,)` mask of the poses that are known to the tolerance."""
     covariances: FloatArray
-    """`(F, 21)` covariances in the axes of the world, with the numbers of `lanes`."""
+    """`(F, 21)` covariances in the axes of the world, in the order of numbers described in `lanes`."""
 
 
 def frame_information(
@@ -55,9 +55,9 @@ def frame_information(
     Args:
         evaluator: scene and visibility.
         deployment: K landmarks.
-        asked: edges of the landmarks, and weight of their corners.
-        n: least number of landmarks of a frame whose information is used.
-        drives: frames.
+        asked: edge lengths of the landmarks, and weight of their corners.
+        n: least number of landmarks in view; the information of a frame with fewer landmarks is not used.
+        drives: drives with the F frames.
     """
     scene, axes, places = evaluator.scene, drives.axes, drives.positions
     seen = visible_to_each(evaluator, deployment, places, axes)
@@ -79,7 +79,9 @@ def frame_information(
 
 
 def _cameras(scene: Scene, axes: FloatArray) -> tuple[Any, FloatArray, FloatArray]:
-    """Cameras, and their offsets `(C, F, 3)` and axes `(C, F, 6)` for the axes of the body `(F, 6)`."""
+    """Cameras of the scene, with their offsets `(C, F, 3)`, metres, and axes `(C, F, 6)` in frames with the axes of the
+    body `(F, 6)`.
+    """
     if scene.rig is None:
         return scene.cameras, np.zeros((1, len(axes), 3)), axes[None]
     return scene.cameras, *scene.rig.views(axes)
@@ -96,7 +98,7 @@ def filtered_poses(drives: Drives, information: FrameInformation, tolerance: Tol
 def reference_information(
     scene: Scene, deployment: Deployment, asked: Precision, n: int, drives: Drives
 ) -> FrameInformation:
-    """Information of each frame, frame by frame, by the reference of localisation."""
+    """Information of each frame, computed frame by frame with the NumPy reference of localisation."""
     sums, informed = np.zeros((len(drives.positions), NUMBERS)), np.zeros(len(drives.positions), dtype=np.bool_)
     for f, (position, axes) in enumerate(zip(drives.positions, drives.axes, strict=True)):
         numbers, covered = information_of(scene, deployment, asked, position, axes[None])
@@ -109,7 +111,7 @@ def reference_information(
 
 
 def reference_filter(drives: Drives, information: FrameInformation, tolerance: Tolerance) -> FilteredPoses:
-    """Filter all drives; each step advances all drives that have frames left."""
+    """Filter all drives by the reference; each step advances all drives that have further frames."""
     known, kept = np.zeros(len(information.sums), dtype=np.bool_), np.zeros_like(information.sums)
     p: FloatArray = np.repeat(drives.start[:, None], len(drives), axis=1)
     for step in range(int(np.diff(drives.first).max())):

@@ -1,4 +1,6 @@
-"""Field of filtered poses for a single camera: it tracks the frames with a known pose while single landmarks move."""
+"""Field (incremental evaluator) of filtered poses for a single camera. When single landmarks move, the field updates
+which frames have a pose that is known to the tolerance.
+"""
 
 from typing import Any, NamedTuple
 
@@ -31,42 +33,44 @@ class FilteredState(NamedTuple):
     poses: np.ndarray
     """`(6, K)` positions, metres, and unit normals."""
     surfaces: np.ndarray
-    """`(K,)` indices of the surfaces."""
+    """`(K,)` indices of the surfaces that carry the landmarks."""
     units: np.ndarray
-    """`(F,)` quantised values, 0 or `PROBABILITY_ONE`."""
+    """`(F,)` quantised value of each frame, 0 or `PROBABILITY_ONE`."""
     covered: np.ndarray
-    """`(F, W)` uint64 sets of the landmarks that the frame covers, hidden by others or not."""
+    """`(F, W)` uint64 bit sets of the landmarks that the camera covers in the frame, occlusion by landmarks ignored."""
     hidden: np.ndarray
-    """`(F, K)` int16 number of the landmarks that hide a covered landmark; 0 for landmarks that are not covered."""
+    """`(F, K)` int16: for a covered landmark, the number of landmarks that hide it; 0 for landmarks that are not
+    covered.
+    """
     counts: np.ndarray
     """`(F,)` int16 number of landmarks in view."""
     sums: np.ndarray
-    """`(F, 15)` numbers of the information, see `lmd.objectives.localisation.information`."""
+    """`(F, 15)` sums of the landmarks' information, see `lmd.objectives.localisation.information`."""
     covariances: np.ndarray
     """`(F, 21)` covariance of the filtered pose."""
 
 
 class FilteredScratch(NamedTuple):
-    """The move tried last; after the move is carried out, the reverse move."""
+    """Working memory with the move tried last; after the move is carried out, with the reverse move."""
 
     units: np.ndarray
     """`(F,)` quantised values after the move."""
     pose: np.ndarray
-    """`(6,)` the place tried."""
+    """`(6,)` position (metres) and unit normal of the place tried."""
     surface: np.ndarray
-    """`(1,)` surface of the place tried."""
+    """`(1,)` index of the surface of the place tried."""
     covered: np.ndarray
-    """`(F,)` uint8, 1 for frames that cover the landmark at the place tried."""
+    """`(F,)` uint8, 1 for frames in which the camera covers the landmark at the place tried."""
     hidden: np.ndarray
-    """`(F,)` int16 number of the landmarks that hide the landmark at the place tried."""
+    """`(F,)` int16 number of landmarks that hide the moving landmark at the place tried."""
     counts: np.ndarray
-    """`(F,)` int16, see `FilteredState`; valid for changed frames, as are `sums`."""
+    """`(F,)` int16 number of landmarks in view after the move; only entries of changed frames are valid."""
     sums: np.ndarray
-    """`(F, 15)`."""
+    """`(F, 15)` sums of the landmarks' information after the move; only rows of changed frames are valid."""
     covariances: np.ndarray
-    """`(F, 21)` covariances after the move, of the frames that are filtered again."""
+    """`(F, 21)` covariances after the move; only rows of frames that are filtered again are valid."""
     changed: np.ndarray
-    """`(F,)` uint8, 1 for frames whose landmarks in view change."""
+    """`(F,)` uint8, 1 for changed frames: frames in which the move changes the landmarks in view."""
     starts: np.ndarray
     """`(D,)` int64: first changed frame of each drive, where the filter restarts; end of the drive if no frame changes.
     """
@@ -76,7 +80,7 @@ class FilteredScratch(NamedTuple):
     numbers: np.ndarray
     """`(1,)` int64: number of pairs."""
     others: np.ndarray
-    """`(2, K)` int64 landmarks near the old place and near the place tried."""
+    """`(2, K)` int64 indices of the landmarks near the old place and near the place tried."""
     offsets: np.ndarray
     """`(2, 4, L)` float32, see `lmd.incremental.state.Scratch.offsets`."""
     near: np.ndarray
@@ -86,13 +90,15 @@ class FilteredScratch(NamedTuple):
     ends: Any
     """Working memory of obstacles, see `lmd.sight.obstacles.find_ends`."""
     spots: np.ndarray
-    """`(2, 4 SPOTS)` offsets and `pixel_density` of the moving landmark, at the old place and at the place tried."""
+    """`(2, 4 SPOTS)` buffer ("spots") of frames that show the moving landmark, at the old place and at the place tried:
+    the landmark's offset from the camera, metres, and its `pixel_density`.
+    """
     spotted: np.ndarray
-    """`(2, SPOTS)` int64 frames of the `spots`."""
+    """`(2, SPOTS)` int64 index of the frame of each of the `spots`."""
     shares: np.ndarray
-    """`(15 SPOTS,)` information of the `spots`."""
+    """`(15 SPOTS,)` information that the moving landmark adds in each of the `spots`."""
     moment: np.ndarray
-    """`(16,)` moments of a landmark."""
+    """`(16,)` moments of a landmark, see `lmd.objectives.localisation.information.moments`."""
     lanes: Lanes
     """Working memory of the filters."""
 
@@ -103,7 +109,7 @@ class FilteredField(NamedTuple):
     positions: np.ndarray
     """`(3, L)` positions of the frames, metres; L >= F is a multiple of `BLOCK`, the last frame is repeated."""
     axes: np.ndarray
-    """`(6, L)` optical axis and right of the frames."""
+    """`(6, L)` optical axis and image's right in the frames, unit vectors."""
     cosine: float
     """Lower bound on the cosine of the angle between the optical axis and the direction of a covered landmark."""
     boxes: np.ndarray
@@ -111,17 +117,17 @@ class FilteredField(NamedTuple):
     sight: Any
     """Compiled model of sight."""
     horizon: float
-    """See `lmd.scene.criteria.horizon_of`."""
+    """See `lmd.scene.criteria.horizon_of`; metres."""
     obstacles: Any
     """Obstacles of the room seen from the frames."""
     precision: Precision
-    """Edges of the landmarks, and weight of their corners."""
+    """Edge lengths of the landmarks, and weight of their corners."""
     n: int
-    """Least number of landmarks of a frame whose information is used."""
+    """Least number of landmarks in view; the information of a frame with fewer landmarks is not used."""
     tolerance: Tolerance
-    """Limits of a known pose."""
+    """Limits of the covariance up to which a pose counts as known."""
     first: np.ndarray
-    """`(D + 1,)` first frame of each drive, and F."""
+    """`(D + 1,)` index of the first frame of each drive, and F."""
     moves: np.ndarray
     """`(F, 5)`, see `Drives.moves`."""
     start: np.ndarray
@@ -191,14 +197,14 @@ undo.register(FilteredField)(exchange_move)
 def filtered_field(
     evaluator: Evaluator, drives: Drives, precision: Precision, n: int, tolerance: Tolerance
 ) -> FilteredField:
-    """Make the field along drives; the positions of the evaluator are the frames.
+    """Make the field for drives; the positions of the evaluator are those of the frames.
 
     Args:
-        evaluator: single camera at the frames.
+        evaluator: evaluator of a single camera at the positions of the frames.
         drives: the drives.
-        precision: edges of the landmarks, and weight of their corners.
-        n: least number of landmarks of a frame whose information is used.
-        tolerance: limits of a known pose.
+        precision: edge lengths of the landmarks, and weight of their corners.
+        n: least number of landmarks in view; the information of a frame with fewer landmarks is not used.
+        tolerance: limits of the covariance up to which a pose counts as known.
     """
     padded = np.pad(np.hstack([drives.positions, drives.axes]), [(0, -len(drives.positions) % BLOCK), (0, 0)], "edge")
     return FilteredField(

@@ -1,6 +1,6 @@
 """Covariance of a Kalman filter on SE(3) along drives; each operation of a step handles several drives at once.
 
-Number j of lane l lies at `array[j * LANES + l]`.
+Each drive occupies a *lane*, so that the loops over lanes vectorise. Number j of lane l lies at `array[j * LANES + l]`.
 
 The error of the estimate is X = X^ exp(e) with a body twist e, as in the invariant Kalman filter of
 `lmd.estimation.fusion`. The motion T between two frames and the information I of the tags in view update the
@@ -45,7 +45,9 @@ Number = Any  # a number in kernels, an array in the reference
 
 @inlined
 def predicted(p: Any, way: Vector, motion: Number, turn: Number) -> tuple[Number, ...]:
-    """Covariance after the displacement `way` [m]; `motion` and `turn` are the variances of the odometry."""
+    """Covariance after the displacement `way` [m]; `motion` [m^2] and `turn` [rad^2] are the variances of the odometry
+    along and about each axis.
+    """
     vxx, vxy, vxz, vyy, vyz, vzz, xxx, xxy, xxz, xyx, xyy, xyz, xzx, xzy, xzz, wxx, wxy, wxz, wyy, wyz, wzz = p
     # X' = X - [d]x W, with the rows of X as covariances of v_i with w.
     yxx, yyx, yzx = plus3((xxx, xyx, xzx), cross3((wxx, wxy, wxz), way))
@@ -64,7 +66,7 @@ def predicted(p: Any, way: Vector, motion: Number, turn: Number) -> tuple[Number
 
 @inlined
 def _inverse(matrix: Any) -> tuple[Number, Number, Number, Number, Number, Number]:
-    """Inverse of a positive definite 3 x 3 matrix, six numbers, by L D L^T."""
+    """Inverse of a positive definite 3 x 3 matrix of six numbers, by the factorisation L D L^T."""
     xx, xy, xz, yy, yz, zz = matrix
     a = 1.0 / xx
     p, q = xy * a, xz * a
@@ -79,7 +81,7 @@ def _inverse(matrix: Any) -> tuple[Number, Number, Number, Number, Number, Numbe
 
 @inlined
 def inverted(p: Any) -> tuple[Number, ...]:
-    """Inverse of a positive definite matrix, 21 numbers, by its blocks."""
+    """Inverse of a positive definite 6 x 6 matrix of 21 numbers, computed from its blocks."""
     vxx, vxy, vxz, vyy, vyz, vzz, xxx, xxy, xxz, xyx, xyy, xyz, xzx, xzy, xzz, wxx, wxy, wxz, wyy, wyz, wzz = p
     a = _inverse((vxx, vxy, vxz, vyy, vyz, vzz))
     # G = V^-1 X by columns, and the Schur complement W - X^T G.
@@ -123,13 +125,13 @@ def update_beyond_rounding(
 ) -> None:
     """Update a covariance in place by an image, ignoring directions whose information is below the rounding error.
 
-    The information is decomposed into directions d h h^T, the largest pivot first. Each updates the covariance as a
-    scalar measurement: P <- P - P h h^T P / (h^T P h + 1 / (scale d)).
+    The information is decomposed into directions d h h^T, the largest pivot first. Each direction updates the
+    covariance as a scalar measurement: P <- P - P h h^T P / (h^T P h + 1 / (scale d)).
 
     Args:
-        rows, sums: covariances and information; number j is the entry `lane + j * step`.
+        rows, sums: covariances, and information; number j of either is the entry `lane + j * step`.
         scale: factor of the information.
-        least: least pivot d that is no rounding error.
+        least: least pivot d that counts as information; smaller pivots are rounding errors.
         work: working memory, `(3, 6, 6)`.
     """
     p, rest, h, g = work[0], work[1], work[2, 0], work[2, 1]
@@ -188,8 +190,8 @@ class Tolerance(NamedTuple):
     scale: float
     """Information of one unit of the sums: the squared focal length over the squared noise of a corner, pixels."""
     least: float | None
-    """Least information of a direction that is no rounding error, in units of the sums; None if the initial estimate is
-    good enough that rounding does not matter.
+    """Least information of a direction that counts; smaller values are rounding errors. In units of the sums; None if
+    the initial estimate is good enough that rounding does not matter.
     """
 
 
@@ -197,13 +199,13 @@ class Lanes(NamedTuple):
     """Working memory of the filters."""
 
     covariance: FloatArray
-    """`(21 LANES,)` covariance of each lane."""
+    """`(21 LANES,)` covariance of the pose in each lane."""
     information: FloatArray
-    """`(21 LANES,)` information of the frame of each lane."""
+    """`(21 LANES,)` information of the current frame of each lane."""
     moves: FloatArray
-    """`(5 LANES,)` displacement and variances of the odometry of each lane."""
+    """`(5 LANES,)` row of `Drives.moves` for the current frame of each lane."""
     informed: np.ndarray
-    """`(LANES,)` uint8, 1 if the frame of the lane has information."""
+    """`(LANES,)` uint8, 1 if the information of the lane's current frame is used."""
     frames: IntArray
     """`(2, LANES)` next frame of each lane, and end of the drive in that lane; both are equal for an idle lane."""
     dense: FloatArray
@@ -211,7 +213,7 @@ class Lanes(NamedTuple):
 
 
 def lanes() -> Lanes:
-    """Empty working memory."""
+    """New working memory, not yet filled."""
     return Lanes(
         np.zeros(NUMBERS * LANES), np.zeros(NUMBERS * LANES), np.zeros(MOVES * LANES), np.zeros(LANES, np.uint8),
         np.zeros((2, LANES), np.int64), np.zeros((3, 6, 6)),
@@ -220,7 +222,7 @@ def lanes() -> Lanes:
 
 @inlined
 def column(rows: FloatArray, lane: Integer) -> tuple[Any, ...]:
-    """The 21 numbers of a lane."""
+    """Read the 21 numbers of a lane."""
     return (
         rows[lane], rows[lane + _1], rows[lane + _2], rows[lane + _3], rows[lane + _4], rows[lane + _5],
         rows[lane + _6], rows[lane + _7], rows[lane + _8], rows[lane + _9], rows[lane + _10], rows[lane + _11],
@@ -276,7 +278,7 @@ def _update_lanes_none(least: None, lanes: Lanes, scale: float) -> None:
 
 @inlined
 def is_known(p: Any, tolerance: Tolerance) -> Any:
-    """True if a pose with the covariance `p` is known to the tolerance."""
+    """True if the covariance `p` of a pose is within the limits of `tolerance`."""
     return (position_variance(p) <= tolerance.position) & (rotation_variance(p) <= tolerance.rotation)
 
 
@@ -291,9 +293,9 @@ def filter_drives(
         first, moves, start: see `Drives`.
         sums: information of each frame, `(F, 21)`.
         informed: uint8, 1 for frames whose information is used, `(F,)`.
-        tolerance: limits of a known pose.
+        tolerance: limits of the covariance up to which a pose counts as known.
         work: working memory.
-        known: receives 1 for frames with a known pose, uint8, `(F,)`.
+        known: receives 1 for frames in which the pose is known to the tolerance, uint8, `(F,)`.
         kept: receives the covariance of each frame, `(F, 21)`.
     """
     drives = len(first) - 1

@@ -1,4 +1,6 @@
-"""Filtered pose as an objective: the share of the time of drives at which a Kalman filter knows the pose."""
+"""Filtered pose as an objective: the fraction of the time of drives in which a Kalman filter knows the pose to a
+tolerance.
+"""
 
 import math
 from collections.abc import Mapping
@@ -63,7 +65,7 @@ class SeenFrames:
         self._seen += self._views(pose)
 
     def _views(self, pose: Deployment) -> BoolArray:
-        """Mask of the frames that see a single tag, `(F,)`."""
+        """Mask of the frames in which a single tag at `pose` is seen, `(F,)`."""
         drives, evaluator = self._drives, self._evaluator
         frames = np.arange(len(self._seen))
         if evaluator.scene.rig is None:  # most frames look elsewhere
@@ -84,22 +86,22 @@ WORST = 0.05  # share of the drives in the figure of the worst drives, unless `F
 
 @dataclass(frozen=True)
 class Filtered(AtLeast):
-    """Share of the time, of all drives or of the worst drives, at which the filtered pose is known to a tolerance.
+    """Fraction of the time of all drives, or of the worst drives, in which the filtered pose is known to a tolerance.
 
     Each frame of a drive is a position of the problem (`lmd.space.changed.DrivenRoom`). The value of a frame is 1 if
     the standard deviation of the filtered position is at most the tolerance, otherwise 0. The filter uses the odometry,
-    and the tags in view of this frame and of the frames before it (`lanes`).
+    and the tags in view in this frame and in the earlier frames (`lanes`).
 
     Args:
-        n: least number of tags of an image that the filter uses.
+        n: least number of tags in view; the filter ignores an image with fewer tags.
         thold_p: least value of a qualified position; values are 0 or 1.
         drives: training drives, which determine the fitness.
-        fresh: validation drives; None for none.
+        fresh: validation drives; None if there are none.
         tolerance: greatest standard deviation of the filtered position, metres.
         rotation_tolerance: greatest standard deviation of the filtered rotation, rad; None for no limit.
         pixel_noise: standard deviation of each coordinate of a corner, pixels.
-        worst: share of the drives over which the fitness is the mean: those whose pose is known for the least share of
-            their time. None for the share of the time of all drives.
+        worst: fraction of the drives that count as the worst, in which the pose is known for the smallest fraction of
+            their time; the fitness is the mean over these drives. None to use the total time of all drives.
 
     Raises:
         InputError: a value is out of range.
@@ -139,12 +141,12 @@ class Filtered(AtLeast):
         return f"filtered position known to {1e3 * self.tolerance:g} mm"
 
     def asked(self, scene: Scene) -> Precision:
-        """Edges of the tags and weight of their corners, as in localisation."""
+        """Edge lengths of the tags and weight of their corners, as in localisation."""
         camera, limits = scene.cameras[0], (self.tolerance, self.rotation_tolerance)
         return precision(camera, scene.tag, self.pixel_noise, *limits, scene.edges)
 
     def limits(self, scene: Scene) -> Tolerance:
-        """Limits of the covariance, and the unit of the information."""
+        """Limits of the covariance up to which a pose counts as known, and the unit of the information."""
         turn = math.inf if self.rotation_tolerance is None else self.rotation_tolerance
         scale = deviation_per_variance(scene.cameras[0], self.pixel_noise)
         # A view of few points has an information of up to about 100 quanta in directions that it leaves undetermined.
@@ -181,7 +183,7 @@ class Filtered(AtLeast):
         """See `Objective.fitness`.
 
         Raises:
-            InputError: the fitness is that of the worst drives, and a drive has no relevance.
+            InputError: the fitness uses the worst drives, and the total relevance of a drive is zero.
         """
         if self.worst is not None:
             return self._worst_share(self.drives, values, relevance)
@@ -198,7 +200,7 @@ class Filtered(AtLeast):
         return {"filtered_share": values}
 
     def figures(self, values: FloatArray, relevance: FloatArray) -> dict[str, float]:
-        """Shares of the time with a known pose, of all drives and of the worst drives."""
+        """Fractions of the time in which the pose is known, for all drives and for the worst drives."""
         return self._figures(self.drives, values)
 
     def _figures(self, drives: Drives, values: FloatArray) -> dict[str, float]:
@@ -217,7 +219,7 @@ class Filtered(AtLeast):
         }
 
     def off_grid(self, evaluator: Evaluator, deployment: Deployment) -> dict[str, float]:
-        """See `lmd.objectives.base.SelfValidating`: figures of the validation drives."""
+        """See `lmd.objectives.base.SelfValidating`: metrics on the validation drives."""
         if self.fresh is None:
             return {}
         known = self.poses(evaluator, deployment, self.fresh).known.astype(np.float64)
@@ -239,7 +241,7 @@ class Filtered(AtLeast):
         return f"the worst {self._worst_count(drives)} of {len(drives)} drives"
 
     def field(self, evaluator: Evaluator) -> Field:
-        """See `Incremental.field`; for a rig, each move is a full evaluation."""
+        """See `Incremental.field`; for a rig, each move costs a full evaluation."""
         self._check(evaluator)
         scene = evaluator.scene
         if scene.rig is not None or evaluator.by_reference:

@@ -32,25 +32,25 @@ _1, _2, _3, _4, _5, _6, _7, _8, _9, _10, _11, _12, _13, _14 = (np.uint64(SPOTS *
 
 @inlined
 def word_of(k: Integer) -> Any:
-    """Word of a landmark in a bit set."""
+    """Index of the word with landmark k's bit, in a bit set of landmarks."""
     return np.uint64(k) // np.uint64(BITS)
 
 
 @inlined
 def bit_of(k: Integer) -> Any:
-    """Bit of a landmark in its word."""
+    """Word in which only the bit of landmark k is set."""
     return ONE << np.uint64(k) % np.uint64(BITS)
 
 
 @inlined
 def _is_covered(state: Any, f: Integer, k: Integer) -> Any:
-    """True if frame f covers landmark k, hidden by others or not."""
+    """True if the camera covers landmark k in frame f, occlusion by landmarks ignored."""
     return state.covered[f, word_of(k)] & bit_of(k) != ZERO
 
 
 @inlined
 def offset_of(place: Vector, f: Integer, field: Any) -> Vector:
-    """Offset of a place from frame f, metres."""
+    """Offset of a place from the camera in frame f, metres."""
     return minus3(place, column3(field.positions, f))
 
 
@@ -63,7 +63,7 @@ def tried_pose(scratch: Any) -> Any:
 
 @inlined
 def hide_each_other(i: Integer, pose: Any, k: Integer, other: Any, f: Integer, field: Any) -> Any:
-    """`hide_between` for landmarks i and k with their poses, from frame f."""
+    """Result of `hide_between` for landmarks i and k with their poses, as seen in frame f."""
     a, b = offset_of(pose[0], f, field), offset_of(other[0], f, field)
     mine, theirs = sized(field.sight, i), sized(field.sight, k)
     return hide_between(mine, theirs, a, dot3(a, a), b, dot3(b, b), pose[1], other[1])
@@ -71,7 +71,9 @@ def hide_each_other(i: Integer, pose: Any, k: Integer, other: Any, f: Integer, f
 
 @inlined
 def covers_alone(f: Integer, pose: Any, mine: Any, clear: Any, ends: Any, field: Any) -> Any:
-    """True if frame f covers a landmark with a `pose`, whose points are the first of `ends`."""
+    """True if the camera covers a landmark at `pose` in frame f, other landmarks ignored. The first row of `ends` has
+    the landmark's points.
+    """
     offset = offset_of(pose[0], f, field)
     reached, low, _, _ = from_position(mine, offset, pose[1], 0.0)
     if not reached or not covers(mine, offset, pose[1], low, 0.0, field.axes, f):
@@ -81,7 +83,7 @@ def covers_alone(f: Integer, pose: Any, mine: Any, clear: Any, ends: Any, field:
 
 @inlined
 def add_landmark(row: FloatArray, sign: float, f: Integer, k: Integer, pose: Any, field: Any, scratch: Any) -> None:
-    """Add to a row of `sums` the information of landmark k with a `pose` in frame f, times `sign`."""
+    """Add to a row of `sums` the information of landmark k at `pose` in frame f, times `sign`."""
     moment, offset = scratch.moment, offset_of(pose[0], f, field)
     landmark_moments(offset, pose[1], field.precision, k, moment)
     weight = pixel_density(field.sight, offset, field.axes, f)
@@ -100,7 +102,9 @@ def _mark_ahead(field: Any, scratch: Any) -> None:
 
 @inner
 def _flush(role: Integer, count: Integer, k: Integer, normal: Any, field: Any, scratch: Any) -> None:
-    """For the first `count` of the `spots` of a role, add the information of landmark k to the sums of their frames."""
+    """Empty the buffer `spots` of a role (old place or place tried): for its first `count` entries, add the information
+    of landmark k to the sums of the entries' frames.
+    """
     spots, shares, frames, asked = scratch.spots[role], scratch.shares, scratch.spotted[role], field.precision
     right, up = upright_sides(half_of(asked, k), normal)
     for i in range(CHUNK):
@@ -123,7 +127,9 @@ def _flush(role: Integer, count: Integer, k: Integer, normal: Any, field: Any, s
 
 @inlined
 def _spot(role: Integer, count: Integer, f: Integer, k: Integer, pose: Any, field: Any, scratch: Any) -> Any:
-    """Append frame f, which shows the moving landmark at `pose`, to the `spots` of a role; return their number."""
+    """Append frame f, which shows the moving landmark at `pose`, to the buffer `spots` of a role (old place or place
+    tried); return the number of entries.
+    """
     spots, i, offset = scratch.spots[role], np.uint64(count), offset_of(pose[0], f, field)
     write3(spots, i, _1, offset)
     spots[i + _3] = pixel_density(field.sight, offset, field.axes, f)
@@ -178,7 +184,7 @@ def begin(field: Any, k: Integer, pose: FloatArray, surface: Integer, state: Any
 
 @inner
 def see(field: Any, k: Integer, state: Any, scratch: Any) -> None:
-    """Find the frames that the move changes, and compute their information."""
+    """Find the frames in which the move changes the landmarks in view, and compute the information of these frames."""
     poses, width, reaches, mine = state.poses, 0.0, field.sight.reach >= 0.0, sized(field.sight, k)
     clear, ends, d, old, new = is_clear(field.obstacles), scratch.ends, 0, pair3(state.poses, k), tried_pose(scratch)
     if reaches:
@@ -238,8 +244,8 @@ def see(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 @inlined
 def _meet(j: Integer, f: Integer, k: Integer, covered: Any, field: Any, state: Any, scratch: Any) -> Any:
-    """Count landmark j if it hides landmark k, at the place tried, from frame f; list j if k hides it now or did
-    before.
+    """Count landmark j if it hides landmark k at the place tried in frame f. List j if k hides j at the old place or at
+    the place tried.
     """
     seen, hiding, change, other = _is_covered(state, f, j), False, np.int64(0), pair3(state.poses, j)
     before, after = scratch.near[0, word_of(j)] & bit_of(j), scratch.near[1, word_of(j)] & bit_of(j)

@@ -1,8 +1,9 @@
-"""Moves of single landmarks along drives: the frames that see another landmark, and the filters from there on.
+"""Moves of single landmarks along drives: the frames in which the landmarks in view change, and the filters from these
+frames on.
 
-A move changes the information of the frames that see the landmark at its old place or at the place tried. The move also
-changes the frames in which the landmark begins or ceases to hide another landmark. Each drive with changed frames is
-filtered again from its first changed frame to its end; earlier covariances stay.
+A move changes the information of the frames in which the landmark is seen at its old place or at the place tried. The
+move also changes the frames in which the landmark begins or ceases to hide another landmark. Each drive with changed
+frames is filtered again from its first changed frame to its end; the covariances of earlier frames do not change.
 
 All values are exact after `bound_move`; `settle_move` has nothing to do.
 """
@@ -34,7 +35,7 @@ from lmd.sight.obstacles import find_ends, is_clear
 
 @inlined
 def _load(lane: Integer, f: Integer, field: Any, state: Any, scratch: Any) -> Any:
-    """Load move and information of frame f into a lane; True if the frame has information."""
+    """Load the odometry and the information of frame f into a lane; return True if the frame has information."""
     work, changed = scratch.lanes, scratch.changed[f] != 0
     count, s = scratch.counts[f] if changed else state.counts[f], work.information
     row = scratch.sums[f] if changed else state.sums[f]
@@ -106,7 +107,7 @@ def _filter(field: Any, state: Any, scratch: Any) -> None:
 
 @inner
 def bound_move(field: Any, k: Integer, pose: FloatArray, surface: Integer, state: Any, scratch: Any) -> None:
-    """Write the values with landmark k at `pose` `(6,)` on a surface into `scratch.units`."""
+    """Write into `scratch.units` the values after a move of landmark k to `pose` `(6,)` on a surface."""
     begin(field, k, pose, surface, state, scratch)
     see(field, k, state, scratch)
     _filter(field, state, scratch)
@@ -119,7 +120,9 @@ def settle_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 @inner
 def exchange_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
-    """Carry out or undo the move tried last: exchange the place, and the data that depend on it, with the scratch."""
+    """Carry out or undo the move tried last: exchange the place of landmark k, and the data that depend on the place,
+    between state and scratch.
+    """
     for i in range(6):
         state.poses[i, k], scratch.pose[i] = scratch.pose[i], state.poses[i, k]
     state.surfaces[k], scratch.surface[0] = scratch.surface[0], state.surfaces[k]
@@ -148,7 +151,7 @@ def exchange_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 @kernel
 def fill_state(field: Any, state: Any, scratch: Any) -> None:
-    """Compute all other fields of a state from its landmarks."""
+    """Compute all other arrays of a state from the poses of its landmarks."""
     poses, clear, ends = state.poses, is_clear(field.obstacles), scratch.ends
     for k in range(poses.shape[1]):
         mine, pose = sized(field.sight, k), pair3(poses, k)

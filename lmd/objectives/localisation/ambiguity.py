@@ -12,7 +12,7 @@ corners of the other diagonal in the opposite direction. This difference leaves 
 over the eight coordinates. A solver takes the pose that fits better. With noise of sigma on each coordinate, the
 mirrored pose fits better with the probability
 
-    P = Q(sqrt(S) / (2 sigma)),    Q(x) the share of the standard normal distribution above x.
+    P = Q(sqrt(S) / (2 sigma)),    Q(x) the probability that a standard normal variable exceeds x.
 
 The poses are distinguished if P is at most 1 - `CONFIDENCE`. Away from the middle of the image, S and the information
 grow with `pixel_density`. docs/results/ambiguity.md has the error of P.
@@ -64,7 +64,9 @@ MIRRORED_WIDTH = 32  # length of a row of `sums` with the additional numbers
 
 
 def resolved(asked: Precision, scale: float) -> Precision:
-    """Copy of a precision that requires unambiguous views; `scale` is `information.deviation_per_variance`."""
+    """Copy of the precision `asked` that also requires unambiguous views; `scale` is the result of
+    `information.deviation_per_variance`.
+    """
     least = 2.0 * NormalDist().inv_cdf(CONFIDENCE) * scale
     return asked._replace(residual=least**2 * (1.0 - TOLERANCE))
 
@@ -98,7 +100,7 @@ def resolves_ambiguity(precision: Precision) -> bool:
 
 @inlined
 def mirrored_square(tag: Square) -> Number:
-    """S of a tag times its distance cubed, in units of f^2."""
+    """Residual S of a tag (see the module), times its distance cubed, in units of f^2."""
     offset, right, up = tag
     squared, along, above = np.maximum(dot3(offset, offset), TINY), dot3(offset, right), dot3(offset, up)
     p, q = along * along / squared, above * above / squared  # p^2 and q^2, times the squared half edge
@@ -107,14 +109,16 @@ def mirrored_square(tag: Square) -> Number:
 
 @inlined
 def residual_ratio(tag: Square, least: Number) -> Number:
-    """S over the `least` S, times the distance cubed."""
+    """Ratio of a tag's residual S to the required residual `least`, times the distance cubed."""
     squared = dot3(tag[0], tag[0])
     return np.minimum(mirrored_square(tag) / least, MOST * (squared * np.sqrt(squared)))
 
 
 @overridable
 def camera_residual(least: float | None, tag: Square) -> Number:
-    """Last of a camera view's numbers, before `share_of`: `residual_ratio`, or 0 if `least` is None."""
+    """Last of the numbers that a tag adds to a camera's view, before `share_of` is applied: the `residual_ratio`, or 0
+    if `least` is None.
+    """
     return residual_ratio(tag, least)
 
 
@@ -125,7 +129,9 @@ def _no_camera_residual(least: None, tag: Square) -> Number:
 
 @inlined
 def mirrored_numbers(tag: Square, least: Number) -> tuple[Number, Number, Number, Number, Number]:
-    """S over the `least` S, M and h of a tag, times its distance cubed, S and M in units of f^2."""
+    """Five numbers of a tag, each times its distance cubed: the ratio of S to the required residual `least`, then M and
+    h. S and M are in units of f^2.
+    """
     offset, right, up = tag
     squared, along, above = dot3(offset, offset), dot3(offset, right), dot3(offset, up)
     m = 16.0 * (along * along + above * above) / np.maximum(squared, NEAREST)
@@ -135,7 +141,9 @@ def mirrored_numbers(tag: Square, least: Number) -> tuple[Number, Number, Number
 
 @inlined
 def rig_ratio(ratio: Number, m: Number, hx: Number, hy: Number, hz: Number, least: Number) -> Number:
-    """S over the `least` S, from the sums of the `mirrored_numbers` of a single tag."""
+    """Ratio of a rig's residual S to the required residual `least`, from the sums of a single tag's `mirrored_numbers`
+    over the cameras.
+    """
     return ratio + (m - (hx * hx + hy * hy + hz * hz) / np.maximum(m, QUANTUM)) / least
 
 
@@ -163,5 +171,5 @@ def _body_has_any_pose(least: None, sums: Any, v: Integer, step: Integer) -> boo
 
 
 def width_of(precision: Precision) -> int:
-    """Width of a row of `sums` of a rig."""
+    """Number of columns in `sums` for a rig."""
     return MIRRORED_WIDTH if resolves_ambiguity(precision) else BODY_WIDTH

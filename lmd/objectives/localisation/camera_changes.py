@@ -1,4 +1,4 @@
-"""Functions of `changes` for a single camera."""
+"""Versions, for a single camera, of the functions that `views` declares."""
 
 from typing import Any
 
@@ -72,7 +72,7 @@ def _find_turns(known: State, trial: Scratch, lost: WordArray, gained: WordArray
 
 @inlined
 def _offset(pose: Any, p: Integer, field: Any) -> Vector:
-    """Offset of a landmark with a `pose` from position p, metres."""
+    """Offset of a landmark at `pose` from position p, metres."""
     return minus3(pose[0], column3(field.coverage.positions, p))
 
 
@@ -88,7 +88,9 @@ def _clear_moments(views: CameraViews, p: Integer) -> None:
 
 @inner
 def _update_moments(known: State, k: Integer, p: Integer, field: Any, scratch: Any) -> None:
-    """Compute the moments of landmark k from position p, at the old place and at the place tried, once per move."""
+    """Compute the moments (`information.moments`) of landmark k as seen from position p, at the old place and at the
+    place tried, once per move.
+    """
     views = scratch.views
     if views.found[p] == 0:
         views.found[p] = 1
@@ -100,7 +102,9 @@ def _update_moments(known: State, k: Integer, p: Integer, field: Any, scratch: A
 
 @inner
 def _sum_turning(p: Integer, w: Integer, count: Integer, field: Any, known: State, scratch: Any) -> None:
-    """Update the sums of the current views by the other landmarks that appear or disappear at position p."""
+    """Update the sums of the current views at position p for other landmarks that the move makes appear or
+    disappear.
+    """
     trial, views, camera = scratch.coverage, scratch.views, field.coverage.cameras
     for i in range(np.uint64(known.poses.shape[1])):
         if not trial.known[p, i]:
@@ -133,7 +137,7 @@ def _sum_views(
 def _add(
     moments: FloatArray, pose: Any, seen: np.uint64, p: Integer, w: Integer, sign: float, field: Any, state: Any
 ) -> None:
-    """Add a landmark with `moments` and a `pose` to the sums of the views `seen` of word w, times `sign`."""
+    """Add a landmark at `pose`, with `moments`, to the sums of the views `seen` (bits of word w), times `sign`."""
     look = field.coverage.cameras.sight, field.coverage.cameras.axes
     add_to_sums(moments, seen, _offset(pose, p, field), look, w, sign, first_row(p, w, state), state.sums)
 

@@ -1,4 +1,4 @@
-"""P_n and L of whole deployments at each position, in compiled code.
+"""P_n and L (the probability of a localised view) of whole deployments at each position, in compiled code.
 
 Landmarks are counted by the operations of `lmd.sight.kernels`. For the views that cover n landmarks, the numbers of the
 landmarks (`information`, `ambiguity`) are summed and compared with the required precision. Positions are divided among
@@ -34,9 +34,10 @@ class ViewValues(NamedTuple):
     localised: IntArray
     """`(B, P)` quantised L."""
     variances: FloatArray
-    """`(B, P, D)` variance of the position for `deviation_per_variance` 1; empty unless `keep` was set.
+    """`(B, P, D)` variance of the camera's position in each view, for `deviation_per_variance` 1; empty unless `keep`
+    was set.
 
-    Infinite for views that cover fewer than n landmarks or are ambiguous.
+    The variance is infinite for views that cover fewer than n landmarks or are ambiguous.
     """
 
 
@@ -51,7 +52,7 @@ def localised_views(
         evaluator: scene and positions.
         positions, normals: landmarks of B deployments, metres and unit vectors, `(B, K, 3)`.
         n: number of landmarks that must be covered.
-        precision: least information of a localised view.
+        precision: limits that a localised view must satisfy.
         keep: True to return the variances.
     """
     e, batch, size = evaluator, len(positions), len(evaluator.positions)
@@ -78,8 +79,8 @@ def _localise_range(
 
     Args:
         first, last, batch, tables, n: see `kernels.evaluate_range`.
-        places: number of binary digits of a count of landmarks.
-        precision, asks: least information of a localised view, and its `Precision.asks`.
+        places: number of binary digits in which landmarks are counted.
+        precision, asks: limits that a localised view must satisfy, and their `Precision.asks`.
         values: receives the values; the variances are empty if they are not asked for.
     """
     order, positions, landmarks, normals, sight, horizon, obstacles, axes, bands, weights = batch

@@ -1,4 +1,6 @@
-"""Field of localisation: it updates L at every position while single landmarks move, for a camera or a rig."""
+"""Field (incremental evaluator) of localisation: it updates L, the probability of a localised view, at every position
+when single landmarks move. For a camera or a rig.
+"""
 
 from typing import NamedTuple
 
@@ -30,7 +32,7 @@ class LocalisationState(NamedTuple):
     localised: np.ndarray
     """`(Q, W)` uint64 sets of orientations with which the camera or the body is localised."""
     sums: np.ndarray
-    """`(64 Q W, width)` sums of the numbers of the landmarks in each view, by position, then orientation.
+    """`(64 Q W, width)` sums of the information of the landmarks in each view, by position, then orientation.
 
     `(1, width)` if a view only needs n landmarks.
     """
@@ -49,7 +51,7 @@ class LocalisationScratch(NamedTuple):
     located: np.ndarray
     """`(Q,)` quantised L after the move, or upper bounds."""
     sets: np.ndarray
-    """`(3, Q, W)` uint64 sets `LOCALISED`, `LOST`, `GAINED`."""
+    """`(3, Q, W)` uint64 bit sets of orientations, rows `LOCALISED`, `LOST` and `GAINED`."""
     coverage: Scratch | RigScratch
     """Scratch of the field of coverage; its `units` are quantised P_n."""
     views: CameraViews | BodyViews
@@ -59,15 +61,15 @@ class LocalisationScratch(NamedTuple):
 class LocalisationField(NamedTuple):
     """Constant data of the field of localisation; a `lmd.incremental.field.Field`.
 
-    The field has no stacks, as landmarks at one point do not localise the camera.
+    The field has no stacks (groups of coincident landmarks), as landmarks at one point do not localise the camera.
     """
 
     coverage: CoverageField
-    """Field of P_n."""
+    """Field that updates P_n."""
     precision: Precision
-    """Least information of a localised view."""
+    """Limits that a localised view must satisfy."""
     asks: bool
-    """`Precision.asks`."""
+    """Result of `Precision.asks` for `precision`."""
     weight: float
     """Weight w of P_n in the values, (1 - w) L + w P_n."""
     mounts: tuple[Mounts, ...]
@@ -88,7 +90,7 @@ class LocalisationField(NamedTuple):
         return self.state_with(self.coverage.state(deployment))
 
     def state_with(self, known: State | RigState) -> LocalisationState:
-        """State of a deployment whose attribute `coverage` is `known`."""
+        """State of localisation for a deployment; `known` is the deployment's state of coverage."""
         size, words = known.counts.sets.shape[1:]
         width = width_of(self.precision) if self.mounts else WIDTH
         check_views(8.0 * width if self.asks else 0.0, size, BITS * words)
@@ -125,12 +127,12 @@ undo.register(LocalisationField)(undo_move)
 
 
 def localisation_field(evaluator: Evaluator, n: int, precision: Precision, weight: float) -> LocalisationField:
-    """Field of L at the positions of an evaluator.
+    """Make the field (incremental evaluator) of L at the positions of an evaluator.
 
     Args:
         evaluator: positions and cameras.
         n: number of landmarks that must be covered.
-        precision: least information of a localised view.
+        precision: limits that a localised view must satisfy.
         weight: weight w of P_n in the values, (1 - w) L + w P_n.
     """
     mounts = mounts_of(evaluator, evaluator.groups) if evaluator.groups else ()

@@ -2,7 +2,7 @@
 
 Let d be the offset of a corner from the camera, r = |d|, and b = d / r the direction in which the camera sees the
 corner. If the camera moves by v and turns by w, both in the world frame, b turns by b x w - (I - b b^T) v / r. With
-noise of equal size in all directions, the corners together have the information
+isotropic noise, the corners together have the information
 
     [ C       -[g]x ]       A = sum (I - b b^T),   g = sum b / r,   C = sum (I - b b^T) / r^2
     [ [g]x     A    ]
@@ -77,15 +77,15 @@ Square: TypeAlias = tuple[Vector, Vector, Vector]
 class Precision(NamedTuple):
     """Limits of a localised view; variances are traces of a covariance for `deviation_per_variance` 1.
 
-    Kernels are compiled without a limit that is None.
+    For a limit that is None, kernels are compiled without the test.
     """
 
     halves: FloatArray
-    """`(K,)` half the edge of each tag, `(1,)` if all have one size; metres, 0 for points."""
+    """`(K,)` half the edge length of each tag, or `(1,)` if all tags have one size; metres, 0 for points."""
     share: float
     """Weight of each of the four corners of a landmark: 1, or 1/4 for a point."""
     position: float
-    """Greatest variance of the position; infinite if n covered landmarks suffice."""
+    """Greatest variance of the position, see the class; infinite if n covered landmarks suffice."""
     rotation: float | None = None
     """Greatest variance of the rotation."""
     residual: float | None = None
@@ -99,7 +99,7 @@ class Precision(NamedTuple):
 
 @inlined
 def half_of(precision: Precision, k: Integer) -> Any:
-    """Half the edge of tag k of a deployment, metres."""
+    """Half the edge length of tag k of a deployment, metres."""
     if len(precision.halves) == 1:
         return precision.halves[0]
     return precision.halves[k]
@@ -107,7 +107,7 @@ def half_of(precision: Precision, k: Integer) -> Any:
 
 @overridable
 def within(limit: float | None, variance: Number, fixed: Number) -> Any:
-    """True if a variance is at most the limit; `fixed` is True where the variance is finite."""
+    """True if a variance is finite and at most the limit; `fixed` is True if the variance is finite."""
     return fixed & (variance <= limit)
 
 
@@ -117,11 +117,11 @@ def _within_none(limit: None, variance: Number, fixed: Number) -> Any:
 
 
 def deviation_per_variance(camera: Camera, pixel_noise: float) -> float:
-    """sigma / f: the standard deviation for a `variance` of 1, metres or rad.
+    """sigma / f: the standard deviation that belongs to a `variance` of 1, metres or rad.
 
     Args:
         camera: the camera.
-        pixel_noise: sigma, of each coordinate of a corner, pixels.
+        pixel_noise: sigma, the standard deviation of each coordinate of a corner, pixels.
     """
     return float(pixel_noise / np.sqrt(np.prod(camera.focal_pixels)))
 
@@ -137,8 +137,8 @@ def precision(
         tag: the landmarks' tag.
         pixel_noise: standard deviation of each coordinate of a corner, pixels.
         tolerance: greatest standard deviation of the position, metres.
-        rotation: greatest standard deviation of the rotation, rad; None for any.
-        edges: edges of the tags, `(K,)`, or one for all, metres; None for the edge of `tag`.
+        rotation: greatest standard deviation of the rotation, rad; None for no limit.
+        edges: edge lengths of the tags, `(K,)`, or one length for all, metres; None for the edge length of `tag`.
     """
     scale = deviation_per_variance(camera, pixel_noise)
     halves = np.array([0.0]) if tag.is_point else np.array(edges or (tag.size,)) / 2.0
@@ -152,7 +152,8 @@ def precision(
 
 @inlined
 def moments(tag: Square, share: float) -> tuple[Number, ...]:
-    """A, g and C of the four corners of a landmark at the distance r, times r^3, as 15 numbers.
+    """Moments of a landmark: A, g and C summed over its four corners, times r^3 with the landmark's distance r; 15
+    numbers.
 
     `share` is the weight of each corner.
     """
@@ -178,13 +179,16 @@ def moments(tag: Square, share: float) -> tuple[Number, ...]:
 
 @inlined
 def share_of(moment: Number, weight: Number) -> Number:
-    """Contribution of a landmark to one number of a view: the moment times `pixel_density`, rounded to `QUANTUM`."""
+    """Contribution of a landmark to one of the sums of a view: the moment times `weight` (the `pixel_density`), rounded
+    to a multiple of `QUANTUM`.
+    """
     return (moment * weight + ROUNDER) - ROUNDER
 
 
 @inlined
 def _schur(sums: Any, v: Integer, step: Integer, first: int, last: int) -> tuple[Number, Number, Number, Number]:
-    """det A, the sum of the principal minors and the determinant of S det A, and tr A.
+    """Four numbers: det A; the sum of the principal 2 x 2 minors of the matrix S det A; the determinant of this matrix;
+    and tr A.
 
     A begins at number `first` and C at `last`: (0, 9) for the position, (9, 0) for the rotation.
     """
@@ -200,28 +204,28 @@ def _schur(sums: Any, v: Integer, step: Integer, first: int, last: int) -> tuple
 
 @inlined
 def inverse_trace(det: Number, minors: Number, rest: Number, trace: Number) -> tuple[Number, Number]:
-    """tr S^-1, and a flag: False if the trace is infinite, as the corners leave a motion undetermined."""
+    """Trace of S^-1, and a flag that is False if the trace is infinite, as the corners leave a motion undetermined."""
     fixed = (det > SINGULAR * (trace * trace * trace)) & (minors > 0.0) & (rest > 0.0)
     return minors * det / rest, fixed
 
 
 @inlined
 def variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
-    """`inverse_trace` for the position of the camera."""
+    """Variance of the camera's position, and the flag of `inverse_trace`."""
     det, minors, rest, trace = _schur(sums, v, step, 0, 9)
     return inverse_trace(det, minors, rest, trace)
 
 
 @inlined
 def rotation_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
-    """`inverse_trace` for the rotation of the camera: A and C are exchanged."""
+    """Variance of the camera's rotation, and the flag of `inverse_trace`; A and C are exchanged."""
     det, minors, rest, trace = _schur(sums, v, step, 9, 0)
     return inverse_trace(det, minors, rest, trace)
 
 
 @inlined
 def log_det(sums: Any, v: Integer, step: Integer) -> Number:
-    """Logarithm of the determinant of the information, det A det S."""
+    """Logarithm of the determinant of the information about the camera's pose, det A det S."""
     det, _, rest, _ = _schur(sums, v, step, 0, 9)
     return np.log(rest / (det * det))
 
@@ -239,7 +243,9 @@ BODY_WIDTH = 24  # length of a row of `sums`; rows begin at multiples of 64 byte
 
 
 def gain_of(camera: Camera, first: Camera) -> float:
-    """Information per pixel of a camera relative to the first camera of its rig: ratio of the squared focal lengths."""
+    """Ratio of the information per pixel of a camera to that of the rig's first camera: the ratio of the squared focal
+    lengths.
+    """
     return float(np.prod(camera.focal_pixels)) / float(np.prod(first.focal_pixels))
 
 
@@ -262,7 +268,8 @@ def about_body(moments: tuple[Number, ...], arm: Vector) -> tuple[Number, ...]:
 
 @inlined
 def _body_schur(c: Any, rows: Any, a: Any) -> tuple[Number, Number, Number, Number]:
-    """det A, the sum of the principal minors and the determinant of S det A, S = C - B A^-1 B^T, and tr A.
+    """Four numbers, with S = C - B A^-1 B^T: det A; the sum of the principal 2 x 2 minors of the matrix S det A; the
+    determinant of this matrix; and tr A.
 
     C and A are symmetric, six numbers each; B is given by its three rows.
     """
@@ -277,7 +284,7 @@ def _body_schur(c: Any, rows: Any, a: Any) -> tuple[Number, Number, Number, Numb
 
 @inlined
 def _position_schur(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number, Number, Number]:
-    """`_body_schur` for the position of the body."""
+    """Result of `_body_schur` for the position of the body."""
     x, y, z = v + 6 * step, v + 9 * step, v + 12 * step
     rows = read3(sums, x, step), read3(sums, y, step), read3(sums, z, step)
     return _body_schur(read6(sums, v, step), rows, read6(sums, v + 15 * step, step))
@@ -285,14 +292,14 @@ def _position_schur(sums: Any, v: Integer, step: Integer) -> tuple[Number, Numbe
 
 @inlined
 def body_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
-    """`information.inverse_trace` for the position of the body."""
+    """Variance of the body's position, and the flag of `inverse_trace`."""
     det, minors, rest, trace = _position_schur(sums, v, step)
     return inverse_trace(det, minors, rest, trace)
 
 
 @inlined
 def body_rotation_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
-    """`information.inverse_trace` for the rotation of the body: C and A' are exchanged, and B is transposed."""
+    """Variance of the body's rotation, and the flag of `inverse_trace`; C and A' are exchanged, and B is transposed."""
     x, far = v + 6 * step, 3 * step
     columns = read3(sums, x, far), read3(sums, x + step, far), read3(sums, x + 2 * step, far)
     det, minors, rest, trace = _body_schur(read6(sums, v + 15 * step, step), columns, read6(sums, v, step))
@@ -301,7 +308,7 @@ def body_rotation_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number
 
 @inlined
 def body_log_det(sums: Any, v: Integer, step: Integer) -> Number:
-    """Logarithm of the determinant of the information, det A det S."""
+    """Logarithm of the determinant of the information about the body's pose, det A det S."""
     det, _, rest, _ = _position_schur(sums, v, step)
     return np.log(rest / (det * det))
 

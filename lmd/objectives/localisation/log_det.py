@@ -1,10 +1,10 @@
 """Expected log determinant of the information about the pose: the surrogate of localisation for greedy selection.
 
-The accuracy of localisation is not submodular in the landmarks, as the first landmark alone has no value. The log det
-of prior plus information is submodular if no landmark hides another: each further landmark adds less. The surrogate is
-the mean over positions and orientations. The prior is the information about the pose before the image. With a prior
-standard deviation of a few tolerances, the selected landmarks spread over the room. With a wide prior, the first view
-of one place would gain more than any improvement of another place.
+The accuracy of localisation is not submodular in the landmarks, as the first landmark alone has no value. The log
+determinant of the sum of prior and information is submodular if no landmark hides another: each further landmark adds
+less. The surrogate is the mean over positions and orientations. The prior is the information about the pose before the
+image. With a prior standard deviation of a few tolerances, the selected landmarks spread over the room. With a wide
+prior, the first view of one place would gain more than any improvement of another place.
 """
 
 import math
@@ -58,12 +58,14 @@ OF_CAMERA, OF_BODY = ([9, 12, 14], [0, 3, 5]), ([0, 3, 5], [15, 18, 20])
 def log_det_selection(
     evaluator: Evaluator, relevance: FloatArray, precision: Callable[[Scene], Precision], prior: Prior
 ) -> "LogDeterminant":
-    """Mean over positions and orientations of log det(prior + information), a `Selection`.
+    """Surrogate for greedy selection (a `Selection`): the mean of log det(prior + information) over positions and
+    orientations.
 
     Args:
         evaluator: scene and positions.
         relevance: weights of the positions, `(P,)`.
-        precision: function that returns the `information.precision` of a scene, which includes the size of its tags.
+        precision: function that returns the `information.Precision` for a scene, which includes the size of the scene's
+            tags.
         prior: prior information on position and rotation, 1 / `variance` of `information`.
     """
     kind: type[LogDeterminant] = RigLogDeterminant if evaluator.groups else CameraLogDeterminant
@@ -103,7 +105,7 @@ class LogDeterminant:
             self.choose(e, pose)
 
     def log_det_of(self, numbers: FloatArray) -> Any:
-        """Log det of the information of one view, `(width,)`."""
+        """Log determinant of the information of one view, given as `numbers` `(width,)`."""
         raise NotImplementedError
 
     def gains_of(self, e: Evaluator, poses: Deployment) -> FloatArray:
@@ -111,7 +113,9 @@ class LogDeterminant:
         raise NotImplementedError
 
     def choose(self, e: Evaluator, pose: Deployment) -> None:
-        """Add a landmark at one pose to `sums` and `known`."""
+        """Add a chosen landmark at `pose` to the information of all views, `sums`, and update their log determinants,
+        `known`.
+        """
         raise NotImplementedError
 
 
@@ -125,13 +129,13 @@ def _gains(
     start: Integer, stop: Integer, points: FloatArray, normals: FloatArray, prices: FloatArray, parts: Any,
     out: FloatArray,
 ) -> None:  # fmt: skip
-    """Write into `out` `(N,)` the gains of the poses `start` to `stop`.
+    """Write into `out` `(N,)` the gains of the poses `start` to `stop - 1`.
 
     Args:
         start, stop: range of the poses.
-        points, normals: `(N, 3)`.
+        points, normals: positions, metres, and unit normals of the poses, `(N, 3)`.
         prices: price of each position and axis, `(P, D)`.
-        positions: `(P, 3)`.
+        positions: positions of the camera, metres, `(P, 3)`.
         sight, obstacles, axes, bands: see `kernels.evaluate_range`.
         precision: size of the tags.
         sums: information of each view, `(P, D, WIDTH)`.
@@ -159,7 +163,7 @@ def _gains(
 
 @kernel
 def _add(start: Integer, stop: Integer, points: FloatArray, normals: FloatArray, parts: Any) -> None:
-    """Add a landmark to `sums` and `known` at the positions `start` to `stop`; arguments as in `_gains`."""
+    """Add a landmark to `sums` and `known` for the camera positions `start` to `stop - 1`; arguments as in `_gains`."""
     positions, sight, obstacles, axes, bands, precision, sums, known = parts
     place, normal = row3(points, 0), row3(normals, 0)
     ends, moment = new_ends(obstacles, 1), np.zeros(WIDTH)
@@ -195,7 +199,7 @@ class CameraLogDeterminant(LogDeterminant):
         shared(_add, len(e.positions), e.threads, (pose.positions, pose.normals, self._parts(e)))
 
     def _parts(self, e: Evaluator) -> tuple[Any, ...]:
-        """Argument `parts` of the kernels."""
+        """Argument `parts` of the kernels `_gains` and `_add`."""
         return e.positions, e.sight, e.obstacles, e.axes, e.bands, self.precision(e.scene), self.sums, self.known
 
 
@@ -207,7 +211,7 @@ def _rig_gains(
     """Write into `out` `(N,)` the gains of N poses.
 
     Args:
-        every: sets of orientations that cover the poses, by mount group.
+        every: sets of orientations with which the poses are covered, for each mount group.
         tags: centres and sides of the tags at the poses, see `tags_of`.
         prices: price of each position and orientation, `(P, D)`.
         positions: positions of the body, `(P, 3)`, metres.
@@ -287,7 +291,9 @@ class RigLogDeterminant(LogDeterminant):
         return self.sums.reshape(-1, self.width)
 
     def _shown(self, e: Evaluator, poses: Deployment) -> tuple[GroupCoverage, ...]:
-        """Sets of orientations that cover the poses, by mount group, without occlusion by landmarks."""
+        """Sets of orientations with which the poses are covered, for each mount group; occlusion by landmarks is
+        ignored.
+        """
         groups = tuple(with_sight(group, group.sight.unhidden()) for group in e.groups)
         return coverage_by_group(e, groups, e.positions, poses)
 
@@ -322,6 +328,6 @@ class ReferenceLogDeterminant(LogDeterminant):
             self.sums[p, :size], self.known[p, :size] = sums.T, log_det_of(e.scene, sums)
 
     def _with(self, e: Evaluator, pose: Deployment, p: int) -> FloatArray:
-        """Information of the views from position p with an additional pose, `(width, D)`."""
+        """Information of the views from position p, with an additional landmark at `pose`, `(width, D)`."""
         sums, _ = information_of(e.scene_at(p), pose, self.precision(e.scene), e.positions[p], self._axes)
         return np.asarray(self.sums[p, : len(self._axes)].T + sums)

@@ -39,7 +39,8 @@ class Localisation(AtLeast):
 
     A view is localised if at least n landmarks are covered *and* the standard deviation of the position, computed from
     the landmarks' corners (`information`), is at most the tolerance. The value L(p) of a position is the probability of
-    a localised view. Tags have the corners of `scene.tag`; a pose needs at least three landmarks if they are points.
+    a localised view. Tags have the corners of `scene.tag`; if landmarks are points, at least three are needed for a
+    pose.
 
     Args:
         n: least number of landmarks that the camera must see at the same time.
@@ -47,12 +48,13 @@ class Localisation(AtLeast):
         tolerance: greatest standard deviation of the position, metres; infinite for plain coverage.
         pixel_noise: standard deviation of each coordinate of a corner, pixels.
         climbs: fitness that optimisers maximise: `mean`, the mean of the values over positions, or `qualified`, the
-            share of positions whose value reaches `thold_p`.
+            fraction of positions whose value reaches `thold_p`.
         rotation_tolerance: greatest standard deviation of the rotation, rad; None for no limit.
-        ambiguity: rule for a view of a single tag (n = 1): `resolved` requires that its two poses can be distinguished
-            (`localisation.ambiguity`), `ignored` does not.
+        ambiguity: rule for a view of a single tag (n = 1): `resolved` requires that the tag's two poses can be
+            distinguished (`localisation.ambiguity`), `ignored` does not.
         coverage_weight: weight w of P_n in the value, (1 - w) L + w P_n.
-        sampling: random positions and orientations of the fitness; None for the room's grid and the PDF itself.
+        sampling: random positions and orientations on which the fitness is computed; None for the room's grid and the
+            PDF itself.
 
     Raises:
         InputError: a value is out of range.
@@ -78,7 +80,7 @@ class Localisation(AtLeast):
 
     @property
     def _share(self) -> str:
-        """Name of the mean value among the figures."""
+        """Name of the mean value in the mapping of metrics."""
         return "weighted_share" if self.coverage_weight else "localised_share"
 
     @property
@@ -94,7 +96,7 @@ class Localisation(AtLeast):
         return f"{label}, and of seeing {self.n}, weighted" if self.coverage_weight else label
 
     def precision(self, scene: Scene) -> Precision:
-        """Least information of a localised view, in the units of the first camera."""
+        """Limits that a localised view must satisfy, in the units of the rig's first camera."""
         camera, noise = scene.cameras[0], self.pixel_noise
         asked = precision(camera, scene.tag, noise, self.tolerance, self.rotation_tolerance, scene.edges)
         if self.n > 1 or self.ambiguity == "ignored" or scene.tag.is_point:
@@ -116,7 +118,7 @@ class Localisation(AtLeast):
         return {self._share: values, "qualified_ratio": self.qualified(values)}
 
     def figures(self, values: FloatArray, relevance: FloatArray) -> dict[str, float]:
-        """Mean value, share of qualified positions, and 5 % quantile of the values."""
+        """Metrics: mean value, fraction of qualified positions, and 5 % quantile of the values."""
         return {
             **{key: float(share.mean()) for key, share in self.shares(values).items()},
             "worst_positions": float(np.quantile(values, WORST)),

@@ -1,4 +1,5 @@
-"""Pairs of a landmark and a view of a rig: pairs are listed first, then the information of all pairs is summed.
+"""Pairs of a landmark and a view of a rig, in which the landmark is seen: pairs are listed first, then the information
+of all pairs is summed.
 
 The loop over listed pairs vectorises: number j of pair e lies at `work[j * BITS + e]`.
 """
@@ -36,10 +37,10 @@ FIRST_MOMENT = np.uint64(13)
 
 
 class Mounts(NamedTuple):
-    """Fields of a `MountGroup` that localisation needs; the tuple is small, as many calls copy it."""
+    """Those fields of a `MountGroup` that localisation needs; the tuple is small, as many calls copy it."""
 
     number: int
-    """Index of the group."""
+    """Index of the mount group in the rig."""
     sight: Any
     """See `MountGroup`."""
     offsets: FloatArray
@@ -47,7 +48,7 @@ class Mounts(NamedTuple):
     axes: FloatArray
     """See `MountGroup`."""
     gain: float
-    """Information per pixel relative to the first camera, see `gain_of`."""
+    """Information per pixel of these cameras relative to the rig's first camera, see `gain_of`."""
 
 
 class GroupCoverage(NamedTuple):
@@ -62,7 +63,9 @@ class GroupCoverage(NamedTuple):
 def coverage_by_group(
     evaluator: Evaluator, groups: tuple[MountGroup, ...], positions: FloatArray, deployment: Deployment
 ) -> tuple[GroupCoverage, ...]:
-    """Coverage of a deployment from `positions` `(P, 3)`, for each mount group of the evaluator or variant of one."""
+    """Coverage of a deployment from `positions` `(P, 3)`, for each of `groups`: mount groups of the evaluator, or
+    variants of these.
+    """
     blockers, slack = evaluator.scene.room.blockers(), np.zeros(len(deployment))
     poses = deployment.positions, deployment.normals, slack
     sets = [covered_sets_by_mount(group, blockers, positions, poses) for group in groups]
@@ -70,7 +73,7 @@ def coverage_by_group(
 
 
 def mounts_of(evaluator: Evaluator, groups: tuple[MountGroup, ...]) -> tuple[Mounts, ...]:
-    """`Mounts` for each mount group of the evaluator or variant of one."""
+    """`Mounts` for each of `groups`: mount groups of the evaluator, or variants of these."""
     cameras = evaluator.scene.cameras
     each = enumerate(zip(groups, dict.fromkeys(cameras), strict=True))
     return tuple(Mounts(j, p.sight, p.offsets, p.axes, gain_of(kind, cameras[0])) for j, (p, kind) in each)
@@ -78,13 +81,15 @@ def mounts_of(evaluator: Evaluator, groups: tuple[MountGroup, ...]) -> tuple[Mou
 
 @inlined
 def numbers_of(precision: Precision) -> np.uint64:
-    """Length of the list of numbers of a view that `precision` needs."""
+    """Number of sums that a view needs to be tested for `precision`."""
     return np.uint64(BODY_NUMBERS + MIRRORED if resolves_ambiguity(precision) else BODY_NUMBERS)
 
 
 @inner
 def fill_views(left: np.uint64, precision: Precision, views: BodyViews) -> np.uint64:
-    """Set up a view with zero sums for each orientation in `left`, a word of a bit set; return the number of views."""
+    """Set up a view with zero sums for each orientation whose bit is set in the word `left`; return the number of
+    views.
+    """
     bits, number, rows, count = views.lists[ORIENTATION], views.lists[NUMBER], views.rows, ZERO
     views.lists[TAKEN, 0], views.lists[TAKEN, 1] = left, ZERO
     while left:
@@ -127,7 +132,7 @@ def store_sums(sums: FloatArray, first: Integer, precision: Precision, views: Bo
 
 
 def tags_of(precision: Precision, positions: FloatArray, normals: FloatArray) -> FloatArray:
-    """Tags as rows `(K, 9)`: centre, and vectors from the centre to the midpoints of the right and upper edge,
+    """Tags as rows `(K, 9)`: centre, and vectors from the centre to the midpoints of the right and of the upper edge,
     metres.
     """
     return np.hstack([positions, *(precision.halves[:, None] * side for side in upright(normals))])
@@ -152,7 +157,7 @@ def add_to_body(
         place: position of the body, metres.
         tag: row of `tags_of`.
         sign: 1 to add the landmark, -1 to remove it.
-        precision: share of each corner.
+        precision: weight of each corner.
         views: list of pairs, and sums.
     """
     taken = views.lists[TAKEN]
@@ -198,8 +203,8 @@ def add_up(precision: Precision, views: BodyViews) -> None:
 
 @inner
 def _find_moments(work: FloatArray, share: float, filled: Integer) -> None:
-    """Compute the 21 numbers of the first `filled` pairs; all numbers are in one array, so that LLVM vectorises the
-    loop.
+    """Compute the information about the body's pose (21 numbers) for the first `filled` pairs; all numbers are in one
+    array, so that LLVM vectorises the loop.
     """
     for i in range(whole(filled)):
         weight, numbers = work[AT[3] + i], moments(_square(work, i), share)
@@ -221,7 +226,7 @@ def _square(work: FloatArray, i: Integer) -> Square:
 
 @inlined
 def _shares(found: Any, weight: float) -> Vector:
-    """`share_of` for three numbers."""
+    """Results of `share_of` for three numbers."""
     return share_of(found[0], weight), share_of(found[1], weight), share_of(found[2], weight)
 
 
@@ -249,7 +254,7 @@ def _add_of_group(
     shown: GroupCoverage, p: Integer, which: np.ndarray, w: Integer, place: Vector, tags: FloatArray,
     precision: Precision, views: BodyViews,
 ) -> None:  # fmt: skip
-    """`add_of_all` for the cameras of a group."""
+    """Add the landmarks `which` to the views of the cameras of one mount group, see `add_of_all`."""
     for k in which:
         tag = tag_of(tags, k)
         for m in range(len(shown.sets)):
@@ -270,9 +275,10 @@ def add_of_all(
     every: tuple[GroupCoverage, ...], p: Integer, which: np.ndarray, w: Integer, place: Vector, tags: FloatArray,
     precision: Precision, views: BodyViews,
 ) -> None:  # fmt: skip
-    """Add the landmarks `which` to the views of all cameras, with the body at `place`, position p.
+    """Add the landmarks `which` to the views of all cameras, with the body at position p, whose coordinates are
+    `place`.
 
-    `every` has the coverage by group, `tags` is the result of `tags_of`.
+    `every` has the coverage for each mount group, `tags` is the result of `tags_of`.
     """
     for shown in literal_unroll(every):
         _add_of_group(shown, p, which, w, place, tags, precision, views)

@@ -1,6 +1,6 @@
 """Reference of localisation in NumPy, one function per formula; compiled code must equal the reference bit for bit.
 
-The reference also evaluates scenes whose visibility model has no compiled half (`reference_views`,
+The reference also evaluates scenes whose visibility model has no compiled model of sight (`reference_views`,
 `log_det.ReferenceLogDeterminant`).
 
 Shapes: A orientations, K landmarks.
@@ -48,7 +48,7 @@ from lmd.sight.reference import cap_count, coverage_caps, n_ple_cap, station_cap
 def view_information(
     scene: Scene, deployment: Deployment, asked: Precision, position: FloatArray, axes: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Sums of the numbers of the landmarks in each view, `(16, A)`, and mask `(A, K)` of the covered landmarks.
+    """Sums of the landmarks' information in each view, `(16, A)`, and mask `(A, K)` of the covered landmarks.
 
     The sums are A, g and C, then the residual ratio of `ambiguity`.
     """
@@ -65,7 +65,7 @@ def view_information(
 def body_information(
     scene: Scene, deployment: Deployment, asked: Precision, position: FloatArray, axes: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Fisher information of a rig's cameras about the pose of the body, summed, and mask of the covered landmarks.
+    """Fisher information about the pose of a rig's body, summed over the cameras, and mask of the covered landmarks.
 
     Shapes `(width_of(asked), A)` and `(A, K)`; A orientations of the body.
     """
@@ -128,7 +128,9 @@ def mirrored_probabilities(
 
 
 def density(lens: Any, axes: FloatArray, offset: FloatArray) -> FloatArray:
-    """`lmd.scene.criteria.pixel_density` for axes `(..., 6)` and offsets `(..., 3)`; `lens` is None for a pinhole."""
+    """Result of `lmd.scene.criteria.pixel_density` for axes `(..., 6)` and offsets `(..., 3)`; `lens` is None for a
+    pinhole.
+    """
     axis, right = axes[..., :3], axes[..., 3:]
     if lens is None:
         depth = dot(axis, offset)
@@ -139,7 +141,8 @@ def density(lens: Any, axes: FloatArray, offset: FloatArray) -> FloatArray:
 def decided(
     scene: Scene, deployment: Deployment, n: int, asked: Precision, position: FloatArray, axes: FloatArray
 ) -> tuple[BoolArray, BoolArray, FloatArray]:
-    """Masks `(A,)` of the views that cover n landmarks and of the localised views, and variance of the position `(A,)`.
+    """Mask of the views that cover n landmarks, mask of the localised views, and variance of the camera's position,
+    `(A,)` each.
 
     The variance is infinite in views that do not determine the pose.
     """
@@ -155,7 +158,7 @@ def decided(
 def _judged(
     scene: Scene, deployment: Deployment, asked: Precision, position: FloatArray, axes: FloatArray
 ) -> tuple[BoolArray, FloatArray]:
-    """Mask of the views that have the precision `asked`, and variance of the position, `(A,)` each."""
+    """Mask of the views within the limits `asked`, and variance of the camera's position, `(A,)` each."""
     has_precision, one, trace = meets, has_one_pose, variance
     if scene.rig is not None:
         has_precision, one, trace = body_meets, body_has_one_pose, body_variance
@@ -174,14 +177,16 @@ def localised(
 
 
 def log_det_of(scene: Scene, sums: FloatArray) -> FloatArray:
-    """Logarithm of the determinant of the information of views, `(A,)`, from `information_of`, `(width, A)`."""
+    """Logarithm of the determinant of each view's information, `(A,)`; `sums` `(width, A)` is a result of
+    `information_of`.
+    """
     return np.asarray((body_log_det if scene.rig is not None else log_det)(sums, 0, 1))
 
 
 def reference_views(
     evaluator: Evaluator, positions: FloatArray, normals: FloatArray, n: int, precision: Precision, keep: bool
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """See `evaluation.localised_views`."""
+    """See `evaluation.localised_views`; the results are computed by the reference."""
     scene, axes, places = evaluator.scene, evaluator.scene.orientations.axes, evaluator.positions
     weights = np.broadcast_to(evaluator.weights[:, : len(axes)], (len(places), len(axes)))
     covered, localised = np.empty((2, len(positions), len(places)), dtype=np.int64)

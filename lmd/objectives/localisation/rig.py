@@ -1,6 +1,6 @@
 """Localised views of a rig: a view has the images of all cameras, whose information about the body is summed.
 
-A rig with one camera at the body's origin has the values of the single camera.
+A rig with one camera at the body's origin gives the results of the single camera.
 """
 
 import math
@@ -75,18 +75,18 @@ def _localise(
     every: tuple[GroupCoverage, ...], positions: FloatArray, tags: FloatArray, weights: IntArray, n: Integer,
     precision: Precision, asks: bool, views: BodyViews, out: tuple[IntArray, FloatArray],
 ) -> None:  # fmt: skip
-    """Write into `out` quantised P_n and L, `(2, P)`, and the variances.
+    """Write into `out` two arrays: quantised P_n and L, `(2, P)`, and `variances`, described below.
 
     Args:
-        every: coverage of the landmarks by mount group.
+        every: coverage of the landmarks for each mount group.
         positions: positions of the body, `(P, 3)`, metres.
         tags: result of `tags_of`.
         weights: quantised probability of each orientation, `(1, D)` or `(P, D)`.
         n, precision: see `evaluation.localised_views`.
         asks: value of `Precision.asks`.
         views: working memory.
-        variances: receives the variance of the position in unambiguous views of n landmarks, `(P, D)` filled with
-            infinity; empty to skip the variances.
+        variances: receives the variance of the body's position in unambiguous views with n landmarks or more, `(P, D)`
+            filled with infinity; empty to skip the variances.
     """
     some: Any = np.zeros(max(n, 2), dtype=np.uint64)
     found, variances = out
@@ -125,26 +125,26 @@ class RigImages(NamedTuple):
     """Images of the C cameras of a rig in the N views with a positive probability."""
 
     place: IntArray
-    """`(N,)` index of the position."""
+    """`(N,)` index of the body's position in each view."""
     orientation: IntArray
-    """`(N,)` index of the orientation."""
+    """`(N,)` index of the body's orientation in each view."""
     weight: IntArray
-    """`(N,)` quantised probability."""
+    """`(N,)` quantised probability of each view."""
     positions: FloatArray
     """`(N, 3)` position of the body, metres."""
     axes: FloatArray
-    """`(N, 6)` axis and right of the body, unit vectors."""
+    """`(N, 6)` x axis and right of the body, unit vectors."""
     seen: BoolArray
     """`(C, N, K)` mask of the landmarks that each camera covers."""
 
     def some(self, which: BoolArray) -> "RigImages":
-        """Images in the views selected by the mask `which` `(N,)`."""
+        """Reduce the images to the views selected by the mask `which` `(N,)`."""
         rows: dict[str, Any] = {name: getattr(self, name)[which] for name in self._fields[:-1]}
         return RigImages(**rows, seen=self.seen[:, which])
 
 
 def images_of(evaluator: Evaluator, deployment: Deployment, here: slice = slice(None)) -> RigImages:
-    """Images of a deployment by a rig at the positions `here` of an evaluator."""
+    """Images that a rig takes of a deployment at the positions `here` of an evaluator."""
     places, axes = evaluator.positions[here], evaluator.scene.orientations.axes
     weights = evaluator.weights if len(evaluator.weights) == 1 else evaluator.weights[here]
     weights = np.broadcast_to(weights[:, : len(axes)], (len(places), len(axes)))
@@ -155,7 +155,7 @@ def images_of(evaluator: Evaluator, deployment: Deployment, here: slice = slice(
 
 
 def covers(seen: BoolArray, n: int) -> BoolArray:
-    """Mask of the views in which at least n landmarks are covered by any camera, `(C, N, K)` -> `(N,)`."""
+    """Mask `(N,)` of the views in which at least n landmarks are covered, each by any camera; `seen` is `(C, N, K)`."""
     return np.asarray(seen.any(axis=0).sum(axis=1) >= n)
 
 
@@ -171,7 +171,9 @@ def located(evaluator: Evaluator, deployment: Deployment, images: RigImages, n: 
 
 
 def body_sums(evaluator: Evaluator, deployment: Deployment, images: RigImages, precision: Precision) -> FloatArray:
-    """Information of all images about the body, in the units of the first camera, `(N, width_of(precision))`."""
+    """Information about the body's pose from all images of each view, in the units of the first camera, `(N,
+    width_of(precision))`.
+    """
     scene, (positions, axes, seen) = evaluator.scene, images[3:]
     assert scene.rig is not None
     tags, sums = (
@@ -187,7 +189,7 @@ def body_sums(evaluator: Evaluator, deployment: Deployment, images: RigImages, p
 
 @kernel
 def _decide(precision: Precision, sums: FloatArray, several: BoolArray, views: BodyViews, met: BoolArray) -> None:
-    """Write into `met` `(N,)` the mask of the views that have the precision.
+    """Write into `met` `(N,)` the mask of the views within the limits of `precision`.
 
     `sums` `(N, width)` is the information of the views; `several` `(N,)` is True for views of two or more landmarks.
     """

@@ -1,4 +1,4 @@
-"""Functions of `changes` for a rig."""
+"""Versions, for a rig, of the functions that `views` declares."""
 
 from typing import Any
 

@@ -1,8 +1,9 @@
 """Moves of single landmarks: bounds on L, exact L, and moves that are carried out or undone.
 
-Counts and occlusion come from the field of coverage (`lmd.incremental.trial`). The field of localisation adds the sums
-of the numbers of every view (`information`), exact in any order, and the sets of localised views. Further landmarks
-never reduce the information of a view. So a move can change the decision for few views:
+Counts and occlusion come from the field of coverage (`lmd.incremental.trial`). The field of localisation adds, for
+every view, the sums of the landmarks' information (`information`), which are exact in any order, and the sets of
+localised views. Further landmarks never reduce the information of a view. So a move can change the decision for few
+views:
 
 - if landmarks only disappear from a view, the view may change if it is localised and still covers n landmarks.
 - if landmarks only appear in a view, the view may change if it is not localised and now covers n landmarks.
@@ -11,7 +12,7 @@ never reduce the information of a view. So a move can change the decision for fe
 `bound_move` ignores that the landmark at the new place hides others or is hidden; occlusion only reduces information.
 `finish_move` repeats the decisions at the positions with such occlusion.
 
-Camera and rig share this source, which is compiled separately for each; `changes` declares the functions that differ.
+Camera and rig share this source, which is compiled separately for each; `views` declares the functions that differ.
 """
 
 from typing import Any
@@ -64,7 +65,9 @@ def mixed(located: Any, covered: Any, weight: float) -> Any:
 
 @inner
 def _find_turns(state: Any, scratch: Any) -> None:
-    """Fill `LOST` and `GAINED` at touched positions, for all landmarks except the moving one."""
+    """Fill `LOST` and `GAINED` at touched positions: views in which a landmark other than the moving landmark
+    disappears or appears.
+    """
     lost, gained, trial = scratch.sets[LOST], scratch.sets[GAINED], scratch.coverage
     for q in trial.lists[TOUCHED_LIST][: trial.numbers[TOUCHED_COUNT]]:
         for w in range(np.uint64(lost.shape[1])):
@@ -77,11 +80,13 @@ def _decide_word(
     where: Any, lost: np.uint64, gained: np.uint64, has: np.uint64, several: np.uint64, field: Any, state: Any,
     scratch: Any,
 ) -> Any:  # fmt: skip
-    """Decide which of the views `has` of word w are localised, and write them to `LOCALISED`; all cover n landmarks.
+    """Decide which of the views `has` (bits of word w, views that cover n landmarks) are localised, and write the set
+    of these views to `LOCALISED`.
 
     Args:
-        k, q, w: landmark, position and word.
-        lost, gained: views in which a landmark disappears, and appears, for some camera.
+        k, q, w: indices of the landmark, of the position and of the word.
+        lost, gained: views in which some landmark disappears, and views in which some landmark appears, for some
+            camera.
         has: views that cover n landmarks or more.
         several: views that cover two landmarks or more.
         field, state, scratch: field, state and scratch of localisation.
@@ -104,8 +109,8 @@ def _sum_up(q: Integer, located: np.int64, covered: np.int64, weight: float, val
 
 @inner
 def _decide(k: Integer, positions: WordArray, field: Any, state: Any, scratch: Any) -> None:
-    """Compute the values at `positions` after the move, from the set `FRESH` of landmark k and the pairs after the
-    move.
+    """Compute the values at `positions` after the move, from the sets `FRESH` of landmark k and from the pairs with
+    changed occlusion.
     """
     known, trial, n, weights = state.coverage, scratch.coverage, field.coverage.n, field.coverage.weights
     counts, enough, digits = known.counts, known.counts.sets[ENOUGH], trial.digits
@@ -183,7 +188,7 @@ def _change_sums(k: Integer, sign: float, field: Any, state: Any, scratch: Any) 
 
 @inner
 def _exchange(state: Any, scratch: Any) -> None:
-    """Exchange the values near the move between state and scratch."""
+    """Exchange the values at the positions that the move affects between state and scratch."""
     first, last, localised = scratch.coverage.lists[FIRST], scratch.coverage.lists[LAST], scratch.sets[LOCALISED]
     for s in range(scratch.coverage.numbers[SPAN_COUNT]):
         for p in range(first[s], last[s]):
@@ -212,7 +217,9 @@ def undo_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 @inner
 def _meet_anew(q: Integer, w: Integer, field: Any, state: Any, scratch: Any) -> np.uint64:
-    """Sum the numbers of all landmarks in the views of word w, and return the views that have the precision."""
+    """Sum the information of all landmarks in the views of word w at position q, and return the set of the views within
+    the limits of `Precision`.
+    """
     known, seen = state.coverage, ZERO
     for k in range(np.uint64(known.poses.shape[1])):
         seen |= shown_of(known, k, q, w)
@@ -223,7 +230,7 @@ def _meet_anew(q: Integer, w: Integer, field: Any, state: Any, scratch: Any) -> 
 
 @kernel
 def sum_up_anew(field: Any, state: Any, scratch: Any) -> None:
-    """Compute the sums of all views and the values from all landmarks of a state."""
+    """Compute the sums of all views, and the values at all positions, from all landmarks of a state."""
     known, weights = state.coverage, field.coverage.weights
     for q in range(np.uint64(len(state.units))):
         located = np.int64(0)

@@ -6,8 +6,8 @@ of moments for all views of a position. A camera of a rig has another position f
 computed for each pair of a landmark and a view (`pairs`); for a single camera, moments for each pair would be up to 64
 times the work.
 
-The module declares the functions of `trial` that differ for camera and rig; they treat landmarks that appear in views
-or disappear from views.
+The module also declares the functions of `trial` that differ for camera and rig. These functions handle landmarks that
+appear in views or disappear from views.
 
 For a single camera (`camera_changes`), a landmark is hidden at a position for all orientations or for none, and has one
 set of moments per position. For a rig (`rig_changes`), occlusion and moments depend on mount and orientation.
@@ -64,30 +64,32 @@ class CameraViews(NamedTuple):
     """Views of a single camera."""
 
     lists: WordArray
-    """`(4, BITS)`: `ORIENTATION`, `NUMBER`, `WHOSE`, `TAKEN`."""
+    """`(4, BITS)` lists of numbers of the views, rows `ORIENTATION`, `NUMBER`, `WHOSE` and `TAKEN`."""
     rows: FloatArray
-    """`(WIDTH BITS,)` sums of the views."""
+    """`(WIDTH BITS,)` sums of the landmarks' information in each view."""
     met: np.ndarray
-    """`(BITS,)` uint8, 1 for a view with the required precision."""
+    """`(BITS,)` uint8, 1 for a view within the limits of `Precision`."""
     weights: FloatArray
     """`(2, BITS)` pixel density of a landmark in each view, 0 in views without the landmark: rows `DISAPPEARS`,
     `APPEARS`.
     """
     moments: FloatArray
-    """`(2, P, WIDTH)` moments of the landmark that moves, from each position: `LEFT`, `TRIED`."""
+    """`(2, P, WIDTH)` moments (`information.moments`) of the moving landmark as seen from each position: row `LEFT` for
+    its old place, row `TRIED` for the place tried.
+    """
     found: np.ndarray
     """`(P,)` uint8, 1 if `moments` belong to the move tried last."""
     other: FloatArray
-    """`(WIDTH,)` moments of another landmark."""
+    """`(WIDTH,)` moments of a landmark other than the moving landmark."""
 
 
 class BodyViews(NamedTuple):
-    """Views of a rig, with orientations of its body."""
+    """Views of a rig, for the orientations of its body."""
 
     lists: WordArray
     """See `CameraViews`."""
     rows: FloatArray
-    """`(MIRRORED_WIDTH BITS,)` sums of the views."""
+    """`(MIRRORED_WIDTH BITS,)` sums of the landmarks' information in each view."""
     met: np.ndarray
     """See `CameraViews`."""
     work: FloatArray
@@ -98,21 +100,21 @@ Views: TypeAlias = CameraViews | BodyViews
 
 
 def camera_views(size: int) -> CameraViews:
-    """Working memory for a single camera at `size` positions."""
+    """New working memory for a single camera at `size` positions."""
     lists, met, found = np.zeros((4, BITS), np.uint64), np.zeros(BITS, np.uint8), np.zeros(size, np.uint8)
     rows, weights, moments = np.zeros(WIDTH * BITS), np.zeros((2, BITS)), np.zeros((2, size, WIDTH))
     return CameraViews(lists, rows, met, weights, moments, found, np.zeros(WIDTH))
 
 
 def body_views() -> BodyViews:
-    """Working memory for a rig."""
+    """New working memory for a rig."""
     lists, met = np.zeros((4, BITS), np.uint64), np.zeros(BITS, np.uint8)
     return BodyViews(lists, np.zeros(MIRRORED_WIDTH * BITS), met, np.zeros(WORK * BITS))
 
 
 @dispatched
 def is_met(views: Any, precision: Precision, v: Integer, several: Any) -> Any:
-    """True if view v has the precision; `several` is True if the view shows two landmarks or more."""
+    """True if view v is within the limits of `precision`; `several` is True if the view shows two landmarks or more."""
 
 
 @is_met.register(CameraViews)
@@ -128,13 +130,17 @@ def _body_is_met(views: BodyViews, precision: Precision, v: Integer, several: An
 
 @inlined
 def whole(count: Integer) -> np.uint64:
-    """`count` rounded up to a multiple of the vector length, so that loops need no scalar remainder."""
+    """Number of views `count`, rounded up to a multiple of the vector length, so that loops need no scalar
+    remainder.
+    """
     return (count + GROUP - ONE) & ~(GROUP - ONE)
 
 
 @inner
 def met_views(precision: Precision, views: Views, count: Integer, several: np.uint64) -> np.uint64:
-    """Set of the orientations whose views have the precision; `several` is the set with two landmarks or more."""
+    """Set of the orientations whose views are within the limits of `precision`; `several` is the set of orientations
+    with two landmarks or more in view.
+    """
     bits, met, good = views.lists[ORIENTATION], views.met, ZERO
     for v in range(whole(count)):
         met[v] = is_met(views, precision, v, several >> bits[v] & ONE != ZERO)
@@ -195,8 +201,8 @@ def add_moments(rows: FloatArray, moments: FloatArray, weights: FloatArray, sign
 def replace_moments(
     rows: FloatArray, lost: FloatArray, gained: FloatArray, weights: FloatArray, count: Integer
 ) -> None:
-    """Subtract a landmark with the moments `lost` from the rows of a camera's views, and add a landmark with
-    `gained`.
+    """Subtract a landmark with the moments `lost` from the rows of a camera's views, and add a landmark with the
+    moments `gained`.
     """
     for j in range(np.uint64(len(lost))):
         old, new = lost[j], gained[j]
@@ -207,10 +213,11 @@ def replace_moments(
 
 @inlined
 def load_rows(left: np.uint64, first: Integer, sums: FloatArray, views: CameraViews) -> np.uint64:
-    """Set up a view for each orientation in `left`, a word of a bit set; prefetch their rows of `sums` from `first` on.
+    """Set up a view for each orientation whose bit is set in the word `left`; prefetch the rows of `sums` for these
+    views, from row `first` on.
 
     Returns:
-        number of the views.
+        number of views that were set up.
     """
     bits, count = views.lists[ORIENTATION], ZERO
     while left:
@@ -246,13 +253,14 @@ def add_to_sums(
 
 @dispatched_call
 def see_place(known: Any, k: Integer, n: Integer, localised: WordArray, cover: Any, trial: Any) -> Any:
-    """Write into `FRESH` the relevant orientations with which landmark k is seen at the place tried.
+    """Write into `FRESH` the orientations, among those that can change a decision, with which landmark k is seen at the
+    place tried.
 
     Args:
         known, trial: state and scratch of coverage.
         k: the landmark.
-        n: landmarks that must be covered.
-        localised: sets of localised views, `(Q, W)`.
+        n: number of landmarks that must be covered.
+        localised: bit sets of the localised views, `(Q, W)`.
         cover: field of coverage.
 
     Returns:
@@ -267,12 +275,16 @@ def see_touched(known: Any, k: Integer, n: Integer, positions: WordArray, cover:
 
 @dispatched_call
 def see_rest(known: Any, k: Integer, cover: Any, trial: Any) -> None:
-    """Add all other orientations to `FRESH`, for a move that is carried out."""
+    """Complete `FRESH` by all other orientations with which the landmark is seen at the place tried, before a move is
+    carried out.
+    """
 
 
 @dispatched_call
 def find_turns(known: Any, trial: Any, lost: WordArray, gained: WordArray) -> None:
-    """Add to `lost` and `gained` `(Q, W)` the orientations with which landmarks disappear and appear for a camera."""
+    """Add to `lost` `(Q, W)` the orientations with which a landmark disappears for some camera, and to `gained` `(Q,
+    W)` the orientations with which a landmark appears.
+    """
 
 
 @overridable
@@ -284,10 +296,11 @@ def clear_moments(views: Any, p: Integer) -> None:
 def sum_views(
     known: Any, k: Integer, p: Integer, w: Integer, left: np.uint64, field: Any, state: Any, scratch: Any
 ) -> Any:
-    """Compute the sums of the views `left` of word w after the move.
+    """Set up a view for each orientation whose bit is set in `left`, which belongs to word w, and compute the sums of
+    the view after the move.
 
     Returns:
-        number of the views.
+        number of views that were set up.
     """
 
 
@@ -296,15 +309,15 @@ def change_sums(
     known: Any, k: Integer, p: Integer, w: Integer, changed: np.uint64, sign: float, field: Any, state: Any,
     scratch: Any,
 ) -> None:  # fmt: skip
-    """Add the changes of a move to the sums of the views `changed` of word w, times `sign`."""
+    """Add the changes by a move, times `sign`, to the sums of the views `changed` (bits of word w)."""
 
 
 @dispatched
 def sum_anew(known: Any, p: Integer, w: Integer, seen: np.uint64, field: Any, state: Any, scratch: Any) -> Any:
-    """Set up the views `seen` of word w with zero sums, and add all landmarks to the sums.
+    """Set up the views `seen` (bits of word w) with zero sums, and add all landmarks to the sums.
 
     Returns:
-        number of the views.
+        number of views that were set up.
     """
 
 
