@@ -1,1 +1,3 @@
-"""Moving one landmark at a time: exact counts and probabilities, updated instead of recomputed."""
+"""Incremental evaluation of moves of one landmark at a time: counts and probabilities are exact, but updated instead of
+recomputed.
+"""

@@ -104,7 +104,7 @@ def _clear_views(scratch: Any) -> None:
 
 @inner
 def view_place(k: Integer, field: Any, scratch: Any) -> None:
-    """Fill `seen`, `REACHED` and the cells of the place tried, for the positions near the place."""
+    """Fill `seen`, `REACHED` and `cell` of the scratch for the place tried, at the positions near the place."""
     positions, sight, seen = field.positions, sized(field.cameras.sight, k), scratch.seen
     x, y, z, low, high, sure = seen[X], seen[Y], seen[Z], seen[LOW], seen[HIGH], seen[SURE]
     cell, reached, first, last = scratch.cell[CELL], scratch.flags[REACHED], scratch.lists[FIRST], scratch.lists[LAST]
@@ -259,7 +259,7 @@ def _find_pairs(state: Any, k: Integer, role: Any, field: Any, scratch: Any) -> 
 
 @inner
 def _want_blocks(k: Integer, state: Any, scratch: Any) -> None:
-    """Reduce `WANTED` to the few blocks from which landmark k hides another landmark or is hidden."""
+    """Reduce `WANTED` to the few blocks with a position from which landmark k hides another landmark or is hidden."""
     hiding, hidden, wanted = state.hides[HIDING], state.hides[HIDDEN], scratch.flags[WANTED]
     for b in scratch.lists[BLOCKS][: scratch.numbers[BLOCK_COUNT]]:
         some = np.int16(0)
@@ -270,7 +270,7 @@ def _want_blocks(k: Integer, state: Any, scratch: Any) -> None:
 
 @inlined
 def _hide_from(p: Integer, one: Any, pose: Any, two: Any, other: Any, positions: FloatArray) -> Any:
-    """`hide_between` for the sights and poses of two landmarks, from position p."""
+    """Result of `hide_between` for two landmarks, given by model of sight and pose, as seen from position p."""
     (place, facing), (there, turned), at = pose, other, column3(positions, p)
     a, b = minus3(place, at), minus3(there, at)
     return hide_between(one, two, a, dot3(a, a), b, dot3(b, b), facing, turned)
@@ -294,7 +294,9 @@ def _note_neighbour(state: Any, groups: Any, near: Any, role: Any, place: Any, f
 
 @inlined
 def _note_hiding(i: Integer, p: Integer, one: Any, two: Any, role: Any, scratch: Any) -> None:
-    """Record that, from position p, the place hides landmark i (if `one`) and landmark i hides the place (if `two`)."""
+    """Record that, from position p, the moving landmark at its place hides landmark i (if `one`), and that landmark i
+    hides the moving landmark (if `two`).
+    """
     changes, hides = scratch.changes, scratch.hides
     if role != OLD_PLACE:
         hides[HIDING, p] += one
@@ -310,13 +312,15 @@ def _note_hiding(i: Integer, p: Integer, one: Any, two: Any, role: Any, scratch:
 
 @inlined
 def turns(reachable: Any, was: Any, now: Any) -> Any:
-    """True if a landmark appears or disappears when the number of its occluders changes from `was` to `now`."""
+    """True if a landmark appears or disappears when the number of landmarks that hide it changes from `was` to
+    `now`.
+    """
     return reachable & ((was == 0) != (now == 0))
 
 
 @inner
 def _touch_flips(state: Any, scratch: Any) -> None:
-    """Mark as `TOUCHED` the positions from which another landmark appears or disappears."""
+    """Mark as `TOUCHED` the positions from which the move makes another landmark appear or disappear."""
     hidden, reachable, changes = state.hides[HIDDEN], state.reachable, scratch.changes[HIDDEN]
     for e in range(scratch.numbers[PAIR_COUNT]):
         i, p = np.uint64(scratch.pairs[LANDMARK, e]), np.uint64(scratch.pairs[POSITION, e])

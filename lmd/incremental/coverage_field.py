@@ -1,4 +1,6 @@
-"""Incremental field of coverage: P_n at every position while single landmarks move, for a camera or a rig."""
+"""Field (incremental evaluator) of coverage: it updates P_n at every position when single landmarks move, for a camera
+or a rig.
+"""
 
 from typing import Any, NamedTuple
 
@@ -41,7 +43,7 @@ class OneCamera(NamedTuple):
     sight: Any
     """Compiled model of sight."""
     horizon: float
-    """See `criteria.horizon_of`, metres."""
+    """Distance from the camera beyond which a landmark has no effect, metres, see `criteria.horizon_of`."""
     centres: np.ndarray
     """`(1, 3)` zeros: offset of the camera from a position, metres."""
     radius: np.ndarray
@@ -49,9 +51,11 @@ class OneCamera(NamedTuple):
     obstacles: Any
     """Obstacles of the room seen from the positions, see `lmd.sight.obstacles`."""
     axes: np.ndarray
-    """`(6, 64 W)` optical axis and right, padded with zeros to whole words."""
+    """`(6, 64 W)` optical axis and image's right of each orientation, unit vectors, padded with zeros to whole
+    words.
+    """
     tables: np.ndarray
-    """`(2, cells + 1, W)` tables `CERTAIN`, `POSSIBLE` of `lmd.sight.directions`."""
+    """`(2, cells + 1, W)` tables `CERTAIN` and `POSSIBLE`, see `lmd.sight.directions`."""
 
     @property
     def sights(self) -> tuple[Any, ...]:
@@ -59,12 +63,12 @@ class OneCamera(NamedTuple):
         return (self.sight,)
 
     def with_sights(self, change: Any) -> "OneCamera":
-        """Copy with the model of sight `change(sight)`."""
+        """Copy of the camera with the model of sight `change(sight)`."""
         sight = change(self.sight)
         return self._replace(sight=sight, horizon=horizon_of(sight))
 
     def state(self, shared: dict[str, Any]) -> State:
-        """Empty state; `shared` has the fields that do not depend on the cameras."""
+        """New state in which no landmark is counted; `shared` has the arrays that do not depend on the cameras."""
         (size, words), count = shared["counts"].sets.shape[1:], len(shared["surfaces"])
         check_views(LANDMARK_BYTES, size, BITS * words, count)
         return State(
@@ -80,10 +84,11 @@ class OneCamera(NamedTuple):
 
 
 class RigCameras(NamedTuple):
-    """The cameras of a rig at Q positions of its body with all orientations."""
+    """The cameras of a rig at Q positions of the rig's body with all orientations."""
 
     groups: tuple[MountGroup, ...]
-    """Mounts, grouped by kind of camera; row q G + g of `MountGroup.obstacles` is the camera at place g for position q.
+    """Mounts, grouped by kind of camera; row q G + g of `MountGroup.obstacles` belongs to the camera at offset g of
+    `MountGroup.places`, with the body at position q.
     """
 
     @property
@@ -97,11 +102,11 @@ class RigCameras(NamedTuple):
         return tuple(group.sight for group in self.groups)
 
     def with_sights(self, change: Any) -> "RigCameras":
-        """Copy with the models of sight `change(sight)`."""
+        """Copy of the rig with the models of sight `change(sight)`."""
         return RigCameras(tuple(with_sight(group, change(group.sight)) for group in self.groups))
 
     def state(self, shared: dict[str, Any]) -> RigState:
-        """Empty state; `shared` has the fields that do not depend on the cameras."""
+        """New state in which no landmark is counted; `shared` has the arrays that do not depend on the cameras."""
         (size, words), count = shared["counts"].sets.shape[1:], len(shared["surfaces"])
         mounts = [len(group.axes) for group in self.groups]
         centres = sum(len(group.centres) for group in self.groups)
@@ -118,7 +123,7 @@ class RigCameras(NamedTuple):
 
 
 class CoverageField(NamedTuple):
-    """Constant data of the field of coverage; a `lmd.incremental.field.Field`."""
+    """Constant data of the incremental evaluator of coverage; a `lmd.incremental.field.Field`."""
 
     positions: np.ndarray
     """`(3, Q)` positions in blocks of `BLOCK` neighbours, the last block padded with copies; metres."""
@@ -129,11 +134,11 @@ class CoverageField(NamedTuple):
     horizon: float
     """Distance from a position beyond which a landmark has no effect, metres."""
     cameras: OneCamera | RigCameras
-    """Camera or rig."""
+    """Single camera, or cameras of a rig."""
     counted_once: np.ndarray
-    """`(Q, W)` axes that cover one landmark outside of the deployment, see `stacked`."""
+    """`(Q, W)` bit sets of axes on which one landmark is counted that is not in the deployment, see `stacked`."""
     weights: np.ndarray
-    """Quantised probability of each axis, `(1, 64 W)` or `(Q, 64 W)`, see `kernels.evaluate_range`."""
+    """Quantised probability (an integer) of each axis, `(1, 64 W)` or `(Q, 64 W)`, see `kernels.evaluate_range`."""
     n: int
     """Number of landmarks that must be covered."""
 
@@ -167,7 +172,7 @@ class CoverageField(NamedTuple):
         """See `Stacking.stacked`.
 
         Without occlusion, a stack of n landmarks is covered if one landmark at its place is covered, so n becomes 1.
-        Axes that cover n fixed landmarks count as axes that cover one stack.
+        Axes from which n fixed landmarks are covered count as axes from which one stack is covered.
         """
         counted_once = self.counted_once
         if fixed is not None:
@@ -190,7 +195,7 @@ undo.register(CoverageField)(exchange_place)
 
 
 def coverage_field(evaluator: Evaluator, n: int) -> CoverageField:
-    """Field of P_n at the positions of an evaluator."""
+    """Make the field (incremental evaluator) of P_n at the positions of an evaluator."""
     e, (order, index_of), blockers = evaluator, evaluator.blocks, evaluator.scene.room.blockers()
     ordered = e.positions[order]
     cameras: OneCamera | RigCameras

@@ -1,13 +1,15 @@
-"""Incremental fields: values of positions, updated while single landmarks move, and the fitness they give.
+"""Fields, which are incremental evaluators: they update the value of each position when a single landmark moves. A
+`Target` computes the fitness from the values.
 
-`annealing` optimises any objective with a field. A field is a named tuple of constant arrays. The state has the arrays
-that change with the landmarks, and a scratch has the arrays of a move that is tried. A move consists of
+`annealing` optimises any objective with a field. A field is a named tuple of constant arrays. A *state* has the arrays
+that change with the landmarks, and a *scratch* is working memory with the arrays of a move that is tried. A move
+consists of
 
     bound -> settle -> accept (-> undo),
 
-and may be dropped after `bound` or after `settle`. A field that is no named tuple registers plain Python functions, and
-kernels then run as plain Python (`runner`). Values are quantised probabilities (`PROBABILITY_ONE` stands for 1). Sums
-of integers are exact, so updated values equal recomputed ones.
+and may be dropped after `bound` or after `settle`. A field that is not a named tuple registers plain Python functions,
+and kernels then run as plain Python (`runner`). Values are quantised probabilities (`PROBABILITY_ONE` stands for 1).
+Sums of integers are exact, so updated values equal recomputed values.
 """
 
 from collections.abc import Callable
@@ -24,10 +26,11 @@ from lmd.scene.deployment import Deployment
 
 
 class Field(Protocol):
-    """Interface of incremental fields; a class registers `bound`, `settle`, `accept` and `undo`.
+    """Interface of fields (incremental evaluators); a class must register versions of `bound`, `settle`, `accept` and
+    `undo`.
 
     A state has `poses` `(6, K)` (positions, metres, and unit normals), `surfaces` `(K,)` and the quantised values
-    `units` `(Q,)` int64. A scratch has `units`, the values of the move tried last.
+    `units` `(Q,)` int64. A scratch has `units`, the quantised values after the move tried last.
     """
 
     @property
@@ -36,13 +39,13 @@ class Field(Protocol):
 
     @property
     def index_of(self) -> Any:
-        """`(P,)`: for each position of the evaluator, its index among the positions of the field."""
+        """Index, among the positions of the field, of each position of the evaluator, `(P,)`."""
 
     def state(self, deployment: Deployment) -> Any:
-        """State of a deployment."""
+        """New state for a deployment."""
 
     def scratch(self, state: Any) -> Any:
-        """Scratch for moves of a state."""
+        """New scratch for moves of the landmarks of a state."""
 
 
 @runtime_checkable
@@ -54,7 +57,7 @@ class Stacking(Protocol):
         """Number of landmarks in a stack."""
 
     def stacked(self, fixed: Deployment | None) -> Field:
-        """Field in which each landmark of a state stands for a stack; `fixed` landmarks are counted in addition."""
+        """Field in which each landmark of a state represents a stack; `fixed` landmarks are counted in addition."""
 
     def shrunk(self, size: float) -> Field:
         """Field with the occluding bodies of landmarks scaled by `size`; used to separate the landmarks of a stack."""
@@ -66,7 +69,9 @@ def stack_of(field: Field) -> int:
 
 
 def runner(field: Field, function: Any) -> Callable[..., Any]:
-    """Kernel `function` for a field; its plain Python version if the field is no named tuple."""
+    """Return the kernel `function` for a field, or the kernel's plain Python version if the field is not a named
+    tuple.
+    """
     chosen: Callable[..., Any] = function if isinstance(field, tuple) else getattr(function, "py_func", function)
     return chosen
 
@@ -89,14 +94,14 @@ class Places(NamedTuple):
 
 
 def places_of(deployment: Deployment) -> Places:
-    """Places of the landmarks of a deployment."""
+    """Poses and surfaces of the landmarks of a deployment."""
     poses = np.ascontiguousarray(np.hstack([deployment.positions, deployment.normals]).T)
     return Places(poses, deployment.surfaces.copy())
 
 
 class Target(Protocol):
-    """Interface of the function from values to fitness: a named tuple whose class registers `smoothed` and
-    `contribution`.
+    """Interface of functions that compute the fitness from the values of all positions. A target is a named tuple whose
+    class registers versions of `smoothed` and `contribution`.
     """
 
     @property
@@ -106,15 +111,17 @@ class Target(Protocol):
 
 @dispatched_call
 def bound(field: Any, k: Integer, pose: Any, surface: Integer, state: Any, scratch: Any) -> None:
-    """Write into `scratch.units` upper bounds on the values with landmark k at `pose` on a surface.
+    """Try a move of landmark k to `pose` on a surface: write upper bounds on the values after the move into
+    `scratch.units`.
 
-    `pose` `(6,)` is position (metres) and unit normal. Bounds are cheap and let most moves be dropped.
+    `pose` `(6,)` is position (metres) and unit normal. Bounds are cheap, and most moves can be rejected by their
+    bounds.
     """
 
 
 @dispatched_call
 def settle(field: Any, k: Integer, state: Any, scratch: Any) -> None:
-    """Replace the bounds in `scratch.units` by the exact values."""
+    """Replace the bounds in `scratch.units` by the exact values after the move."""
 
 
 @dispatched_call
@@ -150,7 +157,7 @@ def placed(state: Any) -> Any:
 @overridable
 def combined(target: Any, terms: FloatArray, total: Any) -> Any:  # noqa: ARG001 # for other targets
     """Smoothed fitness from the contributions `terms` `(Q,)` of the positions: their sum `total`, unless the class of
-    the target registers another function, which must increase monotonically with every term.
+    the target registers another function. That function must increase monotonically with every term.
     """
     return total
 
@@ -200,7 +207,8 @@ def move_to(places: Any, field: Any, state: Any, scratches: Any, pose: Any) -> N
 def perform(steps: Any, poses: FloatArray, field: Any, state: Any, scratches: Any, units: Any) -> None:
     """Execute steps of moves one after the other.
 
-    Python calls a field only through this kernel: every kernel is compiled for each class of field, which takes long.
+    Python calls a field through this kernel only, as each further kernel would be compiled for every class of field,
+    which takes long.
 
     Args:
         steps: `(S, 4)` int64: one of `BOUND`, `SETTLE`, `ACCEPT`, `UNDO`; landmark; surface; index of the scratch.
@@ -227,7 +235,7 @@ def perform(steps: Any, poses: FloatArray, field: Any, state: Any, scratches: An
 
 
 def moved(places: Places, state: Any) -> tuple[IntArray, FloatArray]:
-    """Steps and poses for `perform` that move the landmarks of `state` to `places`."""
+    """Arguments `steps` and `poses` with which `perform` moves the landmarks of `state` to `places`."""
     known = placed(state)
     elsewhere = (places.poses != known.poses).any(axis=0) | (places.surfaces != known.surfaces)
     which = np.flatnonzero(elsewhere)
@@ -238,7 +246,9 @@ def moved(places: Places, state: Any) -> tuple[IntArray, FloatArray]:
 
 
 def in_order(field: Field, relevance: FloatArray) -> FloatArray:
-    """Normalised weights `(P,)` of the evaluator's positions, in the order of the field, `(Q,)`."""
+    """Normalise the weights of the evaluator's positions, `relevance` `(P,)`, and put them into the order of the
+    field's positions, `(Q,)`.
+    """
     ordered = np.zeros(field.size)
     ordered[field.index_of] = relevance / relevance.sum()
     return ordered

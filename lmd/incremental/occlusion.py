@@ -1,6 +1,6 @@
-"""Occlusion between a moving landmark and the others: pairs of another landmark and a position.
+"""Occlusion between the moving landmark and other landmarks: the module finds pairs of another landmark and a position.
 
-Only blocks of positions within the horizon of both landmarks are searched, in two stages:
+Only blocks of positions are searched that are at most the horizon (a distance) from both landmarks, in two stages:
 
 1. A bound excludes most landmarks for all positions of a block. Let m be the offset of the place a from the centre of
    the block, and e = o - a the vector to a landmark o. From the position delta away from the centre, a and o have the
@@ -12,12 +12,13 @@ Only blocks of positions within the horizon of both landmarks are searched, in t
 
    and the other components by cyclic permutation. The test is in float32; `SINGLE_ERROR` covers its rounding: the error
    of each sum is below 5 * 6e-8 times the larger of the sum and (|m| + |h|) |e|.
-2. `note_neighbour` tests the remaining landmarks from each position: for a camera by the inequalities of the reference.
-   For a rig by a bound for all cameras around a centre, and then by the inequalities for each orientation.
+2. `note_neighbour` tests the remaining landmarks from each position. For a camera it uses the inequalities of the
+   reference. For a rig it uses a bound for all cameras around a centre, and then the inequalities for each orientation.
 
 A camera is treated as a mount group with one centre, the position itself, and the radius 0.
 
-A second task is to list the blocks of positions whose horizon includes a landmark's old place or the place tried.
+A second task is to list the blocks of positions that are at most the horizon from a landmark's old place or from the
+place tried.
 
 A trial works in these blocks alone: from other positions neither place is visible, and neither affects another
 landmark. Each trial clears the entries that the previous trial wrote, so no loop runs over the whole room.
@@ -55,7 +56,7 @@ from lmd.sight.blocks import BLOCK, SINGLE_ERROR
 
 @inlined
 def is_near(field: Any, b: Integer, point: Vector) -> Any:
-    """True if block b is within the horizon of a point, metres."""
+    """True if block b is at most the horizon away from a point, metres."""
     (x, y, z), (hx, hy, hz) = pair3(field.boxes, b)
     dx, dy, dz = max(abs(point[0] - x) - hx, 0.0), max(abs(point[1] - y) - hy, 0.0), max(abs(point[2] - z) - hz, 0.0)
     return dx * dx + dy * dy + dz * dz <= field.horizon * field.horizon
@@ -76,7 +77,7 @@ def pose_of(k: Integer, state: Any) -> Any:
 
 @inner
 def list_blocks(k: Integer, field: Any, state: Any, scratch: Any) -> None:
-    """List the blocks near landmark k or near the place tried."""
+    """List the blocks that are at most the horizon away from landmark k or from the place tried."""
     numbers, size, (there, _), (here, _) = scratch.numbers, field.boxes.shape[1], target_of(scratch), pose_of(k, state)
     aimed, wanted = scratch.flags[AIMED], scratch.flags[WANTED]
     blocks, first, last = scratch.lists[BLOCKS], scratch.lists[FIRST], scratch.lists[LAST]
@@ -103,13 +104,14 @@ OLD_PLACE, NEW_PLACE, FIRST_PLACE = np.int64(0), np.int64(1), np.int64(2)
 
 @inlined
 def line_radius(sight: Any) -> Any:
-    """Greatest distance from a line of sight at which a landmark hides another, metres."""
+    """Greatest distance from a line of sight at which a landmark can block the line, metres."""
     return math.sqrt(sight.reach) * (1.0 + SINGLE_ERROR) + TOLERANCE
 
 
 @inner
 def find_offsets(place: Vector, poses: FloatArray, horizon: float, others: np.ndarray, offsets: FloatArray) -> Any:
-    """List the landmarks within the horizon of a place in `others`, and the vectors to the landmarks in `offsets`.
+    """List in `others` the landmarks that are at most `horizon` metres from a place, and write into `offsets` the
+    vectors from the place to these landmarks.
 
     See `Scratch.offsets`.
 
@@ -135,12 +137,12 @@ def find_offsets(place: Vector, poses: FloatArray, horizon: float, others: np.nd
 
 @inlined
 def near_line(start: Any, middle: Vector, sides: Vector, radius: float, offsets: FloatArray) -> Any:
-    """Bit set of the landmarks that pass the first stage of the search.
+    """Bit set of the landmarks that pass the first stage of the search (see the module).
 
     Args:
-        start: index of the first of `LANES` landmarks.
-        middle: offset of the place from the centre of the box, metres.
-        sides: half sides of the box, metres.
+        start: index of the first of the `LANES` landmarks that are tested.
+        middle: offset of the place from the centre of a block's bounding box, metres.
+        sides: half the side lengths of the box, metres.
         radius: result of `line_radius`, metres.
         offsets: array filled by `find_offsets`.
     """
@@ -165,9 +167,11 @@ def note_neighbour(state: Any, groups: Any, near: Any, role: Any, place: Any, fi
     """Record the positions of block b from which landmark k at a `place` hides landmark i or is hidden by landmark i.
 
     Args:
-        groups: a `OneCamera`, or a `MountGroup` of a rig, and its fields of a state and of a scratch.
-        near: indices of the centre, of the block, and of landmarks i and k. Then, in metres, the offset of the place
-            from the centre of the block as seen from that centre, and half the diagonal of the block's box.
+        groups: a `OneCamera`, or a `MountGroup` of a rig, with the arrays of the state and of the scratch that belong
+            to it.
+        near: indices of the cameras' centre (`MountGroup.centres`), of the block, and of landmarks i and k; then, in
+            metres, the offset of the place from the cameras' centre if the body is at the middle of the block, and half
+            the diagonal of the block's box.
         role: `OLD_PLACE`, `NEW_PLACE` or `FIRST_PLACE`.
         place: position (metres) and unit normal.
     """
@@ -175,7 +179,7 @@ def note_neighbour(state: Any, groups: Any, near: Any, role: Any, place: Any, fi
 
 @inner
 def search(groups: Any, k: Integer, role: Any, field: Any, state: Any, scratch: Any) -> None:
-    """Call `note_neighbour` for all landmarks that may hide landmark k at a place, or may be hidden by k.
+    """Call `note_neighbour` for all landmarks that landmark k, at a place, may hide or be hidden by.
 
     Arguments as in `note_neighbour`; `role` selects the old place or the place tried.
     """

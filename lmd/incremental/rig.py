@@ -90,7 +90,8 @@ def _clear_views(scratch: Any) -> None:
 
 @allocating
 def _find_covered(k: Integer, group: Any, positions: FloatArray, body: FloatArray, scratch: Any, rig: Any) -> None:
-    """Write into `COVERED` the orientations among `ASKED` that cover the place tried, and add them to `FRESH`.
+    """Write into `COVERED` the orientations, among `ASKED`, with which each camera covers the place tried, and add
+    these orientations to `FRESH`.
 
     `OCCLUDED` is cleared.
 
@@ -99,7 +100,7 @@ def _find_covered(k: Integer, group: Any, positions: FloatArray, body: FloatArra
         group: a `MountGroup`.
         positions: indices of the positions of the body to evaluate.
         body: all positions of the body, `(3, Q)`, metres.
-        scratch, rig: working memory of the group, and of the rig.
+        scratch, rig: working memory of the mount group, and of the rig.
     """
     obstacles, asked, fresh = group.obstacles, rig.sets[ASKED], rig.sets[FRESH]
     tried_covered, tried_occluded, seen = scratch.sets[COVERED], scratch.sets[OCCLUDED], scratch.seen
@@ -153,7 +154,9 @@ def _find_covered(k: Integer, group: Any, positions: FloatArray, body: FloatArra
 
 @inner
 def _join(positions: FloatArray, scratch: Any) -> None:
-    """Recompute `FRESH` at `positions`: the union over all cameras of `COVERED` without `OCCLUDED`."""
+    """Recompute `FRESH` at `positions`: the union, over all cameras, of the orientations in `COVERED` that are not in
+    `OCCLUDED`.
+    """
     fresh = scratch.sets[FRESH]
     for q in positions:
         for w in range(np.uint64(fresh.shape[1])):
@@ -169,7 +172,7 @@ def _join(positions: FloatArray, scratch: Any) -> None:
 
 @inner
 def _see_with(groups: Any, k: Integer, positions: FloatArray, field: Any, state: Any, scratch: Any) -> None:
-    """Run `see` for all groups of a rig."""
+    """Run `see` for all mount groups of a rig."""
     fresh = scratch.sets[FRESH]
     for q in positions:
         for w in range(np.uint64(fresh.shape[1])):
@@ -187,7 +190,8 @@ def _see(state: Any, k: Integer, positions: np.ndarray, field: Any, scratch: Any
 
 @inner
 def list_near(scratch: Any, all_of_them: bool) -> Any:
-    """Write into `LISTED` the positions near the old place and the place tried; return their number.
+    """Write into `LISTED` the positions near the old place and near the place tried; return the number of these
+    positions.
 
     With `all_of_them` all these positions are listed, else the positions that are touched or have orientations in
     `ASKED`.

@@ -1,7 +1,8 @@
-"""Occlusion for the cameras of a rig: a set of orientations for each landmark, camera and position.
+"""Occlusion for the cameras of a rig: for each landmark, camera and position, the set of orientations with which the
+landmark is hidden.
 
-A bound for all cameras around a centre (`mount_occlusion.may_hide_around`) excludes most pairs of landmarks; the others
-are tested for each orientation that covers the landmark.
+A bound for all cameras around a centre (`mount_occlusion.may_hide_around`) excludes most pairs of landmarks; the other
+pairs are tested for each orientation with which the landmark is covered.
 """
 
 import math
@@ -35,7 +36,7 @@ from lmd.sight.mount_occlusion import hidden_bits, hiding_bound, may_hide_around
 def _hidden_bits(
     group: Any, m: Integer, w: Integer, left: Any, i: Integer, k: Integer, body: Vector, one: Any, other: Any
 ) -> Any:
-    """`hidden_bits` as a function that is not inlined, which shortens compilation."""
+    """Result of `hidden_bits`; this function is not inlined, which shortens compilation."""
     return hidden_bits(group, m, w, left, i, k, body, one, other)
 
 
@@ -43,7 +44,9 @@ def _hidden_bits(
 def _drop_hidden(
     group: Any, c: Integer, i: Integer, k: Integer, q: Integer, body: Vector, state: Any, flipped: Any
 ) -> None:
-    """Remove from `flipped` the orientations with which a landmark other than k hides landmark i at position q."""
+    """Remove from `flipped` the orientations with which a landmark other than k hides landmark i, for the body at
+    position q.
+    """
     other, width = pose_of(i, state), line_radius(group.sight)
     offset = minus3(other[0], plus3(body, row3(group.centres, c)))
     for j in range(np.uint64(len(state.surfaces))):
@@ -60,7 +63,9 @@ def _drop_hidden(
 def _find_pair(
     groups: Any, near: Any, q: Integer, body: Vector, place: Any, role: Any, state: Any, scratch: Any
 ) -> None:
-    """Record in `flipped` the orientations with which landmark k at a `place` hides landmark i at position q."""
+    """Record in `flipped` the orientations with which landmark k at `place` hides landmark i, for the body at position
+    q.
+    """
     (group, mine, other), (c, _, i, k, _) = groups, near
     pose, changed, covered, occluded = pose_of(i, state), False, mine[COVERED], mine[OCCLUDED]
     for m in range(group.mounts[c], group.mounts[c + 1]):
@@ -103,7 +108,9 @@ def _note_neighbour(state: Any, groups: Any, near: Any, role: Any, place: Any, f
 
 @inner
 def find_occluded(k: Integer, group: Any, field: Any, state: Any, scratch: Any) -> None:
-    """Write into `OCCLUDED` the orientations in `COVERED` and `ASKED` with which others hide the place tried."""
+    """Write into `OCCLUDED` the orientations, in both `COVERED` and `ASKED`, with which another landmark hides the
+    place tried.
+    """
     other, size, body = scratch.groups[group.number], np.uint64(len(scratch.units)), field.positions
     asked, tried_covered, tried_occluded = scratch.sets[ASKED], other.sets[COVERED], other.sets[OCCLUDED]
     place = target_of(scratch)
@@ -122,7 +129,7 @@ def find_occluded(k: Integer, group: Any, field: Any, state: Any, scratch: Any) 
 
 @inner
 def _find_pairs_of(kinds: Any, k: Integer, role: Any, field: Any, state: Any, scratch: Any) -> None:
-    """Run `find_pairs` for all groups of a rig."""
+    """Run `find_pairs` for all mount groups of a rig."""
     for group in literal_unroll(kinds):
         if group.sight.reach >= 0.0:
             groups = group, state.groups[group.number], scratch.groups[group.number]

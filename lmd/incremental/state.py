@@ -1,7 +1,8 @@
-"""State and scratch of moves of single landmarks: the coverage of one deployment, working memory, and counts.
+"""Data for moves of single landmarks: the state, which is the coverage of one deployment with counts, and the scratch,
+which is working memory with the move tried last. Words in capitals, such as `FRESH`, name rows of the arrays.
 
-Camera and rig share the meaning of fields with equal names. Arrays of equal type and shape are rows of one array, with
-a constant for each row. numba passes an n-dimensional array as 5 + 2n numbers to functions that are not inlined.
+Fields of one name have one meaning for a camera and for a rig. Arrays of equal type and shape are rows of one array,
+with a constant for each row. numba passes an n-dimensional array as 5 + 2n numbers to functions that are not inlined.
 """
 
 from typing import Any, NamedTuple
@@ -19,19 +20,19 @@ ENOUGH = 2  # axes that cover n landmarks or more
 
 
 class Counts(NamedTuple):
-    """Numbers of landmarks covered at Q positions, for W words of axes."""
+    """Number of landmarks covered at each of Q positions for each axis, in W words."""
 
     digits: np.ndarray
-    """`(Q, W, J)` binary digits of the numbers, the lowest first."""
+    """`(Q, W, J)` bit sets: the J binary digits of the numbers, the lowest digit first."""
     sets: np.ndarray
-    """`(3, Q, W)`: `SHORT`, `JUST`, `ENOUGH`."""
+    """`(3, Q, W)` bit sets of axes by their number of landmarks, rows `SHORT`, `JUST` and `ENOUGH`."""
 
 
 def new_counts(counted_once: np.ndarray, count: int, n: int) -> Counts:
     """Counts before the first landmark of a deployment is counted.
 
     Args:
-        counted_once: axes that cover one landmark outside of the deployment, sets `(Q, W)`.
+        counted_once: bit sets `(Q, W)` of axes on which one landmark is counted that is not in the deployment.
         count: number K of landmarks that can be counted.
         n: number of landmarks that must be covered.
     """
@@ -44,8 +45,8 @@ def new_counts(counted_once: np.ndarray, count: int, n: int) -> Counts:
 
 @inlined
 def enough_with(p: Integer, w: Integer, was: Any, now: Any, counts: Any) -> Any:
-    """Axes that cover n landmarks or more, after a move changes the axes that cover one of the landmarks from `was` to
-    `now`.
+    """Axes from which n landmarks or more are covered after a move. For the moving landmark, the set of axes that cover
+    it changes from `was` to `now`.
     """
     short, just, enough = counts.sets[SHORT], counts.sets[JUST], counts.sets[ENOUGH]
     return (enough[p, w] & ~(was & ~now & just[p, w])) | (now & ~was & short[p, w])
@@ -75,7 +76,7 @@ def sum_up(field: Any, state: Any) -> None:
 
 
 def counts_of(state: Any, axes: int) -> np.ndarray:
-    """Number of landmarks covered at each position by the first `axes` axes, `(Q, axes)` int16."""
+    """Number of landmarks covered at each position, for each of the first `axes` axes, `(Q, axes)` int16."""
     digits = unpacked(state.counts.digits.transpose(2, 0, 1), axes)
     counts = np.zeros(digits.shape[1:], dtype=np.int16)
     for digit in digits[::-1]:
@@ -130,19 +131,21 @@ class State(NamedTuple):
     """Coverage of K landmarks by a camera from Q positions in the field's order, with W words of axes."""
 
     poses: np.ndarray
-    """`(6, K)` positions of the landmarks, metres, and unit normals."""
+    """`(6, K)` positions, metres, and unit normals of the landmarks."""
     surfaces: np.ndarray
     """`(K,)` indices of the surfaces that carry the landmarks."""
     counts: Counts
-    """Number of landmarks that each axis covers."""
+    """Number of landmarks that each axis covers at each position."""
     units: np.ndarray
-    """`(Q,)` quantised P_n."""
+    """`(Q,)` quantised P_n at each position."""
     covered: np.ndarray
-    """`(K, Q, W)` axes that cover each landmark, occlusion ignored."""
+    """`(K, Q, W)` bit sets of the axes that cover each landmark from each position, occlusion ignored."""
     reachable: np.ndarray
-    """`(K, Q)` True where any axis covers the landmark, occlusion ignored."""
+    """`(K, Q)` True if some axis covers the landmark from the position, occlusion ignored."""
     hides: np.ndarray
-    """`(2, K, Q)` int16: `HIDDEN`, `HIDING`, for positions within the horizon."""
+    """`(2, K, Q)` int16 numbers of occlusions, rows `HIDDEN` and `HIDING`, for positions at most the horizon away from
+    the landmark.
+    """
 
 
 class RigState(NamedTuple):
@@ -157,13 +160,13 @@ class RigState(NamedTuple):
     units: np.ndarray
     """See `State`."""
     groups: tuple[np.ndarray, ...]
-    """`(2, K, Q, M, W)` sets `COVERED`, `OCCLUDED` for each group of M mounts."""
+    """`(2, K, Q, M, W)` sets of orientations, rows `COVERED` and `OCCLUDED`, for each group of M mounts."""
     shown: np.ndarray
-    """`(K, Q, W)` orientations with which some camera sees a landmark, occlusion included."""
+    """`(K, Q, W)` orientations of the body with which some camera sees a landmark, occlusion taken into account."""
 
 
 class Scratch(NamedTuple):
-    """The move tried last, and working memory, for a camera.
+    """Working memory for a camera, with the move tried last.
 
     After the move is carried out, `target`, `SURFACE`, `units`, `FRESH`, `REACHED`, `hides` and `changes` describe the
     reverse move.
@@ -172,54 +175,62 @@ class Scratch(NamedTuple):
     target: np.ndarray
     """`(6,)` position (metres) and unit normal of the place tried."""
     numbers: np.ndarray
-    """`(5,)` int64: `BLOCK_COUNT` to `TOUCHED_COUNT`."""
+    """`(5,)` int64 numbers, rows `BLOCK_COUNT` to `TOUCHED_COUNT`."""
     units: np.ndarray
     """`(Q,)` quantised P_n with the landmark at the place tried, or upper bounds on P_n."""
     flags: np.ndarray
-    """`(4, Q)` bool, by block or position: `AIMED` to `REACHED`."""
+    """`(4, Q)` bool flags for each block or position, rows `AIMED` to `REACHED`."""
     lists: np.ndarray
-    """`(9, max(Q W, K) + 1)` uint64: `LISTED` to `PLACES`."""
+    """`(9, max(Q W, K) + 1)` uint64 lists, rows `LISTED` to `PLACES`."""
     offsets: np.ndarray
-    """`(4, L)` float32, L > K a multiple of `LANES`: vectors to the `OTHERS` and their lengths, metres."""
+    """`(4, L)` float32, L > K a multiple of `LANES`: vectors from a place to the landmarks in `OTHERS`, and the lengths
+    of the vectors, metres.
+    """
     sets: np.ndarray
-    """`(2, Q, W)` sets of orientations `FRESH` and `ASKED`."""
+    """`(2, Q, W)` sets of orientations, rows `FRESH` and `ASKED`."""
     digits: np.ndarray
-    """`(Q, W, J)` binary digits of the counts without the landmark, at `TOUCHED` positions."""
+    """`(Q, W, J)` binary digits of the counts without the moving landmark, at `TOUCHED` positions."""
     pairs: np.ndarray
-    """`(2, K Q)` uint32 pairs of another landmark and a position that the move affects: `LANDMARK`, `POSITION`."""
+    """`(2, K Q)` uint32 pairs of another landmark and a position at which the move changes the landmark's occlusion,
+    rows `LANDMARK` and `POSITION`.
+    """
     known: np.ndarray
-    """`(Q, K)` True for the `pairs`."""
+    """`(Q, K)` True if position and landmark are one of the `pairs`."""
     changes: np.ndarray
-    """`(2, K, Q)` int8 changes of `State.hides`, for the `pairs`."""
+    """`(2, K, Q)` int8 changes of `State.hides` by the move, for the `pairs`."""
     hides: np.ndarray
-    """`(2, Q)` int16 numbers `HIDDEN` and `HIDING` for the place tried."""
+    """`(2, Q)` int16 numbers of occlusions for the place tried, rows `HIDDEN` and `HIDING`."""
     seen: np.ndarray
-    """`(6, Q)` place tried as seen from each position: `X` to `SURE`."""
+    """`(6, Q)` place tried as seen from each position, rows `X` to `SURE`."""
     cell: np.ndarray
-    """`(2, Q)` int32: cell of the tables of directions, and the row of `POSSIBLE` (`EMPTY_ROW` if out of reach)."""
+    """`(2, Q)` int32 for each position: the cell of the direction tables that contains the direction of the place
+    tried, and its row of `POSSIBLE` (`EMPTY_ROW` if the place is out of reach).
+    """
 
 
 class GroupScratch(NamedTuple):
-    """The move tried last for one mount group of a rig, and working memory."""
+    """Working memory for one mount group of a rig, with the move tried last."""
 
     sets: np.ndarray
-    """`(2, Q, M, W)` sets `COVERED`, `OCCLUDED` of the place tried, among the orientations `ASKED`."""
+    """`(2, Q, M, W)` sets of orientations for the place tried, rows `COVERED` and `OCCLUDED`, limited to the
+    orientations in `ASKED`.
+    """
     flipped: np.ndarray
-    """`(K, Q, M, W)` orientations whose `OCCLUDED` changes for the pairs in `RigScratch`."""
+    """`(K, Q, M, W)` orientations with which the move changes `OCCLUDED`, for the pairs in `RigScratch`."""
     occluders: np.ndarray
     """`(1,)` number of `pairs`."""
     pairs: np.ndarray
     """`(2, K C Q)` uint32 pairs of a landmark that may hide the place tried, and a centre: `LANDMARK`, `POSITION`."""
     seen: np.ndarray
-    """`(6, Q)`: `X` to `SURE`, from the centre evaluated last."""
+    """`(6, Q)` place tried as seen from the centre of cameras that was evaluated last, rows `X` to `SURE`."""
     lists: np.ndarray
-    """`(2, Q + 1)` uint64: rows of the tables of directions, and undecided positions."""
+    """`(2, Q + 1)` uint64 lists: rows of the direction tables, and positions that need the exact test."""
     reached: np.ndarray
     """`(Q,)` True if some orientation may cover the place tried."""
 
 
 class RigScratch(NamedTuple):
-    """The move tried last, and working memory, for a rig.
+    """Working memory for a rig, with the move tried last.
 
     After the move is carried out, `target`, `SURFACE`, `units`, `FRESH`, and `sets` of the groups describe the old
     place.
@@ -246,11 +257,11 @@ class RigScratch(NamedTuple):
     known: np.ndarray
     """See `Scratch`."""
     groups: tuple[GroupScratch, ...]
-    """The move for each mount group."""
+    """Working memory for each mount group."""
 
 
 def _shared_fields(state: State | RigState) -> dict[str, Any]:
-    """Fields that are common to the scratch of a camera and the scratch of a rig."""
+    """Arrays that the scratch of a camera and the scratch of a rig have in common."""
     count, (size, words) = len(state.surfaces), state.counts.sets.shape[1:]
     return {
         "target": np.empty(6),
@@ -267,7 +278,7 @@ def _shared_fields(state: State | RigState) -> dict[str, Any]:
 
 
 def scratch_of(state: State) -> Scratch:
-    """Scratch for the state of a camera."""
+    """New scratch for the state of a camera."""
     count, size, _ = state.covered.shape
     return Scratch(
         **_shared_fields(state),
@@ -279,7 +290,7 @@ def scratch_of(state: State) -> Scratch:
 
 
 def rig_scratch_of(state: RigState, centres: tuple[int, ...]) -> RigScratch:
-    """Scratch for the state of a rig; `centres` has the number of centres of each group."""
+    """New scratch for the state of a rig; `centres` has the number of centres of each group."""
     count, size = state.shown.shape[:2]
     groups = tuple(
         GroupScratch(

@@ -4,12 +4,14 @@ A move of landmark k changes the counts at a position in at most four ways. At i
 landmarks that k hid appear. At its new place k is covered, and landmarks that k hides disappear. The decisions repeat
 the operations of `lmd.sight.kernels`.
 
-Sets of axes are bit sets. A state has the axes that cover each landmark and, at each position, the axes that cover
-n - 1 and n landmarks. Only for these axes does P_n depend on the landmark, so a trial tests few axes.
+Sets of axes are bit sets. A state has the axes that cover each landmark and, at each position, the axes that cover n -
+1 and n landmarks. P_n depends on the moving landmark only through the axes that cover n - 1 or n landmarks, so a trial
+tests few axes.
 
-1. `bound_move` ignores that the landmark at the new place hides others or is hidden. Occlusion only removes axes, and
-   P_n does not decrease when axes are added, so the result is an upper bound. At *touched* positions, where another
-   landmark appears, the other landmarks are counted first (`_count_others`).
+1. `bound_move` ignores that the landmark at the new place hides others or is hidden. Occlusion can only reduce the set
+   of axes from which a landmark is covered, and P_n does not decrease when such a set grows, so the result is an upper
+   bound. At *touched* positions, where another landmark appears, the other landmarks are counted first
+   (`_count_others`).
 2. `finish_move` searches for occlusion around the new place, which touches more positions, and computes P_n at all
    touched positions.
 
@@ -69,7 +71,9 @@ def turned(state: Any, i: Integer, p: Integer, w: Integer, scratch: Any) -> Any:
 
 @dispatched_call
 def find_pairs(state: Any, k: Integer, role: Any, field: Any, scratch: Any) -> None:
-    """Find the pairs (another landmark, a position) that landmark k affects at the place with a `role`."""
+    """Find the pairs (another landmark, a position) in which landmark k, at the place with the `role` (old place or
+    place tried), hides the other landmark or is hidden by it.
+    """
 
 
 @dispatched_call
@@ -83,12 +87,12 @@ def bound_views(state: Any, k: Integer, field: Any, scratch: Any) -> Any:
 
 @dispatched_call
 def see(state: Any, k: Integer, positions: np.ndarray, field: Any, scratch: Any) -> None:
-    """Write into `FRESH` the orientations among `ASKED` that cover landmark k at the place tried."""
+    """Write into `FRESH` the orientations, among `ASKED`, with which landmark k is covered at the place tried."""
 
 
 @dispatched
 def fresh_of(scratch: Any, p: Integer, w: Integer) -> Any:
-    """Orientations in `FRESH` with which the landmark is seen at the place tried, occlusion included."""
+    """Orientations in `FRESH` with which the landmark is seen at the place tried, occlusion taken into account."""
 
 
 @dispatched_call
@@ -105,7 +109,7 @@ def exchange_sets(state: Any, k: Integer, p: Integer, w: Integer, scratch: Any) 
     """Exchange word w of the sets of landmark k at position p between state and scratch.
 
     Returns:
-        orientations with which the landmark was seen before, and is seen after the exchange.
+        two sets: orientations with which the landmark is seen before the exchange, and after the exchange.
     """
 
 
@@ -113,7 +117,7 @@ def exchange_sets(state: Any, k: Integer, p: Integer, w: Integer, scratch: Any) 
 def exchange_views(state: Any, k: Integer, scratch: Any) -> None:
     """Exchange the data of landmark k, except its sets, between state and scratch, and apply the changes of the pairs.
 
-    A second call undoes the first.
+    A second call undoes the first call.
     """
 
 
@@ -124,7 +128,7 @@ def clear_views(scratch: Any) -> None:
 
 @inner
 def begin_place(k: Integer, field: Any, state: Any, scratch: Any) -> None:
-    """Clear the last trial, and list the blocks near landmark k and the place tried."""
+    """Clear the data of the last trial, and list the blocks near landmark k and near the place tried."""
     numbers, landmark, position = scratch.numbers, scratch.pairs[LANDMARK], scratch.pairs[POSITION]
     touched, places, known = scratch.flags[TOUCHED], scratch.lists[TOUCHED_LIST], scratch.known
     clear_views(scratch)
@@ -154,8 +158,8 @@ def begin_move(k: Integer, pose: Any, surface: Integer, field: Any, state: Any, 
 
 @inner
 def _count_others(k: Integer, state: Any, scratch: Any) -> None:
-    """Count into `digits` the landmarks other than k at touched positions, with the occlusion of the pairs after the
-    move.
+    """Count, into `digits`, the landmarks other than k at touched positions; for the pairs, the occlusion after the
+    move is used.
     """
     landmark, position = scratch.pairs[LANDMARK], scratch.pairs[POSITION]
     counts, digits = state.counts.digits, scratch.digits
@@ -175,8 +179,8 @@ def _count_others(k: Integer, state: Any, scratch: Any) -> None:
 
 @inner
 def ask_touched(k: Integer, n: Integer, or_more: bool, state: Any, scratch: Any) -> None:
-    """Set `ASKED` at touched positions to the orientations that see n - 1 other landmarks, or at least n - 1 if
-    `or_more`.
+    """Set `ASKED` at touched positions to the orientations with which n - 1 other landmarks are seen, or at least n - 1
+    if `or_more`.
     """
     asked, digits = scratch.sets[ASKED], scratch.digits
     _count_others(k, state, scratch)
@@ -187,8 +191,8 @@ def ask_touched(k: Integer, n: Integer, or_more: bool, state: Any, scratch: Any)
 
 @inner
 def _find_units(k: Integer, positions: FloatArray, n: Integer, weights: Any, state: Any, scratch: Any) -> None:
-    """Compute P_n at `positions` from the sets `FRESH` of landmark k, with the occlusion of the pairs after the
-    move.
+    """Compute P_n at `positions` from the sets `FRESH` of landmark k; for the pairs, the occlusion after the move is
+    used.
     """
     enough, asked = state.counts.sets[ENOUGH], scratch.sets[ASKED]
     touched, digits = scratch.flags[TOUCHED], scratch.digits
@@ -216,7 +220,9 @@ def see_whole(k: Integer, field: Any, state: Any, scratch: Any) -> None:
 
 @inner
 def bound_move(field: Any, k: Integer, pose: Any, surface: Integer, state: Any, scratch: Any) -> None:
-    """Write into `scratch.units` upper bounds on P_n with landmark k at `pose` on a surface, see `field.bound`."""
+    """Write into `scratch.units` upper bounds on P_n after a move of landmark k to `pose` on a surface, see
+    `field.bound`.
+    """
     k = np.uint64(k)
     begin_move(k, pose, surface, field, state, scratch)
     ask_touched(k, field.n, False, state, scratch)
@@ -257,9 +263,9 @@ def exchange(k: Integer, field: Any, state: Any, scratch: Any) -> None:
 
 @inner
 def exchange_place(field: Any, k: Integer, state: Any, scratch: Any) -> None:
-    """Exchange the place of landmark k for the place in `scratch`.
+    """Exchange the place of landmark k in the state for the place in `scratch`.
 
-    This undoes the last `carry_out` with this scratch; all later moves must have been undone.
+    The exchange undoes the last `carry_out` with this scratch; all later moves must have been undone.
     """
     k, first, last, units = np.uint64(k), scratch.lists[FIRST], scratch.lists[LAST], scratch.units
     exchange(k, field, state, scratch)
@@ -281,7 +287,7 @@ def carry_out(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 @borrowing
 def fill(field: Any, state: Any, scratch: Any) -> None:
-    """Count all landmarks of an empty `state`, one after the other, and compute P_n."""
+    """Count all landmarks in a `state` in which none is counted, one after the other, and compute P_n."""
     for k in range(np.uint64(state.poses.shape[1])):
         for i in range(6):
             scratch.target[i] = state.poses[i, k]
@@ -294,7 +300,9 @@ def fill(field: Any, state: Any, scratch: Any) -> None:
 
 @borrowing
 def remove_sets(missed: Any, field: Any, state: Any) -> None:
-    """Remove the axes `missed`, sets `(K, Q, W)`, from the axes that cover the landmarks; occlusion stays unchanged."""
+    """Remove the axes `missed`, bit sets `(K, Q, W)`, from the sets of axes that cover each landmark; the occlusion
+    does not change.
+    """
     covered = state.covered
     for k in range(np.uint64(covered.shape[0])):
         for p in range(np.uint64(covered.shape[1])):

@@ -17,7 +17,7 @@ from lmd.space.crowd import worst_mean, worst_of
 
 
 class WorstGroups(NamedTuple):
-    """Fitness of the worst groups among S groups of positions; a `Target`."""
+    """Mean, over the worst of S groups of positions, of the fitness that another target gives; a `Target`."""
 
     target: Any
     """Target that is applied to all positions; the relevance has an equal sum in each group."""
