@@ -10,14 +10,16 @@ if TYPE_CHECKING:
 
 
 class Study(Protocol):
-    """Result of a study of a deployment: without a tag, as mounted, as measured, under other assumptions."""
+    """Result of a study of a deployment: without a tag, with tags as mounted or as measured, or under other
+    assumptions.
+    """
 
     @property
     def tables(self) -> "Mapping[str, pd.DataFrame | Mapping[str, ArrayLike]]":
         """Tables keyed by name, each with named columns; the index of a DataFrame is not one of its columns."""
 
     def metrics(self) -> dict[str, float]:
-        """Figures with finite values, keyed by name."""
+        """Metrics with finite values, keyed by name."""
 
     def to_text(self) -> str:
         """Text for a terminal."""

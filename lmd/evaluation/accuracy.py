@@ -1,8 +1,9 @@
 """Predicted accuracy of the position from one image, for every view of a deployment and any objective.
 
-The prediction is the standard deviation of the position by `lmd.objectives.localisation`. The prediction is infinite
-for views that cover fewer than n landmarks, or a single tag whose two poses look alike. All figures are off the grid:
-positions are random, and orientations come from the PDF's continuous distribution.
+The prediction is the standard deviation of the camera's position, computed by `lmd.objectives.localisation`. The
+prediction is infinite for views that cover fewer than n landmarks, or a single tag for which two camera poses fit the
+image about equally well. All results are for poses off the grid: positions are random, and orientations are drawn from
+the PDF's continuous distribution.
 """
 
 from dataclasses import replace
@@ -36,7 +37,8 @@ def as_localisation(objective: Objective) -> Localisation:
 
 
 def predicted_errors(problem: Problem, deployment: Deployment, evaluator: Evaluator) -> tuple[FloatArray, FloatArray]:
-    """Predict the standard deviation of the position in each view, metres, `(P, D)` for D orientations, and P_n `(P,)`.
+    """Predict the standard deviation of the position in each view, metres, `(P, D)` for P positions and D orientations,
+    and P_n at each position, `(P,)`.
 
     The noise of a corner and the rule for single tags come from the objective, or from the default `Localisation`.
     """
@@ -54,16 +56,16 @@ def _share_name(tolerance: float) -> str:
 
 
 def accuracy_metrics(problem: Problem, deployment: Deployment, seed: int, sample: Sample = SAMPLE) -> dict[str, float]:
-    """Mean of P_n, shares of views localised to `TOLERANCES`, and median and 90 % quantile of the predicted error,
-    metres.
+    """Mean of P_n, shares of views localised to each of `TOLERANCES`, and median and 90 % quantile over the views of
+    the predicted error, metres.
 
-    The quantiles are over all views; infinite quantiles are left out.
+    Views without a finite error count as infinite; infinite quantiles are left out.
 
     Args:
         problem: problem with the scene, n, and the noise of a corner.
         deployment: K landmarks.
-        seed: seed of the sample.
-        sample: size of the sample.
+        seed: seed of the random poses.
+        sample: number of random poses.
     """
     parts = []
     scene = problem.scene.sized(deployment.edges)
@@ -84,8 +86,8 @@ def accuracy_metrics(problem: Problem, deployment: Deployment, seed: int, sample
 
 
 def save_accuracy_map(path: str | Path, problem: Problem, deployment: Deployment) -> None:
-    """Write a CSV with `x,y,z`, the shares of localised views and the median predicted error, metres, at each grid
-    position.
+    """Write a CSV with a row for each grid position: `x,y,z`, the shares of localised views, and the median predicted
+    error, metres.
 
     An infinite median is an empty cell.
     """
@@ -100,7 +102,8 @@ def save_accuracy_map(path: str | Path, problem: Problem, deployment: Deployment
 
 
 def plan_of_errors(problem: Problem, deployment: Deployment) -> "pd.DataFrame":
-    """Table with `x,y,predicted_error_median`, metres; the median is over all heights and orientations at each (x, y).
+    """Table with the columns `x,y,predicted_error_median`, metres; the median is taken over all heights and
+    orientations at the place (x, y).
 
     The median is infinite where fewer than half of the views cover n landmarks.
     """
@@ -116,7 +119,7 @@ def plan_of_errors(problem: Problem, deployment: Deployment) -> "pd.DataFrame":
 
 
 def _medians(errors: FloatArray, weight: FloatArray) -> FloatArray:
-    """Weighted median `(P,)` of each row of `errors` `(P, V)`; weights `(1, V)` or `(P, V)` sum to 1."""
+    """Weighted median of each row of `errors` `(P, V)`, `(P,)`; the weights `(1, V)` or `(P, V)` of a row sum to 1."""
     order = np.argsort(errors, axis=1)
     ordered = np.take_along_axis(np.broadcast_to(weight, errors.shape), order, axis=1)
     middle = (np.cumsum(ordered, axis=1) >= 0.5).argmax(axis=1)[:, None]

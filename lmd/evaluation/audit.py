@@ -1,5 +1,5 @@
-"""Audit: detections in the frames of a survey compared with the predictions of a visibility model; columns of
-`in_view.csv`.
+"""Audit of a visibility model: detections in the frames of a survey are compared with the model's predictions. Also the
+columns of `in_view.csv`.
 """
 
 from collections.abc import Callable, Sequence
@@ -45,19 +45,19 @@ Verdicts = Callable[[Scene, Deployment, FloatArray, Camera], dict[str, BoolArray
 
 @dataclass(frozen=True)
 class Audit:
-    """Audit of N frames of a survey and the K tags of its map; with C cameras, columns are C K tags, camera by
-    camera.
+    """Audit of N frames of a survey and the K tags of its map. Arrays have a column for each pair of a camera and a
+    tag: for C cameras, C K columns, ordered by camera.
     """
 
     prediction: Prediction
-    """Predictions of the visibility model."""
+    """Visible tags in each frame as the visibility model predicts them."""
     seen: Matches
-    """Detections; a false detection shows no tag at its pose."""
+    """Detections in each frame; a detection is false if no tag of the map hangs at its pose."""
 
     @cached_property
     def expected(self) -> FloatArray:
-        """Probability that each tag is detected if it is like other tags of its pitch, `(N, C K)`; 0 for tags that are
-        not predicted.
+        """Probability that each tag is detected, `(N, C K)`, estimated from all tags with about the same pitch; 0 for
+        tags that are not predicted.
         """
         visible, detected = self.prediction.visible, self.seen.detected
         place = np.searchsorted(PITCHES, self.prediction.pitch, side="right") - 1
@@ -69,10 +69,12 @@ class Audit:
 
     @cached_property
     def tags(self) -> pd.DataFrame:
-        """Table with a row for each tag: the columns of `by_tag` and three more.
+        """Table with a row for each tag: the columns of `by_tag`, and the columns `confirmed`, `expected` and
+        `stands_out`.
 
-        `confirmed` is the number of images in which the tag was predicted and detected. `expected` is the expected
-        number for a tag like others of its pitch. `stands_out` is true if `confirmed` is far below `expected`.
+        `confirmed` is the number of images in which the tag was predicted and detected. `expected` is this number as
+        expected from all tags that appear with about the same pitch. `stands_out` is true if `confirmed` is far below
+        `expected`.
         """
         chance, cameras = self.expected, len(self.prediction.parts)
         confirmed, expected, variance = (
@@ -85,7 +87,7 @@ class Audit:
 
     @cached_property
     def missed_in_a_row(self) -> BoolArray:
-        """True for predicted tags that are missed in `IN_A_ROW` or more successive images, `(N, C K)`.
+        """Mask of the predicted tags that are missed in `IN_A_ROW` or more successive images, `(N, C K)`.
 
         A tag well within the detector's limits is rarely missed in many successive images unless it is hidden or in
         glare.
@@ -109,7 +111,7 @@ class Audit:
         }
 
     def metrics(self) -> dict[str, float]:
-        """Precision and recall, number of tags per frame, and number of misses."""
+        """Precision and recall of the predictions, mean number of tags per frame, and number of missed tags."""
         visible, detected = self.prediction.visible, self.seen.detected
         precision, recall = precision_recall(visible, detected)
         counts = {"predicted": visible.sum(axis=1).mean(), "detected": detected.sum(axis=1).mean()}
@@ -140,12 +142,12 @@ class Audit:
 
 
 def audited(survey: Survey, scene: Scene, verdicts: Verdicts) -> Audit:
-    """Predict the tags in the images of all cameras of a survey.
+    """Compare the detections of a survey with the tags that the visibility model predicts in the images of all cameras.
 
     Args:
-        survey: survey by the scene's cameras; the mounts of the survey are used.
+        survey: survey made with the scene's cameras; their mounts are taken from the survey.
         scene: room, cameras and visibility model.
-        verdicts: criteria that a tag meets, see `lmd.evaluation.verdicts`.
+        verdicts: function that returns the criteria that a tag meets, see `lmd.evaluation.verdicts`.
 
     Raises:
         InputError: the scene's tag is a point.
@@ -164,7 +166,8 @@ def audited(survey: Survey, scene: Scene, verdicts: Verdicts) -> Audit:
 
 
 def in_the_open(survey: Survey, scene: Scene) -> tuple[Survey, Scene]:
-    """Survey and scene in an empty room around all tags and cameras, for an unknown room: only other tags hide a tag.
+    """Replace an unknown room by an empty room around all tags and cameras, in which only other tags can hide a tag;
+    return survey and scene in its frame.
 
     The z axis is the mean up vector of the tags, as tags hang upright in the visibility model.
     """
@@ -183,10 +186,10 @@ def in_the_open(survey: Survey, scene: Scene) -> tuple[Survey, Scene]:
 
 
 def detections_of_map(survey: Survey) -> list[Matches]:
-    """Detections of the tags of the map in the frames of the map, for each camera.
+    """Detections of the map's tags in the frames that the map includes, for each camera.
 
-    A detection shows a tag if the RMS error of its corners is at most `CORNER_TOLERANCE`, even if the map treats the
-    detection as an outlier.
+    A detection counts as a sighting of the tag if the RMS reprojection error of its corners is at most
+    `CORNER_TOLERANCE`, even if the map treats the detection as an outlier.
     """
     found, some = survey.found, survey.found.sightings
     frame = np.full(some.frames, -1)
@@ -211,15 +214,15 @@ def detections_of_map(survey: Survey) -> list[Matches]:
 
 
 def view_columns(survey: Survey, cameras: Sequence[Camera], tag: Tag, room: Space | None) -> dict[str, ArrayLike]:
-    """Columns of `in_view.csv`, with a row for each image and each tag that has all corners in the image and faces the
-    camera.
+    """Columns of `in_view.csv`: a row for each image and each tag that faces the camera and has all four corners in the
+    image.
 
-    Tags whose images overlap, and tags hidden by the room, are left out. See `lmd.detection.tag_views`.
+    Tags that overlap in the image, and tags hidden by the room, are left out. See `lmd.detection.tag_views`.
 
     Args:
         survey: the survey.
         cameras: cameras that took the images.
-        tag: family, and edge of the tags without their own edge.
+        tag: family of the tags, and edge length of the tags that have no length of their own.
         room: the room; None if unknown.
     """
     tags, found = map_of(survey), survey.found
@@ -240,7 +243,8 @@ def view_columns(survey: Survey, cameras: Sequence[Camera], tag: Tag, room: Spac
 def _in_images(
     renderer: Renderer, poses: FloatArray, taken: BoolArray, room: Space | None
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """Pairs of images and tags in view, `(M,)` each, and their columns from u to circle, `(M, 8)`.
+    """Pairs of an image and a tag in view: their indices, `(M,)` each, and the values of their columns from `u` to
+    `circle`, `(M, 8)`.
 
     Args:
         renderer: renderer of one camera and the tags.

@@ -1,10 +1,10 @@
 """Upper bounds on the fitness of any deployment, from a concave relaxation and its dual.
 
-Let x_j be the number of landmarks with pose j (any flush pose on the walls; sum_j x_j = K), A_jpa = 1 if such a
-landmark covers axis a from position p without occlusion, else 0, c_pa = sum_j x_j A_jpa, w_a the probability of an axis
-(sum 1) and r_p the share of a position (sum 1). Occlusion only lowers c, and the value of c >= n is at most min(c/n,
-1), so P_n(p) <= s_p = sum_a w_a min(c_pa/n, 1), and the indicator (0 or 1) that p is qualified is at most min(s_p/t, 1)
-with t = thold_p. Both objectives are therefore at most
+Let x_j be the number of landmarks with pose j (any flush pose on the walls; sum_j x_j = K), A_jpa = 1 if a landmark
+with pose j covers axis a from position p without occlusion, else 0, c_pa = sum_j x_j A_jpa, w_a the probability of an
+axis (sum 1) and r_p the share of a position (sum 1). Occlusion only lowers c, and the value of c >= n is at most
+min(c/n, 1), so P_n(p) <= s_p = sum_a w_a min(c_pa/n, 1), and the indicator (0 or 1) that p is qualified is at most
+min(s_p/t, 1) with t = thold_p. Both objectives are therefore at most
 
     F(x) = sum_p r_p min(s_p / t, 1),        with t = 1 for the average of P_n (there s_p <= 1 anyway),
 
@@ -17,8 +17,8 @@ position (z_p) and once for each axis (d_pa), with y_pa = d_pa z_p r_p w_a / (n 
 *Any* choice of z and d gives a valid bound. Good choices are slopes of a smoothed min at a good x; x is found by
 accelerated projected ascent. No choice gives a bound below F(x).
 
-The largest g_j is sought over a grid of poses while x is improved, and at the end over the whole walls, by branch and
-bound on cells (`lmd.sight.poses`). So the bound holds for every flush deployment.
+While x is improved, the largest g_j is sought over a grid of poses; at the end it is sought over the whole walls, by
+branch and bound on cells (`lmd.sight.poses`). So the bound holds for every flush deployment.
 
 Fixed landmarks are not chosen: without occlusion they cover b_pa, and c_pa = b_pa + sum_j x_j A_jpa adds
 sum_pa y_pa b_pa to the constant, with K the number of free landmarks.
@@ -28,7 +28,8 @@ K_s max_j g_js; each maximum is sought where a tag of that size may hang.
 
 A localised view covers n landmarks, so the bounds also hold for `Localisation`, although they ignore its tolerance.
 
-A second upper bound, by submodularity, holds for a selection of landmarks, and is compared with the greedy choice.
+A second upper bound follows from submodularity. It holds for the choice of landmarks from a grid of poses, and is
+compared with the greedy choice.
 
 Greedy selection maximises f, the `selection` of an objective, which is monotone and submodular in the landmarks without
 occlusion. So for *any* set S the best K poses of a grid, each taken once, reach at most
@@ -39,7 +40,7 @@ where S is the greedy choice or empty, whichever gives the lower bound. The gree
 best value; the bound gives the share for this problem. A landmark adds nothing to the views from which it is hidden,
 and more landmarks never lower f, so the bound also holds with occlusion.
 
-The bound is valid for poses of the grid and for f, and not for the objective itself, of which f is a surrogate.
+This bound is valid only for poses of the grid, and for the surrogate f instead of the objective itself.
 
 With K_s tags of size s, a candidate is a pose with a size. For each size s, the gains of the best choice at S are at
 most the K_s largest gains of that size. The greedy choice always reaches half of the best value (Fisher, Nemhauser and
@@ -77,49 +78,55 @@ MULTIPLIERS_SHARE = 0.3  # share of the time for the multipliers
 
 @dataclass(frozen=True)
 class Search(Checked):
-    """Limits of the effort to improve a bound.
+    """Limits of the computing effort that is spent on a bound.
 
     Raises:
         InputError: a number is out of range.
     """
 
     spacing: Positive = 0.125
-    """Largest distance between the poses of the grid on which the multipliers are found, metres."""
+    """Largest distance between neighbouring poses of the grid on which the multipliers are found, metres."""
     iterations: Count = 200
-    """Largest number of steps."""
+    """Largest number of steps of the search for multipliers."""
     tolerance: Positive = 1e-3
-    """Distance from the best bound on the grid at which the search stops."""
+    """The search for multipliers stops when its bound is this close to the best value found on the grid, as a
+    fraction.
+    """
     limit: TimeLimit = field(default_factory=TimeLimit)
-    """Time limit; the share `MULTIPLIERS_SHARE` is for the multipliers, and the rest for the search on the walls."""
+    """Time limit; the fraction `MULTIPLIERS_SHARE` of it is for the multipliers, and the rest for the search on the
+    walls.
+    """
 
 
 @dataclass(frozen=True)
 class UpperBound:
-    """Upper bound, as fractions in [0, 1]."""
+    """Upper bounds on the fitness, fractions in [0, 1], and the multipliers that prove them."""
 
     walls: float
     """Bound for all deployments of flush landmarks on the walls."""
     grid: float
-    """Bound for all deployments on the grid of poses."""
+    """Bound for all deployments of landmarks with poses of the grid."""
     fractional: float
-    """Value reached by fractional landmarks on the grid; no bound for the grid is lower."""
+    """Value that is reached if fractions of landmarks may be placed on the grid; no bound for the grid is lower."""
     dual: Dual
-    """Multipliers."""
+    """Multipliers for which the bounds hold."""
     gain: float
-    """Largest gain of a flush landmark with the multipliers `dual`; for several sizes, the mean weighted by the numbers
-    of tags.
+    """Largest gain of a flush landmark, computed with the multipliers `dual`; for several sizes, the mean of their
+    largest gains weighted by the numbers of tags.
     """
 
 
 def average_upper_bound(problem: Problem, count: int, search: Search) -> UpperBound:
-    """Bound the mean of P_n over the grid, with equal weights of positions, for `count` landmarks."""
+    """Bound the mean of P_n over the grid positions, which have equal weights, for `count` landmarks."""
     size = len(problem.evaluator.positions)
     shares, n = np.full(size, 1.0 / size), _at_most_coverage(problem).n
     return _bound(problem, Relaxation(problem.evaluator, shares, n, 1.0, problem.fixed_with_edges), count, search)
 
 
 def fitness_upper_bound(problem: Problem, count: int, search: Search) -> UpperBound:
-    """Bound the fitness of `count` landmarks: the relevance of qualified positions, or a mean weighted by relevance."""
+    """Bound the fitness of `count` landmarks: the total relevance of qualified positions, or a mean weighted by
+    relevance.
+    """
     evaluator, relevance = problem.fitness_evaluator, problem.fitness_relevance
     objective = _at_most_coverage(problem)
     averaged = isinstance(objective, Localisation) and objective.climbs == "mean"
@@ -135,12 +142,12 @@ def fewest_landmarks(problem: Problem, target: float, search: Search) -> int:
     """Lower bound on the number of landmarks that reach a fitness of `target`; at least one more than the fixed
     landmarks.
 
-    A dual bounds the fitness by a line in K. The search starts with too few landmarks, and raises the number to the
-    point where the line reaches the target. By concavity, this number is again a lower bound. The search ends when the
-    bound reaches the target.
+    Any multipliers bound the fitness by a linear function of the number K. The search starts with too few landmarks,
+    and raises the number to the value at which the linear function reaches the target. By concavity, this number is
+    again a lower bound. The search ends when the bound on the fitness of that number reaches the target.
 
     Raises:
-        InputError: `MOST_LANDMARKS` landmarks do not reach the target, or tags have several sizes.
+        InputError: even `MOST_LANDMARKS` landmarks do not reach the target, or tags have several sizes.
     """
     problem.scene.check_one_size("a least number of landmarks")
     real("target", target, low=0.0, high=1.0)
@@ -153,13 +160,13 @@ def fewest_landmarks(problem: Problem, target: float, search: Search) -> int:
 
 
 def affordable(problem: Problem, count: int, search: Search) -> Search:
-    """Choose the spacing of the poses so that the time of a search suffices, from the measured time of scanning some
-    poses.
+    """Choose the spacing of the poses so that a search ends within its time limit; the time is extrapolated from a scan
+    of some poses.
 
     Without a time limit the search is returned unchanged.
 
     Raises:
-        InputError: there is no upper bound for the objective, or the visibility model has no compiled half.
+        InputError: there is no upper bound for the objective, or the visibility model has no compiled code.
     """
     _at_most_coverage(problem)
     spacing, evaluator, each = search.spacing, problem.evaluator, 0.0
@@ -177,7 +184,7 @@ def affordable(problem: Problem, count: int, search: Search) -> Search:
 
 
 def _at_most_coverage(problem: Problem) -> Coverage | Localisation:
-    """Return the objective if its values are at most P_n."""
+    """Return the objective, after a check that its values are at most P_n."""
     if not isinstance(problem.objective, Coverage | Localisation):
         raise InputError(
             f"there is no upper bound for the objective {type(problem.objective).__name__}, only for Coverage and "
@@ -188,20 +195,22 @@ def _at_most_coverage(problem: Problem) -> Coverage | Localisation:
 
 
 class Kind(NamedTuple):
-    """Free landmarks of one size."""
+    """Free landmarks that all have one size."""
 
     evaluator: Evaluator
-    """Evaluator of the scene with tags of that size alone."""
+    """Evaluator of a scene whose tags all have that size."""
     cells: Cells
     """Cells of the walls where the landmarks may hang."""
     poses: Deployment
-    """Landmarks at the centres of the cells, with edges."""
+    """Landmarks at the centres of the cells, with their edge lengths."""
     number: int
-    """Number of landmarks that may take the poses."""
+    """Number of free landmarks of that size."""
 
 
 def _free_sizes(problem: Problem, count: int) -> FloatArray:
-    """Edges of the free landmarks among `count` landmarks, metres; 0 for points. Raises `InputError` like `_kinds`."""
+    """Edge lengths of the free landmarks among `count` landmarks, metres; 0 for points. Raises `InputError` like
+    `_kinds`.
+    """
     if not problem.scene.has_several_sizes:
         return np.full(count - problem.fixed_count, problem.sizes[0])
     if count != problem.count:
@@ -210,10 +219,11 @@ def _free_sizes(problem: Problem, count: int) -> FloatArray:
 
 
 def _kinds(problem: Problem, evaluator: Evaluator, count: int, spacing: float) -> list[Kind]:
-    """Sizes of the free landmarks among `count` landmarks.
+    """Free landmarks among `count` landmarks, grouped by size.
 
     Raises:
-        InputError: there are several sizes, and `count` is not the problem's number of landmarks.
+        InputError: tags have several sizes and `count` is not the problem's number of landmarks, so the numbers of each
+            size are unknown.
     """
     footprints, kinds = problem.scene.footprints, []
     for edge, number in zip(*np.unique(_free_sizes(problem, count), return_counts=True), strict=True):
@@ -249,27 +259,27 @@ GUARANTEE, GUARANTEE_OF_SIZES = 1.0 - np.exp(-1.0), 0.5
 
 @dataclass(frozen=True)
 class SelectionBound:
-    """Bound on the selection of an objective; all values are gains over the fixed landmarks alone."""
+    """Bound on the surrogate (`selection`) of an objective; all values are gains over the fixed landmarks alone."""
 
     label: str
-    """Name of the selection."""
+    """Name of the surrogate."""
     greedy: float
-    """Value of the greedy choice."""
+    """Value of the surrogate for the greedy choice."""
     grid: float
-    """Bound for all choices of poses of the grid."""
+    """Upper bound for all choices of poses from the grid."""
     guarantee: float = GUARANTEE
-    """Share of the best value that the greedy choice always reaches."""
+    """Fraction of the best value that the greedy choice always reaches."""
 
     @property
     def share(self) -> float:
-        """Lower bound on the value of the greedy choice over the value of the best choice."""
+        """Lower bound on the ratio of the greedy choice's value to the best choice's value."""
         return self.greedy / self.grid if self.grid > 0.0 else 1.0
 
 
 def selection_upper_bound(
     problem: Problem, count: int, spacing: float, limit: TimeLimit | None = None
 ) -> SelectionBound:
-    """Bound the selection of `count` landmarks, fixed landmarks included, from a grid of poses `spacing` metres apart.
+    """Bound the surrogate (`selection`) for `count` landmarks, including fixed landmarks, chosen from a grid of poses.
 
     The bound counts the views that the problem's fitness counts. The greedy choice keeps footprints apart; the bound
     also holds for overlapping footprints. The result does not depend on the number of threads.
@@ -277,8 +287,8 @@ def selection_upper_bound(
     Args:
         problem: the problem.
         count: number of landmarks.
-        spacing: largest distance between poses, metres.
-        limit: limit of the time after one scan of every pose; None for none.
+        spacing: largest distance between neighbouring poses of the grid, metres.
+        limit: time limit, which counts after every pose has been scanned once; None for no limit.
 
     Raises:
         InputError: the objective has no selection, the spacing is not positive, or there are several sizes and `count`
@@ -293,7 +303,7 @@ def selection_upper_bound(
     add_each(selection, problem.fixed_with_edges)
 
     def largest(gains: FloatArray) -> float:
-        """Sum of the K_s largest gains of each size s."""
+        """Sum of the K_s largest gains of each size s, from the gains of all candidates."""
         counts = zip(*np.unique(sizes, return_counts=True), strict=True)
         return sum(float(np.sort(gains[own == edge])[-number:].sum()) for edge, number in counts)
 

@@ -1,8 +1,8 @@
-"""Comparison of optimisers over seeds: figures of a table and of charts, and distribution-free tests.
+"""Comparison of optimisers over seeds: numbers for a table and for charts, and distribution-free tests.
 
 All tests are two-sided. Sources: Demsar, "Statistical Comparisons of Classifiers over Multiple Data Sets" (2006), for
-Friedman's test followed by Nemenyi's. Vargha and Delaney, "A Critique and Improvement of the CL Common Language Effect
-Size Statistics" (2000), for A12. Holm, "A Simple Sequentially Rejective Multiple Test Procedure" (1979).
+Friedman's test followed by Nemenyi's test. Vargha and Delaney, "A Critique and Improvement of the CL Common Language
+Effect Size Statistics" (2000), for A12. Holm, "A Simple Sequentially Rejective Multiple Test Procedure" (1979).
 """
 
 import math
@@ -32,7 +32,7 @@ MOST_EXACT = 8  # largest size of samples with ties for which all permutations a
 
 @dataclass(frozen=True)
 class OptimiserRun:
-    """Run of an optimiser with a seed."""
+    """Result of one run of an optimiser with a seed."""
 
     optimiser: str
     seed: int
@@ -40,35 +40,37 @@ class OptimiserRun:
     history: Sequence[Record]
     deployment: Deployment
     rig: Rig | None = None
-    """Cameras of a run that placed them."""
+    """Best cameras, if the run placed cameras; otherwise None."""
     problem: str = ""
-    """Problem of the suite, if the run was on one."""
+    """Name of the problem in the suite; empty if the problem is not part of the suite."""
 
     def evaluations_to(self, fitness: float) -> float:
-        """Evaluations after which the best fitness reached `fitness`; infinity if the run did not reach it."""
+        """Number of evaluations after which the best fitness reached `fitness`; infinity if the run did not reach
+        it.
+        """
         return next((r.evaluations for r in self.history if r.best_fitness >= fitness), np.inf)
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Comparison of several optimisers, from their runs."""
+    """Comparison of several optimisers, computed from their runs."""
 
     table: pd.DataFrame
-    """One row per optimiser, the best first; `compared` names its columns."""
+    """One row for each optimiser, the best optimiser first; see `compared` for the columns."""
     targets: tuple[float, ...]
     """Quartiles of the final fitness of all runs; column `evaluations_to_<i>` belongs to quartile i, from 1 on."""
     reference: str
-    """Optimiser with which the effect sizes and P-values of the table compare the others."""
+    """Optimiser against which the effect sizes and P-values of the table compare the other optimisers."""
     test: str
-    """Name of the test of the p-values, and the least p that the seeds allow, two paragraphs in Markdown; empty without
-    a test.
+    """Two paragraphs in Markdown: the name of the test that gives the P-values, and the least P-value that the number
+    of seeds allows; empty without a test.
     """
     pairs: pd.DataFrame | None
-    """P-values of every pair of optimisers; None if each optimiser was tested only against the reference."""
+    """P-value of each pair of optimisers; None if the optimisers were tested only against the reference."""
 
 
 def by_optimiser(runs: Sequence[OptimiserRun], key: str) -> dict[str, list[OptimiserRun]]:
-    """Group runs by optimiser, the highest median of the figure `key` first."""
+    """Group runs by optimiser; the optimiser with the highest median of the metric `key` comes first."""
     groups: dict[str, list[OptimiserRun]] = {}
     for run in runs:
         groups.setdefault(run.optimiser, []).append(run)
@@ -80,18 +82,19 @@ def by_optimiser(runs: Sequence[OptimiserRun], key: str) -> dict[str, list[Optim
 
 
 def compared(runs: Sequence[OptimiserRun], key: str, reference: str | None = None) -> Comparison:
-    """Compare optimisers by the figure `key`, where runs with the same seed are pairs.
+    """Compare optimisers by the metric `key`; runs of two optimisers with equal seeds form pairs.
 
-    The columns of the table are `optimiser`, `runs`; for `key` the median, the bounds `<key>_low` and `<key>_high` of
-    its bootstrap interval, `<key>_min` and `<key>_max`. `rank` is the mean rank over the seeds that all optimisers have
-    run, `evaluations_to_<i>` the expected running time to each target. Further columns are the medians of all other
-    figures and of the wall time in `seconds`, and `a12` and `p_value` against the reference.
+    The columns of the table are `optimiser`, `runs`; for the metric `key` its median, the bounds `<key>_low` and
+    `<key>_high` of the median's bootstrap interval, `<key>_min` and `<key>_max`. `rank` is the mean rank over the seeds
+    that all optimisers have run, and `evaluations_to_<i>` the expected running time to target i. Further columns are
+    the medians of all other metrics and of the wall time in `seconds`, and the effect size `a12` and the `p_value` of a
+    comparison with the reference.
 
     Args:
         runs: runs of all optimisers.
-        key: name of the figure; higher is better.
-        reference: optimiser against which all others are tested. None tests every two optimisers against each other;
-            the table then compares with its first row.
+        key: name of the metric; higher is better.
+        reference: optimiser against which all others are tested. None tests every pair of optimisers; the table then
+            compares with the optimiser of its first row.
     """
     groups = by_optimiser(runs, key)
     figures = pd.DataFrame({name: {run.seed: run.metrics[key] for run in group} for name, group in groups.items()})
@@ -125,7 +128,7 @@ def compared(runs: Sequence[OptimiserRun], key: str, reference: str | None = Non
 
 
 def _against(figures: pd.DataFrame, reference: str) -> tuple[pd.Series, str]:
-    """P-values of every column against the column `reference`, and the sentence that names the test."""
+    """P-value of each column tested against the column `reference`, and a sentence that names the test."""
     others = [name for name in figures if name != reference]
     pairs = [figures[[name, reference]].dropna().to_numpy() for name in others]
     p_values = holm(np.array([wilcoxon(pair[:, 0], pair[:, 1]) for pair in pairs]))
@@ -140,7 +143,7 @@ def _against(figures: pd.DataFrame, reference: str) -> tuple[pd.Series, str]:
 
 
 def _all_against_all(complete: pd.DataFrame, reference: str) -> tuple[pd.DataFrame, str]:
-    """P-values of every pair of columns, and the sentence that names the test."""
+    """P-value of each pair of columns, and a sentence that names the test."""
     names, values = list(complete), complete.to_numpy()
     test = (
         f"p: Nemenyi's test against {as_code(reference)} on the mean ranks over the {len(values)} seeds that all have "
@@ -153,11 +156,11 @@ def _all_against_all(complete: pd.DataFrame, reference: str) -> tuple[pd.DataFra
 
 
 def attainable(least: Callable[[int], float], seeds: int) -> str:
-    """Sentence on the least P-value that a number of seeds can reach.
+    """Sentence that states the least P-value that can be reached with a number of seeds.
 
     Args:
-        least: function that returns the least corrected P-value of the test for a number of seeds, reached if the runs
-            agree in each seed; NaN for too few seeds.
+        least: function that returns the least corrected P-value of the test for a number of seeds, which is reached if
+            the optimisers have one order in all seeds; NaN for too few seeds.
         seeds: number of seeds.
     """
     lowest, runs = least(seeds), f"With {seeds} seed{'s' * (seeds != 1)}"
@@ -169,8 +172,8 @@ def attainable(least: Callable[[int], float], seeds: int) -> str:
 
 
 def comparison_markdown(comparison: Comparison, headline: Headline) -> str:
-    """Table of a comparison in the unit of the objective's headline, followed by the name of the test; unknown figures
-    are blank.
+    """Table of a comparison in Markdown, in the unit of the objective's main metric (headline), followed by the name of
+    the test; unknown values are blank.
     """
     key, table = headline.key, comparison.table
     has_off_grid = "off_grid" in table
@@ -198,8 +201,8 @@ def _known(value: float, form: str) -> str:
 
 
 def expected_running_time(runs: Sequence[OptimiserRun], fitness: float) -> float:
-    """Expected running time (ERT of COCO): evaluations of all runs, each until it reaches `fitness` or ends, over the
-    number of runs that reach `fitness`.
+    """Expected running time (ERT of COCO): the sum of the evaluations of all runs, each counted until the run reaches
+    `fitness` or ends, divided by the number of runs that reach `fitness`.
     """
     spent = [min(run.evaluations_to(fitness), run.history[-1].evaluations) for run in runs]
     reached = sum(np.isfinite(run.evaluations_to(fitness)) for run in runs)
@@ -207,15 +210,17 @@ def expected_running_time(runs: Sequence[OptimiserRun], fitness: float) -> float
 
 
 class HasHistory(Protocol):
-    """Interface of searches with a history."""
+    """Interface of a search whose progress is recorded."""
 
     @property
     def history(self) -> Sequence[Record]:
-        """Records in the order of time."""
+        """Records of the search in the order of time."""
 
 
 def best_at(runs: Sequence[HasHistory], axis: str, at: FloatArray) -> FloatArray:
-    """Best fitness of each run at points `at` `(N,)` of an axis of `Record`, `(R, N)`; NaN before its first record."""
+    """Best fitness of each of R runs at the points `at` `(N,)` of an axis (a field of `Record`), `(R, N)`; NaN before
+    the first record of a run.
+    """
     curves = []
     for run in runs:
         spent = np.array([getattr(record, axis) for record in run.history])
@@ -225,20 +230,26 @@ def best_at(runs: Sequence[HasHistory], axis: str, at: FloatArray) -> FloatArray
 
 
 def curve_targets(runs: Sequence[OptimiserRun]) -> FloatArray:
-    """Targets for `attained` `(T,)`, evenly spaced above the worst first success, up to the best fitness reached."""
+    """Values of the fitness `(T,)` that serve as targets of `attained`: evenly spaced from the worst first successful
+    evaluation (excluded) to the best fitness of all runs.
+    """
     low = min(next(r.best_fitness for r in run.history if np.isfinite(r.best_fitness)) for run in runs)
     high = max(run.history[-1].best_fitness for run in runs)
     return np.linspace(low, high, CURVE_TARGETS + 1)[1:]
 
 
 def attained(runs: Sequence[OptimiserRun], axis: str, at: FloatArray, targets: FloatArray) -> FloatArray:
-    """Share of the pairs of a run and one of the `targets` `(T,)` that are reached at `at` `(N,)`, an ECDF `(N,)`."""
+    """For each point `at` `(N,)` of an axis, the share of pairs of a run and one of the `targets` `(T,)` in which the
+    run has reached the target, `(N,)`: an empirical cumulative distribution function.
+    """
     share: FloatArray = (best_at(runs, axis, at)[:, :, None] >= targets).mean(axis=(0, 2))
     return share
 
 
 def wilcoxon(first: FloatArray, second: FloatArray) -> float:
-    """P-value of Wilcoxon's signed-rank test on pairs `(N,)`; 1 if no pair differs, NaN for fewer than two pairs."""
+    """P-value of Wilcoxon's signed-rank test on pairs of values, `(N,)` each; 1 if no pair differs, NaN for fewer than
+    two pairs.
+    """
     differences = np.subtract(first, second)
     if len(differences) < LEAST_PAIRS:
         return np.nan
@@ -246,7 +257,7 @@ def wilcoxon(first: FloatArray, second: FloatArray) -> float:
 
 
 def holm(p_values: FloatArray) -> FloatArray:
-    """Correct the P-values `(M,)` of several tests by Holm's procedure; NaN stands for no test."""
+    """Correct the P-values `(M,)` of several tests by Holm's procedure; NaN marks a missing test."""
     known = np.flatnonzero(~np.isnan(p_values))
     order = known[np.argsort(p_values[known])]
     corrected = np.full(len(p_values), np.nan)
@@ -256,7 +267,9 @@ def holm(p_values: FloatArray) -> FloatArray:
 
 
 def mann_whitney(first: FloatArray, second: FloatArray) -> float:
-    """P-value of the test of Mann and Whitney, exact for at most `MOST_EXACT` values each; NaN for a single value."""
+    """P-value of the test of Mann and Whitney, exact for at most `MOST_EXACT` values in each sample; NaN if a sample
+    has a single value.
+    """
     sizes, both = (len(first), len(second)), np.concatenate([first, second])
     if min(sizes) < LEAST_PAIRS:
         return np.nan
@@ -267,7 +280,9 @@ def mann_whitney(first: FloatArray, second: FloatArray) -> float:
 
 
 def mean_ranks(values: FloatArray) -> FloatArray:
-    """Mean rank of each of K columns of `(N, K)` over the rows; 1 is the highest value, ties share their ranks."""
+    """Mean rank over the rows of each of the K columns of `values` `(N, K)`, `(K,)`; 1 is the highest value, and ties
+    share their ranks.
+    """
     ranks: FloatArray = stats.rankdata(-values, axis=1).mean(axis=0)
     return ranks
 
@@ -284,7 +299,9 @@ def friedman(values: FloatArray) -> float:
 
 
 def nemenyi(values: FloatArray) -> FloatArray:
-    """P-values `(K, K)` of Nemenyi's test of every two columns of `(N, K)`; NaN for fewer rows than two."""
+    """P-values `(K, K)` of Nemenyi's test for each pair of the K columns of `values` `(N, K)`; NaN for fewer than two
+    rows.
+    """
     rows, columns = values.shape
     if rows < LEAST_PAIRS:
         return np.full((columns, columns), np.nan)
@@ -300,7 +317,8 @@ def a12(first: FloatArray, second: FloatArray) -> float:
 
 
 def median_interval(values: FloatArray, seed: int) -> tuple[float, float]:
-    """Percentile interval of the median by the bootstrap, confidence 95 %; a single value is its own interval.
+    """Percentile interval of the median by the bootstrap, with a confidence of 95 %; for a single value, both bounds
+    equal it.
 
     Args:
         values: the sample `(N,)`.

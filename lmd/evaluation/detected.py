@@ -1,4 +1,6 @@
-"""Deployments tested with real detectors in images rendered from random poses, beside the model's predictions."""
+"""Tests of deployments with real detectors: tags are detected in images rendered from random poses, and compared with
+the model's predictions.
+"""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -35,14 +37,14 @@ Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]
 
 @dataclass(frozen=True)
 class Rendered:
-    """Deployment, its predicted sightings in random poses, and the detectors that read its images."""
+    """Deployment with its predicted sightings from random poses, and the detectors that read the rendered images."""
 
     problem: Problem
     """Problem of the deployment."""
     prediction: Prediction
-    """Predicted sightings in each pose."""
+    """Sightings that the visibility model predicts in each pose."""
     detectors: "Mapping[str, Detector]"
-    """Detectors by name."""
+    """Detectors, keyed by name."""
 
     @classmethod
     def of(
@@ -54,18 +56,18 @@ class Rendered:
         frames: int,
         seed: int,
     ) -> "Rendered":
-        """Predict the sightings of a problem's deployment in random poses.
+        """Predict the sightings of a problem's deployment from random poses.
 
         Args:
             problem: the problem; its tags may be points.
-            tag: tag that is drawn.
-            imaging: optics and sensor.
+            tag: tag that is rendered.
+            imaging: optics and sensor with which images are rendered.
             detectors: detectors, keyed by name.
             frames: number of poses.
             seed: seed of the poses, and of a random deployment.
 
         Raises:
-            InputError: a detector or the deployment is refused, or memory is too small.
+            InputError: a detector does not read the tags, the deployment cannot be rendered, or memory is too small.
         """
         for detector in detectors.values():
             detector.detect(np.zeros((64, 64), dtype=np.uint8))  # a missing package raises an error here
@@ -89,7 +91,7 @@ class Rendered:
 
 
 class Frames(NamedTuple):
-    """Consecutive frames of one camera; the noise of a frame depends on its number."""
+    """Consecutive frames of one camera; the noise of a frame depends on the frame's number."""
 
     renderer: Renderer
     detectors: "Mapping[str, Detector]"
@@ -100,16 +102,17 @@ class Frames(NamedTuple):
 
 
 def look(job: Frames) -> dict[str, Matches]:
-    """Render and read frames; return the detections, keyed by the name of the detector."""
+    """Render frames and detect the tags; return the detections, keyed by the name of the detector."""
     return detect_in_frames(job.renderer, job.detectors, job.poses, job.first, job.seed, job.people)
 
 
 def sightings(subjects: Mapping[str, Rendered], seed: int, each: Each) -> dict[str, dict[str, Matches]]:
-    """Detections, keyed by the name of the subject, then of the detector.
+    """Detect the tags of all subjects; return the detections, keyed by the name of the subject and then by the name of
+    the detector.
 
     Args:
         subjects: subjects, keyed by name.
-        seed: seed of the noise.
+        seed: seed of the image noise.
         each: function such as `map`, which applies a function to each job, in the order of the jobs.
     """
     jobs = {}
@@ -133,16 +136,18 @@ def sightings(subjects: Mapping[str, Rendered], seed: int, each: Each) -> dict[s
 
 @dataclass(frozen=True)
 class DetectionStudy:
-    """Detections of several deployments, beside their predictions."""
+    """Detections of several deployments, compared with their predictions."""
 
     subjects: Mapping[str, Rendered]
-    """Subjects by name."""
+    """Deployments with their predictions, keyed by name."""
     seen: Mapping[str, Mapping[str, Matches]]
-    """Detections, keyed by the name of the subject, then of the detector."""
+    """Detections, keyed by the name of the subject and then by the name of the detector."""
 
     @cached_property
     def tables(self) -> "dict[str, pd.DataFrame]":
-        """Tables of the figures, of classes of pitch and of tags, each with the columns of `NAMES` first."""
+        """Tables of the metrics, of classes of pitch, and of single tags; the columns `NAMES` come first in each
+        table.
+        """
         import pandas as pd
 
         rows, pitches, tags = [], [], []
@@ -157,7 +162,7 @@ class DetectionStudy:
         return {"figures": pd.DataFrame(rows), "pitches": by_class, "tags": by_id}
 
     def metrics(self) -> dict[str, float]:
-        """Finite figures by `<figure>/<deployment>/<detector>`."""
+        """Finite values of the metrics, keyed by `<metric>/<deployment>/<detector>`."""
         records = self.tables["figures"].to_dict("records")
         found = {
             f"{key}/{row['deployment']}/{row['detector']}": row[key]

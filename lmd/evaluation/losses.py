@@ -1,4 +1,4 @@
-"""Loss of fitness without each tag, without each pair of tags, and as tags are removed one by one."""
+"""Loss of fitness when each tag or each pair of tags is removed, and when tags are removed one after the other."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -20,25 +20,28 @@ FITNESS_ROUNDING = 1e-12  # largest difference in fitness that counts as a round
 
 @dataclass(frozen=True)
 class Losses:
-    """Fitness after removal of landmarks."""
+    """Fitness of a deployment after landmarks are removed."""
 
     ids: IntArray
     """Ids of K landmarks, `(K,)`."""
     fitness: float
     """Fitness with all landmarks."""
     without: FloatArray
-    """`(K, K)` fitness without landmarks i and j; on the diagonal, without landmark i."""
+    """Fitness without landmarks i and j, `(K, K)`; entries on the diagonal are without landmark i alone."""
     order: IntArray
-    """`(K,)` indices of the landmarks in the order of `removal_order`."""
+    """Indices of the landmarks in the order in which they are removed one after the other, `(K,)`, see
+    `removal_order`.
+    """
     left: FloatArray
-    """`(K,)` fitness after each removal in that order."""
+    """Fitness that remains after each removal in that order, `(K,)`."""
 
     @property
     def table(self) -> dict[str, FloatArray | IntArray]:
-        """Columns, `(K,)` each, the largest loss first.
+        """Columns of a table of the landmarks, `(K,)` each; the landmark with the largest loss comes first.
 
-        `id`; `fitness_without` and `fitness_loss` without this landmark alone; `removed`, its place from 1 in the order
-        of removal, and `fitness_left` after it and those before it are removed.
+        The columns are `id`; `fitness_without` and `fitness_loss`, if this landmark alone is removed; `removed`, the
+        number of the landmark in the order of removal, from 1; and `fitness_left`, the fitness after the removals up to
+        this landmark.
         """
         alone = np.diagonal(self.without)
         lost = self.fitness - alone
@@ -63,13 +66,15 @@ class Losses:
 
     @property
     def harmful(self) -> dict[int, float]:
-        """Gain of fitness by removing each landmark that lowers it, keyed by id, the largest gain first."""
+        """Harmful landmarks: gain of fitness when a landmark that lowers the fitness is removed, keyed by id, the
+        largest gain first.
+        """
         gained = np.diagonal(self.without) - self.fitness
         worst = np.argsort(-gained, kind="stable")
         return {int(self.ids[i]): float(gained[i]) for i in worst if gained[i] > FITNESS_ROUNDING}
 
     def metrics(self) -> dict[str, float]:
-        """Least and mean fitness after the loss of one landmark, and after the loss of two."""
+        """Least and mean fitness after the loss of one landmark, and after the loss of two landmarks."""
         one, two = np.diagonal(self.without), self.without[np.triu_indices(len(self.ids), 1)]
         return {
             f"fitness_without_{name}_{kind}": float(figure(left))
@@ -79,7 +84,9 @@ class Losses:
         }
 
     def to_text(self) -> str:
-        """Text for a terminal: tags with the largest losses, tags that can be spared, idle tags, and harmful tags."""
+        """Text for a terminal: the tags with the largest losses, tags that are dispensable, tags without effect, and
+        harmful tags.
+        """
         table = self.table
         dearest = [row for row in zip(table["id"], table["fitness_loss"], strict=True) if row[1] > FITNESS_ROUNDING]
         going = zip(self.ids[self.order], self.left, strict=True)
@@ -93,15 +100,16 @@ class Losses:
 
 
 def _listed(tags: Iterable[tuple[int, float]]) -> str:
-    """Ids of the first tags, each with a fraction in per cent; `none` for no tag."""
+    """Text that lists the ids of the first tags, each with its fraction in per cent; `none` if there is no tag."""
     return ", ".join(f"{number} ({100.0 * each:.2f})" for number, each in islice(tags, TAGS_LISTED)) or "none"
 
 
 def losses(problem: Problem, deployment: Deployment) -> Losses:
-    """Measure the fitness without each landmark, without each pair, and as landmarks are removed one by one.
+    """Measure the fitness without each landmark, without each pair of landmarks, and as landmarks are removed one after
+    the other.
 
     Args:
-        problem: problem whose objective has a field.
+        problem: problem whose objective has a field, the incremental evaluator of `lmd.incremental.field`.
         deployment: K landmarks.
 
     Raises:

@@ -1,7 +1,8 @@
-"""Pose errors due to a wrong map, in which the places of tags differ from their true places.
+"""Pose errors due to an inaccurate map, in which the poses of tags differ from their true poses.
 
-The pose is estimated from one image by PnP (`lmd.geometry.pose`), for a rig from the images of all its cameras. A map
-that is displaced as a whole by a rigid motion T displaces the pose by T; independent errors of tags partly cancel out.
+The pose of the camera is estimated from one image by PnP (`lmd.geometry.pose`); the pose of a rig is estimated from the
+images of all its cameras. A map that is displaced as a whole by a rigid motion T displaces the pose by T; independent
+errors of tags partly cancel out.
 """
 
 from collections.abc import Mapping
@@ -33,15 +34,17 @@ class MountedTags:
     deployment: Deployment
     """K landmarks."""
     ups: FloatArray
-    """Unit vectors in the planes of the tags that point to their upper edges, `(K, 3)`, world frame."""
+    """Unit vectors in the planes of the tags that point towards their upper edges, `(K, 3)`, world frame."""
 
     @classmethod
     def of(cls, deployment: Deployment) -> "MountedTags":
-        """Tags of a deployment, with its upper edges."""
+        """Make the tags of a deployment, with the directions of their upper edges."""
         return cls(deployment, deployment.ups)
 
     def points(self, tag: Tag) -> FloatArray:
-        """Points that an image shows: the M = 4 corners of each tag, or the centre of a point, metres, `(K, M, 3)`."""
+        """World points whose projections an image gives: the M = 4 corners of each tag, or the centre of a point
+        landmark (M = 1), metres, `(K, M, 3)`.
+        """
         places, edges = self.deployment.places, self.deployment.edges_of(tag)
         return places[:, None] if tag.is_point else corners(places, self.deployment.normals, self.ups, edges)
 
@@ -49,15 +52,18 @@ class MountedTags:
 def map_errors(
     problem: Problem, truth: MountedTags, maps: Mapping[str, MountedTags], poses: FloatArray, rng: np.random.Generator
 ) -> pd.DataFrame:
-    """Measure errors of the pose from single images, one row for each pose from which at least n tags are seen.
+    """Measure the errors of poses estimated from single images; the table has one row for each pose from which at least
+    n tags are seen.
 
     Args:
-        problem: problem with the scene, n, and the noise of a corner. For another objective than `Localisation`, the
-            noise is that of the default `Localisation`.
-        truth: K tags as they hang. The visibility model, which assumes upright tags, decides which tags are seen.
-        maps: K tags as the estimates assume them, keyed by the name of the map; all maps are tested with equal noise.
-        poses: X, `(N, 4, 4)`.
-        rng: draws the noise.
+        problem: problem with the scene, n, and the noise of a corner. For an objective other than `Localisation`, the
+            noise of the default `Localisation` is used.
+        truth: K tags with their true poses. The visibility model, which assumes upright tags, decides which tags are
+            seen.
+        maps: K tags with the poses that the estimates assume, keyed by the name of the map; all maps are tested with
+            equal noise.
+        poses: poses X of the camera or the rig's body, `(N, 4, 4)`.
+        rng: random generator that draws the noise.
 
     Returns:
         table with `tags`, the number of seen tags, and for each map `position_<name>` (m) and `attitude_<name>` (rad),
@@ -95,7 +101,7 @@ def named_figures(*tables: pd.DataFrame) -> dict[str, float]:
 
 
 def percent_text(figures: pd.DataFrame) -> str:
-    """Text of a table of shares for a terminal, per cent; names of figures become labels."""
+    """Text for a terminal of a table of shares, in per cent; the names of metrics are replaced by their labels."""
     named = figures.rename(index=_label, columns=_label)
     return named.to_string(float_format=lambda value: f"{100.0 * value:.2f}", na_rep="-")
 
@@ -105,15 +111,18 @@ def _label(name: object) -> str:
 
 
 def figures_text(columns: Mapping[Any, Mapping[Any, float]]) -> str:
-    """Text of figures by their names, in columns side by side, for a terminal, with labels and units."""
+    """Text of metrics for a terminal, in columns side by side, with labels and units; `columns` holds the values by
+    heading and name.
+    """
     return pd.DataFrame({name: labelled_figures(figures) for name, figures in columns.items()}).to_string(na_rep="-")
 
 
 def error_quantiles(views: pd.DataFrame) -> pd.DataFrame:
-    """Quantiles of the columns of `map_errors`, indexed by `position_<name>` and `attitude_<name>`.
+    """Quantiles of the columns of `map_errors`; the rows are named `position_<name>` and `attitude_<name>`.
 
-    Columns: quantiles `5 %`, `50 %`, `95 %` over the views with an estimate, and for positions the share `within_<n>mm`
-    of all views; a view without an estimate is not within any limit.
+    The columns are the quantiles `5 %`, `50 %` and `95 %` over the views with an estimate, and for positions
+    `within_<n>mm`, the share of all views with an error of at most n mm; a view without an estimate is not within any
+    limit.
     """
     rows: dict[str, dict[str, float]] = {}
     for name in views.columns[views.columns.str.startswith(("position_", "attitude_"))]:
@@ -125,7 +134,7 @@ def error_quantiles(views: pd.DataFrame) -> pd.DataFrame:
 
 
 def errors_text(views: pd.DataFrame, n: int) -> str:
-    """Text of `error_quantiles` for a terminal, in mm and mrad."""
+    """Text for a terminal with the values of `error_quantiles`, in mm and mrad."""
     table = error_quantiles(views)
     parts = [f"{name.replace('_', ', map as ', 1)} [{'mm' if name[0] == 'p' else 'mrad'}]" for name in table.index]
     shares = table.columns[table.columns.str.startswith("within")]

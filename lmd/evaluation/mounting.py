@@ -1,8 +1,8 @@
-"""Figures of a deployment with random errors of mounting, and as measured.
+"""Metrics of a deployment whose tags have random mounting errors, or whose tags were measured after mounting.
 
 In every draw all tags have independent errors. A draw is evaluated like any deployment, on the grid and at random
-positions. Then poses are estimated from single images with the planned map, and for comparison with the map of the
-mounted tags, which a survey would give.
+positions. Then camera poses are estimated from single images, once with the map of the planned tags and once with the
+map of the mounted tags, which a survey would give.
 """
 
 from dataclasses import dataclass, replace
@@ -48,17 +48,17 @@ class MountingError(Checked):
     """Standard deviations of the independent normal errors with which tags are mounted.
 
     Raises:
-        InputError: a value is negative, an angle more than a quarter turn, or there is no draw.
+        InputError: a value is negative, an angle is more than a quarter turn, or the number of draws is not positive.
     """
 
     position: NotNegative = 0.0
-    """Error of position along each of the two directions of the surface, metres."""
+    """Standard deviation of the position along each of the two directions of the surface, metres."""
     turn: QuarterTurn = 0.0
-    """Error of rotation in the plane of the tag, rad."""
+    """Standard deviation of the rotation of the tag about its normal, rad."""
     tilt: QuarterTurn = 0.0
-    """Error of the normal about each of the two directions of the surface, rad."""
+    """Standard deviation of the tilt of the tag's normal about each of the two directions of the surface, rad."""
     draws: Count = 100
-    """Number of mountings drawn."""
+    """Number of draws, in each of which all tags are mounted anew."""
 
     def _validate(self) -> None:
         what = f"draws = {self.draws} mountings, each in {VIEWS_PER_DRAW} views,"
@@ -66,7 +66,7 @@ class MountingError(Checked):
 
     @property
     def is_none(self) -> bool:
-        """True if all tags hang as planned."""
+        """True if all errors are zero, so that all tags hang as planned."""
         return not (self.position or self.turn or self.tilt)
 
     def covariances(self, problem: Problem, plan: Deployment) -> FloatArray:
@@ -83,18 +83,18 @@ class MountingError(Checked):
         return found
 
     def draw(self, problem: Problem, plan: Deployment, rng: np.random.Generator) -> MountedTags:
-        """Draw the tags of a plan as they are mounted.
+        """Draw the poses of the tags of a plan after mounting.
 
-        Tags stay on their surface, and footprints do not overlap: a tag that would extend beyond an edge, or overlap an
-        earlier tag, moves to the nearest allowed place. Fixed tags (`Problem.fixed`) stay.
+        Tags stay on their surface, and footprints do not overlap: a tag that would reach beyond an edge of its surface,
+        or overlap an earlier tag, moves to the nearest allowed place. Fixed tags (`Problem.fixed`) do not move.
 
         Args:
             problem: problem with the surfaces, the footprints, and the fixed tags.
             plan: K landmarks with their surfaces.
-            rng: draws the errors.
+            rng: random generator that draws the errors.
 
         Raises:
-            InputError: there is no room for all papers.
+            InputError: the surfaces have no room for all tags with their white margins.
         """
         from scipy.spatial.transform import Rotation
 
@@ -108,7 +108,7 @@ class MountingError(Checked):
         return MountedTags(replace(moved, normals=normals), ups)
 
     def _separated(self, problem: Problem, moved: Deployment) -> Deployment:
-        """Push the landmarks on surfaces apart; landmarks on no surface stay."""
+        """Push overlapping landmarks on surfaces apart; landmarks that belong to no surface do not move."""
         on = np.flatnonzero(moved.surfaces >= 0)
         if not len(on):
             return moved
@@ -120,24 +120,28 @@ class MountingError(Checked):
 
 @dataclass(frozen=True)
 class Mounted:
-    """Figures of a plan as mounted."""
+    """Metrics of a plan whose tags have random mounting errors."""
 
     error: MountingError
-    """Distribution of the errors."""
+    """Distribution of the mounting errors."""
     seed: int
     """Seed of the draws."""
     n: int
-    """Number of tags that a view must show for a pose."""
+    """Number of tags that a view must show before a pose is estimated."""
     planned: pd.Series
-    """Figures of the plan on the grid, and at random positions as `grid_free_...`."""
+    """Metrics of the plan without errors: on the grid, and at random positions with names `grid_free_...`."""
     draws: pd.DataFrame
-    """Figures as in `planned`, with a row for each draw."""
+    """Metrics as in `planned`, with a row for each draw."""
     views: pd.DataFrame
-    """Errors of the pose with the map as `planned` and as `mounted`, see `map_errors`, and the `draw`."""
+    """Errors of the estimated pose with the map of the tags as `planned` and as `mounted`, see `map_errors`; column
+    `draw` has the number of the draw.
+    """
 
     @property
     def table(self) -> pd.DataFrame:
-        """Columns `planned`, `mean`, `5 %`, `50 %` and `95 %` of each figure over the draws, indexed by `figure`."""
+        """Table of the metrics, indexed by `figure`: the value `planned`, and the `mean` and the quantiles `5 %`, `50
+        %` and `95 %` over the draws.
+        """
         quantiles = {f"{100 * q:g} %": self.draws.quantile(q) for q in QUANTILES}
         return pd.DataFrame({"planned": self.planned, "mean": self.draws.mean(), **quantiles}).rename_axis("figure")
 
@@ -151,7 +155,7 @@ class Mounted:
         }
 
     def metrics(self) -> dict[str, float]:
-        """Figures by names such as `fitness/5` and `position_planned/50`, metres and rad."""
+        """Metrics keyed by names such as `fitness/5` and `position_planned/50`, metres and rad."""
         return named_figures(self.table.drop(columns="planned"), error_quantiles(self.views))
 
     def to_text(self) -> str:
@@ -176,7 +180,7 @@ def mounted(problem: Problem, plan: Deployment, error: MountingError, seed: int,
         sample: random positions off the grid, shared by all draws.
 
     Raises:
-        InputError: there is no room for all papers.
+        InputError: the surfaces have no room for all tags with their white margins.
     """
     plan = replace(plan, surveyed=None)  # tags are mounted at their places on the surfaces
     streams = np.random.default_rng([seed, MOUNTING_STREAM]).spawn(error.draws)
@@ -192,13 +196,13 @@ def mounted(problem: Problem, plan: Deployment, error: MountingError, seed: int,
 
 
 def _figures(problem: Problem, deployments: list[Deployment], seed: int, sample: Sample) -> pd.DataFrame:
-    """Figures on the grid and off it, a row for each deployment of K landmarks."""
+    """Metrics on the grid and off it, with a row for each deployment of K landmarks."""
     on_grid = pd.DataFrame([problem.metrics(each) for each in deployments])
     return pd.concat([on_grid, off_grid_figures(problem, deployments, seed, sample)], axis=1)
 
 
 def off_grid_figures(problem: Problem, deployments: list[Deployment], seed: int, sample: Sample) -> pd.DataFrame:
-    """Shares of the objective off the grid, a row for each deployment of K landmarks.
+    """Shares of the objective (`Objective.shares`) off the grid, with a row for each deployment of K landmarks.
 
     The shares are means over one sample of random positions; an objective that validates itself computes its own
     shares.
@@ -219,10 +223,10 @@ MEASURED_STREAM = 0x737572766579  # separates the random numbers of the noise fr
 
 
 def read_measured(path: str | Path, problem: Problem, plan: Deployment, **table: Any) -> Deployment:
-    """Read the measured places of the tags of a plan, in its order and with its labels.
+    """Read the measured poses of the tags of a plan; they are returned in the plan's order and with its labels.
 
-    Measured places are not corrected: tags need not be flush, and footprints may seem to overlap. Tags may be anywhere
-    if the plan is free (`FileDeployment.free`).
+    Measured poses are not corrected: tags need not be flush, and footprints may seem to overlap. Tags need not be on a
+    surface if the plan was read as free (`FileDeployment.free`).
 
     Args:
         path: CSV with the columns of a plan, or a tag map.
@@ -231,7 +235,7 @@ def read_measured(path: str | Path, problem: Problem, plan: Deployment, **table:
         table: `axes` and `columns` of `lmd.formats.tag_maps.read_deployment`.
 
     Raises:
-        InputError: the file is no deployment, does not have the ids of the plan, or a tag is outside the room and
+        InputError: the file is not a deployment or does not have the ids of the plan, or a tag is outside the room and
             belongs to no surface.
     """
     measured = read_deployment(path, "measured", problem.scene.tag.own_family, **table)
@@ -249,20 +253,20 @@ def read_measured(path: str | Path, problem: Problem, plan: Deployment, **table:
 
 @dataclass(frozen=True)
 class Measured:
-    """Figures of a deployment as measured and as planned."""
+    """Metrics of a deployment with the tags as planned and as measured."""
 
     n: int
-    """Number of tags that a view must show for a pose."""
+    """Number of tags that a view must show before a pose is estimated."""
     moved: pd.DataFrame
-    """Columns `id,moved,dx,dy,dz,tilted`, metres and rad: differences from plan to measured place, the largest
-    first.
+    """Table with the columns `id,moved,dx,dy,dz,tilted`, metres and rad: differences between the planned and the
+    measured pose of each tag, the largest first.
     """
     figures: pd.DataFrame
-    """Columns `planned` and `measured`, indexed by `figure`: figures on the grid, and off the grid as
-    `grid_free_...`.
+    """Table with the columns `planned` and `measured`, indexed by `figure`: metrics on the grid, and off the grid with
+    names `grid_free_...`.
     """
     views: pd.DataFrame
-    """Errors of the pose with the map as `planned` and as `measured`, see `map_errors`."""
+    """Errors of the estimated pose with the map of the tags as `planned` and as `measured`, see `map_errors`."""
 
     @property
     def tables(self) -> dict[str, pd.DataFrame]:
@@ -270,7 +274,7 @@ class Measured:
         return {"moved": self.moved, "survey": self.figures.reset_index()}
 
     def metrics(self) -> dict[str, float]:
-        """Figures by names such as `fitness/planned`, `position_planned/50` (m) and `moved/greatest` (m)."""
+        """Metrics keyed by names such as `fitness/planned`, `position_planned/50` (m) and `moved/greatest` (m)."""
         off = self.moved[["moved", "tilted"]].agg(["median", "max"]).T.rename(columns={"max": "greatest"})
         return named_figures(self.figures, error_quantiles(self.views), off)
 
@@ -294,12 +298,13 @@ def as_measured(
     sample: Sample = SAMPLE,
     views: int = RANDOM_VIEWS,
 ) -> Measured:
-    """Score a deployment as measured and as planned. Results do not depend on the number of threads.
+    """Compute the metrics of a deployment with the tags as measured and as planned. Results do not depend on the number
+    of threads.
 
     Args:
         problem: problem with the scene and the objective.
         plan: K landmarks.
-        measured: landmarks of the plan at their measured places.
+        measured: landmarks of the plan with their measured poses.
         seed: seed of the random positions and the views.
         sample: random positions off the grid.
         views: number of random views.
@@ -312,7 +317,7 @@ def as_measured(
 
 
 def _moved(plan: Deployment, measured: Deployment) -> pd.DataFrame:
-    """Table `Measured.moved`."""
+    """Make the table `Measured.moved`."""
     way = measured.places - plan.places
     chord = np.linalg.norm(measured.normals - plan.normals, axis=1)  # more accurate than the cosine
     rows = {"id": plan.ids, "moved": np.linalg.norm(way, axis=1), "dx": way[:, 0], "dy": way[:, 1], "dz": way[:, 2]}

@@ -1,6 +1,7 @@
-"""Range of distances at which a camera reads a single tag, and the pose error from that tag.
+"""Range of distances at which a camera detects a single tag, and the error of the camera pose from that tag.
 
-The tag hangs upright in the middle of the view and is turned about the vertical by the incidence angle.
+The tag hangs upright in the middle of the image and is turned about the vertical by the incidence angle. A tag is
+called "read" if it meets all criteria of the visibility model.
 """
 
 import math
@@ -29,7 +30,7 @@ MOST_ATTITUDE_RAD = 0.35  # greatest attitude error, rad (20 degrees), for which
 
 @dataclass(frozen=True)
 class Reach:
-    """Range of distances at which a tag is read; NaN if the tag is not read at any distance.
+    """Range of distances at which a tag is read; both limits are NaN if the tag is not read at any distance.
 
     A tag that is too near does not fit into the image, or is out of focus.
     """
@@ -41,7 +42,7 @@ class Reach:
 
 
 def _hung(distance: float, incidence: float) -> tuple[FloatArray, FloatArray]:
-    """Position and normal `(1, 3)` of a tag ahead of a camera at the origin that looks along y."""
+    """Position and normal, `(1, 3)` each, of a tag in front of a camera that is at the origin and looks along y."""
     return np.array([[0.0, distance, 0.0]]), np.array([[math.sin(incidence), -math.cos(incidence), 0.0]])
 
 
@@ -67,10 +68,10 @@ def reach(criteria: Criteria, camera: Camera, incidence: float) -> Reach:
 
 
 def smallest_edge(criteria_of: Callable[[float], Criteria], camera: Camera, distance: float, incidence: float) -> float:
-    """Find the edge of the smallest tag that is read at a distance, metres; NaN if no tag is read.
+    """Find the edge length of the smallest tag that is read at a distance, metres; NaN if no tag is read there.
 
     Args:
-        criteria_of: function that makes the criteria for tags with an edge, metres.
+        criteria_of: function that makes the criteria for tags of a given edge length, metres.
         camera: the camera.
         distance: distance from the tag, metres.
         incidence: incidence angle, rad.
@@ -99,14 +100,14 @@ def _border(holds: Callable[[float], bool], inside: float, outside: float) -> fl
 def pose_bounds(
     camera: Camera, tag: Tag, distances: Sequence[float], incidence: float, pixel_noise: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Cramer-Rao bound of the pose from the corners of one tag, see `lmd.estimation.cramer_rao`.
+    """Cramer-Rao bound on the camera pose from the corners of one tag, see `lmd.estimation.cramer_rao`.
 
     Args:
         camera: the camera.
-        tag: tag with the edge.
-        distances: D distances, metres.
+        tag: tag with the edge length.
+        distances: D distances of the camera from the tag, metres.
         incidence: incidence angle, rad.
-        pixel_noise: standard deviation of a corner, pixels.
+        pixel_noise: standard deviation of a detected corner, pixels.
 
     Returns:
         standard deviations of position, metres, and attitude, rad, `(D,)` each.
@@ -127,7 +128,7 @@ def pose_bounds(
 
 @dataclass(frozen=True)
 class Reading(Checked):
-    """Angles and distances at which a tag is looked at.
+    """Angles and distances for which the range and the pose error of a tag are computed.
 
     Raises:
         InputError: a value is out of range.
@@ -136,13 +137,15 @@ class Reading(Checked):
     incidence: Annotated[Sequence[float], partial(vector, size=None, low=0.0, high=90.0)] = (0.0, 30.0, 45.0, 60.0)
     """Angles between the tag's normal and the line of sight, degrees."""
     distance: Annotated[Sequence[float], partial(vector, size=None, above=0.0)] = (0.5, 1.0, 2.0, 4.0, 8.0)
-    """Distances from the camera, metres."""
+    """Distances of the tag from the camera, metres."""
     pixel_noise: Positive = 0.5
-    """Standard deviation of a corner, pixels."""
+    """Standard deviation of a detected corner, pixels."""
 
 
 def reach_text(camera: Camera, tag: Tag, criteria: Fiducial, reading: Reading) -> str:
-    """Tables of the range of each size of a tag, of its pose errors, and of the smallest tag that is read."""
+    """Text of several tables: for each size of a tag its range and its pose errors, and the smallest tag that is
+    read.
+    """
     tags = [tag.of_size(edge) for edge in tag.sizes]
     lines = [
         *(f"tag      {t.family}, {t.square} {t.size:g} m, with its quiet zone {t.paper_edge:.4g} m" for t in tags),
@@ -157,7 +160,7 @@ def reach_text(camera: Camera, tag: Tag, criteria: Fiducial, reading: Reading) -
 
 
 def _reads(camera: Camera, tag: Tag, criteria: Fiducial, reading: Reading) -> list[list[str]]:
-    """Table of the range of a tag at each angle, and of the pose error at each distance within the range."""
+    """Table with a row for each angle: the range of a tag, and the pose error at each distance within the range."""
     rows = [["incidence", "read from", "to", *(f"alone at {distance:g} m" for distance in reading.distance)]]
     for angle in reading.incidence:
         found = reach(criteria, camera, math.radians(angle))
@@ -172,12 +175,16 @@ def _reads(camera: Camera, tag: Tag, criteria: Fiducial, reading: Reading) -> li
 
 
 def _error(position: float, attitude: float) -> str:
-    """Text of two standard deviations; "not fixed" beyond `MOST_ATTITUDE_RAD`."""
+    """Text of the standard deviations of position and attitude; "not fixed" if the attitude exceeds
+    `MOST_ATTITUDE_RAD`.
+    """
     return f"{1e3 * position:.3g} mm, {math.degrees(attitude):.2g} deg" if attitude < MOST_ATTITUDE_RAD else "not fixed"
 
 
 def _edges(camera: Camera, tag: Tag, criteria: Fiducial, reading: Reading) -> list[list[str]]:
-    """Table of the smallest tag that is read at each angle and distance."""
+    """Table of the edge length of the smallest tag that is read, with a row for each angle and a column for each
+    distance.
+    """
 
     def of(edge: float) -> Fiducial:
         return replace(criteria, tag=replace(tag, edge=edge))
@@ -190,6 +197,6 @@ def _edges(camera: Camera, tag: Tag, criteria: Fiducial, reading: Reading) -> li
 
 
 def _columns(rows: list[list[str]]) -> list[str]:
-    """Lines of a table in columns."""
+    """Lines of text of a table, with aligned columns."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return ["   ".join(f"{text:<{width}}" for text, width in zip(row, widths, strict=True)).rstrip() for row in rows]

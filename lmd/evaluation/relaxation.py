@@ -1,6 +1,6 @@
-"""Concave relaxation F of an objective, its multipliers, and the largest gain of a landmark on the walls.
+"""Concave relaxation F of an objective, the multipliers that bound F, and the largest gain of a landmark on the walls.
 
-An interrupted search still gives a valid bound. `lmd.evaluation.bounds` has the symbols and the derivation.
+An interrupted search still gives a valid bound. `lmd.evaluation.bounds` defines the symbols and derives the bound.
 """
 
 import heapq
@@ -24,11 +24,11 @@ from lmd.sight.poses import Cells, covered_amounts, gains
 
 
 class TimeLimit:
-    """Time limit that starts now; time of compilation does not count.
+    """Time limit that starts when the object is made; the time of compilation does not count.
 
     Args:
-        seconds: limit, seconds; infinite for no limit, with reproducible results.
-        report: called with texts on the progress.
+        seconds: limit, seconds; infinite for no limit, with which results are reproducible.
+        report: function that is called with texts on the progress.
     """
 
     def __init__(self, seconds: float = inf, report: Callable[[str], None] = lambda _: None) -> None:
@@ -38,15 +38,15 @@ class TimeLimit:
 
     @property
     def left(self) -> float:
-        """Seconds left, not negative."""
+        """Remaining time, seconds; not negative."""
         return max(self._until - clock(), 0.0)
 
     def part(self, share: float) -> "TimeLimit":
-        """Make a limit that ends after a share of the remaining time."""
+        """Make a limit that ends after a fraction `share` of the remaining time."""
         return TimeLimit(share * self.left, self.report)
 
     def leaves(self, seconds: float, what: str) -> bool:
-        """True if at least `seconds` are left; otherwise record that `what` was cut short."""
+        """True if at least `seconds` remain; otherwise record that the search described by `what` was cut short."""
         if seconds <= self.left:
             return True
         self.cut.append(what)
@@ -63,51 +63,51 @@ BATCH_SHARE = 0.05  # share of the remaining time for each batch
 
 
 class Dual(NamedTuple):
-    """Choice of multipliers."""
+    """Multipliers for the bound, of which any choice is valid."""
 
     constant: float
-    """constant(z, y)."""
+    """The constant(z, y) of the bound in `lmd.evaluation.bounds`."""
     prices: FloatArray
-    """y, `(P, D)`."""
+    """Multipliers y, `(P, D)` for P positions and D axes."""
 
     def bound(self, count: int, gain: float) -> float:
-        """Bound for `count` free landmarks, each with a gain of at most `gain`; at most 1."""
+        """Upper bound for `count` free landmarks if none has a gain above `gain`; at most 1."""
         return min(self.constant + count * gain, 1.0)
 
 
 @dataclass(frozen=True)
 class Relaxation:
-    """Relaxation F of one objective."""
+    """Concave relaxation F of one objective, as in `lmd.evaluation.bounds`."""
 
     evaluator: Evaluator
-    """Scene at P positions."""
+    """Evaluator of the scene at P positions."""
     shares: FloatArray
-    """r, `(P,)`."""
+    """Share r of each position, `(P,)`, sum 1."""
     n: int
-    """Number of landmarks that must be seen."""
+    """Number of landmarks that must be covered."""
     threshold: float
-    """t, in (0, 1]."""
+    """Threshold t of P_n, in (0, 1]; 1 for the average of P_n."""
     fixed: Deployment | None = None
     """Fixed landmarks."""
 
     @property
     def weights(self) -> FloatArray:
-        """w, `(1, D)` or `(P, D)`."""
+        """Probability w of each axis, `(1, D)` or `(P, D)`."""
         return self.evaluator.probability
 
     @cached_property
     def fixed_coverage(self) -> FloatArray | float:
-        """b, `(P, D)`; 0 without fixed landmarks."""
+        """Number b of fixed landmarks that cover each axis from each position, `(P, D)`; 0 without fixed landmarks."""
         return 0.0 if self.fixed is None else covered_amounts(self.evaluator, self.fixed, np.ones(len(self.fixed)))
 
     def value(self, added: FloatArray) -> float:
-        """F at `added` = c - b `(P, D)`."""
+        """Value of F if free landmarks cover each axis `added` = c - b times, `(P, D)`."""
         seen = averaged(np.minimum((added + self.fixed_coverage) / self.n, 1.0), self.weights)
         return float(self.shares @ np.minimum(seen / self.threshold, 1.0))
 
     def smoothed(self, added: FloatArray, width: float) -> tuple[float, Dual]:
-        """Smoothed F at `added` = c - b `(P, D)`, and its slopes as multipliers; the prices are the gradient of F in
-        c.
+        """Smoothed value of F at `added` = c - b `(P, D)`, and its slopes as multipliers; their `prices` are the
+        gradient of F with respect to c.
         """
         by_axis, slope = smoothed_min((added + self.fixed_coverage) / self.n, width)
         by_position, z = smoothed_min(averaged(by_axis, self.weights) / self.threshold, width)
@@ -118,14 +118,16 @@ class Relaxation:
 
 
 def smoothed_min(v: FloatArray, width: float) -> tuple[FloatArray, FloatArray]:
-    """min(v, 1), smoothed within `width` of its kink, and its slope in [0, 1]; `v` has any shape."""
+    """Smoothed min(v, 1), which differs from the exact value only within `width` of the kink, and its slope in [0, 1];
+    `v` has any shape.
+    """
     slope = np.clip((1.0 + width - v) / (2.0 * width), 0.0, 1.0)
     # This is the integral of the slope: 1 to the right of the kink, v to the left.
     return np.where(slope < 1.0, 1.0 - width * slope**2, v), slope
 
 
 def nearest_on_simplex(v: FloatArray, total: float) -> FloatArray:
-    """Point nearest to `v` `(N,)` among the points with entries >= 0 and sum `total`."""
+    """Point nearest to `v` `(N,)` among all points whose entries are not negative and have the sum `total`."""
     descending = np.sort(v)[::-1]
     excess = (np.cumsum(descending) - total) / np.arange(1, len(v) + 1)
     return np.asarray(np.maximum(v - excess[np.flatnonzero(descending > excess)[-1]], 0.0))
@@ -137,14 +139,14 @@ def solve(
     """Find multipliers by accelerated projected ascent of F.
 
     Args:
-        relaxation: F.
-        kinds: for each size, the poses that its landmarks may take, and the number of its landmarks.
+        relaxation: relaxation F.
+        kinds: for each size of landmarks, the poses that they may take, and their number.
         iterations: largest number of steps.
-        tolerance: distance between the bound and the largest F at which to stop.
-        limit: limit of the time.
+        tolerance: the search stops when the bound exceeds the largest value of F found by at most this number.
+        limit: time limit.
 
     Returns:
-        best multipliers found; their bound for all choices of the poses; largest F found.
+        best multipliers found; the bound that they give for all choices of the poses; largest value of F found.
     """
     evaluator, poses = relaxation.evaluator, reduce(operator.add, (own for own, _ in kinds))
     ends = np.cumsum([0, *(len(own) for own, _ in kinds)]).tolist()
@@ -195,14 +197,14 @@ def solve(
 def largest_gain(
     evaluator: Evaluator, cells: Cells, prices: FloatArray, tolerance: float, limit: TimeLimit | None = None
 ) -> float:
-    """Bound the gain of a flush landmark in any of the cells, by branch and bound.
+    """Bound the gain of a flush landmark anywhere in the given cells of the walls, by branch and bound.
 
     Args:
         evaluator: scene with landmarks of one size.
         cells: pieces of wall.
-        prices: y, `(P, D)`, not negative.
-        tolerance: greatest difference between the bound and the gain of a landmark at the end, if the time suffices.
-        limit: limit of the time; None for none.
+        prices: multipliers y, `(P, D)`, not negative.
+        tolerance: the search stops when the bound exceeds the gain of some landmark by at most this number.
+        limit: time limit; None for no limit.
     """
     limit, began = limit or TimeLimit(), clock()
     largest, looked_at = 0.0, 0

@@ -1,4 +1,4 @@
-"""Errors of corners measured in rendered images of a deployment, read by a real detector."""
+"""Errors of tag corners, measured by a real detector in rendered images of a deployment."""
 
 from collections.abc import Callable, Mapping
 
@@ -30,20 +30,21 @@ CORNERS_STREAM = 0x636F726E  # separates the random numbers of these frames from
 
 
 def imaging_of(problem: Problem) -> Imaging:
-    """Imaging with the blur of the visibility model."""
+    """Settings for rendered images, with the blur that the visibility model assumes."""
     blur = {name: getattr(problem.scene.visibility, name, None) for name in ("psf_sigma", "motion_blur")}
     return Imaging(texture=TEXTURE, **{name: value for name, value in blur.items() if value is not None})
 
 
 def measured_corners(problem: Problem, deployment: Deployment, reader: str, frames: int, seed: int) -> MeasuredCorners:
-    """Measure the errors of corners in rendered frames from random poses that see the n tags of the objective.
+    """Measure the errors of detected corners in frames rendered from random poses that see at least n tags, with the
+    objective's n.
 
     Args:
         problem: problem with the scene.
         deployment: K tags.
-        reader: detector, one of `READERS`.
+        reader: name of the detector, one of `READERS`.
         frames: number of frames of each camera.
-        seed: seed of the poses and of the noise of pixels.
+        seed: seed of the poses and of the pixel noise.
 
     Raises:
         InputError: the detector is unknown, or too few tags are detected.

@@ -1,13 +1,13 @@
-"""Sensitivity of the figures of a deployment to assumptions on noise, tags, and detection.
+"""Sensitivity of the metrics of a deployment to the assumptions on noise, tags, and detection.
 
 All variants are measured off the grid, at equal random positions and orientations (`lmd.evaluation.validation`), so
-variants differ only by the assumption. For any objective there are two figures: the mean of L, the probability of
-localising to the tolerance, and the mean of P_n, the probability of covering n landmarks.
+they differ only in the assumption. For any objective there are two metrics: the mean of L, the probability that a view
+localises the camera to the tolerance, and the mean of P_n, the probability that a view covers n landmarks.
 
-All figures use the same poses: the landmarks in each image are found once, then some are removed.
+The landmarks in each image are found once; those that are missed or lost are then removed.
 
-For a single camera, the figures come from the bit sets of a compiled field, and the mean of P_n is exact. For a rig, a
-random draw decides which landmarks are missed.
+For a single camera, the metrics are computed from the bit sets of a compiled field (the incremental evaluator of the
+objective), and the mean of P_n is exact. For a rig, a random draw decides which landmarks are missed.
 """
 
 from collections.abc import Sequence
@@ -45,7 +45,9 @@ from lmd.sight.kernels import PROBABILITY_ONE
 
 @dataclass(frozen=True)
 class RigMoments:
-    """Moments of an evaluator (position and orientation of a rig), and the conditions under which one is localised."""
+    """Moments of a rig's evaluator (a moment is a position with an orientation of the rig), and the conditions under
+    which the rig is localised.
+    """
 
     evaluator: Evaluator
     """Evaluator of a rig."""
@@ -58,29 +60,30 @@ class RigMoments:
 
     @cached_property
     def moments(self) -> RigImages:
-        """All N moments, with the landmarks in the image of each camera."""
+        """Images of the rig in all N moments, with the landmarks that each camera shows."""
         return images_of(self.evaluator, self.deployment)
 
     @property
     def share(self) -> FloatArray:
-        """Share of each moment, `(N,)`, sum 1."""
+        """Probability of each moment, `(N,)`, sum 1."""
         weight = self.moments.weight
         return np.asarray(weight / weight.sum())
 
     def decided(self, moments: RigImages, seen: BoolArray) -> BoolArray:
-        """Masks `(2, M)` of the moments with landmarks `seen` that are localised, and of the moments that cover n
-        landmarks.
+        """Two masks of M moments in which the rig's cameras show the landmarks `seen`, `(2, M)`: moments in which the
+        rig is localised, and moments in which n landmarks are covered.
         """
         found = located(self.evaluator, self.deployment, moments._replace(seen=seen), self.n, self.precision)
         return np.stack([found, covers(seen, self.n)])
 
     def without_cameras(self) -> FloatArray:
-        """Means of L and P_n without each camera, `(C, 2)`."""
+        """Means of L and P_n if one of the C cameras fails, `(C, 2)`."""
         seen, others = self.moments.seen, ~np.eye(len(self.moments.seen), dtype=bool)[..., None, None]
         return np.array([self.decided(self.moments, seen & left) @ self.share for left in others])
 
     def missed(self, probabilities: Sequence[float], rng: np.random.Generator) -> FloatArray:
-        """Means of L and P_n if an image misses each landmark that it shows with one of M probabilities, `(M, 2)`.
+        """Means of L and P_n if each landmark in an image is missed with a given probability, `(M, 2)` for M
+        probabilities.
 
         All probabilities share the draw, so that a landmark missed at one probability is missed at all greater
         probabilities.
@@ -90,16 +93,16 @@ class RigMoments:
         return np.array([self.decided(self.moments, seen & (draw >= p)) @ self.share for p in probabilities])
 
     def lost(self) -> FloatArray:
-        """Means of L and P_n without landmarks i and j, which still hide others, `(2, K, K)`; without landmark i on the
-        diagonal.
+        """Means of L and P_n if landmarks i and j are lost, but still hide others, `(2, K, K)`; only landmark i is lost
+        in entries on the diagonal.
         """
         seen, share = self.moments.seen, self.share
         shown = np.asarray(seen.any(axis=0))  # (N, K)
         whole, count = self.decided(self.moments, seen).astype(np.float64), seen.shape[2]
 
         def lose(*landmarks: int) -> FloatArray:
-            """Change caused by the loss of landmarks, in the moments that show all these landmarks; 0 in other moments,
-            `(2, N)`.
+            """Change of both masks of `decided` if landmarks are lost, weighted by the probability of each moment, `(2,
+            N)`; 0 in moments that do not show all these landmarks.
             """
             which: BoolArray = np.asarray(shown[:, landmarks].all(axis=1))
             left = seen[:, which]
@@ -128,38 +131,46 @@ MISSES_STREAM = 0x6D697373  # separates the random numbers of missed landmarks f
 
 @dataclass(frozen=True)
 class Variant:
-    """Problem in which an assumption has another value."""
+    """Problem in which one assumption has another value."""
 
     assumption: str
-    """Name of the varied setting."""
+    """Name of the setting that is varied."""
     factor: float
-    """Multiple of the assumed value."""
+    """Ratio of the varied value to the assumed value."""
     value: float
-    """Value, in the unit of the setting."""
+    """Varied value, in the unit of the setting."""
     scene: Scene
-    """Scene with this value."""
+    """Scene with the varied value."""
     objective: Localisation
-    """Objective with this value."""
+    """Objective with the varied value."""
     deployment: Deployment
-    """Deployment with this value."""
+    """Deployment with the varied value."""
     note: str = ""
-    """Reason for a missing figure; empty if there are figures."""
+    """Reason why the metrics of the variant are missing; empty if they exist."""
 
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """Shares of views under other assumptions, as fractions in [0, 1]."""
+    """Shares of localised and of covered views under other assumptions, as fractions in [0, 1]."""
 
     assumptions: pd.DataFrame
-    """Columns `assumption,factor,value,localised_share,covered_share,note`; shares are NaN in rows with a note."""
+    """Table with the columns `assumption,factor,value,localised_share,covered_share,note`; the shares are NaN in rows
+    with a note.
+    """
     misses: pd.DataFrame
-    """Columns `missed,localised_share,covered_share`; `missed` is the probability that a covered landmark is missed."""
+    """Table with the columns `missed,localised_share,covered_share`; `missed` is the probability that a covered
+    landmark is missed.
+    """
     tags: pd.DataFrame
-    """Columns `id,localised_loss,covered_loss`: losses of the shares without each landmark."""
+    """Table with the columns `id,localised_loss,covered_loss`: decrease of both shares if this landmark is lost."""
     lost: pd.DataFrame
-    """Columns `lost,share,mean,worst,worst_ids`: losses of the shares without one landmark, or without a pair."""
+    """Table with the columns `lost,share,mean,worst,worst_ids`: decrease of each share if one landmark or a pair is
+    lost.
+    """
     cameras: pd.DataFrame | None = None
-    """Columns `camera,localised_share,covered_share,localised_loss,covered_loss` without each camera of a rig."""
+    """Table with the columns `camera,localised_share,covered_share,localised_loss,covered_loss`, a row for each camera
+    of a rig that fails; None for a single camera.
+    """
 
     @property
     def tables(self) -> dict[str, pd.DataFrame]:
@@ -168,7 +179,7 @@ class Sensitivity:
         return {name: table for name, table in tables.items() if table is not None}
 
     def metrics(self) -> dict[str, float]:
-        """Finite figures by names such as `pixel_noise_1.4/localised_share`."""
+        """Finite metrics, keyed by names such as `pixel_noise_1.4/localised_share`."""
         named = {f"{row['assumption']}_{row['factor']:g}": row for row in self.assumptions.to_dict("records")}
         named |= {f"missed_{row['missed']:g}": row for row in self.misses.to_dict("records")}
         if self.cameras is not None:
@@ -179,7 +190,7 @@ class Sensitivity:
         return {name: float(value) for name, value in figures.items() if np.isfinite(value)}
 
     def to_text(self) -> str:
-        """Text for a terminal, per cent."""
+        """Text for a terminal, with shares in per cent."""
         by_factor = self.assumptions.groupby("factor")
         each = {f"x {x:g}": rows.set_index("assumption")[SHARE_COLUMNS].stack() for x, rows in by_factor}
         varied = pd.DataFrame(each)
@@ -194,13 +205,13 @@ class Sensitivity:
 
 
 def sensitivity(problem: Problem, deployment: Deployment, seed: int, sample: Sample = SAMPLE) -> Sensitivity:
-    """Measure the figures of a deployment under other assumptions. Results do not depend on the number of threads.
+    """Measure the metrics of a deployment under other assumptions. Results do not depend on the number of threads.
 
     Args:
         problem: problem with the scene; assumptions come from its objective, or from the default `Localisation`.
         deployment: K landmarks.
-        seed: seed of the sample, and of the missed landmarks.
-        sample: size of the sample.
+        seed: seed of the random poses, and of the missed landmarks.
+        sample: number of random poses.
     """
     variants = _variants(problem, deployment)
     groups = enumerate(sampled_evaluators(problem.scene, problem.count, seed, sample, threads=1))
@@ -221,13 +232,15 @@ def sensitivity(problem: Problem, deployment: Deployment, seed: int, sample: Sam
 
 
 def _cameras(failed: FloatArray, whole: FloatArray) -> pd.DataFrame:
-    """Table `Sensitivity.cameras`, from the shares without each camera `(C, 2)` and with all cameras `(2,)`."""
+    """Make the table `Sensitivity.cameras` from the shares without each camera, `(C, 2)`, and with all cameras,
+    `(2,)`.
+    """
     table = pd.DataFrame(failed, columns=SHARE_COLUMNS).rename_axis("camera").reset_index()
     return table.assign(localised_loss=whole[0] - failed[:, 0], covered_loss=whole[1] - failed[:, 1])
 
 
 def _variants(problem: Problem, deployment: Deployment) -> list[Variant]:
-    """Variants of all assumptions; the edge is varied only for tags with a size."""
+    """Variants of the problem for all assumptions; the edge length is varied only for tags, not for points."""
     scene, objective = problem.scene, as_localisation(problem.objective)
     variants = []
     for name in ("pixel_noise", "tolerance"):
@@ -254,11 +267,13 @@ def _measure(
     seed: int,
     group: tuple[int, Evaluator],
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Measure the shares in a group of the sample.
+    """Measure the means of L and P_n, the probabilities of localised and of covered views, in one group of random
+    poses.
 
     Returns:
-        shares of the variants, `(V, 2)`; shares with missed landmarks, `(M, 2)`; shares with lost landmarks, `(2, K,
-        K)`; shares without each camera of a rig, `(C, 2)`, with C = 0 for a single camera.
+        both means for each of V variants, `(V, 2)`; if landmarks are missed, for each of M probabilities, `(M, 2)`; if
+        landmarks i and j are lost, `(2, K, K)`; without each camera of a rig, `(C, 2)`, where C = 0 for a single
+        camera.
     """
     number, evaluator = group
     assumed = np.array([_shares(variant, evaluator) for variant in variants])
@@ -277,7 +292,7 @@ def _measure(
 
 
 def _shares(variant: Variant, evaluator: Evaluator) -> tuple[float, float]:
-    """Means of L and P_n at the positions and orientations of an evaluator."""
+    """Means of L and P_n of a variant at the positions and orientations of an evaluator."""
     if variant.note:
         return np.nan, np.nan
     scene, objective = replace(variant.scene, pdf=evaluator.scene.pdf), variant.objective
@@ -288,7 +303,9 @@ def _shares(variant: Variant, evaluator: Evaluator) -> tuple[float, float]:
 
 
 def lost_shares(field: LocalisationField, deployment: Deployment) -> FloatArray:
-    """Means of L and P_n without landmarks i and j, `(2, K, K)`; without landmark i on the diagonal."""
+    """Means of L and P_n if landmarks i and j are lost, `(2, K, K)`; only landmark i is lost in entries on the
+    diagonal.
+    """
     mean = Mean(in_order(field, np.ones(len(field.index_of))))
     shares = field._replace(weight=0.0), field.coverage
     return np.stack([without_landmarks(share, mean, deployment) for share in shares])
@@ -302,7 +319,7 @@ def missed_shares(field: LocalisationField, deployment: Deployment, rng: np.rand
     detected landmarks is binomial. Missed landmarks still hide others.
 
     Args:
-        field: field with positions and orientations.
+        field: incremental evaluator with positions and orientations.
         deployment: K landmarks.
         rng: source of the draws.
 
@@ -327,7 +344,9 @@ def missed_shares(field: LocalisationField, deployment: Deployment, rng: np.rand
 
 
 def _worst(lost: int, share: str, losses: FloatArray, ids: IntArray) -> dict[str, object]:
-    """Row of `Sensitivity.lost` for one or two `lost` landmarks, from the losses `(K, K)` of a share."""
+    """Make a row of `Sensitivity.lost`: `lost` is the number of lost landmarks, 1 or 2, and `losses` `(K, K)` the
+    decreases of the share named `share`.
+    """
     chosen = list(combinations(range(len(losses)), lost))
     values = np.array([losses[group[0], group[-1]] for group in chosen])
     worst = " ".join(map(str, ids[[*chosen[int(values.argmax())]]]))

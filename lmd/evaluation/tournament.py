@@ -1,12 +1,14 @@
-"""Optimisers over several problems: mean ranks, tests of Friedman and Nemenyi, critical difference.
+"""Comparison of optimisers over several problems: mean ranks, the tests of Friedman and Nemenyi, and the critical
+difference.
 
-Source: Demsar, "Statistical Comparisons of Classifiers over Multiple Data Sets" (2006): a problem is a row, its value
-the median over seeds.
+Source: Demsar, "Statistical Comparisons of Classifiers over Multiple Data Sets" (2006): each problem is one
+observation, with the median over seeds as its value.
 
 Runs are also written in the format of IOHprofiler, which IOHanalyzer and iohinspector read.
 
 A folder for each optimiser holds `IOHprofiler_f<id>_<problem>.json` and the records of all seeds in
-`data_f<id>_<problem>/IOHprofiler_f<id>_DIM<d>.dat`. Evaluations are whole numbers there: a part counts as one.
+`data_f<id>_<problem>/IOHprofiler_f<id>_DIM<d>.dat`. There the numbers of evaluations are whole; a fraction of an
+evaluation counts as one.
 """
 
 import json
@@ -31,21 +33,21 @@ from lmd.evaluation.comparison import (
 
 HEADER = "evaluations raw_y"
 NOTHING = -1.0
-"""Value of a run before its first record."""
+"""Value that is written for a run before its first record."""
 VERSION = "0.4.2"
 """Version of IOHexperimenter whose format this is."""
 
 
 def whole_evaluations(run: OptimiserRun) -> FloatArray:
-    """Evaluations of the records of a run, rounded up, `(N,)`."""
+    """Number of evaluations at each record of a run, rounded up, `(N,)`."""
     return np.array([math.ceil(record.evaluations) for record in run.history], dtype=np.float64)
 
 
 def write_iohprofiler(folder: Path, runs: Sequence[OptimiserRun], problem: str, number: int, dim: int) -> Path:
-    """Write the runs of one optimiser on one problem; returns the JSON file.
+    """Write the runs of one optimiser on one problem in IOHprofiler's format; return the path of the JSON file.
 
     Args:
-        folder: folder of the optimiser; made if missing.
+        folder: folder of the optimiser; it is made if it does not exist.
         runs: runs of different seeds.
         problem: name of the problem.
         number: number of the problem, from 1 on.
@@ -81,35 +83,41 @@ def write_iohprofiler(folder: Path, runs: Sequence[OptimiserRun], problem: str, 
 
 @dataclass(frozen=True)
 class Tournament:
-    """Medians of a figure over seeds, and the tests of these medians."""
+    """Medians of a metric over seeds for each problem and optimiser, and the tests of these medians."""
 
     values: pd.DataFrame
-    """Medians: a row for each problem, a column for each optimiser, the best mean rank first; NaN without a run."""
+    """Medians, with a row for each problem and a column for each optimiser, ordered by mean rank; NaN if there is no
+    run.
+    """
     ranks: pd.Series
-    """Mean rank of each optimiser over the complete problems; 1 is best."""
+    """Mean rank of each optimiser over the problems on which all optimisers have run; 1 is best."""
     complete: int
-    """Number of problems on which every optimiser has run, which the tests use."""
+    """Number of problems on which all optimisers have run; only these problems enter the tests."""
     friedman: float
-    """P-value of Friedman's test that all optimisers are alike; NaN for fewer than three optimisers or two problems."""
+    """P-value of Friedman's test of the hypothesis that all optimisers perform equally; NaN for fewer than three
+    optimisers or two problems.
+    """
     critical: float
-    """Difference of two mean ranks that is significant at `SIGNIFICANCE`; NaN without complete problems."""
+    """Difference of two mean ranks that is significant at `SIGNIFICANCE`; NaN if no problem has runs of all
+    optimisers.
+    """
     leads: Mapping[str, float]
-    """P-value, keyed by problem, that the two best optimisers are alike over the seeds (test of Mann and Whitney); NaN
-    for a single optimiser or seed.
+    """P-value, keyed by problem, of the hypothesis that the two best optimisers perform equally (test of Mann and
+    Whitney over the seeds); NaN for a single optimiser or seed.
     """
     limit: str
-    """Sentence on the least P-value of `leads` that the number of seeds allows."""
+    """Sentence that states the least P-value of `leads` that the number of seeds allows."""
 
     @property
     def winners(self) -> Mapping[str, list[str]]:
-        """For each problem, the optimisers with the greatest median; several if medians are equal."""
+        """For each problem, the optimiser with the greatest median; several optimisers if their medians are equal."""
         return {
             str(problem): [str(name) for name in row.index[row == row.max()]] for problem, row in self.values.iterrows()
         }
 
 
 def tournament(runs: Sequence[OptimiserRun], key: str) -> Tournament:
-    """Compare optimisers by the median over seeds of the figure `key`; higher is better."""
+    """Compare optimisers by the medians over seeds of the metric `key`; higher is better."""
     table = pd.DataFrame([(run.problem, run.optimiser, run.metrics[key]) for run in runs], columns=["row", "name", "y"])
     values = table.pivot_table(index="row", columns="name", values="y", aggfunc="median")
     complete = values.dropna()
@@ -130,14 +138,16 @@ def tournament(runs: Sequence[OptimiserRun], key: str) -> Tournament:
 
 
 def _lead(own: pd.DataFrame) -> float:
-    """P-value that the two optimisers with the greatest medians on a problem are alike."""
+    """P-value of the hypothesis that the two optimisers with the greatest medians on a problem perform equally."""
     medians = own.groupby("name").y.median().sort_values(ascending=False, kind="stable")
     best = [own.y[own.name == name] for name in medians.index[:2]]
     return mann_whitney(*best) if len(best) == 2 else np.nan
 
 
 def critical_difference(optimisers: int, problems: int) -> float:
-    """Critical difference of mean ranks by Nemenyi's test at `SIGNIFICANCE`; NaN for fewer than two of either."""
+    """Critical difference of mean ranks by Nemenyi's test at `SIGNIFICANCE`; NaN for fewer than two optimisers or
+    problems.
+    """
     if optimisers < 2 or problems < 2:
         return np.nan
     quantile = float(stats.studentized_range.isf(SIGNIFICANCE, optimisers, np.inf)) / np.sqrt(2.0)
@@ -145,6 +155,8 @@ def critical_difference(optimisers: int, problems: int) -> float:
 
 
 def rank_correlation(one: pd.Series, other: pd.Series) -> float:
-    """Kendall's tau-b between the mean ranks of the optimisers in two tournaments; NaN for fewer than two."""
+    """Kendall's tau-b between the mean ranks of the optimisers in two tournaments; NaN for fewer than two
+    optimisers.
+    """
     both = one.index.intersection(other.index)
     return float(stats.kendalltau(one[both], other[both]).statistic) if len(both) > 1 else np.nan

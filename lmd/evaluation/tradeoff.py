@@ -1,11 +1,11 @@
-"""Trade-off between the number or size of landmarks and a figure. Searches start from deployments at neighbouring
-points.
+"""Trade-off between a metric and the number or size of landmarks. Searches also start from the best deployments for
+neighbouring numbers.
 
-The deployment of K landmarks is the best of three searches. One begins from the start of the problem. One begins from
-the deployment with fewer landmarks, after adding landmarks with the largest gain. One begins from the deployment with
-more landmarks, after removing landmarks with the least loss.
+The deployment for K landmarks is the best result of three searches. The first search begins from the start of the
+problem. The second begins from the deployment for the next smaller number, after adding landmarks with the largest
+gain. The third begins from the deployment for the next larger number, after removing landmarks with the least loss.
 
-All tags have one size.
+All tags of a deployment have one size.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -30,26 +30,30 @@ CURVE, COUNT = "edge", "count"  # columns of a table of points: the edge of the 
 
 @dataclass(frozen=True)
 class Found:
-    """Result of a search."""
+    """Best result of the searches for one number of landmarks."""
 
     deployment: Deployment
     """K landmarks."""
     fitness: float
     """Fitness of `deployment`."""
     way: str
-    """Origin of the result: a search from the start (`anew`), or from the deployment of `fewer` or `more` landmarks."""
+    """Search that gave the result: from the start of the problem (`anew`), or from the deployment with `fewer` or
+    `more` landmarks.
+    """
 
 
 def started(problem: Problem, deployment: Deployment) -> Problem:
-    """Return the problem with a deployment of all its landmarks as its start."""
+    """Copy of the problem whose start is the given deployment of all its landmarks."""
     given = GivenDeployment(problem.free(replace(deployment, labels=None, surveyed=None)))
     return Problem(problem.scene, problem.objective, given, problem.evaluator.threads, problem.fixed)
 
 
 def grown(problem: Problem, deployment: Deployment) -> Deployment:
-    """Add landmarks to a deployment, chosen greedily by the objective's selection, up to the number of `problem`.
+    """Add landmarks to a deployment up to the number of `problem`, chosen greedily by the objective's surrogate
+    (`selection`).
 
-    If the grid of poses has no room for all landmarks, the rest stay as in the start of the problem.
+    If the grid of poses has no room for all landmarks, the remaining landmarks keep their poses in the start of the
+    problem.
     """
     footprints, tag, start = problem.scene.footprints, problem.scene.tag, problem.draw(np.random.default_rng(0))
     poses = candidates(footprints, np.array([np.nan]), GRID_SPACING)
@@ -61,7 +65,9 @@ def grown(problem: Problem, deployment: Deployment) -> Deployment:
 
 
 def shrunk(problem: Problem, deployment: Deployment) -> Deployment:
-    """Remove landmarks of a deployment, the least loss first, down to the number of `problem`; fixed ones stay."""
+    """Remove landmarks of a deployment down to the number of `problem`, in each step the landmark with the least loss;
+    fixed landmarks are kept.
+    """
     while (count := len(deployment)) > problem.count:
         rests = [deployment[np.delete(np.arange(count), k)] for k in range(problem.fixed_count, count)]
         whole = problem.fitness_of(deployment)
@@ -75,14 +81,15 @@ def improved(
     problem_of: Callable[[int], Problem],
     search: Callable[[int, Problem, str], Found],
 ) -> dict[int, Found]:
-    """For chosen numbers of landmarks, search again from the neighbouring deployments; keep the better deployment.
+    """Search again for chosen numbers of landmarks, starting from the deployments for neighbouring numbers; keep the
+    better deployment.
 
     Args:
-        known: deployments by their number of landmarks; adjacent entries are neighbours.
-        chosen: numbers to search for, upwards and then downwards.
+        known: results, keyed by the number of landmarks; adjacent numbers are neighbours.
+        chosen: numbers of landmarks to search for, first in ascending and then in descending order.
         problem_of: function that makes the problem for a number of landmarks.
-        search: function that searches from the start of a problem; called with the number, the problem and the name of
-            the start.
+        search: function that searches from the start of a problem; it is called with the number of landmarks, the
+            problem and the name of the start.
     """
     best, chosen = dict(known), set(chosen)
     for order, made, way in ((sorted(known), grown, FEWER), (sorted(known, reverse=True), shrunk, MORE)):
@@ -95,14 +102,14 @@ def improved(
 
 
 def front(points: pd.DataFrame, figures: list[str]) -> pd.DataFrame:
-    """Medians of `figures` over the seeds, and the least and greatest value of the first figure.
+    """Medians over the seeds of the metrics `figures`, and the least and greatest value of the first metric.
 
     Args:
-        points: a row for each `edge`, `count` and `seed`.
-        figures: columns of `points`.
+        points: table with a row for each `edge`, `count` and `seed`.
+        figures: names of the metrics, columns of `points`.
 
     Returns:
-        table indexed by edge and count, with the columns `least` and `greatest` after the figures.
+        table indexed by edge length and count, with the columns `least` and `greatest` after the metrics.
     """
     groups = points.groupby([CURVE, COUNT])
     medians, first = groups[figures].median(), groups[figures[0]]
@@ -110,17 +117,17 @@ def front(points: pd.DataFrame, figures: list[str]) -> pd.DataFrame:
 
 
 def fewest(points: pd.DataFrame, figure: str, wanted: float) -> pd.DataFrame:
-    """Least number of landmarks at which `figure` is at least `wanted`.
+    """Least number of landmarks at which the metric `figure` is at least `wanted`, for each edge length.
 
     Args:
         points: as for `front`.
-        figure: a column of `points`.
-        wanted: value of the figure.
+        figure: name of the metric, a column of `points`.
+        wanted: value that the metric is to reach.
 
     Returns:
-        table indexed by the edge. Column `count`: least number at which the median over the seeds reaches `wanted`;
-        `least` and `greatest`: extremes over the seeds of each seed's least number. Infinite if no number reaches
-        `wanted`.
+        table indexed by the edge length. Column `count` is the least number at which the median over the seeds reaches
+        `wanted`. For each single seed there is also such a least number; `least` and `greatest` are the extremes of
+        these. A value is infinite if no number reaches `wanted`.
     """
     rows = {}
     for edge, same in points.groupby(CURVE):
@@ -133,14 +140,14 @@ def fewest(points: pd.DataFrame, figure: str, wanted: float) -> pd.DataFrame:
 
 
 def between(points: pd.DataFrame, figure: str, wanted: float) -> list[tuple[float, int]]:
-    """For each edge, find the number of landmarks that halves the gap between the least number that reaches `wanted`
-    and the next smaller number; edges without a gap are left out.
+    """For each edge length, find the number of landmarks midway between the least number that reaches `wanted` and the
+    next smaller number; edge lengths with no number between these two are left out.
 
     Args:
         points, figure, wanted: as for `fewest`.
 
     Returns:
-        pairs of the edge and the number.
+        pairs of the edge length and the number.
     """
     halves = []
     for edge, row in fewest(points, figure, wanted).iterrows():

@@ -1,11 +1,13 @@
-"""Standard deviations of the camera pose from one image, at random poses.
+"""Standard deviations of the camera pose estimated from one image, at random poses.
 
-Rotations are small angles about three axes of a level body with the heading (yaw) of the view: roll about its forward
-axis, pitch about its left axis, yaw about the vertical. These angles exist for a camera that looks straight up, too.
+Rotation errors are small angles about the axes of a level body that has the heading (yaw) of the camera: roll about its
+forward axis, pitch about its left axis, yaw about the vertical. These angles are also defined for a camera that looks
+straight up.
 
-A view has one of three kinds of poses: `one`, `two`, or `none` if the view shows no tag. The kind is `two` if the view
-shows a single tag and the mirrored pose fits better with a probability above 1 %
-(`lmd.objectives.localisation.ambiguity`). The standard deviations are then about the true pose.
+A view is of one of three kinds, named by the number of poses that fit its image: `one`, `two`, or `none` if the view
+shows no tag. The kind is `two` if the view shows a single tag, and the second, mirrored solution of PnP fits better
+than the true pose with a probability above 1 % (`lmd.objectives.localisation.ambiguity`). The standard deviations then
+refer to the true pose.
 """
 
 from dataclasses import dataclass, replace
@@ -42,28 +44,28 @@ ALSO = {"wpilib": "apriltag_decimate2"}  # detectors of the visibility model wit
 
 @dataclass(frozen=True)
 class UncertaintyStudy(Checked):
-    """Settings of a study of the uncertainty.
+    """Settings of a study of the pose's uncertainty.
 
     Raises:
         InputError: a value is out of range.
     """
 
     corners: Annotated[str, partial(choice, options=CORNERS)] = AUTO
-    """Noise of corners: a detector in `CORNER_ERRORS`, by pitch, as measured with another camera; `objective` for its
-    constant `pixel_noise`. `rendered` takes the errors of the visibility model's detector in rendered images of the
-    deployment. `auto` is `rendered` where that is possible, else the table of that detector, or `objective` if its
-    corner errors are unknown.
+    """Source of the corner noise. The name of a detector in `CORNER_ERRORS` stands for its table of noise by pitch,
+    measured with another camera; `objective` stands for the objective's constant `pixel_noise`. `rendered` measures the
+    errors of the visibility model's detector in rendered images of the deployment. `auto` is `rendered` if that is
+    possible, otherwise the table of that detector, or `objective` if the detector's corner errors are unknown.
     """
     shift: NotNegative | None = None
-    """Standard deviation of the shift of edges that all tags of an image share, pixels; None for the detector's
-    `CornerErrors.inward_spread`, and 0 for `objective`.
+    """Standard deviation, pixels, of a shift of tag edges (outwards or inwards) that all tags of an image share; None
+    for the detector's `CornerErrors.inward_spread`, which is 0 for `objective`.
     """
     weights: Annotated[str, partial(choice, options=WEIGHTS)] = "equal"
-    """Weights of corners in the solver, see `lmd.estimation.pose_covariance`."""
+    """Weights of the corners in the pose solver, see `lmd.estimation.pose_covariance`."""
     views: Count = 20000
     """Number of random views."""
     frames: Count = 200
-    """Number of rendered images."""
+    """Number of images rendered to measure the corner noise."""
 
     def _validate(self) -> None:
         check_memory(VIEW_BYTES * self.views, f"views = {self.views}", "views")
@@ -76,10 +78,10 @@ class UncertaintyStudy(Checked):
         return name if name in CORNER_ERRORS else OBJECTIVE
 
     def errors(self, problem: Problem, deployment: Deployment, seed: int) -> tuple[TagErrors, str]:
-        """Errors of the corners of tags with exact places in the map, and the origin of these errors.
+        """Errors of the tag corners for a map without errors, and a text about the source of these errors.
 
         Raises:
-            InputError: corners must be measured in rendered images, but the detector is unknown or finds too few.
+            InputError: corners must be measured in rendered images, but the detector is unknown or finds too few tags.
         """
         reader = self._reader(problem)
         noise, about = self._noise(problem, deployment, reader, seed)
@@ -90,7 +92,7 @@ class UncertaintyStudy(Checked):
     def _noise(
         self, problem: Problem, deployment: Deployment, reader: str, seed: int
     ) -> tuple[CornerErrors | MeasuredCorners | float, str]:
-        """Noise of corners, and its origin."""
+        """Noise of the corners, and a text about its source."""
         why = ""
         if self.corners == RENDERED or (self.corners == AUTO and reader != OBJECTIVE):
             try:
@@ -111,19 +113,24 @@ class Uncertainty:
     """Standard deviations of the pose in V views of K tags."""
 
     views: "pd.DataFrame"
-    """A row for each view: `x,y,z` (m), `yaw,pitch,roll` (rad), `tags`, `distance` (mean distance of the tags, m), the
-    standard deviations `SDS` (m, rad; NaN for no pose), `pose` (`one`, `two`, `none`). `mirrored` is the probability
-    that the mirrored pose of a single tag fits better (NaN for another number of tags).
+    """Table with a row for each view: `x,y,z` (m), `yaw,pitch,roll` (rad), `tags` (their number), `distance` (mean
+    distance of the tags, m), the standard deviations `SDS` (m, rad; NaN if there is no pose), and the kind `pose`
+    (`one`, `two`, `none`). `mirrored` is the probability that the mirrored pose of a single tag fits better (NaN for
+    another number of tags).
     """
     poses: FloatArray
-    """X of the views, `(V, 4, 4)`."""
+    """Camera pose X of each view, `(V, 4, 4)`."""
     covariances: FloatArray
-    """Covariance of (p, r), position and rotation in the world frame, `(V, 6, 6)`; infinite for no pose."""
+    """Covariance of position and rotation (p, r) in the world frame, m^2 and rad^2, `(V, 6, 6)`; infinite if there is
+    no pose.
+    """
     corners: str
-    """Origin of the errors of corners."""
+    """Text about the source of the corner errors."""
 
     def metrics(self) -> dict[str, float]:
-        """Shares of the views by kind of pose, and medians and 90 % quantiles over the views with one pose."""
+        """Shares of the views of each kind, and medians and 90 % quantiles of the standard deviations over the views of
+        kind `one`.
+        """
         found = {f"share_{kind}": float((self.views.pose == kind).mean()) for kind in (ONE, TWO, NONE)}
         some = self.views[self.views.pose == ONE]
         if len(some):
@@ -140,18 +147,18 @@ def uncertainty(
     places: FloatArray | None = None,
     joint: FloatArray | None = None,
 ) -> Uncertainty:
-    """Compute the standard deviations of the pose in random views.
+    """Compute the standard deviations of the camera pose in random views.
 
     Args:
         problem: problem with the scene; the visibility model decides which tags a view shows.
         deployment: K tags.
         study: settings.
         seed: seed of the views.
-        places: covariances of the places of the tags in the map, `(K, 6, 6)`, m^2 and rad^2; None for exact places.
-        joint: further covariance of all tags together, `(6 K, 6 K)`; None for none.
+        places: covariance of each tag's pose in the map, `(K, 6, 6)`, m^2 and rad^2; None for exact poses.
+        joint: covariance that is added for the poses of all tags together, `(6 K, 6 K)`; None for none.
 
     Raises:
-        InputError: landmarks are points, or `UncertaintyStudy.errors` refuses.
+        InputError: landmarks are points, or `UncertaintyStudy.errors` raises it.
     """
     import pandas as pd
 
@@ -186,10 +193,11 @@ def uncertainty(
 
 
 def level_deviations(covariances: FloatArray, yaw: FloatArray) -> FloatArray:
-    """Standard deviations `SDS` from covariances of (p, r) in the world frame `(V, 6, 6)`, `(V, 6)`; NaN if infinite.
+    """Standard deviations `SDS`, `(V, 6)`, from covariances of (p, r) in the world frame, `(V, 6, 6)`; NaN where a
+    covariance is infinite.
 
     Args:
-        covariances: m^2 and rad^2; infinite for no pose.
+        covariances: m^2 and rad^2; infinite if there is no pose.
         yaw: heading of the level body, clockwise from the y axis, rad, `(V,)`.
     """
     sine, cosine, zero = np.sin(yaw), np.cos(yaw), np.zeros_like(yaw)

@@ -1,4 +1,4 @@
-"""Table and laws of the standard deviations of a pose by distance and number of tags."""
+"""Standard deviations of a pose against distance and number of tags: a table, and fitted formulas ("laws")."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -32,23 +32,30 @@ AMBIGUOUS = 0.5  # share of ambiguous views above which a single tag is out of r
 
 @dataclass(frozen=True)
 class UncertaintyLaw:
-    """Laws of the standard deviations of one pose."""
+    """Formulas ("laws") for the standard deviations of a pose that is unambiguous, fitted to random views."""
 
     laws: Mapping[str, Law]
-    """Law of each of `QUANTITIES`."""
+    """Fitted formula for each standard deviation in `QUANTITIES`."""
     rules: Mapping[str, Mapping[str, Rule]]
-    """Usual rules by name, fitted to each of `QUANTITIES`."""
+    """Rules that are commonly used instead of the law, keyed by name, fitted to each standard deviation in
+    `QUANTITIES`.
+    """
     errors: "pd.DataFrame"
-    """Columns `quantity`, `rule` (`law`, `one law`, and `RULES`), and the figures of `ratio_quantiles`."""
+    """Table with the columns `quantity` and `rule` (`law`, `one law`, and `RULES`), and the quantiles of
+    `ratio_quantiles`.
+    """
     table: "pd.DataFrame"
-    """A row for each class of distance and number of tags: `distance_low`, `distance_high` (m), `tags` (text), `views`,
-    `two_poses` (share of these views). For the others, median and 90 % quantile of `QUANTITIES` (m, rad).
+    """Table with a row for each class of distance and number of tags: `distance_low`, `distance_high` (m), `tags`
+    (text), `views` (their number), and `two_poses` (share of ambiguous views). For the unambiguous views, it has the
+    median and 90 % quantile of each of `QUANTITIES` (m, rad).
     """
     reach: float
-    """Distance below which at most half of the single tags are ambiguous, metres; infinite without a limit."""
+    """Distance below which at most half of the views of a single tag are ambiguous, metres; infinite without a
+    limit.
+    """
 
     def document(self) -> dict[str, Any]:
-        """Laws, rules and errors for JSON."""
+        """Laws, rules and their errors as a document for JSON."""
         errors = {
             quantity: {row["rule"]: {k: v for k, v in row.items() if k not in ("quantity", "rule")} for row in rows}
             for quantity, rows in ((q, self.errors[self.errors.quantity == q].to_dict("records")) for q in QUANTITIES)
@@ -68,7 +75,7 @@ class UncertaintyLaw:
         }
 
     def lines(self, found: Uncertainty) -> dict[str, str]:
-        """Labelled lines for a terminal on the laws of an uncertainty."""
+        """Lines for a terminal about the laws, keyed by label."""
         figures, errors = found.metrics(), self.errors.set_index(["quantity", "rule"])
 
         def said(name: str, factor: float, unit: str) -> str:
@@ -91,7 +98,7 @@ class UncertaintyLaw:
 
 
 def per_axis(views: "pd.DataFrame") -> dict[str, FloatArray]:
-    """Standard deviations `QUANTITIES` of the views of `Uncertainty.views`, `(V,)` each."""
+    """Standard deviations `QUANTITIES` of the V views in the table `Uncertainty.views`, `(V,)` each."""
 
     def rms(*names: str) -> FloatArray:
         return np.asarray(np.sqrt(np.mean([views[f"sd_{name}"].to_numpy() ** 2 for name in names], axis=0)))
@@ -102,10 +109,10 @@ def per_axis(views: "pd.DataFrame") -> dict[str, FloatArray]:
 
 
 def uncertainty_law(found: Uncertainty) -> UncertaintyLaw:
-    """Fit laws and rules to the views with one pose.
+    """Fit laws and rules to the views of kind `one`, whose pose is unambiguous.
 
     Raises:
-        InputError: there are too few views with one pose.
+        InputError: too few views have an unambiguous pose.
     """
     import pandas as pd
 
@@ -123,14 +130,14 @@ def uncertainty_law(found: Uncertainty) -> UncertaintyLaw:
 
 
 def _steps(distance: FloatArray) -> FloatArray:
-    """Bounds of the classes of distance, metres."""
+    """Bounds between the classes of distance, metres."""
     farthest = float(distance.max())
     step = next((each for each in STEPS if farthest / each <= MOST_STEPS), farthest / MOST_STEPS)
     return np.arange(np.ceil(farthest / step) + 1.0) * step
 
 
 def _table(found: Uncertainty) -> "pd.DataFrame":
-    """Table `UncertaintyLaw.table`."""
+    """Make the table `UncertaintyLaw.table`."""
     import pandas as pd
 
     seen = found.views[found.views.pose != NONE]
@@ -155,8 +162,8 @@ def _table(found: Uncertainty) -> "pd.DataFrame":
 
 
 def _reach(found: Uncertainty) -> float:
-    """Distance `UncertaintyLaw.reach`, the lower bound of the first class in which most of enough views are
-    ambiguous.
+    """Compute `UncertaintyLaw.reach`: the lower bound of the first class of distance that has enough views, most of
+    which are ambiguous.
     """
     alone = found.views[found.views.tags == 1]
     if not len(alone):

@@ -1,7 +1,7 @@
-"""Validation: figures of a deployment off the grid on which it was optimised.
+"""Validation: metrics of a deployment at poses off the grid on which it was optimised.
 
-An optimiser raises the values at the positions and orientations of its fitness just above the threshold, so the
-qualified ratio on that grid is biased. Three figures do not depend on the grid:
+An optimiser lifts the values at the positions and orientations that it evaluates just above the threshold, so the
+qualified ratio on that grid is biased upwards. Three metrics do not depend on the grid:
 
 - the qualified ratio on a finer grid, with half the spacing and half the step of the orientations. This ratio is exact
   on that grid and has no standard error.
@@ -9,12 +9,12 @@ qualified ratio on that grid is biased. Three figures do not depend on the grid:
   the continuous distribution that the PDF represents.
 - the grid-free average coverage probability, over the random poses of the same sample.
 
-Like `qualified_ratio`, these figures weigh all positions equally, without the relevance.
+Like `qualified_ratio`, these metrics weigh all positions equally, without the relevance.
 
-With a crowd, each group has fresh crowd states, as many as the problem, and its positions are the same in all states;
-the finer grid has the states of the problem. The headline is also given for the worst states of a group.
+With a crowd, each group has newly drawn crowd states, as many as the problem has, and equal positions in all states;
+the finer grid has the states of the problem. The main metric (headline) is also given for the worst states of a group.
 
-For a recording, the figures are computed at the recorded poses: at the poses used for the optimisation, and at the
+For a recording, the metrics are computed at the recorded poses: at the poses used for the optimisation, and at the
 held-out poses.
 """
 
@@ -54,7 +54,7 @@ FINEST_OF_A_RIG = 8  # largest `divisions` for a rig with such criteria, which t
 
 @dataclass(frozen=True)
 class Sample(Checked):
-    """Size of a sample of random poses: `groups` times `positions` positions, each in many orientations.
+    """Size of a sample of random poses: `groups` times `positions` positions, each with many orientations.
 
     The positions of a group are spread evenly, from a random shift. All positions of a group have the same
     orientations: one in each of 2 `divisions` x `divisions` cells of equal probability, fewer for a PDF of the yaw
@@ -71,7 +71,7 @@ class Sample(Checked):
     positions: Count = 4096
     """Number of positions in each group."""
     divisions: Count = 32
-    """Number of cells of half a turn."""
+    """Number of cells into which half a turn is divided."""
 
 
 def validation_metrics(
@@ -81,17 +81,17 @@ def validation_metrics(
     sample: Sample | None = None,
     between: Callable[[], None] = lambda: None,
 ) -> dict[str, float]:
-    """Figures of a deployment off the grid, fractions in [0, 1]; they do not depend on the number of threads.
+    """Metrics of a deployment off the grid, fractions in [0, 1]; they do not depend on the number of threads.
 
-    The figures are means over positions of the `shares` of the objective: the headline on the finer grid, and all
-    shares grid-free. Standard errors come from the spread of the groups, which have different positions and
-    orientations. If poses were recorded, `held_out_metrics` computes the figures.
+    They are means over positions of the objective's `shares`: of the headline share on the finer grid, and of all
+    shares at random poses (grid-free). Standard errors come from the spread of the groups, which have different
+    positions and orientations. If the problem has recorded poses, the metrics are those of `held_out_metrics`.
 
     Args:
         problem: the problem.
         deployment: K landmarks.
-        seed: seed of the sample.
-        sample: size of the sample; None for the default size.
+        seed: seed of the random poses.
+        sample: number of random poses; None for the default.
         between: function called before each group; it may raise an error to end the validation.
     """
     scene, objective = problem.scene.sized(deployment.edges), problem.objective
@@ -120,7 +120,7 @@ def validation_metrics(
 
 
 def describe_validation(problem: Problem, figures: Mapping[str, float]) -> dict[str, str]:
-    """Labelled sentences for the figures of `validation_metrics`."""
+    """Labelled sentences for the metrics of `validation_metrics`."""
     if problem.scene.recorded is not None:
         return describe_held_out(figures)
     rows = dict(problem.objective.describe_validation(figures))
@@ -137,15 +137,15 @@ def describe_validation(problem: Problem, figures: Mapping[str, float]) -> dict[
 
 
 def _mean_and_error(shares: FloatArray | BoolArray) -> tuple[float, float]:
-    """Mean of a sample `(groups, positions)` and its standard error."""
+    """Mean of values `(groups, positions)` of a sample, and the standard error of the mean."""
     means = shares.mean(axis=1)
     return float(means.mean()), float(means.std(ddof=1) / np.sqrt(len(means)))
 
 
 def headline_off_grid(problem: Problem) -> str:
-    """Name of the main figure off the grid: the headline of the objective at random poses.
+    """Name of the main metric off the grid: the headline of the objective at random poses.
 
-    With recorded poses the figure is over the held-out time, or over all time if no time is held out.
+    For recorded poses, this metric is a mean over the held-out time, or over all time if no time is held out.
     """
     recorded = problem.scene.recorded
     if recorded is None:
@@ -157,7 +157,9 @@ def headline_off_grid(problem: Problem) -> str:
 def sampled_values(
     problem: Problem, deployment: Deployment, seed: int, sample: Sample, between: Callable[[], None] = lambda: None
 ) -> FloatArray:
-    """Values of the objective at the positions of a sample, `(groups, positions)`; args as in `validation_metrics`."""
+    """Values of the objective at the random positions of a sample, `(groups, positions)`; arguments as in
+    `validation_metrics`.
+    """
     landmarks = deployment.positions[None], deployment.normals[None]
     values = []
     scene = problem.scene.sized(deployment.edges)
@@ -168,9 +170,10 @@ def sampled_values(
 
 
 def affordable_positions(scene: Scene, count: int) -> float:
-    """Number of positions at which `count` landmarks are evaluated in a few seconds; infinite with a compiled half.
+    """Number of positions at which `count` landmarks are evaluated in a few seconds; infinite if the visibility model
+    has compiled code.
 
-    Evaluations with a crowd take as much longer as there are states.
+    With a crowd, the time of an evaluation is multiplied by the number of crowd states.
     """
     if scene.is_compiled:
         return math.inf
@@ -180,9 +183,10 @@ def affordable_positions(scene: Scene, count: int) -> float:
 
 
 def sampled_evaluators(scene: Scene, count: int, seed: int, sample: Sample, threads: int) -> Iterator[Evaluator]:
-    """Yield an evaluator for each group of a sample: its positions, with the orientations that they share.
+    """Yield an evaluator for each group of a sample, with the positions of the group and the orientations that they
+    share.
 
-    The groups are smaller for `count` landmarks that criteria without a compiled half take long to evaluate.
+    The groups are smaller if the criteria have no compiled code, so that evaluating `count` landmarks takes long.
     """
     rng = np.random.default_rng([seed, VALIDATION_STREAM])
     by_reference = PYTHON and scene.rig is None  # kernels in plain Python would take hours
@@ -202,10 +206,11 @@ def sampled_evaluators(scene: Scene, count: int, seed: int, sample: Sample, thre
 
 
 def held_out_metrics(problem: Problem, deployment: Deployment, recorded: "RecordedPoses") -> dict[str, float]:
-    """Shares of recorded time, fractions in [0, 1], in which a view is qualified: n landmarks covered, or localised.
+    """Shares of the recorded time, fractions in [0, 1], in which the view covers n landmarks or, for `Localisation`,
+    localises the camera.
 
-    `recorded_share` refers to the time optimised on, `held_out_share` to the time held out, if any. The standard error
-    assumes independent blocks of time, not independent records, and needs two blocks.
+    `recorded_share` refers to the time that was used for the optimisation, `held_out_share` to the time that was held
+    out, if any. The standard error assumes independent blocks of time, not independent records, and needs two blocks.
 
     Args:
         problem: problem with the scene and the objective.
@@ -224,7 +229,7 @@ def held_out_metrics(problem: Problem, deployment: Deployment, recorded: "Record
 
 
 def describe_held_out(figures: Mapping[str, float]) -> dict[str, str]:
-    """Labelled sentences for the figures of `held_out_metrics`."""
+    """Labelled sentences for the metrics of `held_out_metrics`."""
     names = {"held_out": "held out", "recorded": "optimised on"}
     rows = {}
     for name, label in names.items():
@@ -235,10 +240,10 @@ def describe_held_out(figures: Mapping[str, float]) -> dict[str, str]:
 
 
 def exact_values(problem: Problem, deployment: Deployment, records: "Records") -> FloatArray:
-    """Value of the objective at each of R records, with only the orientation of that record, `(R,)`; with a crowd, the
+    """Value of the objective at each of R recorded poses, with only the recorded orientation, `(R,)`; with a crowd, the
     mean over its states.
 
-    Records are evaluated in groups of 64, one axis for each position, as a word has 64 bits.
+    Records are evaluated in groups of 64, one orientation for each position, as a word has 64 bits.
     """
     parts = []
     for start in range(0, len(records), BITS):
@@ -258,7 +263,9 @@ def exact_values(problem: Problem, deployment: Deployment, records: "Records") -
 
 
 def _share_and_error(values: FloatArray, records: "Records") -> tuple[float, float | None]:
-    """Mean over time, and its standard error from the residuals of the blocks; None for a single block."""
+    """Mean of the values over time, and its standard error from the residuals of blocks of time; the error is None for
+    a single block.
+    """
     seconds, good = records.seconds, records.seconds * values
     share = good.sum() / seconds.sum()
     _, block = np.unique(records.block, return_inverse=True)

@@ -1,7 +1,7 @@
-"""Verdicts of the criteria of a visibility model on landmarks: in single poses, and on average.
+"""Verdicts of a visibility model: the criteria that landmarks meet in single poses, and on average over random poses.
 
-A landmark is covered if it meets every criterion at the same time. Two figures describe a criterion: the share of
-landmarks that meet it, and the share that would be covered without this criterion.
+A landmark is covered if it meets every criterion at the same time. Two metrics describe a criterion: the share of
+landmarks that meet it, and the share of landmarks that would be covered if this criterion were dropped.
 """
 
 from collections.abc import Mapping
@@ -28,15 +28,15 @@ def verdicts(
     camera: Camera | None = None,
     states: IntArray | None = None,
 ) -> dict[str, BoolArray]:
-    """Verdicts of the criteria of the scene's visibility model in N poses, `(N, K)` each; empty if the model has no
-    verdicts.
+    """For each criterion of the scene's visibility model, keyed by name, a mask of the landmarks that meet it in N
+    poses, `(N, K)`; empty if the model has no verdicts.
 
     Args:
         scene: the scene.
         deployment: K landmarks.
-        poses: X of the camera, `(N, 4, 4)`.
-        camera: camera of the scene's rig; None for the only camera.
-        states: crowd state in each pose, `(N,)`, for the verdict of the crowd.
+        poses: camera poses X, `(N, 4, 4)`.
+        camera: one camera of the scene's rig; None if the scene has a single camera.
+        states: index of the crowd state in each pose, `(N,)`, for the criterion of the crowd.
 
     Raises:
         InputError: the scene has a rig, and no camera is given.
@@ -54,8 +54,9 @@ def verdicts(
 def _verdicts_of(
     scene: Scene, camera: Camera, deployment: Deployment, position: FloatArray, axes: FloatArray
 ) -> dict[str, BoolArray]:
-    """Verdicts from a camera's position and axes `(A, 6)`, `(A, K)` each: of the model, of the room if it has
-    obstacles, and of the crowd if the scene has a single state.
+    """Masks of the landmarks that meet each criterion, seen from a camera's position with A axes `(A, 6)`, `(A, K)`
+    each. The criteria are those of the model, of the room if it has obstacles, and of the crowd if the scene has a
+    single crowd state.
     """
     landmarks = deployment.positions, deployment.normals
     found = dict(scene.visibility.verdicts(camera, position, axes, *landmarks))  # type: ignore[attr-defined]
@@ -82,16 +83,16 @@ class Causes:
     without: Mapping[str, float]
     """Share of the sightings that meet all criteria but one, keyed by the name of this criterion."""
     limits: Mapping[str, str]
-    """Limits of each criterion in a few words, keyed by its name."""
+    """Text of the limits of each criterion, keyed by the criterion's name."""
 
     def metrics(self) -> dict[str, float]:
-        """Figures by names such as `focus_met` and `covered_without_focus`."""
+        """Metrics keyed by names such as `focus_met` and `covered_without_focus`."""
         met = {f"{name}_met": share for name, share in self.met.items()}
         return {"covered": self.covered} | met | {f"covered_without_{name}": x for name, x in self.without.items()}
 
     def to_text(self) -> str:
-        """Text for a terminal: a row for each criterion, ordered by the share that the criterion excludes, the largest
-        first.
+        """Text for a terminal: a row for each criterion, in descending order of the share of sightings that the
+        criterion excludes.
         """
         rows = [("criterion", "met by", "covered without it", "limit")]
         for name in sorted(self.without, key=lambda name: -self.without[name]):
@@ -112,7 +113,7 @@ def causes(scene: Scene, deployment: Deployment, seed: int) -> Causes | None:
         seed: seed of the poses: positions uniform where the camera may be, orientations from the PDF.
 
     Returns:
-        None if the model has no verdicts.
+        the shares; None if the model has no verdicts.
     """
     if not hasattr(scene.visibility, "verdicts"):
         return None
