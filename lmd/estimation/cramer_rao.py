@@ -8,7 +8,8 @@ than the inverse of the information. Fewer than three landmarks, or collinear la
 bound is infinite.
 
 A camera of a rig with the pose M on the body (`lmd.scene.rig.Rig.extrinsics`) moves by Ad_{M^-1} (w, v) when the body
-moves by (w, v). The information of a moment is the sum of Ad^T I Ad over the cameras.
+moves by (w, v). The Fisher information of all images at one time is the sum of Ad^T I Ad over the cameras, where I is
+the information of one camera.
 """
 
 from collections.abc import Sequence
@@ -45,17 +46,17 @@ def pose_information(
     seen: BoolArray,
     noise: Sequence[FloatArray] | None = None,
 ) -> FloatArray:
-    """Fisher information about the pose of a body in each frame, for body twists (w, v), from its C cameras, `(F, 6,
-    6)`.
+    """Fisher information that the images of C cameras have about the pose of their body in each frame, for body twists
+    (w, v), `(F, 6, 6)`.
 
     Args:
         cameras: intrinsics and distortion of the cameras.
         extrinsics: poses of the cameras in the frame of the body, `(C, 4, 4)`.
-        poses: X of the body, `(F, 4, 4)`.
-        landmarks: C_i, world frame, metres, `(K, 3)`.
+        poses: poses X of the body, `(F, 4, 4)`.
+        landmarks: positions C_i of the landmarks, world frame, metres, `(K, 3)`.
         seen: mask of the landmarks in view of each camera, `(C, F, K)`; landmarks in view must be in front of it.
-        noise: for each camera, standard deviation of each image point in the order of `np.nonzero`, pixels, `(M,)`;
-            None for one pixel.
+        noise: for each camera, standard deviation of the image points of the landmarks in view, pixels, `(M,)`, in the
+            order of `np.nonzero` of the camera's mask `seen`; None for one pixel.
     """
     total = np.zeros((len(poses), 6, 6))
     for c, (camera, mounted, mask) in enumerate(zip(cameras, extrinsics, seen, strict=True)):
@@ -67,8 +68,8 @@ def pose_information(
 
 
 def determines_pose(information: FloatArray) -> BoolArray:
-    """Mask of the regular matrices, `(...)`, among information matrices `(..., 6, 6)`. For the test they are scaled to
-    a unit diagonal, so that it does not depend on units.
+    """Mask of the invertible matrices, `(...)`, among information matrices `(..., 6, 6)`. For the test the matrices are
+    scaled to a unit diagonal, so that the result does not depend on units.
     """
     diagonal = np.diagonal(information, axis1=-2, axis2=-1)
     scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, np.inf))
@@ -77,14 +78,14 @@ def determines_pose(information: FloatArray) -> BoolArray:
 
 
 def cramer_rao_bound(information: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Smallest standard deviations of position (metres) and attitude (rad), `(...)` each; infinite for undetermined
-    poses.
+    """Smallest standard deviations of position (metres) and attitude (rad), `(...)` each; infinite if the information
+    does not determine the pose.
 
     The deviations are the square roots of the traces of the position block and the attitude block of the inverse
     information, see `determines_pose`.
 
     Args:
-        information: `(..., 6, 6)`.
+        information: Fisher information about poses, `(..., 6, 6)`.
     """
     fixed = determines_pose(information)
     variance = np.full((*information.shape[:-2], 6), np.inf)
@@ -94,7 +95,9 @@ def cramer_rao_bound(information: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True)
 class CramerRaoMap:
-    """Bounds for one pixel of noise at each position, as medians over the orientations of the PDF."""
+    """Cramer-Rao bounds for one pixel of noise at each position, as medians over the orientations of the orientation
+    PDF.
+    """
 
     positions: FloatArray
     """Positions, world frame, metres, `(P, 3)`."""
@@ -110,8 +113,8 @@ class CramerRaoMap:
     """
 
     def metrics(self) -> dict[str, float]:
-        """Share of poses that a single frame determines, and medians of the bounds over the positions with a finite
-        bound.
+        """Metrics: probability that a single frame determines the pose, and medians of the bounds over the positions
+        with a finite bound.
         """
         metrics = {"pose_fixed_share": float(self.share.mean())}
         some = self.share > 0.0
@@ -150,7 +153,9 @@ def cramer_rao_map(scene: Scene, evaluator: Evaluator, deployment: Deployment) -
 
 
 def _finite_median(values: FloatArray, weight: FloatArray) -> FloatArray:
-    """Weighted median of the finite values of each row of `(P, D)`, `(P,)`; infinite for rows without finite values."""
+    """Weighted median of the finite values in each row of `values` `(P, D)`; `(P,)`; infinite for rows without finite
+    values.
+    """
     order = np.argsort(values, axis=1)
     ordered, weights = (np.take_along_axis(v, order, axis=1) for v in (values, np.broadcast_to(weight, values.shape)))
     below = np.cumsum(np.where(np.isfinite(ordered), weights, 0.0), axis=1)
@@ -162,8 +167,9 @@ def _finite_median(values: FloatArray, weight: FloatArray) -> FloatArray:
 class CramerRaoBound:
     """Least RMS error of unbiased estimates from a single frame, given the pixel noise; an `Estimator`.
 
-    A tag is measured by its corners, a point by its centre. An estimator that uses earlier frames may have smaller
-    errors. The error Er is its expectation tr S_vv + 2 tr S_ww.
+    A tag is measured by the images of its corners, a point by the image of its centre. An estimator that uses earlier
+    frames may have smaller errors. For the error Er (see `Errors.frobenius`) the bound is the expectation tr S_vv + 2
+    tr S_ww, where S is the bound on the covariance.
     """
 
     def errors(self, recording: Recording, start: FloatArray) -> Errors:

@@ -1,11 +1,12 @@
-"""Laws for filters: standard deviations of the pose as functions of the distance and the number of tags.
+"""Uncertainty laws for filters. A law gives the standard deviation (sd) of a pose as a function of the distance and the
+number of tags in view.
 
-A law is sd = a d^b / n^c with the mean distance d [m] of the n tags in view. There is one law for a single tag and one
-for several tags. With one tag the position follows from the apparent size and tilt of a small square, with several tags
-from the angles between the tags. b and c are fitted by least squares to log sd. The scale a is the root mean square of
-sd / (d^b / n^c), so that errors normalised by the law have the mean square 1 over all views.
+A law is sd = a d^b / n^c with the mean distance d [m] of the n tags in view. There is one law for a single tag and
+another law for several tags, as with one tag the position follows from the apparent size and tilt of a small square,
+with several tags from the angles between the tags. b and c are fitted by least squares to log sd. The scale a is the
+root mean square of sd / (d^b / n^c); errors divided by the law's sd then have the mean square 1 over all views.
 
-`RULES` are common rules, fitted in the same way:
+`RULES` are rules in common use, whose scale a is fitted likewise:
 
 - `constant`: sd = a.
 - `squared`: sd = a d^2 / n, as in AdvantageKit's vision template (`linearStdDevBaseline`).
@@ -31,7 +32,7 @@ LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)  # reported quantiles of the ratio of sd 
 
 @dataclass(frozen=True)
 class PowerLaw:
-    """sd = scale d^distance / n^tags."""
+    """Power law sd = scale d^distance / n^tags for n tags at the mean distance d, metres."""
 
     scale: float
     """Scale a: sd of one tag at one metre, metres or rad."""
@@ -41,7 +42,7 @@ class PowerLaw:
     """Exponent c of the number of tags."""
 
     def at(self, distance: FloatArray | float, tags: IntArray | int) -> FloatArray:
-        """Standard deviation for a mean distance [m] and a number of tags, broadcast."""
+        """Standard deviations for mean distances [m] and numbers of tags, which are broadcast against each other."""
         return np.asarray(
             self.scale * np.power(distance, self.distance) / np.power(np.asarray(tags, dtype=np.float64), self.tags)
         )
@@ -49,7 +50,7 @@ class PowerLaw:
 
 @dataclass(frozen=True)
 class Law:
-    """Law for a single tag, and law for several tags."""
+    """Uncertainty law: a power law for a single tag, and another one for several tags."""
 
     one: PowerLaw
     """Law for a single tag."""
@@ -57,13 +58,13 @@ class Law:
     """Law for two or more tags."""
 
     def at(self, distance: FloatArray, tags: IntArray) -> FloatArray:
-        """Standard deviations for mean distances [m] and numbers of tags, `(V,)`, from arguments `(V,)`."""
+        """Standard deviations, `(V,)`, for mean distances [m] and numbers of tags, `(V,)` each."""
         return np.where(tags == 1, self.one.at(distance, 1), self.several.at(distance, tags))
 
 
 @dataclass(frozen=True)
 class Rule:
-    """Common rule: sd = a times a fixed function of d and n."""
+    """Rule in common use: sd = a times a fixed function of the mean distance d and the number n of tags."""
 
     shape: str
     """Name of the rule, a key of `RULES`."""
@@ -89,7 +90,7 @@ BY_NUMBER = {"photonvision"}  # rules with one value of a for a single tag and o
 def fit_power(distance: FloatArray, tags: IntArray, deviation: FloatArray) -> PowerLaw:
     """Fit a power law to standard deviations at mean distances [m] and numbers of tags, `(V,)` each.
 
-    An exponent is 0 if its variable is nearly constant.
+    The exponent of a variable that is nearly constant over the views is 0.
     """
     logs = {"distance": np.log(distance), "tags": -np.log(tags)}
     varied = {name: value for name, value in logs.items() if value.std() >= LEAST_VARIATION}
@@ -100,12 +101,15 @@ def fit_power(distance: FloatArray, tags: IntArray, deviation: FloatArray) -> Po
 
 
 def _scale(deviation: FloatArray, shape: FloatArray) -> float:
-    """Scale a for which the mean square of deviation / (a shape) is 1."""
+    """Scale a for which deviation / (a shape) has the mean square 1, for values `deviation` and `shape` of each
+    view.
+    """
     return float(np.sqrt(((deviation / shape) ** 2).mean()))
 
 
 def fit_law(distance: FloatArray, tags: IntArray, deviation: FloatArray) -> Law:
-    """Fit a law to standard deviations `(V,)`; a group with fewer than `LEAST_VIEWS` views gets the law of all views.
+    """Fit a law to the standard deviations of V views, `(V,)`. If one tag, or several tags, are in view in fewer than
+    `LEAST_VIEWS` views, the power law fitted to all views is taken for this case.
 
     Raises:
         InputError: there are fewer than `LEAST_VIEWS` views.
@@ -125,7 +129,9 @@ def fit_law(distance: FloatArray, tags: IntArray, deviation: FloatArray) -> Law:
 
 
 def fit_rule(shape: str, distance: FloatArray, tags: IntArray, deviation: FloatArray) -> Rule:
-    """Common rule with the scale fitted as in `PowerLaw`; arguments as in `fit_power`."""
+    """Fit the scales of the rule `shape`, a key of `RULES`, as those of power laws are fitted; other arguments as in
+    `fit_power`.
+    """
     per_view = RULES[shape](distance, tags)
 
     def fitted(own: BoolArray) -> float:
@@ -136,7 +142,9 @@ def fit_rule(shape: str, distance: FloatArray, tags: IntArray, deviation: FloatA
 
 
 def ratio_quantiles(deviation: FloatArray, predicted: FloatArray) -> dict[str, float]:
-    """Quantiles `LEVELS` of deviation / predicted, and `factor_90`: 90 % of the ratios are within this factor of 1."""
+    """Quantiles `LEVELS` of the ratio deviation / predicted over the views, and `factor_90`: 90 % of the ratios are
+    within this factor of 1.
+    """
     ratio = deviation / predicted
     found = {
         f"{100 * level:g} %": float(value) for level, value in zip(LEVELS, np.quantile(ratio, LEVELS), strict=True)

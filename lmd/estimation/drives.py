@@ -1,4 +1,6 @@
-"""Drives for the objective of the filtered pose, from recordings or from sources of trajectories."""
+"""Drives (motions of the camera) for the objective of the filtered pose, from recordings or from sources of
+trajectories.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -32,16 +34,17 @@ def filtered(
     start_attitude: float,
     **settings: object,
 ) -> tuple[Filtered, Scene]:
-    """Objective of the filtered pose along drives, and the scene with the frames of the drives as positions.
+    """Make the objective of the filtered pose along drives, and the scene whose camera positions are those of the
+    drives' frames.
 
-    A source of random trajectories gives `drives` drives, and `fresh` other drives for the validation. A recording, of
-    the scene or from a file, is cut into drives of `block` seconds, and every `held_out`-th drive is kept for the
-    validation.
+    A source of random trajectories provides `drives` drives for the objective, and `fresh` further drives for the
+    validation. A recording, of the scene or from a file, is cut into drives of `block` seconds, and every `held_out`-th
+    drive is kept for the validation.
 
     Args:
         scene: room, camera and orientations.
         trajectory: source of the drives; unused if the scene has a recording.
-        odometry: noise of the odometry.
+        odometry: errors of the odometry.
         drives, fresh: numbers of drives for the objective and for the validation.
         seed: seed of the drives.
         block: length of a drive of a recording, seconds.
@@ -50,7 +53,7 @@ def filtered(
         settings: arguments of `Filtered`.
 
     Raises:
-        InputError: a value is out of range, or there is no drive.
+        InputError: a value is out of range, or the recording gives no drive.
     """
     if not callable(getattr(trajectory, "draw", None)):
         raise InputError(f"trajectory must be a source of trajectories, got {trajectory!r}.", "trajectory")
@@ -87,7 +90,7 @@ def filtered(
 
 
 def _draw(scene: Scene, source: TrajectorySource, seed: Sequence[int], count: int) -> list[Trajectory]:
-    """Draw trajectories; a larger number adds trajectories and does not change the first ones."""
+    """Draw `count` trajectories; a larger `count` adds trajectories and leaves the others unchanged."""
     return [source.draw(scene, np.random.default_rng([*seed, i])) for i in range(count)]
 
 
@@ -105,7 +108,7 @@ def cut(trajectory: Trajectory, seconds: float) -> list[Trajectory]:
 
 
 def _divided(parts: Sequence[Trajectory], every: int) -> tuple[list[Trajectory], list[Trajectory]]:
-    """Divide the drives of a recording into the drives of the objective and the held-out drives."""
+    """Divide the drives of a recording: drives for the objective, and held-out drives for the validation."""
     kept = [part for i, part in enumerate(parts) if i % every == every - 1]
     if not kept:
         raise InputError(

@@ -1,11 +1,11 @@
-"""Interface of estimators that localise a camera from a recording, and their errors.
+"""Interface of estimators that localise a camera from a recording, and errors of estimators.
 
 Consistency of estimators: normalised estimation errors squared (NEES) and their chi-square intervals.
 
 Let S be the stated covariance of the body twist (w, v) of the error Xh^-1 X = exp(w, v) of an estimate Xh. The estimate
-is consistent if (w, v)^T S^-1 (w, v) follows the chi-square distribution with 6 degrees of freedom. The blocks of S
-give the squares of rotation and of position, with 3 degrees of freedom each. See Y. Bar-Shalom, X. R. Li and T.
-Kirubarajan, "Estimation with applications to tracking and navigation", 2001, section 5.4.
+is consistent if (w, v)^T S^-1 (w, v) follows the chi-square distribution with 6 degrees of freedom. The diagonal blocks
+of S give the normalised squares of rotation and of position, with 3 degrees of freedom each. See Y. Bar-Shalom, X. R.
+Li and T. Kirubarajan, "Estimation with applications to tracking and navigation", 2001, section 5.4.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -23,11 +23,12 @@ DEGREES = {"joint": 6, "rotation": 3, "position": 3}
 
 
 def squares(estimates: Sequence[tuple[FloatArray, FloatArray]], true: FloatArray) -> FloatArray:
-    """Normalised errors squared in a run: joint, of rotation, and of position, `(T, 3)`; NaN without an estimate.
+    """Normalised squared errors (NEES) in each frame of a run: of the whole pose, of rotation, and of position, `(T,
+    3)`; NaN without an estimate.
 
     Args:
-        estimates: Xh `(4, 4)` of each frame, and the covariance of its error as a body twist, `(6, 6)`.
-        true: X, `(T, 4, 4)`.
+        estimates: for each frame, the estimate Xh `(4, 4)` and the covariance of its error as a body twist, `(6, 6)`.
+        true: true poses X, `(T, 4, 4)`.
     """
     found = np.full((len(true), 3), np.nan)
     poses, covariances = (np.array(part) for part in zip(*estimates, strict=True))
@@ -49,13 +50,17 @@ class Errors:
     """Errors of S runs of T frames; NaN in frames without an estimate."""
 
     frobenius: FloatArray
-    """Er = |X - Xh|_F^2, a sum of square metres and pure numbers, `(S, T)`."""
+    """Squared Frobenius norm Er = |X - Xh|_F^2 of the pose error, which adds square metres and pure numbers,
+    `(S, T)`.
+    """
     position: FloatArray
-    """|p - ph|, metres, `(S, T)`."""
+    """Position error |p - ph|, metres, `(S, T)`."""
     attitude: FloatArray
-    """Angle of the rotation between R and Rh, rad, `(S, T)`."""
+    """Attitude error: angle of the rotation between R and Rh, rad, `(S, T)`."""
     squares: FloatArray | None = None
-    """Normalised errors squared of `lmd.estimation.estimators.squares`, `(S, T, 3)`; None without covariances."""
+    """Normalised squared errors, see `lmd.estimation.estimators.squares`, `(S, T, 3)`; None if the estimator states no
+    covariances.
+    """
 
     @property
     def available(self) -> FloatArray:
@@ -64,7 +69,7 @@ class Errors:
 
 
 def pose_errors(true: FloatArray, estimated: FloatArray) -> Errors:
-    """Errors of estimated poses `(S, T, 4, 4)`, which may be NaN."""
+    """Errors of `estimated` poses, which may be NaN, from `true` poses, `(S, T, 4, 4)` each."""
     return Errors(
         frobenius=((true - estimated) ** 2).sum(axis=(-2, -1)),
         position=np.linalg.norm(true[..., :3, 3] - estimated[..., :3, 3], axis=-1),
@@ -95,12 +100,12 @@ class Estimator(Protocol):
     """Interface of estimators of camera poses."""
 
     def errors(self, recording: Recording, start: FloatArray) -> Errors:
-        """Estimate the poses in every frame of every run and compute the errors, NaN without an estimate.
+        """Estimate the pose in every frame of every run, and compute the errors; NaN for frames without an estimate.
 
         Args:
             recording: S runs.
             start: initial estimate of the pose, `(S, 4, 4)`; ignored by estimators that need none.
 
         Raises:
-            InputError: the estimator does not support this recording, or needs a missing package.
+            InputError: the estimator does not support this recording, or a package that it needs is not installed.
         """

@@ -1,4 +1,4 @@
-"""Flights: motions of a camera through a room, through random waypoints or from a file."""
+"""Flights: motions of a camera through a room, along random waypoints or from a file."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -44,14 +44,14 @@ class Pace(Checked):
     """
 
     speed: Positive
-    """Limit of |v|, m/s."""
+    """Limit of the speed |v|, m/s."""
     turn_rate: Positive
-    """Limit of |w|, rad/s; yaw and pitch turn about perpendicular axes."""
+    """Limit of the turn rate |w|, rad/s; yaw and pitch turn about perpendicular axes."""
     frame_rate: Positive
     """Frame rate, frames per second."""
 
     def seconds(self, steps: FloatArray) -> FloatArray:
-        """Duration of each change (x, y, z, yaw, pitch) `(..., 5)`, seconds, `(...)`."""
+        """Time that each change of (x, y, z, yaw, pitch), `(..., 5)`, takes within the limits, seconds, `(...)`."""
         way, turn = np.linalg.norm(steps[..., :3], axis=-1), np.linalg.norm(steps[..., 3:], axis=-1)
         return np.asarray(PEAK_SLOPE * np.maximum(way / self.speed, turn / self.turn_rate))
 
@@ -59,8 +59,9 @@ class Pace(Checked):
         """Make a trajectory through waypoints (x, y, z, yaw, pitch).
 
         Args:
-            waypoints: `(N, 5)`, metres and radians, each unlike the one before; yaw changes by the smaller angle.
-            duration: latest end of the trajectory, seconds.
+            waypoints: `(N, 5)`, metres and radians, each different from the previous one; yaw changes by the smaller
+                angle.
+            duration: time at which the trajectory ends at the latest, seconds.
         """
         path = waypoints.copy()
         path[:, 3] = np.unwrap(path[:, 3])
@@ -128,7 +129,7 @@ def _next_waypoint(scene: Scene, before: FloatArray, rng: np.random.Generator) -
 
 
 def _shortest(step: FloatArray) -> FloatArray:
-    """Wrap the yaw of a change (x, y, z, yaw, pitch) `(5,)` to [-pi, pi)."""
+    """Change of (x, y, z, yaw, pitch), `(5,)`, with the change of the yaw wrapped to [-pi, pi)."""
     yaw = (step[3] + np.pi) % (2.0 * np.pi) - np.pi
     return np.array([*step[:3], yaw, step[4]])
 

@@ -1,4 +1,4 @@
-"""Estimators of GTSAM, a Kalman filter and a fixed-lag smoother, with models of the measurement noise."""
+"""Estimators that use GTSAM: a Kalman filter and a fixed-lag smoother, with models of the measurement noise."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -41,11 +41,13 @@ class Uncertainty(Checked):
 
     @property
     def initial(self) -> FloatArray:
-        """Standard deviations of the initial estimate as a body twist, `(6,)`."""
+        """Standard deviations of the initial estimate's error as a body twist (w, v), rad and metres, `(6,)`."""
         return np.repeat([self.attitude, self.position], 3)
 
     def drift(self, recording: Recording) -> FloatArray:
-        """Standard deviations of the odometry as a body twist per root second, `(6,)`."""
+        """Standard deviations of the odometry's error as a body twist (w, v), rad and metres per root second,
+        `(6,)`.
+        """
         known = recording.odometry
         turn = max(known.turn_noise, self.least_turn_noise)
         return np.repeat([turn, max(known.motion_noise, self.least_motion_noise)], 3)
@@ -77,7 +79,7 @@ class CameraPoints(NamedTuple):
 
     @classmethod
     def of(cls, recording: Recording, s: int, t: int, uncertainty: Uncertainty) -> "CameraPoints":
-        """Landmarks detected in frame t of run s."""
+        """Measurement of the landmarks detected in frame t of run s."""
         seen, these = recording.seen[s, t], recording.detections(s, t, t + 1)
         noise = np.maximum(recording.noise[these], uncertainty.least_pixel_noise)[:, None, None]
         covariance = _block_diagonal(noise**2 * recording.covariance[these])
@@ -90,7 +92,7 @@ class CameraPoints(NamedTuple):
 
 
 class CornerImages(NamedTuple):
-    """Images of m corners of tags, pixels: a `Measurement` of 2 m numbers."""
+    """Image points of m corners of tags, pixels: a `Measurement` of 2 m numbers."""
 
     images: Sequence[PointImage]
     value: FloatArray
@@ -98,14 +100,14 @@ class CornerImages(NamedTuple):
 
     @classmethod
     def of(cls, recording: Recording, s: int, t: int, uncertainty: Uncertainty) -> "CornerImages":
-        """Corners detected in frame t of run s."""
+        """Measurement of the tag corners detected in frame t of run s."""
         images = images_of(recording, s, t)
         noise = np.maximum(np.concatenate([image.noise for image in images]), uncertainty.least_pixel_noise).repeat(2)
         return cls(images, np.concatenate([image.pixels for image in images]).reshape(-1), np.diag(noise**2))
 
     def predicted(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """See `Measurement.predicted`; a point that has no image is predicted at the principal point, with a zero
-        Jacobian.
+        """See `Measurement.predicted`; a point that the camera cannot image is predicted at the principal point, with a
+        zero Jacobian.
         """
         pixels, slopes = [], []
         for image in self.images:
@@ -120,7 +122,7 @@ class CornerImages(NamedTuple):
 
 @dataclass(frozen=True)
 class InvariantKalmanFilter(Uncertainty):
-    """Left-invariant extended Kalman filter of GTSAM with the observer's measurements y_i = X^-1 C_i.
+    """Left-invariant extended Kalman filter of GTSAM; it measures landmarks as the observer does, y_i = X^-1 C_i.
 
     Raises:
         InputError: a value is not positive, or `measured` is unknown.
@@ -155,9 +157,9 @@ class InvariantKalmanFilter(Uncertainty):
 class FixedLagSmoother(Uncertainty):
     """Fixed-lag smoother of GTSAM (iSAM2): a factor graph of the odometry and the measurements of recent frames.
 
-    Tags are measured by the images of their corners. The smoother starts with the first frame that determines the pose
-    uniquely; estimates for earlier frames integrate the odometry. Points are measured as in the Kalman filter. The
-    estimate of a frame is not corrected by later frames.
+    Tags are measured by the images of their corners. The smoother starts with the first frame whose images determine
+    the pose uniquely; the estimates for earlier frames are integrated from the odometry. Points are measured as in the
+    Kalman filter. The estimate of a frame is not corrected by later frames.
 
     Raises:
         InputError: a value is not positive.
@@ -171,7 +173,9 @@ class FixedLagSmoother(Uncertainty):
         return errors_of(recording, start, self.run)
 
     def run(self, recording: Recording, s: int, start: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
-        """Estimates of run s, `(4, 4)` each, and covariances as body twists, `(6, 6)`; NaN before the start."""
+        """Estimates of run s, `(4, 4)` each, and their covariances as body twists, `(6, 6)`; the covariances are NaN
+        before the frame with which the smoother starts.
+        """
         gtsam = optional("gtsam", "estimators")
         diagonal, drift = gtsam.noiseModel.Diagonal.Sigmas, self.drift(recording)
         kind: type[CameraPoints | CornerImages] = CameraPoints if recording.corners is None else CornerImages
@@ -202,7 +206,7 @@ class FixedLagSmoother(Uncertainty):
 
 
 def _beginning(recording: Recording, s: int, t: int, expected: FloatArray) -> FloatArray | None:
-    """Pose with which a smoother starts at frame t of run s; None if the frame does not determine the pose."""
+    """Pose with which the smoother starts at frame t of run s; None if the frame does not determine the pose."""
     if recording.corners is None:
         return expected
     found = likely(body_solutions(images_of(recording, s, t)))

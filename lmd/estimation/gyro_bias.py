@@ -1,4 +1,4 @@
-"""Equivariant Kalman filter that estimates the bias of a gyro beside the pose.
+"""Equivariant Kalman filter that estimates the pose and the bias of a gyro.
 
 The state is a pose T and a constant bias b of the measured body twist w, whose angular part the gyro measures:
 
@@ -18,8 +18,8 @@ so the error of the bias has linear dynamics, which depend on the estimate only 
     x <- x - h J(h W) z,    z <- Ad_exp(h W) z.
 
 The output is equivariant, too: T y moves C_i. With c_i = (C_i + Th y_i) / 2, the residual Th y_i - C_i is [c_i]x u - v
-for x = (u, v), up to errors of the third order. A correction (dx, dz) changes the errors to those of the new estimate:
-x <- J(dx) x and z <- Ad_exp(dx) z, which keeps the gyro's bias free of a linear part.
+for x = (u, v), up to third-order errors. A correction (dx, dz) changes the errors to those of the new estimate: x <-
+J(dx) x and z <- Ad_exp(dx) z, which keeps the gyro's bias free of a linear part.
 
 Source: P. van Goor, T. Hamel and R. Mahony, "Equivariant filter (EqF)", IEEE Trans. Automatic Control 68 (6), 2023; A.
 Fornasier et al., "Overcoming bias: equivariant filter design for biased attitude estimation with online calibration",
@@ -52,8 +52,8 @@ class State(NamedTuple):
 
 @dataclass(frozen=True)
 class EquivariantFilter(Uncertainty):
-    """Equivariant filter on the tangent group of SE(3), for a camera with a biased gyro among known landmarks, whose
-    uncertainty is that of the odometry.
+    """Equivariant filter on the tangent group of SE(3), for a camera with a biased gyro among known landmarks. The
+    noise of gyro and bias is taken from the errors of the odometry.
     """
 
     def errors(self, recording: Recording, start: FloatArray) -> Errors:
@@ -81,12 +81,12 @@ class EquivariantFilter(Uncertainty):
             yield state
 
     def predicted(self, state: State, twist: FloatArray, step: float, density: FloatArray) -> State:
-        """Predict the state after a step.
+        """Predict the state after a step of the odometry.
 
         Args:
             state: estimate before the step.
-            twist: measured w, `(6,)`.
-            step: h, seconds.
+            twist: measured body twist w, `(6,)`.
+            step: duration h of the step, seconds.
             density: standard deviations of twist and bias per root second, in the body's frame, `(12,)`.
         """
         moved = step * (twist - state.bias)
@@ -96,7 +96,9 @@ class EquivariantFilter(Uncertainty):
         return State(pose, state.bias, transition @ state.covariance @ transition.T + noise)
 
     def _from_body(self, pose: FloatArray, squares: FloatArray) -> FloatArray:
-        """Covariance `(12, 12)` in the filter's coordinates, from variances in the body's frame `(12,)`."""
+        """Covariance `(12, 12)` in the filter's coordinates, from variances `squares` of twist and bias in the body's
+        frame, `(12,)`.
+        """
         turn = np.kron(np.eye(2), adjoint_matrix(pose))
         return np.asarray(turn @ np.diag(squares) @ turn.T)
 
@@ -111,12 +113,12 @@ class EquivariantFilter(Uncertainty):
         return self.moved(State(state.pose, state.bias, covariance), gain @ residual)
 
     def transition(self, pose: FloatArray, moved: FloatArray, step: float) -> FloatArray:
-        """Matrix from (x, z) before a step to (x, z) after the step, `(12, 12)`.
+        """Matrix that maps the errors (x, z) before a step to those after the step, `(12, 12)`.
 
         Args:
-            pose: Th before the step.
-            moved: h (w - bh), `(6,)`.
-            step: h, seconds.
+            pose: estimated pose Th before the step, `(4, 4)`.
+            moved: motion h (w - bh) in the step, `(6,)`.
+            step: duration h of the step, seconds.
         """
         world = adjoint(pose, moved)
         return np.block([

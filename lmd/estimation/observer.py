@@ -1,14 +1,15 @@
 """Observer on SE(3): X-hat' = X-hat (U - epsilon - P(k_0 I_4 Q(Y-hat - Y))) from the landmarks in view.
 
-Notation: y_i = X^-1 C_i measured, yh_i = Xh^-1 C_i predicted, e_i = yh_i - y_i, f = 1/2 sum k_i |e_i|^2, all sums over
-the landmarks visible at that instant. With the metric diag(l^2 I, I) on twists (w, v) the descent direction is
+Notation: landmark i at C_i is measured at y_i = X^-1 C_i and predicted at yh_i = Xh^-1 C_i in the camera's frame; e_i =
+yh_i - y_i; f = 1/2 sum k_i |e_i|^2. All sums are over the landmarks visible at that instant. With the metric diag(l^2
+I, I) on twists (w, v) the descent direction is
 
 - left-invariant, as printed:  -eps = (l^-2 sum k_i yh_i x e_i, sum k_i e_i),
 - right-invariant:             -eps = Ad_{Xh^-1} (l^-2 sum k_i C_i x s_i, sum k_i s_i) with s_i = C_i - Xh y_i.
 
 The error dynamics of the right-invariant form do not depend on the trajectory. The paper takes Q, k_0 and P from a work
-that is not public. Here Q(d) = -d e_4^T / m with d = Yh - Y and m landmarks in view, and P is the orthogonal projection
-to se(3). Then -P(k_0 I_4 Q) is the translation k_0 mean(e_i), which damps for k_0 > 0.
+that is not public. Here Q(d) = -d e_4^T / m, with d = Yh - Y for m landmarks in view, and P is the orthogonal
+projection to se(3). Then -P(k_0 I_4 Q) is the translation k_0 mean(e_i), which damps for k_0 > 0.
 
 Source: Lei et al., "Optimization of Directional Landmark Deployment for Visual Observer on SE(3)", Sec. II-A.
 """
@@ -40,8 +41,9 @@ class Observer(Checked):
     form: Annotated[str, partial(choice, options=FORMS)] = "right"
     """Form of the observer: `right`-invariant, or `left`-invariant as printed."""
     gain: Positive = 10.0
-    """kappa, 1/s. All k_i of a frame are kappa / sum(1 + |z_i|^2 / l^2), where z is C (right) or y (left). So the
-    fastest rate of convergence is kappa for any number of landmarks.
+    """Rate kappa, 1/s. In each frame all gains k_i are kappa / sum(1 + |z_i|^2 / l^2), where z is C in the
+    right-invariant form and y in the left-invariant form. So the fastest rate of convergence is kappa for any number of
+    landmarks.
     """
     damping: NotNegative = 1.0
     """Damping gain k_0, 1/s."""
@@ -52,8 +54,8 @@ class Observer(Checked):
         """Gain k_i, equal for all landmarks of a frame, `(...)`; 0 if no landmark is in view.
 
         Args:
-            landmarks: C_i, world frame, metres, `(..., K, 3)`.
-            measured: y_i, camera frame, metres, `(..., K, 3)`.
+            landmarks: positions C_i, world frame, metres, `(..., K, 3)`.
+            measured: measured positions y_i, camera frame, metres, `(..., K, 3)`.
             seen: mask of the landmarks in view, `(..., K)`.
         """
         z = landmarks if self.form == "right" else measured
@@ -63,10 +65,11 @@ class Observer(Checked):
     def correction(
         self, estimate: FloatArray, landmarks: FloatArray, measured: FloatArray, seen: BoolArray
     ) -> FloatArray:
-        """Body twist -epsilon - P(k_0 I_4 Q(Yh - Y)), rad/s and m/s, `(..., 6)`; zero without a landmark in view.
+        """Correction of the estimate, the body twist -epsilon - P(k_0 I_4 Q(Yh - Y)), rad/s and m/s, `(..., 6)`; zero
+        without a landmark in view.
 
         Args:
-            estimate: Xh, `(..., 4, 4)`.
+            estimate: estimated poses Xh, `(..., 4, 4)`.
             landmarks, measured, seen: as in `landmark_gain`.
         """
         gain = self.landmark_gain(landmarks, measured, seen)[..., None]
@@ -82,12 +85,14 @@ class Observer(Checked):
         return np.asarray(descent - np.concatenate([np.zeros_like(damped), damped], axis=-1))
 
     def _twist(self, arms: FloatArray, forces: FloatArray, gain: FloatArray) -> FloatArray:
-        """Twist (l^-2 k sum arm x force, k sum force), `(..., 6)`."""
+        """Twist (l^-2 k sum arm x force, k sum force) with the gain k, `(..., 6)`, from `arms` and `forces` `(..., K,
+        3)`.
+        """
         turning = cross(arms, forces).sum(axis=-2) / self.length**2
         return np.concatenate([gain * turning, gain * forces.sum(axis=-2)], axis=-1)
 
     def estimates(self, recording: Recording, start: FloatArray) -> FloatArray:
-        """Xh at every frame, corrected with the landmarks of the frame, `(S, T, 4, 4)`.
+        """Estimated poses Xh at every frame, corrected with the landmarks in view in the frame, `(S, T, 4, 4)`.
 
         Each step is exact for a constant twist and a constant correction: Xh <- Xh exp(h U), then Xh <- Xh exp(h xi)
         with the landmarks of the new frame. The origin is moved to the centroid of all K landmarks, so that the arms
@@ -95,7 +100,7 @@ class Observer(Checked):
 
         Args:
             recording: S runs.
-            start: Xh at the first frame, not yet corrected, `(S, 4, 4)`.
+            start: estimated poses Xh at the first frame, before the correction, `(S, 4, 4)`.
 
         Raises:
             InputError: the time between two frames is too long for the gains.

@@ -1,4 +1,4 @@
-"""Paired comparison of deployments by equal flights over each deployment."""
+"""Paired comparison of deployments: the errors of localisation on equal flights over each deployment."""
 
 import numpy as np
 import pandas as pd
@@ -11,18 +11,18 @@ PAIRED_FIGURE = "within_20mm"
 
 
 def paired(figures: pd.DataFrame) -> pd.DataFrame:
-    """Compare each other deployment with the first deployment.
+    """Compare each deployment with the first deployment.
 
     Args:
         figures: `FlightStudy.figures`, one row for each deployment, estimator and seed.
 
     Returns:
-        A row for each estimator and each other deployment, with the columns `estimator`, `deployment`, `against`.
-        `flights` is the number of flights with estimates for both deployments. `position_ratio` is the median over
-        these flights of the ratio of the position errors. `position_better` is the number of flights in which the other
-        deployment has the smaller error. `within_20mm_gain` is the mean difference of the shares of frames within 20
-        mm. `position_p` and `within_20mm_p` are two-sided p-values of the Wilcoxon signed-rank test. NaN without a
-        flight.
+        A row for each estimator and each deployment but the first, with the columns `estimator`, `deployment`, and
+        `against` (the name of the first deployment). `flights` is the number of flights with estimates for both
+        deployments. `position_ratio` is the median over these flights of the ratio of the position errors.
+        `position_better` is the number of flights in which the deployment of the row has the smaller error.
+        `within_20mm_gain` is the mean difference of the fractions of frames with a position error below 20 mm.
+        `position_p` and `within_20mm_p` are two-sided p-values of the Wilcoxon signed-rank test. NaN without a flight.
     """
     rows = []
     for estimator, runs in figures.groupby("estimator", sort=False):
@@ -48,7 +48,7 @@ def paired(figures: pd.DataFrame) -> pd.DataFrame:
 
 
 def _p_value(differences: FloatArray) -> float:
-    """P-value of the Wilcoxon signed-rank test; 1 if no flight differs."""
+    """P-value of the Wilcoxon signed-rank test for paired `differences`; 1 if all are 0."""
     if not differences.size:
         return np.nan
     return float(wilcoxon(differences).pvalue) if differences.any() else 1.0

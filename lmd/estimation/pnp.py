@@ -25,7 +25,8 @@ class PerspectiveNPoint:
     from the images of all cameras.
 
     The estimator uses the corners of all tags in view, or the centres of at least four points. If several poses fit
-    almost equally well, as for a distant tag, the pose nearest to the prediction from the last unique pose is taken.
+    almost equally well, as for a distant tag, it takes the pose nearest to the prediction by odometry from the last
+    unique pose.
     """
 
     def __post_init__(self) -> None:
@@ -59,12 +60,12 @@ class PerspectiveNPoint:
 
 
 def likely(found: list[Solution]) -> list[FloatArray]:
-    """Poses that are not distinguishable from the best pose."""
+    """Poses that fit almost as well as the best pose, including the best pose."""
     return [solution.pose for solution in found if solution.square - found[0].square < TOLD_APART]
 
 
 def images_of(recording: Recording, s: int, t: int) -> list[PointImage]:
-    """Image points of known points in each camera of a frame."""
+    """Pairs of a known point and its image point, for each camera in frame t of run s."""
     images, first, count = [], recording.detections(s, t).start, recording.seen_by.shape[-1]
     for c, (camera, mounted) in enumerate(zip(recording.camera.cameras, recording.camera.extrinsics, strict=True)):
         seen = c * count + np.flatnonzero(recording.seen_by[s, t, c])

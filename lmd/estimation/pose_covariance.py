@@ -1,17 +1,17 @@
-"""Covariance of the least-squares pose from one image, with errors of corners and of the map.
+"""Covariance of the pose that least squares estimate from one image, with errors of corners and of the map.
 
-Let J_t (8, 6) be the Jacobian of the corners of tag t by the body twist (w, v), and w_t the weight that the solver
-gives to these corners. With H = sum w_t J_t^T J_t, the error of the pose is to first order
+Let J_t (8, 6) be the Jacobian of the image corners of tag t with respect to the body twist (w, v), and w_t the weight
+that the solver gives to these corners. With H = sum w_t J_t^T J_t, the error of the pose is to first order
 
     e = H^-1 sum w_t J_t^T r_t,    r_t = n_t + (b + mu_t) s_t + M_t m_t
 
-- n_t: noise of corners, of covariance sigma_t^2 Q, independent between tags; Q is the identity, or has the modes of
-  `lmd.detection.corner_errors.MeasuredCorners`;
-- b: shift of all edges in the image of a camera, inward or outward, of variance beta^2; s_t is the displacement of the
-  corners by a shift of one pixel (`lmd.detection.corner_errors.inward`). Solvers do not correct the mean shift mu_t of
-  the detector, so its square is added;
-- m_t: error of position and rotation of the tag in the map; M_t (8, 6) is its Jacobian. The errors of tags t and u have
-  the covariance P_tu, which is 0 for t != u unless a survey states the covariance of all tags together.
+- n_t: noise of corners, with the covariance sigma_t^2 Q, independent between tags; Q is the identity, or has the modes
+  of `lmd.detection.corner_errors.MeasuredCorners`;
+- b: shift of all edges in the image of a camera, inward or outward, with the variance beta^2; s_t is the displacement
+  of the corners by a shift of one pixel (`lmd.detection.corner_errors.inward`). Solvers do not correct the mean shift
+  mu_t of the detector, so its square is added;
+- m_t: error in the position and rotation of the tag in the map; M_t (8, 6) is its Jacobian. The errors of tags t and u
+  have the covariance P_tu, which is 0 for t != u unless a survey states the covariance of all tags together.
 
 The mean of e e^T, called covariance here, is H^-1 N H^-1 with
 
@@ -47,14 +47,16 @@ FRAMES_AT_ONCE = 1000  # frames processed together, with sums over tags of 288 b
 
 @dataclass(frozen=True)
 class TagErrors:
-    """Errors of K tags in images and in the map, and the weights of a solver."""
+    """Errors of K tags in images and in the map, and the weights that the PnP solver uses."""
 
     noise: CornerErrors | MeasuredCorners | float
-    """Errors of corners by pitch; or the standard deviation of each coordinate of a corner, pixels."""
+    """Errors of corners as functions of the pitch (pixels per module); or the standard deviation of each coordinate of
+    a corner, pixels.
+    """
     shift: float
-    """beta, standard deviation of the shift of edges that all tags in the image of a camera share, pixels."""
+    """Standard deviation beta of the shift of edges that all tags in the image of a camera share, pixels."""
     places: FloatArray
-    """P_tt, covariance of position (metres) and rotation (rad) of each tag in the world frame, `(K, 6, 6)`."""
+    """Covariance P_tt of the position (metres) and rotation (rad) of each tag in the world frame, `(K, 6, 6)`."""
     weights: str = "equal"
     """Weights of corners: `equal`, or `noise` for 1 / sigma^2."""
     joint: FloatArray | None = None
@@ -81,7 +83,9 @@ class TagErrors:
 
 
 def _covariances(information: FloatArray, errors: FloatArray, shifts: FloatArray) -> FloatArray:
-    """H^-1 N H^-1 from H, the first and the last sum of N, `(n, 6, 6)` each, and g and beta h, `(n, 1 + C, 6)`."""
+    """Covariances H^-1 N H^-1, `(n, 6, 6)`. `information` is H, `errors` the first plus the last sum of N, `(n, 6, 6)`
+    each; `shifts` are the vectors g and beta h_c, `(n, 1 + C, 6)`.
+    """
     fixed = determines_pose(information)
     found = np.full(information.shape, np.inf)
     solved = np.linalg.inv(information[fixed])
@@ -99,13 +103,13 @@ def pose_covariances(
     seen: BoolArray,
     errors: TagErrors,
 ) -> tuple[FloatArray, FloatArray]:
-    """Covariance of the body's pose from the images of C cameras in each of F frames.
+    """Covariance of the body's pose as estimated from the images of C cameras in each of F frames.
 
     Args:
         cameras, extrinsics: see `lmd.estimation.cramer_rao.pose_information`.
-        poses: X of the body, `(F, 4, 4)`.
+        poses: poses X of the body, `(F, 4, 4)`.
         deployment: K tags at their places in the map.
-        tag: family of the tags, and edge of the tags without an edge of their own.
+        tag: family of the tags, and edge length of the tags for which `deployment` has none.
         seen: mask of the tags in view of each camera, `(C, F, K)`; the corners of these tags must be in front of it.
         errors: errors of the K tags.
 
@@ -149,7 +153,9 @@ def pose_covariances(
 
 
 def _by_map(by_map: FloatArray, shown: BoolArray, errors: TagErrors) -> FloatArray:
-    """Last sum of N of each frame, `(F, 6, 6)`, from the matrices B `(P, 6, 6)` of the tags in view, mask `(F, K)`."""
+    """Last sum of N in each frame, `(F, 6, 6)`, from the matrices B, `(P, 6, 6)`, of the P tags that the mask `shown`
+    `(F, K)` has in view.
+    """
     frames, (frame, which) = len(shown), np.nonzero(shown)
     back = np.swapaxes(by_map, 1, 2)
     found = by_map @ errors.places[which] @ back
@@ -165,10 +171,11 @@ def _by_map(by_map: FloatArray, shown: BoolArray, errors: TagErrors) -> FloatArr
 
 
 def world_covariances(poses: FloatArray, covariances: FloatArray) -> FloatArray:
-    """Covariances of position and rotation (p, r) in the world frame, from those of body twists (w, v), `(F, 6, 6)`.
+    """Covariances of position and rotation (p, r) in the world frame, converted from covariances of body twists (w, v),
+    `(F, 6, 6)`.
 
     Args:
-        poses: X, `(F, 4, 4)`.
+        poses: poses X, `(F, 4, 4)`.
         covariances: covariances of the body twist, `(F, 6, 6)`; infinite matrices stay infinite.
     """
     found, known = np.full(covariances.shape, np.inf), np.isfinite(covariances).all(axis=(1, 2))

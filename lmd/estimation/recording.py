@@ -1,6 +1,7 @@
-"""Recordings of flights: odometry, and the positions in the camera's frame of the landmarks detected in each frame.
+"""Recordings of flights: odometry, and in each frame the positions of the detected landmarks in the camera's frame.
 
-A rig with C cameras is recorded as one camera, in the frame of the body, with C K landmarks ordered by camera.
+A rig with C cameras is recorded as one camera, in the frame of the body, with C K landmarks: the K landmarks as
+detected by the first camera, then by the second camera, and further on.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -22,8 +23,8 @@ from lmd.sight.views import visible_to_each
 
 @dataclass(frozen=True)
 class Odometry(Checked):
-    """Odometry: twists between frames with independent normal errors and with a biased gyro; the integral of the twists
-    drifts.
+    """Odometry: twists between frames with independent normal errors and with a biased gyro; poses that are integrated
+    from the twists drift.
 
     The bias of the gyro adds to the measured turn rates. The bias at the first frame is normally distributed, and then
     follows a random walk.
@@ -33,11 +34,11 @@ class Odometry(Checked):
     """
 
     turn_noise: NotNegative = 0.0
-    """Standard deviation about each axis, rad per root second."""
+    """Standard deviation of the turn errors about each axis, rad per root second."""
     motion_noise: NotNegative = 0.0
-    """Standard deviation along each axis, metres per root second."""
+    """Standard deviation of the motion errors along each axis, metres per root second."""
     gyro_bias: NotNegative = 0.0
-    """Standard deviation of the bias at the first frame about each axis, rad/s."""
+    """Standard deviation of the gyro's bias about each axis at the first frame, rad/s."""
     gyro_walk: NotNegative = 0.0
     """Standard deviation of the bias's random walk about each axis, rad/s per root second."""
 
@@ -50,7 +51,7 @@ class Odometry(Checked):
         Args:
             twists: true twists, `(T - 1, 6)`.
             steps: duration of each twist, seconds, `(T - 1,)`.
-            rng: source of the errors.
+            rng: random generator for the errors.
         """
         density = np.repeat([self.turn_noise, self.motion_noise], 3)
         measured = twists + rng.standard_normal(twists.shape) * density / np.sqrt(steps)[:, None]
@@ -61,7 +62,7 @@ class Odometry(Checked):
 
         Args:
             steps: duration of each step, seconds, `(T - 1,)`.
-            rng: source of the bias.
+            rng: random generator for the bias.
         """
         drawn = rng.standard_normal((len(steps), 3))
         spread = np.append(self.gyro_bias, self.gyro_walk * np.sqrt(steps[:-1]))
@@ -74,16 +75,16 @@ Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]
 
 @dataclass(frozen=True)
 class Flight:
-    """Flight of a camera or a rig over a deployment; the poses of a rig are the poses of its body."""
+    """Flight of a camera or a rig in a room with a deployment; the pose of a rig is the pose of its body."""
 
     evaluator: Evaluator
-    """Scene with the visibility model."""
+    """Evaluator with the scene and the visibility model."""
     deployment: Deployment
     """K landmarks."""
     trajectory: Trajectory
     """T frames."""
     rng: np.random.Generator
-    """Source of all random numbers."""
+    """Random generator for the measurements."""
     all_visible: bool = False
     """True if every landmark is in view in all frames, as assumed for an observer without a camera model."""
 
@@ -94,7 +95,7 @@ class Flight:
 
     @property
     def poses(self) -> FloatArray:
-        """True X, `(T, 4, 4)`."""
+        """True poses X, `(T, 4, 4)`."""
         return self.trajectory.poses
 
     def looks(self) -> "list[Look]":
@@ -122,7 +123,7 @@ class Look(NamedTuple):
 
     @property
     def poses(self) -> FloatArray:
-        """True X of the camera, `(T, 4, 4)`."""
+        """True poses X of the camera, `(T, 4, 4)`."""
         return self.flight.poses @ self.mounted
 
 
@@ -134,7 +135,7 @@ class Observation(NamedTuple):
     points: FloatArray
     """Measured positions in the camera's frame, metres, `(T, K, 3)`; arbitrary for landmarks that are not seen."""
     noise: FloatArray
-    """Standard deviation of the image coordinates that estimators assume, pixels, `(M,)`."""
+    """Standard deviation of the image coordinates of each detection, as estimators assume it, pixels, `(M,)`."""
     covariance: FloatArray
     """Covariance of the measured position for one pixel of noise, m^2, `(M, 3, 3)`."""
     corners: FloatArray | None = None
@@ -174,7 +175,7 @@ class Sensor(Protocol):
 
         Args:
             flights: S flights.
-            each: map that runs slow work, see `Each`.
+            each: function that maps a slow function over jobs, possibly in parallel, see `Each`.
 
         Raises:
             InputError: the sensor measures in images, but the flight has all landmarks in view.
@@ -194,13 +195,13 @@ class Recording:
     time: FloatArray
     """Times of the frames, seconds, `(T,)`."""
     poses: FloatArray
-    """True X, `(S, T, 4, 4)`."""
+    """True poses X, `(S, T, 4, 4)`."""
     twists: FloatArray
     """Measured twists U between frames, `(S, T - 1, 6)`, see `Trajectory.twists`."""
     odometry: Odometry
     """Errors of the measured twists."""
     landmarks: FloatArray
-    """C_i, world frame, metres, `(S, K, 3)`."""
+    """Positions C_i of the landmarks, world frame, metres, `(S, K, 3)`."""
     camera: Camera | Rig
     """Camera or rig of the frames."""
     seen: BoolArray
@@ -237,7 +238,9 @@ class Recording:
         return slice(self._first[s * frames + first], self._first[s * frames + (frames if last is None else last)])
 
     def share_visible(self, n: int) -> FloatArray:
-        """Share of time with at least n detected landmarks, `(S,)`; a frame counts until the next frame."""
+        """Fraction of each run's duration with at least n detected landmarks, `(S,)`; each frame counts for the time
+        until the next frame.
+        """
         enough, steps = self.visible_counts[:, :-1] >= n, np.diff(self.time)
         return np.asarray(enough @ steps / steps.sum())
 
@@ -245,13 +248,13 @@ class Recording:
 def record(
     detector: Sensor, flights: Sequence[Flight], odometry: Odometry | None = None, each: Each = map
 ) -> Recording:
-    """Record S flights whose trajectories share their times.
+    """Record S flights whose frames have equal times.
 
     Args:
         detector: sensor of the landmarks.
         flights: S flights of one camera or rig.
         odometry: errors of the twists; None for exact twists.
-        each: map that runs slow work, see `Each`.
+        each: function that maps a slow function over jobs, possibly in parallel, see `Each`.
 
     Raises:
         InputError: the detector measures in images, but a flight has all landmarks in view.

@@ -27,7 +27,7 @@ class Frame(NamedTuple):
     """A frame to render."""
 
     pose: FloatArray
-    """X, `(4, 4)`."""
+    """Pose X of the camera, `(4, 4)`."""
     motion: FloatArray | None
     """Body twist times the exposure time, `(6,)`; None for no motion."""
     rng: np.random.Generator
@@ -39,8 +39,8 @@ class RenderedDetector(Checked):
     """Real detector on rendered frames, with missed and false detections; a `Sensor`.
 
     The mean shift of the detector is subtracted from the corners, as a calibration would do. The position of a tag
-    follows from its corners. Every detection with the id of a tag is accepted, the largest if there are several; other
-    ids are ignored.
+    follows from its corners. Every detection with the id of a tag is accepted, if a frame has several such detections,
+    the largest one; other ids are ignored.
 
     Raises:
         InputError: the tag is a point, the detector states no errors, the noise is not positive, or the shutter time is
@@ -54,7 +54,9 @@ class RenderedDetector(Checked):
     imaging: Imaging
     """Lens, light and noise."""
     pixel_noise: Positive | None = None
-    """Standard deviation of the corners that estimators assume, pixels; None for the detector's own, by pitch."""
+    """Standard deviation of the corners as estimators assume it, pixels; None for the measured one of the detector,
+    which depends on the pitch.
+    """
     shutter: NotNegative = 0.0
     """Exposure time, seconds; the motion of the camera blurs the frame."""
 
@@ -68,7 +70,7 @@ class RenderedDetector(Checked):
         return corners_of(deployment, self.tag)
 
     def batch(self, look: Look) -> "Batch":
-        """Frames of a camera; flights with equal `rng` give equal frames."""
+        """Batch with the frames of one camera on a flight; flights with equal `rng` give equal frames."""
         flight = look.flight
         room = tagged_room(flight.evaluator.scene.room, flight.deployment, self.tag)
         twists = adjoint(inverse(look.mounted), flight.trajectory.twists)
@@ -101,7 +103,7 @@ class RenderedDetector(Checked):
 
 
 class Batch(NamedTuple):
-    """Frames of one camera: a job for a process."""
+    """Frames of one camera, to be rendered and read by one process."""
 
     renderer: Renderer
     """Renderer of the camera."""
@@ -122,7 +124,9 @@ def read(batch: Batch) -> list[Detections]:
 
 
 def believed(found: Sequence[Detections], ids: IntArray) -> FloatArray:
-    """Detected corners of the tags with `ids` `(K,)` in T frames, pixels, `(T, K, 4, 2)`; NaN for missing tags."""
+    """Detected corners of the tags with `ids` `(K,)` in T frames, pixels, `(T, K, 4, 2)`; NaN for tags that are not
+    detected.
+    """
     corners, place = np.full((len(found), len(ids), 4, 2), np.nan), {number: k for k, number in enumerate(ids.tolist())}
     for t, detections in enumerate(found):
         edges = detections.corners - np.roll(detections.corners, 1, axis=1)

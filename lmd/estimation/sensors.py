@@ -34,7 +34,7 @@ class PointDetector(Checked):
     """
 
     pixel_noise: NotNegative = 0.0
-    """Standard deviation sigma of the three numbers, pixels; 0 for exact measurements."""
+    """Standard deviation sigma of the noise of each of the three numbers, pixels; 0 for exact measurements."""
     missed: Share = 0.0
     """Probability that a visible landmark is not detected."""
     edge: Positive = 0.1
@@ -58,19 +58,19 @@ class PointDetector(Checked):
         return Observation(seen, points, np.full(len(covariance), self.pixel_noise), covariance)
 
     def measured(self, points: FloatArray, camera: Camera, rng: np.random.Generator) -> FloatArray:
-        """Measure landmarks at y = (x, y, z) in the camera's frame.
+        """Simulate the measurement of landmarks at y = (x, y, z) in the camera's frame.
 
         The noise of (x / z, y / z) is the pixel noise over the focal length. The depth f a / w is computed from the
         apparent edge w >= 1 pixel with its noise. For a distorting lens, the noise is added to the distorted image; for
         a fisheye, the edge gives the distance instead of z.
 
         Args:
-            points: y, metres, `(..., 3)`; the result is arbitrary for z <= 0.
+            points: true positions y, metres, `(..., 3)`; the result is arbitrary for z <= 0.
             camera: intrinsics and lens.
-            rng: source of the noise.
+            rng: random generator for the noise.
 
         Returns:
-            measured y, metres, `(..., 3)`.
+            measured positions y, metres, `(..., 3)`.
         """
         if self.pixel_noise == 0.0:
             return points
@@ -93,11 +93,11 @@ class PointDetector(Checked):
         which gives z.
 
         Args:
-            measured: y, metres, `(M, 3)`.
+            measured: measured positions y, metres, `(M, 3)`.
             camera: intrinsics and lens.
 
         Returns:
-            `(M, 3, 3)`, m^2.
+            covariances, m^2, `(M, 3, 3)`.
         """
         focal, depth = camera.focal_pixels, depth_in_focus(camera, measured)[:, None]
         if camera.lens is None:
@@ -123,7 +123,8 @@ def detected(seen: BoolArray, missed: float, rng: np.random.Generator) -> BoolAr
 class TagDetector(Checked):
     """Detector of tags with the measured errors of a real detector; a `Sensor`.
 
-    Corner errors are drawn by pitch (`lmd.detection.corner_errors`). The position of a tag follows from its corners.
+    Corner errors are drawn from a distribution that depends on the pitch (`lmd.detection.corner_errors`). The position
+    of a tag follows from its corners.
 
     Raises:
         InputError: the tag is a point, the detector was not measured, or a value is out of range.
@@ -184,7 +185,7 @@ def observation(
 
     Args:
         camera: intrinsics and lens.
-        edges: edges of the tags, metres, `(K,)`.
+        edges: edge lengths of the tags, metres, `(K,)`.
         seen: mask of the detected tags, `(T, K)`.
         found: detected corners, pixels from the border, `(M, 4, 2)`.
         noise: standard deviation of the corners, pixels, `(M,)`.
@@ -235,5 +236,7 @@ def _covariance(camera: Camera, edges: FloatArray, turns: FloatArray, centres: F
 
 
 def _squares(edges: FloatArray) -> FloatArray:
-    """Corners of squares with edges `(M,)` in their own frames (right, up, normal), metres, `(M, 4, 3)`."""
+    """Corners of squares with edge lengths `edges` `(M,)`, each in its own frame (right, up, normal), metres, `(M, 4,
+    3)`.
+    """
     return np.pad(CORNERS * edges[:, None, None] / 2.0, ((0, 0), (0, 0), (0, 1)))

@@ -1,4 +1,4 @@
-"""Study of localisation: equal flights over several deployments, and tables of the errors."""
+"""Study of localisation: equal flights over several deployments, and tables of the localisation errors."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -37,7 +37,7 @@ class InitialError(Checked):
     """Error of the first estimate, in random directions.
 
     Raises:
-        InputError: a value is negative, or the attitude is more than pi.
+        InputError: a value is negative, or the attitude error is more than pi.
     """
 
     position: NotNegative
@@ -46,7 +46,7 @@ class InitialError(Checked):
     """Attitude error, rad."""
 
     def applied(self, pose: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Draw a first estimate of a camera pose `(4, 4)`."""
+        """Draw a first estimate of a camera's pose, `(4, 4)`, which differs from the true `pose` by the errors."""
         directions = rng.normal(size=(2, 3))
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         turn = np.concatenate([self.attitude * directions[0], np.zeros(3)])
@@ -83,7 +83,7 @@ class Flights:
         return cls(seeds, trajectories, np.stack(start))
 
     def over(self, problem: Problem, all_visible: bool = False) -> list[Flight]:
-        """Flights over the start deployment of `problem`; a random start is drawn for each seed."""
+        """Flights over the start deployment of `problem`; if it is random, one is drawn for each seed."""
         flights = []
         for seed, trajectory in zip(self.seeds, self.trajectories, strict=True):
             drawn, rng = problem.draw(np.random.default_rng(seed)), np.random.default_rng([seed, FLIGHTS_STREAM, 1])
@@ -96,11 +96,11 @@ class Outcome:
     """Results of S flights over one deployment."""
 
     counts: IntArray
-    """Number of landmarks in each frame, `(S, T)`."""
+    """Number of detected landmarks in each frame, `(S, T)`."""
     shares: Mapping[int, FloatArray]
-    """Share of time with at least n landmarks, `(S,)` each, by n."""
+    """Fraction of each flight's duration with at least n detected landmarks, `(S,)`, keyed by n."""
     errors: Mapping[str, Errors]
-    """Errors by name of the estimator."""
+    """Errors of each estimator, keyed by its name."""
 
 
 @dataclass(frozen=True)
@@ -112,9 +112,9 @@ class FlightStudy:
     time: FloatArray
     """Times of the frames, seconds, `(T,)`."""
     initial: FloatArray
-    """Er of the first estimates, `(S,)`."""
+    """Error Er (see `Errors.frobenius`) of each flight's first estimate, `(S,)`."""
     outcomes: Mapping[str, Outcome]
-    """Outcomes by the name of the deployment."""
+    """Outcome of each deployment, keyed by its name."""
 
     def figures(self) -> pd.DataFrame:
         """Table with one row for each deployment, estimator and seed.
@@ -167,9 +167,9 @@ class FlightStudy:
     def curves(self) -> pd.DataFrame:
         """Errors over time, in up to `CURVE_WINDOWS` windows: quantiles over the seeds and the frames of a window.
 
-        Columns: `deployment`, `estimator`, `time` (s, middle of the window). Each of `error` (Er), `position` (m) and
-        `attitude` (rad) has the columns `_low`, `_median` and `_high`: the 10, 50 and 90 % quantile, NaN without an
-        estimate.
+        Columns: `deployment`, `estimator`, `time` (s, middle of the window). Each of the errors `error` (Er),
+        `position` (m) and `attitude` (rad) has the columns `_low`, `_median` and `_high`: the 10, 50 and 90 % quantile,
+        NaN without an estimate.
         """
         windows = np.array_split(np.arange(len(self.time)), min(CURVE_WINDOWS, len(self.time)))
         time = [float(self.time[window].mean()) for window in windows]
@@ -186,7 +186,9 @@ class FlightStudy:
 
     @staticmethod
     def medians(figures: pd.DataFrame) -> dict[str, float]:
-        """Finite medians of `figures` over the seeds, by `<figure>/<deployment>/<estimator>`."""
+        """Medians of the columns of `figures` over the seeds, as far as they are finite, keyed by
+        `<column>/<deployment>/<estimator>`.
+        """
         medians = {}
         for (name, estimator), runs in figures.groupby(["deployment", "estimator"], sort=False):
             for key, value in runs.drop(columns="seed").median(numeric_only=True).items():
@@ -196,7 +198,9 @@ class FlightStudy:
 
     @staticmethod
     def over_time(curves: pd.DataFrame) -> dict[str, list[tuple[int, float, float]]]:
-        """Median errors of `curves` as points (time in ms, error, time in s), by `<error>/<deployment>/<estimator>`."""
+        """Median errors of `curves` over time, as points (time in ms, error, time in s), keyed by
+        `<error>/<deployment>/<estimator>`.
+        """
         found = {}
         for (name, estimator), curve in curves.groupby(["deployment", "estimator"], sort=False):
             for quantity in ("error", "position", "attitude"):
@@ -218,13 +222,13 @@ def conduct(
     """Simulate flights over each deployment, and let each estimator localise the camera.
 
     Args:
-        problems: problems by the name of the deployment; all share one scene.
+        problems: problem of each deployment, keyed by the deployment's name; all share one scene.
         flights: flights to localise, equal for all deployments.
-        detectors: detectors, with noise and missed detections, by the name of the deployment.
-        estimators: estimators by name.
+        detectors: simulated detectors, with noise and missed detections, keyed by the name of the deployment.
+        estimators: estimators, keyed by name.
         all_visible: True to repeat flights over each deployment with all landmarks in view, as `<name> all visible`.
         odometry: errors of the twists; None for exact twists.
-        each: map that runs slow work, see `lmd.estimation.recording.Each`.
+        each: function that maps a slow function over jobs, possibly in parallel, see `lmd.estimation.recording.Each`.
 
     Raises:
         InputError: there is no estimator, or an estimator does not support the recording.
@@ -260,8 +264,8 @@ def to_markdown(figures: pd.DataFrame, n: int) -> str:
 
     Args:
         figures: one row for each deployment, estimator and seed.
-        n: n of the objective; the table has the share of time with n landmarks in view, and with 3 landmarks, which
-            determine a pose.
+        n: number n of landmarks that the objective requires; the table has the fractions of time with at least n, and
+            with at least 3, landmarks in view, as 3 landmarks determine a pose.
     """
     head = ["deployment", "estimator", *(f"time with >= {m} in view" for m in sorted({n, 3}))]
     head += ["mean Er (10 to 90 %)", "settled after [s]", "position [mm]", "attitude [mrad]"]
@@ -292,7 +296,7 @@ def within() -> dict[str, float]:
 
 
 def _each_run(reduce: Callable[[FloatArray], Any], values: FloatArray) -> FloatArray:
-    """Apply `reduce` to the finite values of each row; NaN for a row without finite values."""
+    """Result of `reduce` for the finite values in each row of `values`; NaN for a row without finite values."""
     rows = [row[np.isfinite(row)] for row in values]
     return np.array([reduce(row) if row.size else np.nan for row in rows])
 

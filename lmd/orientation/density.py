@@ -1,9 +1,9 @@
-"""Steps 4 and 5 of the paper's procedure: test of independence, and fit of a density to one angle or both.
+"""Steps 4 and 5 of the paper's procedure: test of independence, and fit of a density to one angle or to both angles.
 
-A density is represented by the probabilities of fine cells of its angles. Parametric families and kernel estimates are
-compared by the cross-validated log-likelihood per sample: each fold, a contiguous section of the recording, is scored
-by the fit to the other folds. The one-standard-error rule on paired differences chooses the simplest family within one
-standard error of the best family.
+A density is represented by the probabilities of fine cells of equal width over each angle. Parametric families and
+kernel estimates are compared by the cross-validated log-likelihood per sample: each fold, a contiguous section of the
+recording, is scored by the fit to the other folds. The one-standard-error rule on paired differences chooses the
+simplest family within one standard error of the best family.
 """
 
 from collections.abc import Callable, Sequence
@@ -36,7 +36,7 @@ class AngleCells:
     cells: int
     """M, the number of cells."""
     circular: bool
-    """True if `low` and `high` are one direction."""
+    """True if `low` and `high` are one direction, as for the yaw."""
 
     @property
     def width(self) -> float:
@@ -63,14 +63,14 @@ class AngleCells:
 
 @dataclass(frozen=True)
 class Density:
-    """Density fitted to samples, as probabilities of fine cells."""
+    """Density fitted to samples, represented by the probabilities of fine cells."""
 
     family: str
     """Family: `uniform`, `von_mises`, `normal`, `kernel` or `fixed`."""
     parameters: dict[str, float]
     """Fitted parameters by name, radians."""
     probability: FloatArray
-    """Probability of each fine cell, sum 1."""
+    """Probability of each fine cell, `(M,)`, or `(M_1, M_2)` for two angles; the sum is 1."""
 
 
 Family = Callable[[FloatArray, AngleCells], Density]
@@ -83,20 +83,22 @@ class Candidate:
     density: Density
     """Fit to all samples."""
     log_likelihood: float
-    """Cross-validated mean log-likelihood per sample, with the probabilities of fine cells."""
+    """Cross-validated mean log-likelihood per sample, computed with the probabilities of fine cells."""
     behind: float
     """Largest log-likelihood of all candidates minus `log_likelihood`."""
     standard_error: float
-    """Standard error of `behind`, from the differences of log-likelihood for each sample."""
+    """Standard error of `behind`, estimated from the paired differences of the samples' log-likelihoods."""
 
 
 def uniform(_angle: FloatArray, axis: AngleCells) -> Density:
-    """Fit equal probabilities for all cells."""
+    """Return the uniform density, with equal probabilities for all cells."""
     return Density("uniform", {}, np.full(axis.cells, 1.0 / axis.cells))
 
 
 def von_mises(angle: FloatArray, axis: AngleCells) -> Density:
-    """Fit the von Mises distribution of greatest likelihood: density exp(kappa cos(x - mu)) / (2 pi I_0(kappa))."""
+    """Fit the von Mises distribution with the maximum likelihood; its density is exp(kappa cos(x - mu)) / (2 pi
+    I_0(kappa)).
+    """
     kappa, mean, _ = vonmises.fit(angle, fscale=1)
     probability = np.diff(vonmises.cdf(axis.edges, kappa, loc=mean))
     return Density("von_mises", {"mean": float(mean), "concentration": float(kappa)}, probability)
@@ -124,7 +126,7 @@ def kernel_density(index: tuple[IntArray, ...], axes: tuple[AngleCells, ...]) ->
 
     Args:
         index: cells of the samples on each axis, `(S,)` each.
-        axes: one axis or two.
+        axes: fine cells of one angle or of two angles.
 
     Returns:
         probabilities, `(M,)` or `(M_1, M_2)`; bandwidth of each axis, radians, chosen by cross-validation.
@@ -196,7 +198,7 @@ def _folds(count: int) -> list[IntArray]:
 
 
 def _log_likelihood(probability: FloatArray, count: float, index: IntArray) -> FloatArray:
-    """Log probabilities of the cells of held-out samples, `(S,)`.
+    """Log probabilities of the cells that contain held-out samples, `(S,)`.
 
     The density is mixed with one additional uniform sample, so that the log probability of an outlier is finite.
     """

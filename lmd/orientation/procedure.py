@@ -48,9 +48,9 @@ class Marginal:
     axis: AngleCells
     """Fine cells."""
     block: int
-    """Number of fine cells per cell of the orientation grid."""
+    """Number of fine cells in each cell of the orientation grid."""
     density: Density
-    """Chosen density; the family `fixed` has one cell only."""
+    """Chosen density; for a fixed angle, whose family is `fixed`, it has a single cell."""
     candidates: tuple[Candidate, ...]
     """Densities that were compared; empty for a fixed angle."""
 
@@ -61,7 +61,7 @@ class Marginal:
 
     @property
     def angles(self) -> FloatArray:
-        """Angle of each probability of the density, radians."""
+        """Middles of the density's fine cells, `(M,)`, or the fixed angle, `(1,)`, radians."""
         return np.array([self.density.parameters["value"]]) if self.is_fixed else self.axis.centres
 
     @property
@@ -104,7 +104,9 @@ class Marginal:
         }
 
     def described(self) -> str:
-        """Text with the chosen density, and the differences of the other densities from the best log-likelihood."""
+        """Text with the chosen density, and for each other density the difference of its log-likelihood from the best
+        log-likelihood.
+        """
         parameters = ", ".join(f"{key.replace('_', ' ')} {value:.3g}" for key, value in self.density.parameters.items())
         name = self.density.family.replace("_", " ") + (f" ({parameters})" if parameters else "")
         behind = ", ".join(
@@ -115,12 +117,12 @@ class Marginal:
 
 @dataclass(frozen=True)
 class PdfEstimate:
-    """Orientation PDF with the steps of its estimate."""
+    """Orientation PDF, with the results of the steps of its estimation."""
 
     pdf: OrientationPdf
     """PDF on the orientation grid."""
     samples: Samples
-    """Measurements at random intervals."""
+    """Samples of the recording at random intervals."""
     yaw: Marginal
     """Fit of the yaw."""
     pitch: Marginal
@@ -136,7 +138,7 @@ class PdfEstimate:
         return "product" if self.joint is None else "joint"
 
     def summary(self) -> dict[str, Any]:
-        """Data for JSON: all but the PDF; angles in radians, times in seconds."""
+        """Data for JSON: the results of all steps, without the PDF itself; angles in radians, times in seconds."""
         test = self.independence
         return {
             "sampling": {
@@ -152,7 +154,7 @@ class PdfEstimate:
         }
 
     def metrics(self) -> dict[str, float]:
-        """Figures by name."""
+        """Metrics of the estimate, keyed by name."""
         figures: dict[str, float] = {
             "samples": len(self.samples),
             "correlation_time": self.samples.correlation_time,
@@ -202,10 +204,10 @@ def estimate_pdf(
 
     Args:
         recording: yaw and pitch over time.
-        rng: draws the times of the samples and the tables of the independence test.
+        rng: random generator for the times of the samples and for the tables of the independence test.
         divisions: the step of the orientation grid is pi / divisions.
         mean_interval: mean interval between samples, seconds; None for twice the correlation time.
-        significance: level of the independence test.
+        significance: significance level of the independence test.
 
     Raises:
         InputError: a setting is out of range, or the recording gives too few samples.
@@ -241,7 +243,8 @@ def _marginal(angle: FloatArray, axis: AngleCells, block: int, families: Sequenc
 
 
 def _gathered(table: FloatArray, yaw: Marginal, pitch: Marginal, name: str) -> OrientationPdf:
-    """PDF on the orientation grid: the probability of each cell at the mean orientation in the cell.
+    """PDF on the orientation grid: for each cell of the grid, its probability and, as its orientation, the mean
+    orientation in the cell.
 
     The mean orientation, unlike the centre of the cell, preserves the mean of a pitch that hardly varies.
 

@@ -1,4 +1,6 @@
-"""Recordings of the yaw and pitch of a camera, from a CSV or simulated, and their samples at random intervals."""
+"""Recordings of the yaw and pitch of a camera, from a CSV or simulated, and samples of recordings at random
+intervals.
+"""
 
 from dataclasses import dataclass
 from functools import partial
@@ -40,15 +42,15 @@ class OrientationRecording:
     """
 
     time: FloatArray
-    """Times, seconds, increasing, `(R,)` with R >= 2."""
+    """Times of the records, seconds, increasing, `(R,)` with R >= 2."""
     yaw: FloatArray
-    """Yaw, radians, any value, `(R,)`."""
+    """Yaw of each record, radians, not limited to one turn, `(R,)`."""
     pitch: FloatArray
-    """Pitch, radians in [-pi/2, pi/2], positive looks up, `(R,)`."""
+    """Pitch of each record, radians in [-pi/2, pi/2], positive for a camera that looks up, `(R,)`."""
     name: str = "recording"
     """Name of the source, for messages."""
     note: str = ""
-    """Remark on ambiguous angles, a sentence without its full stop; empty without ambiguity."""
+    """Remark for the user on ambiguous angles, a sentence without its full stop; empty if the angles are clear."""
 
     def __post_init__(self) -> None:
         for field in ("time", *ANGLES):
@@ -87,7 +89,7 @@ class OrientationRecording:
         return self.yaw[index], self.pitch[index]
 
     def to_csv(self, path: str | Path) -> None:
-        """Write a CSV with the columns `time,yaw,pitch` and all digits."""
+        """Write a CSV with the columns `time,yaw,pitch`; all digits of the numbers are written."""
         rows = np.stack([self.time, self.yaw, self.pitch], axis=1)
         np.savetxt(path, rows, fmt="%.17g", delimiter=",", header="time,yaw,pitch", comments="")
 
@@ -130,7 +132,7 @@ class RecordingSource(Protocol):
     """Source of a recording."""
 
     def record(self, rng: np.random.Generator) -> OrientationRecording:
-        """Provide a recording; only a simulated recording draws from `rng`."""
+        """Return the recording; only a simulated recording draws random numbers from `rng`."""
 
 
 @dataclass(frozen=True)
@@ -149,7 +151,8 @@ class FileRecording:
 
 @dataclass(frozen=True)
 class SimulatedRecording(Checked):
-    """Simulated smooth random motion; at any time the yaw is von Mises distributed, the pitch truncated normal.
+    """Simulated smooth random motion; at any time the yaw has a von Mises distribution and the pitch a truncated normal
+    one.
 
     z_1 and z_2 are stationary Gaussian processes with the autocorrelation exp(-t^2 / (2 tau^2)). The phase phi has a
     uniform start and the rate z_1 / tau, so phi is uniform at any time. The yaw is the von Mises quantile of
@@ -215,7 +218,7 @@ class SimulatedRecording(Checked):
 
 @dataclass(frozen=True)
 class Samples:
-    """Measurements of a recording at random times, ordered in time."""
+    """Yaw and pitch of a recording at random times, ordered in time."""
 
     yaw: FloatArray
     """Yaw, radians, `(S,)`."""
@@ -233,16 +236,18 @@ class Samples:
 def sample_at_random_intervals(
     recording: OrientationRecording, mean_interval: float | None, rng: np.random.Generator
 ) -> Samples:
-    """Sample a recording at random intervals m / 2 + e: m is the mean interval, e exponential with the mean m / 2.
+    """Sample a recording at random intervals m / 2 + e, where m is the mean interval and e has an exponential
+    distribution with the mean m / 2.
 
-    The fixed half limits the correlation of neighbouring samples; the random half avoids aliasing with periodic motion.
-    So records are drawn in proportion to their durations, even if the rate of the recording is uneven.
+    The fixed part m / 2 limits the correlation of neighbouring samples; the random part e avoids aliasing with periodic
+    motion. Each record is thus drawn with a probability in proportion to its duration, even if the rate of the
+    recording is uneven.
 
     Args:
         recording: recording to sample.
         mean_interval: mean interval m, seconds; None for twice the correlation time, so that samples are nearly
             independent.
-        rng: draws the intervals.
+        rng: random generator for the intervals.
 
     Raises:
         InputError: the interval is not positive or is shorter than the recording's step, or there are too few samples.
@@ -274,7 +279,7 @@ def integrated_correlation_time(recording: OrientationRecording) -> float:
     """Integrated autocorrelation time, seconds: the larger of the times of yaw and pitch.
 
     T = step (1 + 2 sum_k rho_k), summed up to the first lag with rho_k <= 0. For the yaw, rho is the autocorrelation of
-    the unit vector (cos alpha, sin alpha), which has no seam. A fixed angle has T = step.
+    the unit vector (cos alpha, sin alpha), which has no seam. For a fixed angle, T is one step.
     """
     times = np.linspace(recording.time[0], recording.time[-1], len(recording.time))
     yaw, pitch = recording.at(times)
