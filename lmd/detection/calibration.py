@@ -1,4 +1,6 @@
-"""Fit of a detector's limits to views of single tags, with scores."""
+"""Fit of a detector's limits (smallest pitch, largest incidence angle and others at which it finds a tag) to views of
+single tags, with scores of the fitted limits.
+"""
 
 import math
 from collections.abc import Callable
@@ -30,26 +32,26 @@ Choice = tuple[int, ...]
 
 @dataclass(frozen=True)
 class Fit:
-    """Limits with their scores on the held-out half of the views."""
+    """Fitted limits of a detector, with their scores on the held-out half of the views."""
 
     limits: Limits
     """Limits of the detector."""
     accuracy: float
-    """Share of views predicted correctly."""
+    """Fraction of the views for which the limits predict detection or no detection correctly."""
     precision: float
-    """Precision: share of predicted views that are detected."""
+    """Precision: fraction of the tags predicted as detected that the detector found."""
     recall: float
-    """Recall: share of detected views that are predicted."""
+    """Recall: fraction of the tags that the detector found that are predicted as detected."""
     circles: tuple[float, ...] = ()
     """Diameter of each camera's image circle, pixels; infinite if none was found; empty for views without `placed`."""
 
     @property
     def known_circles(self) -> dict[int, float]:
-        """Finite `circles` by camera number, from 1."""
+        """Diameters in `circles` that are finite, pixels, keyed by the number of the camera, from 1."""
         return {number: diameter for number, diameter in enumerate(self.circles, 1) if math.isfinite(diameter)}
 
     def circles_text(self, detector: str) -> str:
-        """Sentences on cameras with a round image, beyond which a detector finds nothing."""
+        """Sentences on cameras with an image circle, outside of which the detector finds nothing."""
         return "".join(
             f"{detector} finds nothing beyond an image circle of {diameter:.0f} pixels, of camera {number}\n"
             for number, diameter in self.known_circles.items()
@@ -65,12 +67,12 @@ class DetectorCalibration:
     fit: Fit
     """Limits and scores."""
     rooms: dict[str, float]
-    """Scores in rendered rooms, see `frame_scores`; may be empty."""
+    """Scores of predictions in rendered rooms, see `frame_scores`; may be empty."""
     photographs: int = 0
-    """Number of photographs from which the views are; 0 for renderings."""
+    """Number of photographs that the views were taken from; 0 for rendered views."""
 
     def figures(self) -> dict[str, float]:
-        """All numbers as one row of a table."""
+        """Limits and scores as one row of a table, keyed by column."""
         limits, fit = self.fit.limits, self.fit
         return {
             "views": len(self.views),
@@ -113,23 +115,25 @@ class DetectorCalibration:
 
 
 def predicted_in_frames(limits: Limits, renderer: Renderer, poses: FloatArray) -> BoolArray:
-    """Mask of the tags in frames that are detected according to the limits, `(N, K)`; False for overlapping tags.
+    """Mask of the tags that should be detected in N frames according to the limits, `(N, K)`; False for tags that
+    overlap another tag.
 
     Args:
         limits: limits of the detector.
         renderer: camera and tags.
-        poses: X, `(N, 4, 4)`.
+        poses: poses X of the camera, `(N, 4, 4)`.
     """
     found = limits.found(*qualities(renderer, poses)) & renderer.inside(poses, limits.margin)
     return np.asarray(found & ~overlapping(renderer.room))
 
 
 def frame_scores(predicted: BoolArray, seen: Matches) -> dict[str, float]:
-    """Scores of frames: `frames`, `precision`, `recall`, P(>= n) `predicted_<n>` and `detected_<n>`, `agreement_2`.
+    """Scores of predictions for N frames: number of `frames`, `precision`, `recall`, the fractions P(>= n) of frames
+    with at least n predicted or detected tags, `predicted_<n>` and `detected_<n>`, and `agreement_2`.
 
     Args:
-        predicted: predicted tags, `(N, K)`.
-        seen: matches in the N frames.
+        predicted: mask of the tags that are predicted as detected, `(N, K)`.
+        seen: detections in the N frames, matched with the tags.
     """
     precision, recall = precision_recall(predicted, seen.detected)
     row = {"frames": float(len(predicted)), "precision": float(precision), "recall": float(recall)}
@@ -143,15 +147,15 @@ def fit(views: TagViews, rng: np.random.Generator, margin: float) -> Fit:
     """Fit limits to one half of the views and score them on the other half.
 
     Views without `placed` are halved at random. The minimised value is max(false positives, false negatives), which
-    balances both kinds of error, so that predicted shares such as P(>= n) are unbiased.
+    balances the two kinds of error, so that predicted probabilities such as P(>= n) are unbiased.
 
-    The views of a recording are halved in time, as consecutive images are similar. The minimised value is the number of
-    all errors: balancing the errors would compensate for tags that are missed because of glare or occlusion, which the
-    limits do not model. The margin and the image circles are fitted, too.
+    The views of a recording are halved in time, as consecutive images are similar. The minimised value is the total
+    number of errors: balancing the errors would compensate for tags that are missed because of glare or occlusion,
+    which the limits do not model. The margin and the image circles are fitted, too.
 
     Args:
         views: at least two views; for a recording at two or more times.
-        rng: draws the halves.
+        rng: random generator that halves the views.
         margin: margin of the limits, pixels, as views without `placed` do not determine the margin; for a recording,
             lower bound of the fitted margin.
 
@@ -176,7 +180,9 @@ def fit(views: TagViews, rng: np.random.Generator, margin: float) -> Fit:
 
 
 def predicted_views(views: TagViews, limits: Limits, circles: tuple[float, ...]) -> BoolArray:
-    """Mask of the views that are detected according to limits and image circles, `(M,)`."""
+    """Mask of the views whose tag should be detected according to the detector's limits and the cameras' image circles,
+    `(M,)`.
+    """
     found = limits.found(views.pitch, views.incidence, views.edge, views.sigma)
     if (placed := views.placed) is None:
         return found
@@ -186,8 +192,8 @@ def predicted_views(views: TagViews, limits: Limits, circles: tuple[float, ...])
 def _best(views: TagViews, margin: float) -> tuple[Limits, tuple[float, ...]]:
     """Limits and image circles with the fewest errors on `views`.
 
-    Limits that are optimised jointly form a group. A group is an array of masks: for each choice of these limits, the
-    views that meet them.
+    Limits that are optimised jointly form a group. A group is an array of masks: for each combination of values of
+    these limits, the mask of the views that meet them.
     """
     placed, margins, circles = views.placed, np.array([margin]), []
     sharp = views.pitch >= np.hypot(PITCHES[:, None, None], BLURS[:, None] * views.sigma)  # (A, K, M)
@@ -211,7 +217,7 @@ def _best(views: TagViews, margin: float) -> tuple[Limits, tuple[float, ...]]:
 
 
 def _circles(views: TagViews, placed: Placed) -> list[FloatArray]:
-    """Candidate diameters of the image circle of each camera, descending; the first is infinite."""
+    """For each camera, candidate diameters of its image circle, pixels, descending; the first is infinite."""
     each = []
     for camera in range(placed.camera.max() + 1):
         own = (placed.camera == camera) & np.isfinite(placed.circle)
@@ -227,12 +233,12 @@ def _circles(views: TagViews, placed: Placed) -> list[FloatArray]:
 def _searched(
     groups: list[BoolArray], start: list[Choice], seen: BoolArray, kinds: tuple[Errors, ...]
 ) -> tuple[int, list[Choice]]:
-    """Minimise the objectives `kinds` one after the other, each from the optimum of the previous objective.
+    """Minimise the objectives `kinds` in turn; the search for each starts at the optimum of the previous objective.
 
     The search is a coordinate descent: groups are optimised in turn, each over all of its choices, until none improves.
 
     Returns:
-        minimum of the last objective; choice in each group.
+        minimum of the last objective; chosen indices in each group of limits.
     """
     chosen, least = list(start), 0
     for errors in kinds:
@@ -254,12 +260,12 @@ def _all_errors(predicted: BoolArray, seen: BoolArray) -> NDArray[np.intp]:
 
 
 def _larger_errors(predicted: BoolArray, seen: BoolArray) -> NDArray[np.intp]:
-    """max(false positives, false negatives) along the last axis."""
+    """Larger one of the numbers of false positives and of false negatives, counted along the last axis."""
     return np.asarray(np.maximum((predicted & ~seen).sum(axis=-1), (~predicted & seen).sum(axis=-1)))
 
 
 def limits_markdown(figures: dict[str, dict[str, float]]) -> str:
-    """Table of each detector's limits, with their accuracy on held-out views."""
+    """Markdown table of each detector's limits, with their accuracy on held-out views."""
     head = ["detector", "views", "a", "k", "m [px]", "b [degrees]", "margin [px]"]
     head += ["held-out accuracy / precision / recall"]
     head += [f"rooms: P(>= {n}) predicted / detected" for n in range(1, 5)]

@@ -1,5 +1,5 @@
-"""Quality of a tag's image, which determines the detection: pitch, apparent edge and incidence angle. Errors of
-detected corners as functions of the pitch.
+"""Quality of a tag's image, on which its detection depends: pitch (pixels per module), apparent edge and incidence
+angle. Errors of detected corners as functions of the pitch.
 """
 
 import math
@@ -24,16 +24,17 @@ def pitch(
 ) -> FloatArray:
     """Pitch of tags: pixels per module along the most foreshortened direction.
 
-    The pitch is the smaller singular value of J times edge / N. With s = |J|_F^2 and d = |det J| the singular value is
-    d / sqrt((s + sqrt(s^2 - 4 d^2)) / 2).
+    The pitch is the smaller singular value of J times edge / N, where J is the Jacobian of the projection with respect
+    to displacements in the tag's plane and N the number of modules along an edge. With s = |J|_F^2 and d = |det J| the
+    singular value is d / sqrt((s + sqrt(s^2 - 4 d^2)) / 2).
 
     Args:
         camera: intrinsics and lens.
-        pose: X, camera to world, `(..., 4, 4)`.
-        centres: world frame, metres, `(K, 3)`.
+        pose: poses X of the camera, camera to world, `(..., 4, 4)`.
+        centres: centres of the tags, world frame, metres, `(K, 3)`.
         normals: unit normals of the front faces, `(K, 3)`.
-        tag: number of modules, and edge unless `edges` are given.
-        edges: edge of each tag, metres, `(K,)`.
+        tag: tag type, with the number of modules, and with the edge length unless `edges` are given.
+        edges: edge length of each tag, metres, `(K,)`.
 
     Returns:
         pitches, `(..., K)`, pixels, also for tags seen from behind; NaN for tags behind the camera or outside the view
@@ -53,8 +54,8 @@ def apparent_edge(
     tag: Tag,
     edges: FloatArray | None = None,
 ) -> FloatArray:
-    """Edge of a square with the area of the tag's image, pixels: sqrt(|det J|) times the tag's edge; arguments as for
-    `pitch`.
+    """Edge length, pixels, of a square whose area equals that of the tag's image: sqrt(|det J|) times the tag's edge
+    length; arguments as for `pitch`.
     """
     _, determinant = _stretch(camera, pose, centres, normals)
     return np.asarray(np.sqrt(determinant) * (tag.size if edges is None else edges))
@@ -123,8 +124,8 @@ class CornerErrors(Checked):
     """Mean shift of a tag's edges towards its centre at these pitches, pixels, `(B,)`; included in the error; zeros if
     empty."""
     inward_spread: NotNegative = 0.0
-    """Standard deviation of the shift `inward` over blurs and exposures, pixels; the shift is constant for one camera
-    and light.
+    """Standard deviation of the shift `inward` over blurs and exposures, pixels; for one camera and one light the shift
+    is constant.
     """
 
     def _validate(self) -> None:
@@ -142,7 +143,7 @@ class CornerErrors(Checked):
         return mean, (high - mean) / NORMAL_QUANTILE_90
 
     def draw(self, pitch: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Draw corner errors of tags, pixels, `(..., 4, 2)`, for pitches `(...)`, pixels per module."""
+        """Draw random corner errors of tags, pixels, `(..., 4, 2)`, for pitches `pitch` `(...)`, pixels per module."""
         mean, spread = self._at(pitch)
         error = np.exp(mean + spread * rng.standard_normal(pitch.shape))
         direction = rng.standard_normal((*pitch.shape, 4, 2))
@@ -176,7 +177,9 @@ LEAST_TAGS, MOST_CLASSES, OBLIQUE_CLASSES = 40, 12, 3
 
 
 def inward(image: FloatArray) -> FloatArray:
-    """Displacement of corners `(N, 4, 2)` in an image if all edges move by one pixel towards the middle."""
+    """Displacement of tag corners `(N, 4, 2)` in an image if all edges of a tag move by one pixel towards its middle,
+    pixels.
+    """
     (along, other) = (np.roll(image, way, axis=1) - image for way in (1, -1))
     along, other = (edge / np.linalg.norm(edge, axis=-1, keepdims=True) for edge in (along, other))
     across = np.abs(along[..., 0] * other[..., 1] - along[..., 1] * other[..., 0])
@@ -190,7 +193,9 @@ def shortest_side(image: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class MeasuredCorners:
-    """Errors of corners for one detector, camera and light, by pitch: independent noise and a shift of edges."""
+    """Errors of corners for one detector, camera and light, as functions of the pitch: independent noise and a shift of
+    edges.
+    """
 
     pitch: tuple[float, ...]
     """Pitches, pixels per module, ascending, `(B,)`; the fields below are interpolated in the logarithm of the pitch.
@@ -202,10 +207,11 @@ class MeasuredCorners:
     incidence: tuple[float, ...]
     """Incidence angles, rad, ascending, `(I,)`; `oblique` is interpolated linearly between these angles."""
     oblique: tuple[float, ...]
-    """Variance of the noise at these incidence angles over the variance at the pitch alone, `(I,)`."""
+    """Ratio of the noise's variance at these incidence angles to its variance at the pitch over all angles, `(I,)`."""
     modes: tuple[float, ...]
-    """Variances of the three modes of a tag's noise over their mean: all corners alike; linear in the corner's position
-    on the tag; opposite for the two diagonals. The modes have 2, 4 and 2 of the eight dimensions.
+    """Variances of the three modes of a tag's noise, divided by their mean. The modes are errors that are equal at all
+    corners; errors that are linear in the corner's position on the tag; and errors with opposite signs on the two
+    diagonals. The modes have 2, 4 and 2 of the eight dimensions.
     """
 
     @classmethod

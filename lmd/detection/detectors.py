@@ -66,13 +66,14 @@ class Detector(Protocol):
 
 
 def read_family(name: str, value: Any, table: str, other: str) -> str:
-    """Return the name in `FAMILIES` of the family `value`, after a check that a library reads this family.
+    """Check that a library reads the family `value`, and return the name of this family in `FAMILIES`.
 
     Args:
         name: name of the argument.
         value: name of the family.
-        table: field of a family that holds its name in the library; the field is empty if the library lacks the family.
-        other: the other library.
+        table: field of the entries of `FAMILIES` with the name that the library uses for the family; empty if the
+            library lacks the family.
+        other: library that the error message proposes for a family that this library does not read.
 
     Raises:
         InputError: the library does not read the family.
@@ -95,9 +96,9 @@ class ArucoDetector(Checked):
     """
 
     family: Annotated[str, partial(read_family, table="dictionary", other="AprilTag")] = "36h11"
-    """Tag family: one of `lmd.scene.families.FAMILIES` that OpenCV has."""
+    """Tag family: one of those in `lmd.scene.families.FAMILIES` that OpenCV supports."""
     preset: Annotated[str, partial(choice, options=tuple(ARUCO_PRESETS))] = "default"
-    """Settings of `cv2.aruco`: `default`, or `fine` to detect smaller tags, too."""
+    """Name of the settings of `cv2.aruco`: `default`, or `fine` to detect also smaller tags."""
 
     @property
     def corner_errors(self) -> CornerErrors:
@@ -115,18 +116,18 @@ class ArucoDetector(Checked):
 
 @dataclass(frozen=True)
 class AprilTagDetector(Checked):
-    """AprilTag 3 library, by `pyapriltags`.
+    """Detector of the AprilTag 3 library, called through `pyapriltags`.
 
     Raises:
         InputError: the library lacks the family, or a value is out of range.
     """
 
     family: Annotated[str, partial(read_family, table="apriltag", other="ArUco")] = "36h11"
-    """Tag family: one of `lmd.scene.families.FAMILIES` that the library supports."""
+    """Tag family: one of those in `lmd.scene.families.FAMILIES` that the library supports."""
     quad_decimate: Annotated[float, partial(real, low=1.0)] = 1.0
     """Factor by which the image is downscaled for the detection of quadrilaterals."""
     most_errors: Annotated[int, partial(integer, low=0, high=2)] = 2
-    """Maximum number of corrected bits in a tag; the library corrects two."""
+    """Maximum number of wrong bits in a tag's code that are corrected; the library corrects up to two."""
 
     @property
     def corner_errors(self) -> CornerErrors:
@@ -178,7 +179,7 @@ CORNER_TOLERANCE = 5.0
 
 @dataclass(frozen=True)
 class Matches:
-    """Tags that a detector found in one frame `()`, or in N frames `(N,)`."""
+    """Tags that a detector found in one frame or in N frames; the arrays have a leading axis for the N frames."""
 
     detected: BoolArray
     """True for tags detected with their id within the corner tolerance, `(..., K)`."""
@@ -235,11 +236,11 @@ def match(
 def precision_recall(
     predicted: BoolArray, detected: BoolArray, axis: int | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Precision and recall: share of predicted tags that are detected, and share of detected tags that are predicted.
-    NaN if no tag is predicted, or detected.
+    """Precision and recall: fraction of predicted tags that are detected, and fraction of detected tags that are
+    predicted. NaN if no tag is predicted, or detected.
 
     Args:
-        predicted, detected: `(N, K)`.
+        predicted, detected: masks of the K tags that are predicted and detected in N frames, `(N, K)` each.
         axis: None over all frames and tags, 0 for each tag `(K,)`, 1 for each frame `(N,)`.
     """
     both = (predicted & detected).sum(axis=axis)
@@ -248,16 +249,16 @@ def precision_recall(
 
 
 class Shares(NamedTuple):
-    """Shares of frames with at least n = 1, 2, 3, 4 tags."""
+    """Fractions of frames with at least n tags, for n = 1, 2, 3, 4."""
 
     share: FloatArray
-    """Shares p = P(>= n) of frames with at least n tags, `(4,)`."""
+    """Fractions p = P(>= n) of frames with at least n tags, `(4,)`."""
     error: FloatArray
     """Standard errors sqrt(p (1 - p) / N), `(4,)`."""
 
 
 def shares_of_frames(seen: BoolArray) -> Shares:
-    """Shares of the frames with at least n tags.
+    """Fractions of the frames with at least n tags.
 
     Args:
         seen: mask of the predicted or detected tags, `(N, K)`.
@@ -267,20 +268,22 @@ def shares_of_frames(seen: BoolArray) -> Shares:
 
 
 def agreement(predicted: BoolArray, detected: BoolArray, n: int = 2) -> float:
-    """Share of the frames in which prediction and detection agree on whether there are at least n tags."""
+    """Fraction of the frames in which prediction and detection agree on whether at least n tags are found."""
     return float(((predicted.sum(axis=1) >= n) == (detected.sum(axis=1) >= n)).mean())
 
 
 def corner_error(found: FloatArray, expected: FloatArray) -> FloatArray:
-    """Root mean square distance of four corners from the exact corners, `(..., 4, 2)` each, pixels, `(...)`."""
+    """Root mean square distance of a tag's four corners `found` from the exact corners `expected`, `(..., 4, 2)` each,
+    pixels, `(...)`.
+    """
     return np.asarray(np.sqrt(((found - expected) ** 2).sum(axis=-1).mean(axis=-1)))
 
 
 def quantiles_by(value: FloatArray, error: FloatArray, bounds: ArrayLike, quantiles: Sequence[float]) -> FloatArray:
-    """Quantiles of an error within B classes of another value, `(B, Q)`; NaN for empty classes.
+    """Quantiles of an error within B classes of another quantity, `(B, Q)`; NaN for empty classes.
 
     Args:
-        value, error: arrays of one shape; pairs with a NaN are left out.
+        value, error: the other quantity and the error, arrays of equal shape; pairs with a NaN are left out.
         bounds: bounds of the classes, ascending, `(B + 1,)`; a class contains its lower bound.
         quantiles: Q probabilities.
     """

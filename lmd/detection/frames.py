@@ -36,7 +36,7 @@ def draw_poses(scene: Scene, count: int, seed: int) -> FloatArray:
 
 
 def draw_crowd(scene: Scene, positions: FloatArray, seed: int) -> tuple[Scene, list[FloatArray] | None]:
-    """Draw a fresh crowd for each of N frames.
+    """Draw a new crowd for each of N frames.
 
     Args:
         scene: the scene.
@@ -44,7 +44,8 @@ def draw_crowd(scene: Scene, positions: FloatArray, seed: int) -> tuple[Scene, l
         seed: seed of the crowds.
 
     Returns:
-        scene with N crowd states, and the cylinders in the way in each frame, `(M, 5)` each; None without a crowd.
+        scene with N crowd states; for each frame, the cylinders of people in the camera's way, `(M, 5)`; None without a
+        crowd.
     """
     if scene.crowd is None:
         return scene, None
@@ -55,7 +56,7 @@ def draw_crowd(scene: Scene, positions: FloatArray, seed: int) -> tuple[Scene, l
 
 
 def tagged_room(room: Space, deployment: Deployment, tag: Tag) -> TaggedRoom:
-    """Tags of a deployment, with ids and ups, on the surfaces of a room.
+    """Tags of a deployment, with their ids and up vectors, on the surfaces of a room.
 
     Raises:
         InputError: the tag is a point, or its family is too small.
@@ -66,11 +67,12 @@ def tagged_room(room: Space, deployment: Deployment, tag: Tag) -> TaggedRoom:
 
 
 def qualities(renderer: Renderer, poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Arguments of `Limits.found` for every tag: pitch, incidence angle, apparent edge and blur sigma.
+    """Arguments of `Limits.found` for each of K tags in N frames: pitch, incidence angle, apparent edge, and standard
+    deviation of the blur.
 
     Args:
         renderer: camera and tags.
-        poses: X, `(N, 4, 4)`.
+        poses: poses X of the camera, `(N, 4, 4)`.
     """
     room, camera, imaging = renderer.room, renderer.camera, renderer.imaging
     where, size = (poses, room.centres, room.normals), (room.tag, room.edges)
@@ -81,7 +83,7 @@ def qualities(renderer: Renderer, poses: FloatArray) -> tuple[FloatArray, FloatA
 
 
 def blur(camera: Camera, depth: FloatArray, imaging: Imaging) -> FloatArray:
-    """Total blur sigma [pixels] at `depth` [m], in the shape of `depth`."""
+    """Standard deviation of the total blur, pixels, at `depth` [m], in the shape of `depth`."""
     sigma = blur_sigma(camera, depth, imaging.psf_sigma) if imaging.defocus else np.full_like(depth, imaging.psf_sigma)
     return np.hypot(sigma, imaging.motion_blur / math.sqrt(12.0))  # motion blur has a uniform distribution
 
@@ -115,14 +117,14 @@ def detect_in_frames(
 
     Args:
         renderer: camera in the room.
-        detectors: detectors by name.
-        poses: X of the frames, `(N, 4, 4)`.
+        detectors: detectors, keyed by name.
+        poses: poses X of the camera in the frames, `(N, 4, 4)`.
         first: number of the first frame.
         seed: seed of the noise.
-        people: cylinders in the way in each frame, `(M, 5)` each; None without a crowd.
+        people: for each frame, the cylinders of people in the camera's way, `(M, 5)`; None without a crowd.
 
     Returns:
-        matches of the frames by the name of the detector.
+        matches in the frames, keyed by the name of the detector.
     """
     expected, ids = renderer.corners(poses), renderer.room.ids
     matches: dict[str, list[Matches]] = {name: [] for name in detectors}

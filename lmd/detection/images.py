@@ -34,7 +34,7 @@ TIMES, LEAST = 2.0, 1.0
 
 
 class Images(Protocol):
-    """Interface of grey images, which are read on demand, possibly by several processes."""
+    """Interface of a sequence of grey images, which are read on demand, possibly by several processes."""
 
     @property
     def names(self) -> Sequence[str]:
@@ -87,7 +87,7 @@ class Photographs:
 
     @property
     def unread(self) -> list[str]:
-        """Names of images whose format cannot be read."""
+        """Names of the images whose format is not supported."""
         return [printable(path.name) for path in self._with(UNREAD)]
 
     @property
@@ -160,7 +160,7 @@ def read_image(path: Path, camera: Camera, argument: str) -> UInt8Array:
 
 
 def wrong_size(path: Path, argument: str, written: tuple[int, ...], size: tuple[int, int]) -> InputError:
-    """Error about an image or a video whose size differs from the camera's."""
+    """Make the error about an image or a video whose size differs from the camera's."""
     found, needed = (" x ".join(map(str, pair)) for pair in (written, size))
     return InputError(f"{argument}: {str(path)!r} has {found} pixels, but the camera has {needed}.", argument)
 
@@ -180,8 +180,8 @@ def pixels_of(content: bytes) -> tuple[int, ...] | None:
 
 
 def blur_of(image: UInt8Array, found: Detections, modules: int) -> float:
-    """Blur of an image, pixels: for each tag the standard deviation across its second most blurred edge; median over
-    tags.
+    """Blur of an image, pixels: standard deviation of the blur across the second most blurred edge of each tag; median
+    over the tags.
 
     Across the edge between the detected corners, the distance between 16 and 84 % of the step from black to white is
     two standard deviations of the blur. Motion blurs only the edges perpendicular to the motion.
@@ -189,7 +189,7 @@ def blur_of(image: UInt8Array, found: Detections, modules: int) -> float:
     Args:
         image: grey image, `(h, w)`.
         found: detections in the image.
-        modules: N of the tag family.
+        modules: number N of modules along an edge in the tags' family.
 
     Returns:
         NaN if no tag is large enough.

@@ -37,7 +37,8 @@ Factor = Annotated[tuple[float, float], partial(span, low=1e-3)]
 
 @dataclass(frozen=True)
 class ViewRanges(Checked):
-    """Ranges of the parameters of random views; uniform, except log-uniform for sigma.
+    """Ranges of the parameters of random views, from which they are drawn uniformly; the logarithm is uniform for
+    `sigma`.
 
     Raises:
         InputError: a range is empty or out of bounds.
@@ -50,11 +51,11 @@ class ViewRanges(Checked):
     sigma: Factor = (0.4, 2.0)
     """Standard deviation of the total blur, pixels."""
     noise: Factor = (1.0, 5.0)
-    """Standard deviation of the noise, grey levels; one per image."""
+    """Standard deviation of the noise, grey levels; one value is drawn for each image."""
     texture: Annotated[tuple[float, float], partial(span, low=0.0)] = (0.0, 10.0)
-    """Standard deviation of the background, grey levels; one per image."""
+    """Standard deviation of the background's grey levels; one value is drawn for each image."""
     exposure: Factor = (0.5, 1.1)
-    """Exposure, a factor on the light; one per image."""
+    """Exposure, a factor on the light; one value is drawn for each image."""
 
 
 @dataclass(frozen=True)
@@ -75,13 +76,15 @@ class Mosaics(Checked):
 
     @property
     def photographs(self) -> int:
-        """Number of photographs: 0."""
+        """Number of photographs that the views are taken from: 0, as they are rendered."""
         return 0
 
     def views(
         self, cameras: Sequence[Camera], tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator
     ) -> TagViews:
-        """Views by a single camera, see `sample_views`; light and blur are random instead of those of `imaging`."""
+        """Views by a single camera, see `sample_views`; light and blur are drawn at random, and `imaging` is
+        ignored.
+        """
         return sample_views(only(cameras), tag, detector, self.count, rng, self.sampling)
 
 
@@ -92,10 +95,10 @@ def sample_views(
 
     Args:
         camera: size and focal lengths of the images; its distortion and blur are ignored.
-        tag: family and quiet zone; the edge has no effect, as the pitch determines the depth.
+        tag: family and quiet zone; the edge length has no effect, as the drawn pitch determines the depth.
         detector: detector of the family.
         count: number of views; views too large for the largest tile are left out.
-        rng: source of everything random.
+        rng: random generator for all parameters.
         ranges: ranges of the views.
 
     Raises:
@@ -137,7 +140,9 @@ def _tile_centres(camera: Camera, tile: int, count: int) -> FloatArray:
 def _place(
     camera: Camera, tag: Tag, tile: int, pitches: FloatArray, tilts: FloatArray, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Centres, normals and ups, camera's frame, `(M, 3)`, of tags with random orientation, centred on their tiles."""
+    """Centres, normals and up vectors, `(M, 3)` each, in the camera's frame, of tags with random orientation that are
+    centred on their tiles.
+    """
     matrix = intrinsics(camera)
     at = _tile_centres(camera, tile, len(pitches)) + rng.uniform(-0.5, 0.5, (len(pitches), 2))
     rays = np.insert((at - matrix[:2, 2]) / np.diag(matrix)[:2], 2, 1.0, axis=1)
@@ -149,7 +154,7 @@ def _place(
 
 
 def _across(axes: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Random unit vectors perpendicular to unit vectors `(M, 3)`."""
+    """Random unit vectors, each perpendicular to one of the unit vectors `axes`, `(M, 3)`."""
     drawn = rng.standard_normal(axes.shape)
     drawn -= (drawn * axes).sum(axis=1, keepdims=True) * axes
     return np.asarray(drawn / np.linalg.norm(drawn, axis=1, keepdims=True))

@@ -1,4 +1,4 @@
-"""Detections in the photographs of one or several cameras: folders of images, a video, or a bag."""
+"""Detection of tags in the photographs of one or several cameras, which may be folders of images, a video, or a bag."""
 
 import os
 import sys
@@ -42,7 +42,7 @@ DEEP = ("mono16", "16UC1")  # encodings with two bytes per grey level
 
 @dataclass(frozen=True)
 class BagImages(Checked):
-    """Images of one topic of a bag, sampled at a rate; the names of images are the times in their headers, seconds.
+    """Images of one topic of a bag, sampled at a rate; the name of an image is the time in its header, seconds.
 
     Raises:
         InputError: the rate is not positive, or the topic has no image.
@@ -76,7 +76,9 @@ class BagImages(Checked):
 
     @cached_property
     def _taken(self) -> list[tuple[str, int]]:
-        """Time and time of recording, ns, of each image that is not skipped, by ascending time."""
+        """For each image that is not skipped, the time in its header as a text, and the time of its recording, ns; in
+        the order of the times.
+        """
         found: dict[str, int] = {}
         for message in self.bag.messages(self.topic):
             found.setdefault(message.stamp, message.logged)
@@ -139,7 +141,7 @@ class BagImages(Checked):
 
 
 def images_in(path: Any, topic: Any, rate: float, argument: str, count: int) -> dict[str, BagImages]:
-    """Images of `count` topics of a bag, by topic; arguments as in `Bag.chosen`.
+    """Images of `count` topics of a bag, keyed by topic; arguments as in `Bag.chosen`.
 
     Raises:
         InputError: the bag cannot be read, or lacks the topics.
@@ -156,7 +158,7 @@ def detected_in_photographs(
     given: str | Path, cameras: "Sequence[Camera]", detector: "Detector", modules: int, each: Each, *,
     topic: Any = None, rate: float = 5.0, workers: int | None = None,
 ) -> DetectedTags:  # fmt: skip
-    """Detections in the photographs of all cameras.
+    """Detect tags in the photographs of all cameras.
 
     Args:
         given: folder of images, a video or a bag; for several cameras, a folder with a folder for each camera, or a
@@ -164,7 +166,7 @@ def detected_in_photographs(
         cameras: cameras with the sizes of their images.
         detector: detector of the tags.
         modules: number of modules on an edge in the tags' family.
-        each: function that applies a function to all jobs, and keeps their order.
+        each: function that applies a function to all jobs, and returns the results in the order of the jobs.
         topic: topic of a bag, or of each camera.
         rate: maximum number of frames per second taken from a video or a bag.
         workers: number of processes of `each`, None for one per processor; the result does not depend on this number.
@@ -195,7 +197,7 @@ def detected_in_photographs(
 
 
 class Chunk(NamedTuple):
-    """Consecutive images, for a worker."""
+    """Range of consecutive images, which one worker process reads."""
 
     images: Images
     camera: "Camera"
@@ -208,7 +210,7 @@ class Chunk(NamedTuple):
 def detected_in(
     images: Images, camera: "Camera", detector: "Detector", modules: int, each: Each, workers: int | None
 ) -> DetectedTags:
-    """Detections in images of one camera; images that are much more blurred than the others are left out.
+    """Detect tags in the images of one camera; images that are much more blurred than the others are left out.
 
     Raises:
         InputError: an image cannot be read, or no image shows a tag.

@@ -1,4 +1,4 @@
-"""Comparison of predictions of a visibility model for frames with detections: figures and tables."""
+"""Comparison of a visibility model's predictions with detections in frames: metrics and tables."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -40,24 +40,26 @@ class CameraPrediction:
     poses: FloatArray
     """Poses X of the camera, `(N, 4, 4)`."""
     visible: BoolArray
-    """True for tags that are visible according to the model, `(N, K)`."""
+    """Mask of the tags that are visible according to the model, `(N, K)`."""
     met: Mapping[str, BoolArray]
-    """Mask of the tags that meet a criterion, `(N, K)`, by the criterion's name; empty if the model has none."""
+    """For each criterion of the visibility model, the mask of the tags that meet it, `(N, K)`, keyed by the criterion's
+    name; empty if the model has no criteria.
+    """
     taken: BoolArray | None = None
-    """True for frames with an image, `(N,)`; None if all frames have one. In a frame without an image, no tag is
-    visible or whole.
+    """True for frames with an image, `(N,)`; None if all frames have one. A frame without an image has no visible and
+    no whole tags.
     """
     people: Sequence[FloatArray] | None = None
-    """Cylinders that are in the way in each of the N frames, `(M, 5)` each; None without a crowd."""
+    """For each of the N frames, the cylinders of people in the camera's way, `(M, 5)`; None without a crowd."""
 
     @cached_property
     def corners(self) -> FloatArray:
-        """Exact corners, pixels, `(N, K, 4, 2)`."""
+        """Exact image points of the tags' corners, pixels, `(N, K, 4, 2)`."""
         return self.renderer.corners(self.poses)
 
     @cached_property
     def whole(self) -> BoolArray:
-        """True for tags that show their front, and have all corners in the image, `(N, K)`."""
+        """Mask of the *whole* tags, which show their front and have all corners in the image, `(N, K)`."""
         inside = self.renderer.inside(self.poses)
         return inside if self.taken is None else inside & self.taken[:, None]
 
@@ -76,7 +78,7 @@ class CameraPrediction:
 
 
 def _beside(name: str) -> cached_property[NDArray[Any]]:
-    """Property that concatenates the arrays `name` of all parts, `(N, C K)`."""
+    """Make a property that concatenates the arrays `name` of all cameras along the tags, `(N, C K)`."""
     return cached_property(lambda whole: np.concatenate([getattr(part, name) for part in whole.parts], axis=1))
 
 
@@ -99,7 +101,7 @@ class Prediction:
 
     @cached_property
     def met(self) -> Mapping[str, BoolArray]:
-        """Mask of the tags that meet a criterion, `(N, C K)`, by the criterion's name."""
+        """For each criterion, the mask of the tags that meet it, `(N, C K)`, keyed by the criterion's name."""
         names = self.parts[0].met
         return {name: np.concatenate([part.met[name] for part in self.parts], axis=1) for name in names}
 
@@ -109,26 +111,27 @@ class Prediction:
         return overlapping(self.parts[0].renderer.room)
 
     def by_any(self, which: BoolArray) -> BoolArray:
-        """Logical or over the cameras: `(N, C K)` -> `(N, K)`."""
+        """Mask of the tags for which the mask `which` `(N, C K)` is True for any camera, `(N, K)`."""
         return np.asarray(which.reshape(len(which), len(self.parts), -1).any(axis=1))
 
 
 def figures(prediction: Prediction, seen: Matches) -> dict[str, float]:
-    """Figures of one deployment and one detector.
+    """Metrics of one deployment and one detector.
 
     A frame of a rig consists of the simultaneous images of all cameras. `predicted_<n>`, `detected_<n>` and
-    `agreement_<n>` count tags that any camera shows, and the pose is that of the body; other figures count a tag once
-    per camera.
+    `agreement_<n>` count tags that any camera shows, and the pose is that of the body; the other metrics count a tag
+    once for each camera.
 
-    - `predicted_<n>`, `detected_<n>`: P(>= n), the share of frames with at least n tags; `_error`: its standard error.
-    - `agreement_<n>`: share of frames in which prediction and detection agree on at least n tags.
-    - `precision`, `recall`: over tags.
-    - `left_out`: tags detected but not predicted; `left_out_<criterion>`: the tags among them that fail the criterion.
-    - `overrated`: tags predicted but not detected; among them, `overrated_cut`: tags cut by the image border,
+    - `predicted_<n>`, `detected_<n>`: P(>= n), the fraction of frames with at least n tags; with the suffix `_error`,
+      its standard error.
+    - `agreement_<n>`: fraction of frames in which prediction and detection agree on whether at least n tags are found.
+    - `precision`, `recall`: precision and recall over all tags in all frames.
+    - `left_out`: tags that are detected but not predicted; `left_out_<criterion>`: those that fail the criterion.
+    - `overrated`: tags that are predicted but not detected. Of these, `overrated_cut`: tags cut by the image border;
       `overrated_overlapping`: whole tags that overlap another tag.
     - `false_a_frame`: false detections per frame.
     - `corner_median`, `corner_90`: quantiles of the corner error, pixels.
-    - `pose_share`: share of frames with a pose; quantiles of the pose errors, metres and rad.
+    - `pose_share`: fraction of frames with a pose. Further metrics are quantiles of the pose errors, metres and rad.
     """
     part = prediction.parts[0]
     row: dict[str, float] = {"frames": len(prediction.poses), "tags": part.visible.shape[1]}
@@ -159,7 +162,7 @@ def figures(prediction: Prediction, seen: Matches) -> dict[str, float]:
 
 
 def _quantiles(name: str, values: FloatArray) -> dict[str, float]:
-    """`QUANTILES` of the finite values; NaN if there are none."""
+    """`QUANTILES` of the finite values, keyed by `name` with a suffix; NaN if no value is finite."""
     known = values[np.isfinite(values)]
     return {f"{name}_{key}": float(np.quantile(known, q)) if known.size else np.nan for key, q in QUANTILES.items()}
 
@@ -167,8 +170,8 @@ def _quantiles(name: str, values: FloatArray) -> dict[str, float]:
 def by_pitch(prediction: Prediction, seen: Matches) -> pd.DataFrame:
     """Table of whole tags by classes of pitch.
 
-    Columns: `pitch_from`, `pitch_to` (pixels per module), number of `tags`, shares `predicted` and `detected`, and
-    `corner_median`, `corner_90` (pixels). Classes without a tag are left out.
+    Columns: `pitch_from`, `pitch_to` (pixels per module), number of `tags`, the fractions that are `predicted` and
+    `detected`, and `corner_median`, `corner_90` (pixels). Classes without a tag are left out.
     """
     return _by_class(prediction, seen, "pitch", prediction.pitch, PITCHES)
 
@@ -182,7 +185,7 @@ SHARES = ("tags", "predicted", "detected")  # columns of `_shares`
 
 
 def _shares(prediction: Prediction, seen: Matches, members: BoolArray) -> dict[str, float]:
-    """Number of tags among `members`, and shares of these tags that are `predicted` and `detected`."""
+    """Number of tags in the mask `members`, and fractions of these tags that are `predicted` and `detected`."""
     shares = {"predicted": prediction.visible[members].mean(), "detected": seen.detected[members].mean()}
     return {"tags": int(members.sum())} | shares
 
@@ -224,7 +227,7 @@ def to_markdown(table: pd.DataFrame) -> str:
     """Format `figures` as Markdown, one row for each deployment and detector.
 
     Args:
-        table: columns `deployment` and `detector`, then the figures.
+        table: columns `deployment` and `detector`, followed by the metrics of `figures`.
     """
     criteria = [c.removeprefix("left_out_") for c in table.columns if c.startswith("left_out_")]
     names = ["deployment", "detector"]

@@ -28,12 +28,12 @@ COLUMNS = ("id", "u", "v", "depth", "pitch", "incidence", "edge", "border", "cir
 
 @dataclass(frozen=True)
 class Placed:
-    """Positions of M views in the images of a recording, and times of the images."""
+    """For each of M views, the position of its tag in the image, and the time of the image in a recording."""
 
     camera: IntArray
     """Index of the camera in its rig, `(M,)`."""
     moment: IntArray
-    """Rank of the image's time among all times, `(M,)`."""
+    """Rank of the image's time among the times of all images, `(M,)`."""
     border: FloatArray
     """Minimum distance of the tag's corners from the border of the image, pixels, `(M,)`."""
     circle: FloatArray
@@ -45,18 +45,18 @@ class Placed:
 
 @dataclass(frozen=True)
 class TagViews:
-    """M views of single tags, with detected and missed tags."""
+    """M views of single tags, of detected tags as well as of missed ones."""
 
     pitch: FloatArray
     """Pitch, pixels per module, see `lmd.detection.corner_errors.pitch`, `(M,)`."""
     incidence: FloatArray
     """Angle between the normal of the tag and the direction to the camera, rad, `(M,)`."""
     edge: FloatArray
-    """Edge of a square with the area of the tag's image, pixels, `(M,)`."""
+    """Edge length of a square whose area equals that of the tag's image, pixels, `(M,)`."""
     sigma: FloatArray
     """Standard deviation of the total blur, pixels, `(M,)`."""
     seen: BoolArray
-    """True for detected tags: with their id, and with corners within the tolerance, `(M,)`."""
+    """Mask of the detected tags, which are found with their id and with corners within the tolerance, `(M,)`."""
     error: FloatArray
     """Root mean square error of the corners, pixels, `(M,)`; NaN for tags not detected."""
     placed: Placed | None = None
@@ -71,7 +71,7 @@ class TagViews:
 
     @classmethod
     def concatenated(cls, parts: Sequence["TagViews"]) -> Self:
-        """Concatenate views; `placed` is dropped."""
+        """Concatenate the views of all `parts`; the result has no `placed`."""
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS))
 
 
@@ -108,7 +108,7 @@ class SurveyedViews:
 
     @property
     def photographs(self) -> int:
-        """Number of photographs from which the views are."""
+        """Number of photographs that the views are taken from."""
         texts = self._table.texts
         return len(set(zip(texts[FRAME], texts[CAMERA], strict=True)))
 
@@ -120,7 +120,8 @@ class SurveyedViews:
     def views(
         self, cameras: Sequence[Camera], tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator
     ) -> TagViews:
-        """Views, with the detections that the survey recorded; `tag`, `detector` and `rng` are ignored.
+        """Views in the images of the survey, with the detections that the survey recorded; `tag`, `detector` and `rng`
+        are ignored.
 
         Args:
             cameras: cameras of the images, several for a rig.

@@ -1,10 +1,10 @@
 """Frames of a video.
 
-Frames are identified by their times, which need not be equally spaced. Some containers store no times, and some do not
-support seeking.
+Frames are identified by their times, which need not be equally spaced. Some container formats store no times, and some
+do not support seeking.
 
-The decoder also opens playlists, scripts and descriptions of streams, which name other files and addresses. So a file
-is passed to the decoder only if it begins like a video, and only the demuxer of its container is allowed.
+The decoder would also open playlists, scripts and descriptions of streams, which refer to other files and addresses. So
+a file is passed to the decoder only if it begins like a video, and only the demuxer of its container is allowed.
 """
 
 import codecs
@@ -42,7 +42,7 @@ class Container(NamedTuple):
     demuxers: str
     """FFmpeg's names of the container's demuxers, separated by commas."""
     begins: re.Pattern[bytes]
-    """Pattern of the first bytes of a file."""
+    """Pattern that the first bytes of a file in this format match."""
 
 
 def _kind(name: str, demuxers: str, begins: bytes) -> Container:
@@ -87,7 +87,7 @@ class Video(Checked):
     path: str | Path
     """File of the video."""
     rate: Positive
-    """Number of frames to take per second, at most the rate of the video."""
+    """Number of frames per second that are read, at most the rate of the video."""
     argument: str = "path"
     """Name of the argument that gave the path, for messages."""
 
@@ -104,7 +104,7 @@ class Video(Checked):
 
     @cached_property
     def numbers(self) -> list[int]:
-        """Indices of the frames to take."""
+        """Indices of the frames that are read."""
         return list(range(0, len(self._index.times), max(1, round(self._index.rate / self.rate))))
 
     @property
@@ -124,7 +124,9 @@ class Video(Checked):
 
     @cached_property
     def _index(self) -> "_Index":
-        """Index of all frames. The whole video is read, as the header may have no or a wrong number of frames."""
+        """Index of all frames. The whole video is read for it, as the header may state no number of frames or a wrong
+        one.
+        """
         cv2, video = optional("cv2", "detection"), self._opened()
         try:
             stated, rate = video.get(cv2.CAP_PROP_FRAME_COUNT), float(video.get(cv2.CAP_PROP_FPS))
@@ -154,7 +156,7 @@ class Video(Checked):
 
         Args:
             size: required width and height. Frames keep the sensor's orientation if they then have this size; otherwise
-                they are rotated as the file states. None for any size, in the sensor's orientation.
+                they are rotated as the file states. None to accept any size; frames then keep the sensor's orientation.
 
         Raises:
             InputError: the video cannot be opened, or has frames of another size.
@@ -219,18 +221,18 @@ class Video(Checked):
 
 @dataclass(frozen=True)
 class _Index:
-    """All frames of a video."""
+    """Index of all frames of a video."""
 
     times: list[float]
     """Times of the frames, seconds."""
     rate: float
     """Frames per second."""
     stated: int
-    """Number of frames in the header; 0 if unknown."""
+    """Number of frames that the header states; 0 if it states none."""
     is_timed: bool
     """True if the video stores times."""
     seeks: bool
-    """True if frames can be sought by time."""
+    """True if the decoder can seek frames by their time."""
 
 
 @contextmanager

@@ -40,7 +40,7 @@ def check_printing(name: str) -> None:
 
 
 def not_printed() -> dict[str, str]:
-    """Formats that cannot be printed, with the reasons."""
+    """Printed formats that cannot be written, as a package is missing, keyed by name; the values are the reasons."""
     reasons = {}
     for name, form in all_formats().items():
         if form.on_paper:
@@ -52,8 +52,8 @@ def not_printed() -> dict[str, str]:
 
 
 def one_edge(edges: Sequence[float]) -> str:
-    """Reason why a format with one edge for all tags cannot hold tags with `edges`, metres; the predicate of a
-    sentence.
+    """Reason why a format with one edge length for all tags cannot hold tags with the edge lengths `edges`, metres; the
+    predicate of a sentence.
     """
     return f"it has one edge for all tags, but these have {', '.join(f'{edge:g}' for edge in sorted(edges))} m"
 
@@ -96,19 +96,19 @@ class Export(Checked):
                 raise InputError(f"formats has {name}: {one_edge(tag.sizes)}.", "formats")
 
     def unfit(self, tags: TagMap) -> dict[str, str]:
-        """Formats among `formats` that cannot hold the tags, with the reasons."""
+        """Formats among `formats` that cannot hold the tags, keyed by name; the values are the reasons."""
         several = [tag.size for tag, _ in tags.by_size]
         return {
             name: one_edge(several) for name in self.formats if len(several) > 1 and all_formats()[name].edges == ONE
         }
 
     def silent(self, tags: TagMap) -> tuple[str, ...]:
-        """Names of the formats without tag sizes, if the tags have several sizes; else empty."""
+        """Names of those formats whose files state no tag sizes, if the tags have several sizes; else empty."""
         several = len(tags.by_size) > 1
         return tuple(name for name in self.formats if several and all_formats()[name].edges == NONE)
 
     def writers(self, room: Space, tag: Tag, deployment: Deployment) -> dict[str, Callable[[Path], None]]:
-        """Functions that write the files of the tags, keyed by the names of the files.
+        """Functions that write the tags, each to the path of a file, keyed by the name of the file.
 
         Raises:
             InputError: there are formats, and the tag is a point, the family lacks an id, or a format cannot hold the

@@ -19,20 +19,22 @@ CLASS = "VisionUncertainty"
 
 @dataclass(frozen=True)
 class FilterLaws:
-    """Laws for the code."""
+    """Uncertainty laws (see `lmd.estimation.deviation_law`) for which code is written."""
 
     laws: Mapping[str, Law]
-    """Laws of `horizontal`, `vertical`, `tilt` and `heading`."""
+    """Laws for the standard deviations of `horizontal` and `vertical` position, and of `tilt` and `heading`, keyed by
+    these names.
+    """
     rules: Mapping[str, Mapping[str, Rule]]
-    """Rules `squared` and `photonvision` for `horizontal` and `heading`."""
+    """Rules `squared` and `photonvision` for the standard deviations of `horizontal` position and `heading`."""
     reach: float
     """Distance of a single tag above which its pose is ambiguous, metres; infinite without a limit."""
     nearest: float
-    """Least mean distance of tags in the views to which the laws were fitted, metres."""
+    """Smallest mean distance of the tags in view, among the views to which the laws were fitted, metres."""
     farthest: float
-    """Greatest mean distance of these views, metres."""
+    """Greatest mean distance of the tags in view among these views, metres."""
     about: str
-    """Description of the room, the tags and the camera in a line."""
+    """Description of the room, the tags and the camera, on one line."""
 
     def __post_init__(self) -> None:
         if "\n" in self.about:
@@ -48,7 +50,7 @@ def _row(law: PowerLaw) -> str:
 
 
 def java(laws: FilterLaws) -> str:
-    """Java class for WPILib."""
+    """Text of a Java class for WPILib."""
     h, t = laws.laws["horizontal"], laws.laws["heading"]
     squared, photon = laws.rules["squared"], laws.rules["photonvision"]
     reach = "Double.POSITIVE_INFINITY" if np.isinf(laws.reach) else _number(laws.reach)

@@ -22,7 +22,7 @@ def draw_fixture(canvas: Any, kind: str, ring: FloatArray, name: str = "") -> No
     """Draw a fixture on the view of a wall: `ring` `(N, 2)` on the page, mm.
 
     A door has two diagonals to the middle of its right side, a window has a cross, furniture is hatched, and other
-    fixtures have an outline.
+    fixtures have only an outline.
     """
     (left, bottom), (right, top) = ring.min(axis=0).tolist(), ring.max(axis=0).tolist()
     middle = (left + right) / 2.0, (bottom + top) / 2.0
@@ -51,7 +51,8 @@ def _lines(kind: str, left: float, bottom: float, right: float, top: float) -> l
 
 
 def draw_opening(canvas: Any, kind: str, ends: FloatArray) -> None:
-    """Draw a door, a window or another fixture in a wall, from above, between its `ends` `(2, 2)` on the page, mm.
+    """Draw a door, a window or another fixture in a wall as seen from above, between its `ends` `(2, 2)` on the page,
+    mm.
 
     A door is a gap in the wall, a window is two lines, and another fixture is a broken line.
     """
@@ -74,7 +75,7 @@ def draw_opening(canvas: Any, kind: str, ends: FloatArray) -> None:
 
 
 def draw_legend(canvas: Any, x: float, y: float, kinds: Sequence[str]) -> None:
-    """Draw the legend of a floor plan's symbols, in a line."""
+    """Draw the legend of a floor plan's symbols on one line."""
     for kind in kinds:
         if kind == "furniture":
             draw_fixture(canvas, kind, np.array([(x, y), (x + 6.0, y), (x + 6.0, y + 3.0), (x, y + 3.0)]))
@@ -100,7 +101,9 @@ ARROW = 6.3  # length of the arrows of the axes
 
 
 def scale_of(room: Space, width: float, height: float, scales: tuple[int, ...]) -> int:
-    """Largest of `scales` at which the floor plan fits into `width` x `height`, mm."""
+    """First of `scales` (1 : scale) at which the floor plan fits into `width` x `height`, mm; the last one if it fits
+    at none.
+    """
     low, high = room.bounds()
     across, up = (1000.0 * (high - low)[:2]).tolist()
     fits = [one for one in scales if across <= one * (width - 2.0 * AROUND) and up <= one * (height - 2.0 * AROUND)]
@@ -174,13 +177,15 @@ def draw_floor_plan(canvas: Any, tags: TagMap, left: float, top: float, scale: i
 
 
 def numbers_of(places: IntArray) -> str:
-    """Text with the first and the last of `places` in the order of hanging, counted from 1."""
+    """Text with the first and the last of `places`, ascending positions in the order of hanging, which count from 0;
+    the text counts from 1.
+    """
     first, last = int(places[0]) + 1, int(places[-1]) + 1
     return f"{first}" if first == last else f"{first} to {last}"
 
 
 def _ends(footprint: Any) -> FloatArray:
-    """Two corners of a shapely line or polygon that are farthest from each other, `(2, 2)`."""
+    """The two vertices of a shapely line or polygon that are farthest from each other, `(2, 2)`."""
     corners = np.array(getattr(footprint, "exterior", footprint).coords)
     distance = np.linalg.norm(corners[:, None] - corners, axis=-1)
     return corners[list(np.unravel_index(distance.argmax(), distance.shape))]
@@ -196,10 +201,12 @@ def _write_along(
     bold: bool = False,
     needed: bool = True,
 ) -> None:
-    """Write a text beside a line between `ends` `(2, 2)`, in direction `way` from it, clear of the boxes in `taken`.
+    """Write a text beside the line between `ends` `(2, 2)`, in the direction `way` from the line, without overlap with
+    the boxes in `taken`.
 
-    The text runs along the line, or upright if the line is too short. The box of the text is added to `taken`. A text
-    that had to move is connected to its wall by a line, or left out if the text is not `needed`.
+    The text is parallel to the line, or horizontal if the line is too short. The box of the text is added to `taken`. A
+    text that had to move away from its wall is connected to the wall by a line. A text that finds no free space nearby
+    is left out, unless it is `needed`.
     """
     import shapely
 
@@ -228,7 +235,7 @@ def _write_along(
 
 
 def _draw_tag(canvas: Any, at: FloatArray, normal: FloatArray) -> None:
-    """Draw a tag: a triangle on its wall, or a square for a horizontal tag, filled if on the floor."""
+    """Draw a tag: a triangle on its wall, or a square for a horizontal tag, which is filled if the tag faces up."""
     if abs(normal[2]) > FLAT:
         canvas.rect(*(at - TAG / 3.0).tolist(), TAG / 1.5, TAG / 1.5, stroke=1, fill=int(normal[2] > 0.0))
         return
@@ -238,7 +245,9 @@ def _draw_tag(canvas: Any, at: FloatArray, normal: FloatArray) -> None:
 
 
 def _write_ids(canvas: Any, text: str, at: FloatArray, way: FloatArray, taken: list[Any]) -> None:
-    """Write ids in front of a tag, clear of the boxes in `taken`; the ids' box is added to `taken`."""
+    """Write ids in front of a tag, without overlap with the boxes in `taken`; the box of the ids is added to
+    `taken`.
+    """
     import shapely
 
     half = np.array([width_of(text, ID), ID]) / 2.0

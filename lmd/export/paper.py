@@ -1,5 +1,5 @@
-"""Pages as PDF, in millimetres from the lower left corner, and the layout of tags on sheets. Equal drawings give
-equal bytes.
+"""Pages as PDF, in millimetres from the lower left corner, and the layout of tags on sheets. Equal drawings give files
+with equal bytes.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -23,8 +23,8 @@ LONGEST = 24  # greatest number of letters of a name
 
 @contextmanager
 def document(path: Path, title: str) -> Iterator[Any]:
-    """Context with a reportlab canvas, which is saved to `path` at the end. A page begins with `begin_page` and ends
-    with `showPage`.
+    """Context manager that yields a reportlab canvas, and saves it to `path` at the end. A page begins with
+    `begin_page` and ends with `showPage`.
     """
     canvas = optional("reportlab.pdfgen.canvas", "export").Canvas(str(path), invariant=1)
     canvas.setTitle(title)
@@ -34,7 +34,7 @@ def document(path: Path, title: str) -> Iterator[Any]:
 
 
 def begin_page(canvas: Any, width: float, height: float) -> None:
-    """Begin a page of a size in mm; all lengths on the page, including sizes of letters, are in mm."""
+    """Begin a page of `width` x `height`, mm; all lengths on the page, including sizes of letters, are in mm."""
     canvas.setPageSize((width * POINTS, height * POINTS))
     canvas.scale(POINTS, POINTS)
     canvas.setLineWidth(LINE)
@@ -42,7 +42,7 @@ def begin_page(canvas: Any, width: float, height: float) -> None:
 
 @cache
 def _own_font(bold: bool) -> str:
-    """Register matplotlib's font, which has more letters than PDF's own fonts, and return its name."""
+    """Register matplotlib's font, which has more letters than the standard fonts of PDF, and return its name."""
     from matplotlib import get_data_path
 
     metrics, fonts = (optional(f"reportlab.pdfbase.{name}", "export") for name in ("pdfmetrics", "ttfonts"))
@@ -52,7 +52,9 @@ def _own_font(bold: bool) -> str:
 
 
 def font_of(text: str, bold: bool) -> str:
-    """Font of a text: a font of the viewer for Western European letters, else a font embedded in the file."""
+    """Name of the font for a text: a standard font of PDF viewers for Western European letters, else a font that is
+    embedded in the file.
+    """
     try:
         text.encode("cp1252")
     except UnicodeEncodeError:
@@ -107,7 +109,7 @@ def write_on_white(canvas: Any, x: float, y: float, text: str, *, size: float) -
 
 
 def polygon(canvas: Any, points: Iterable[Sequence[float]]) -> Any:
-    """Path around points."""
+    """Closed path through `points`, `(N, 2)`, for the canvas to draw or fill."""
     shape, (first, *others) = canvas.beginPath(), points
     shape.moveTo(*first)
     for point in others:
@@ -136,9 +138,11 @@ ROUNDING = 1e-6
 
 
 class Layout(NamedTuple):
-    """Sheets with tags that are separated by straight cuts. Lengths in mm.
+    """Arrangement of tags on sheets, separated by straight cuts; lengths in mm. A tag with its white margin is called a
+    *paper*.
 
-    page: width and height. columns, rows: numbers of papers. left, top: corner of all papers. pitch: row distance.
+    page: width and height of a sheet. columns, rows: numbers of papers on a sheet. left, top: upper left corner of the
+    block of all papers. pitch: distance of rows.
     """
 
     page: tuple[float, float]
@@ -161,7 +165,9 @@ def label_size(tag: Tag) -> float:
 
 
 def layout(tag: Tag, paper: str) -> Layout:
-    """Layout, portrait or landscape, with the most tags on a sheet; a larger tag has a page of its own size."""
+    """Layout, portrait or landscape, with the most tags on a sheet; for a tag larger than a sheet, a page of the tag's
+    own size.
+    """
     if (fullest := _fullest(tag, paper)).per_sheet:
         return fullest
     plate = MM_PER_M * tag.paper_edge
@@ -169,7 +175,7 @@ def layout(tag: Tag, paper: str) -> Layout:
 
 
 def largest_whole(tag: Tag, paper: str) -> float:
-    """Largest edge, metres, at which a tag like `tag` is printed on a sheet."""
+    """Largest edge length, metres, at which a tag of the family and margins of `tag` fits on a sheet."""
     low, high = 0.0, max(PAPERS[paper]) / MM_PER_M
     while high - low > ROUNDING:
         middle = (low + high) / 2.0
@@ -187,7 +193,9 @@ def _fullest(tag: Tag, paper: str) -> Layout:
 
 
 def _pitch(tag: Tag) -> float:
-    """Distance of rows, mm; a label that does not fit into the margin of its tag is above the tag."""
+    """Distance of rows, mm; it includes space for the label above a tag if the label does not fit into the tag's
+    margin.
+    """
     return MM_PER_M * tag.paper_edge + (0.0 if label_size(tag) else LABEL + 2.0 * LABEL_GAP)
 
 

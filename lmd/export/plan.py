@@ -38,7 +38,9 @@ LIGHT = 0.85  # grey level of tags' squares, and of lines below rows
 
 
 class Table(NamedTuple):
-    """Table on the right of a page: widths of the columns, mm; lines of the head; indices of columns of boxes."""
+    """Table on the right of a page. `widths` are those of the columns, mm; `head` has the lines of the head; `boxes`
+    are the indices of the columns in which boxes are drawn.
+    """
 
     widths: tuple[float, ...]
     head: tuple[tuple[str, ...], ...]
@@ -50,16 +52,16 @@ class Table(NamedTuple):
         return sum(self.widths)
 
     def fitting(self, height: float) -> int:
-        """Number of rows that fit on a page of a height, mm."""
+        """Number of rows that fit on a page with the height `height`, mm."""
         return int((height - 2.0 * MARGIN - HEAD) // ROW) - len(self.head)
 
     def pages(self, rows: int, height: float) -> int:
-        """Number of pages for a number of rows."""
+        """Number of pages that `rows` rows need at the page height `height`, mm."""
         return max(1, math.ceil(rows / self.fitting(height)))
 
 
 def begin_titled(canvas: Any, size: tuple[float, float], title: str, facts: str) -> None:
-    """Begin a page of a size, mm, with a title, a line of facts below the title, and the page's number."""
+    """Begin a page of `size`, mm, with a title, the line `facts` below the title, and the page's number."""
     begin_page(canvas, *size)
     write_text(canvas, MARGIN, size[1] - MARGIN - TITLE, title, size=TITLE, bold=True)
     write_text(canvas, MARGIN, size[1] - MARGIN - TITLE - 1.5 * TEXT, facts, size=TEXT)
@@ -139,7 +141,7 @@ class View:
         return self.surface.from_left_and_below(np.stack(self.surface.coordinates(points), axis=-1))
 
     def corner(self, right: bool, top: bool) -> FloatArray:
-        """Corner of the surface in the world, `(3,)`."""
+        """Corner of the surface, on its right or left and at its top or bottom, in the world frame, metres, `(3,)`."""
         width, height = self.surface.extent
         return self.surface.point(*self.surface.from_left_and_below(np.array([width * right, height * top])))
 
@@ -221,13 +223,17 @@ def _draw_free(canvas: Any, size: tuple[float, float], tags: TagMap, places: Int
 
 
 def _named(tags: TagMap, place: int, k: int) -> list[str]:
-    """First texts of the row of tag k, number `place` in the order of hanging; with the tag's edge if edges differ."""
+    """Texts of the first columns in the row of tag k, which is number `place` (from 0) in the order of hanging; with
+    the tag's edge length if the tags have several edge lengths.
+    """
     edge = [f"{MM_PER_M * tags.sizes[k]:.4g}"] if len(tags.by_size) > 1 else []
     return ["", str(place + 1), str(tags.ids[k]), *edge]
 
 
 def _sized(table: Table, tags: TagMap) -> Table:
-    """Table of tags, with a column of edges after the first three columns if there are several edges."""
+    """Table of tags; if the tags have several edge lengths, with a column of edge lengths after the first three
+    columns.
+    """
     if len(tags.by_size) == 1:
         return table
     head = tuple((*line[:3], text, *line[3:]) for line, text in zip(table.head, ("edge,", "mm"), strict=True))
@@ -236,7 +242,7 @@ def _sized(table: Table, tags: TagMap) -> Table:
 
 
 def _draw_outline(canvas: Any, origin: tuple[float, float], tags: TagMap, view: View, scale: int) -> None:
-    """Draw a surface: allowed regions, fixtures, size, and corners in the world."""
+    """Draw a surface: allowed regions, fixtures, size, and coordinates of corners in the world frame."""
     left, below = origin
     width, height = (MM_PER_M * length / scale for length in view.surface.extent)
     canvas.setFillGray(FORBIDDEN)
@@ -270,7 +276,7 @@ def _draw_outline(canvas: Any, origin: tuple[float, float], tags: TagMap, view: 
 
 
 def _draw_dimension(canvas: Any, x: float, y: float, length: float, text: str) -> None:
-    """Draw a line of a length with marked ends, and a text below its middle."""
+    """Draw a dimension: a horizontal line of the length `length` with marked ends, and a text below its middle."""
     canvas.line(x, y, x + length, y)
     for end in (x, x + length):
         canvas.line(end, y - TICK, end, y + TICK)

@@ -1,8 +1,9 @@
-"""Print sheets with tags of true size to cut out, the smallest sizes first, in the order of hanging.
+"""Print sheets with tags of true size, to be cut out; the smallest tags come first, and tags of one size are in the
+order of hanging.
 
 The white margin of each tag has an arrow that points up, the number of the tag and the name of its surface. A tag that
-is larger than a sheet has a page of its own size, for a print shop. A ruler shows if the printer kept the scale. The
-black modules of a tag are one path, so that no viewer shows seams between them.
+is larger than a sheet has a page of its own size, for a print shop. A printed ruler shows whether the printer kept the
+scale. The black modules of a tag are one path, so that no viewer shows seams between them.
 """
 
 from collections.abc import Iterable
@@ -110,7 +111,7 @@ def _write_label(canvas: Any, text: str, x: float, top: float, size: float, righ
 
 
 def _draw_cuts(canvas: Any, page: tuple[float, float], xs: Iterable[float], ys: Iterable[float]) -> None:
-    """Draw marks beyond both ends of the cuts at `xs` and `ys`, or on the cuts if the sheet ends there."""
+    """Draw cutting marks beyond the two ends of each cut at `xs` and `ys`, or on the cut if the sheet ends there."""
     away = MARK_GAP + MARK
     lefts, rights = max(min(xs) - away, MARGIN), min(max(xs) + away, page[0] - MARGIN)
     bottoms, tops = max(min(ys) - away, MARGIN + FOOTER - 1.0), min(max(ys) + away, page[1] - MARGIN)

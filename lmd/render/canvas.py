@@ -30,10 +30,11 @@ SHIFT = 4
 
 
 class Canvas:
-    """Light on a pinhole image, grey levels as float32.
+    """Light on a pinhole image, in grey levels stored as float32.
 
     Args:
-        matrix: K, camera to homogeneous image coordinates from the border, `(3, 3)`.
+        matrix: intrinsic matrix K, from the camera's frame to homogeneous image coordinates that count from the border,
+            `(3, 3)`.
         size: width and height, pixels.
         imaging: grey levels and sampling.
     """
@@ -44,12 +45,14 @@ class Canvas:
         self.cv2: Any = optional("cv2", "detection")
 
     def outline(self, polygon: FloatArray) -> FloatArray:
-        """Image, pixels, `(m, 2)`, of a convex polygon `(M, 3)`, camera frame, metres, clipped at the near plane."""
+        """Outline in the image, pixels, `(m, 2)`, of a convex polygon `(M, 3)`, camera frame, metres, which is clipped
+        at the near plane.
+        """
         image = clipped(polygon) @ self.matrix.T
         return np.asarray(image[:, :2] / image[:, 2:])
 
     def surface(self, plane: FloatArray, shape: FloatArray, grey: float, pattern: Float32Array | None) -> FloatArray:
-        """Draw a convex part of a plane.
+        """Draw a convex polygon of a plane.
 
         Args:
             plane: the columns are the unit vectors u, v and the origin, metres; camera frame, `(3, 3)`.
@@ -125,7 +128,7 @@ class Canvas:
         """Blend a tag over a window of the image; the window may reach beyond the image.
 
         Args:
-            drawn: white share and opacity of each pixel, `(h, w, 2)`.
+            drawn: whiteness and opacity of each pixel, from 0 to 1, `(h, w, 2)`.
             window: x, y, width and height, pixels.
         """
         x, y, width, height = window
@@ -179,7 +182,7 @@ class Canvas:
 
 
 def clipped(polygon: FloatArray) -> FloatArray:
-    """Part of a convex polygon `(M, 3)` (camera frame) with z >= `NEAR_PLANE`, `(m, 3)`, possibly empty."""
+    """Part of a convex polygon `(M, 3)`, camera frame, metres, where z >= `NEAR_PLANE`; `(m, 3)`, possibly empty."""
     depth = polygon[:, 2] - NEAR_PLANE
     if (depth >= 0.0).all():
         return polygon
@@ -200,7 +203,9 @@ def _area(outline: FloatArray) -> float:
 
 @lru_cache(maxsize=512)
 def texture(tag: Tag, number: int, texels: int) -> UInt8Array:
-    """Texture of a tag with its quiet zone, `texels` per module: whiteness and opacity, 0 or 255, `(S, S, 2)`."""
+    """Texture of a tag with its quiet zone, with `texels` texels per module along each axis: whiteness and opacity, 0
+    or 255, `(S, S, 2)`.
+    """
     modules = np.where(tag.picture(number), 255, 0).astype(np.uint8)
     margin = round(tag.quiet_zone * texels)
     white = np.pad(np.kron(modules, np.ones((texels, texels), dtype=np.uint8)), margin, constant_values=255)
@@ -232,7 +237,7 @@ def pattern(amplitude: float, rng: np.random.Generator) -> Float32Array:
 
     Args:
         amplitude: standard deviation, grey levels.
-        rng: source of the pattern.
+        rng: random generator for the pattern.
     """
     frequency = np.hypot(*np.meshgrid(np.fft.rfftfreq(PATTERN), np.fft.fftfreq(PATTERN)))
     # Limits the amplitude of waves longer than an eighth of the period, which would look like a gradient of the wall.

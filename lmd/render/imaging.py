@@ -29,7 +29,8 @@ Grey = Annotated[float, partial(real, low=0.0, high=GREY_LEVELS)]
 
 @dataclass(frozen=True)
 class Imaging(Checked):
-    """Settings of an 8-bit image. Brightness of surfaces is given as grey levels at exposure 1 and gamma 1.
+    """Settings for the rendering of 8-bit images. The brightness of surfaces is given as grey levels at exposure 1 and
+    gamma 1.
 
     Raises:
         InputError: a value is out of range.
@@ -40,7 +41,7 @@ class Imaging(Checked):
     defocus: Switch = True
     """True to add the blur of a thin lens with the camera's aperture and focus distance."""
     motion_blur: NotNegative = 0.0
-    """Length of the motion blur at the image centre, by a rotation in a random direction, pixels."""
+    """Length of the motion blur at the image centre, pixels; the camera rotates in a random direction."""
     noise: NotNegative = 2.0
     """Standard deviation of the noise of a pixel, grey levels."""
     exposure: Positive = 1.0
@@ -48,9 +49,9 @@ class Imaging(Checked):
     gamma: Positive = 1.0
     """Exponent in grey = 255 (light / 255)^(1 / gamma)."""
     white: Grey = 220.0
-    """White of a tag, grey levels."""
+    """Brightness of a tag's white parts, grey levels."""
     black: Grey = 25.0
-    """Black of a tag, grey levels."""
+    """Brightness of a tag's black parts, grey levels."""
     wall: Grey = 150.0
     """Mean brightness of surfaces, grey levels; shading depends on the normal, see `shade`."""
     texture: NotNegative = 0.0
@@ -83,7 +84,7 @@ class Imaging(Checked):
 def _grain(shape: tuple[int, ...], rng: np.random.Generator) -> Float32Array:
     """Draw standard normal noise: a random section of a long cached array.
 
-    Drawing new numbers would double the time of an image. Two images may share numbers at different pixels.
+    Drawing new numbers would double the time to render an image. Two images may have equal numbers at different pixels.
     """
     size, begin = math.prod(shape), int(rng.integers(SPARE_GRAIN))
     return _grain_row(size + SPARE_GRAIN)[begin : begin + size].reshape(shape)
@@ -91,7 +92,7 @@ def _grain(shape: tuple[int, ...], rng: np.random.Generator) -> Float32Array:
 
 @lru_cache(maxsize=2)
 def _grain_row(size: int) -> Float32Array:
-    """Standard normal numbers from a constant seed, `(size,)`."""
+    """Standard normal random numbers from a constant seed, `(size,)`."""
     return np.random.default_rng(0x6E6F697365).standard_normal(size, dtype=np.float32)
 
 

@@ -1,8 +1,8 @@
 """Frames of a camera in a room with tags.
 
-A frame is assembled from its faces, which are pinhole images. Without distortion, the frame is its only face. For a
-distorting lens, faces are remapped to the frame: one face up to a `Camera.widest_angle` of `ONE_FACE`, otherwise the
-visible faces of a cube around the camera.
+A frame is assembled from its *faces*: pinhole images, each of which fills a part of the camera's image. Without
+distortion, the frame is its only face. For a distorting lens, faces are remapped to the frame: one face up to a
+`Camera.widest_angle` of `ONE_FACE`, otherwise the visible faces of a cube around the camera.
 """
 
 import math
@@ -61,7 +61,9 @@ class Face(NamedTuple):
     """Mask of the pixels of the camera's image that show the face, `(h, w)`."""
 
     def scale(self, camera: Camera, point: FloatArray) -> float:
-        """Pixels of the camera's image per pixel of the face, near a point `(3,)` in the camera's frame."""
+        """Scale of the camera's image relative to the face, in pixels per pixel of the face, near the image of a point
+        `(3,)` in the camera's frame.
+        """
         if camera.lens is None:
             return 1.0
         ahead, angle = point / np.linalg.norm(point), math.atan2(math.hypot(point[0], point[1]), point[2])
@@ -89,8 +91,8 @@ class Renderer:
         """Render the image from a pose.
 
         Args:
-            pose: X, camera to world, in the middle of the exposure, `(4, 4)`.
-            rng: source of the noise, and of the direction of the motion.
+            pose: pose X, camera to world, in the middle of the exposure, `(4, 4)`.
+            rng: random generator for the noise, and for the direction of the motion.
             motion: body twist (w, v) times the exposure time, rad and metres, `(6,)`; None for `Imaging.motion_blur`.
 
         Returns:
@@ -102,14 +104,17 @@ class Renderer:
         return self.imaging.develop(_assembled(faces_of(self.camera), lights), rng)
 
     def corners(self, pose: FloatArray) -> FloatArray:
-        """Exact images of the tags' corners from poses `(..., 4, 4)`, pixels from the border, `(..., K, 4, 2)`.
+        """Exact image points of the tags' corners, seen from camera poses `(..., 4, 4)`, pixels from the border, `(...,
+        K, 4, 2)`.
 
         Tags outside the image, facing away or occluded are included. NaN as in `lmd.geometry.projection.project`.
         """
         return self._images(pose, self.room.corners)
 
     def picture_corners(self, pose: FloatArray) -> FloatArray:
-        """Like `corners`, but for the corners of the tags' whole pictures."""
+        """Like `corners`, but for the corners of the tags' whole pictures, which may be larger than the black
+        squares.
+        """
         return self._images(pose, self.room.picture_corners)
 
     def _images(self, pose: FloatArray, squares: FloatArray) -> FloatArray:
@@ -120,7 +125,7 @@ class Renderer:
         """Mask of the tags that face the camera with the whole picture in the image, `(..., K)`.
 
         Args:
-            pose: X, camera to world, `(..., 4, 4)`.
+            pose: poses X, camera to world, `(..., 4, 4)`.
             margin: least distance of the corners from the border of the image, pixels.
         """
         room, size = self.room, np.array(image_size(self.camera))
@@ -130,11 +135,13 @@ class Renderer:
         return np.asarray(within & ((towards * room.normals).sum(axis=-1) > 0.0))
 
     def _lights(self, pose: FloatArray) -> list[Float32Array]:
-        """Light on each face from one pose."""
+        """Light on each face, rendered from one pose."""
         return [self._light(pose, face) for face in faces_of(self.camera)]
 
     def _light(self, from_camera: FloatArray, face: Face) -> Float32Array:
-        """Light on one face: surfaces, then people, from far to near, all blurred; then tags from far to near."""
+        """Light on one face. Surfaces are drawn first, then people, from far to near, and blurred; then tags from far
+        to near.
+        """
         pose = from_camera.copy()
         pose[:3, :3] = from_camera[:3, :3] @ face.turn.T
         canvas = Canvas(face.matrix, face.size, self.imaging)
@@ -157,7 +164,9 @@ class Renderer:
         return canvas.light
 
     def _sigma(self, square: FloatArray, face: Face) -> float:
-        """Blur sigma of a tag in a face, pixels: blur at the depth of the tag's centre divided by the face's scale."""
+        """Standard deviation of a tag's blur in a face, pixels of the face: the blur at the depth of the tag's centre,
+        divided by the scale of the camera's image relative to the face.
+        """
         centre, sigma, camera = face.turn.T @ square.mean(axis=0), self.imaging.psf_sigma, self.camera
         if self.imaging.defocus:
             sigma = float(blur_sigma(camera, max(float(depth_in_focus(camera, centre)), NEAR_PLANE), sigma))
@@ -171,7 +180,7 @@ class Renderer:
         return np.array([down, -right, 0.0, 0.0, 0.0, 0.0])
 
     def _moving(self, pose: FloatArray, motion: FloatArray) -> list[Float32Array]:
-        """Light on each face averaged over a motion, in steps of about a pixel."""
+        """Light on each face, averaged over poses along a motion, in steps of about a pixel."""
         ends = [self.corners(pose @ exp(t * motion))[self.inside(pose)] for t in (-0.5, 0.5)]
         shift = np.linalg.norm(ends[1] - ends[0], axis=-1)
         longest = float(np.nanmax(shift)) if np.isfinite(shift).any() else 0.0
@@ -184,7 +193,7 @@ class Renderer:
 
     @property
     def _pattern(self) -> Float32Array | None:
-        """Pattern of all surfaces; None for plain surfaces."""
+        """Pattern of grey levels on all surfaces; None for plain surfaces."""
         if self.imaging.texture == 0.0:
             return None
         longest = max((float(surface.parts.max()) for surface in self.room.surfaces), default=0.0)
@@ -198,7 +207,7 @@ def _from_afar(surfaces: Sequence[Surface], position: FloatArray) -> list[tuple[
 
 
 def _middle(surface: Surface, part: FloatArray) -> FloatArray:
-    """Middle of the box around a part of a surface, world frame, metres, `(3,)`."""
+    """Middle of the bounding box of a part of a surface, world frame, metres, `(3,)`."""
     a, b = (part.min(axis=0) + part.max(axis=0)) / 2.0
     return np.asarray(surface.origin + a * surface.u + b * surface.v)
 
@@ -227,7 +236,9 @@ def faces_of(camera: Camera) -> tuple[Face, ...]:
 
 
 def _face(turn: FloatArray, focal: FloatArray, rays: FloatArray, taken: BoolArray) -> Face:
-    """Smallest face that contains the rays `(h, w, 3)` of the pixels `taken`."""
+    """Smallest face (pinhole image) with the rotation `turn` and the focal lengths `focal` that contains the rays of
+    the pixels in the mask `taken` `(h, w)`; `rays` are those of all pixels, camera's frame, `(h, w, 3)`.
+    """
     x, y, z = np.moveaxis(rays @ turn.T, -1, 0)
     with np.errstate(all="ignore"):
         at = np.stack([focal[0] * x / z, focal[1] * y / z], axis=-1)

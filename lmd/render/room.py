@@ -1,4 +1,4 @@
-"""Tags in front of surfaces, for a renderer."""
+"""Tags on the surfaces of a room, with people, for a renderer."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,7 +17,9 @@ SIDES = 32  # number of sides of a prism; error of its outline: r (1 - cos(pi / 
 
 
 def faces_of(people: FloatArray) -> tuple[Surface, ...]:
-    """Surfaces of prisms that approximate the sides and tops of the cylinders `(N, 5)`."""
+    """Surfaces of prisms that approximate people: sides and tops of the cylinders `people` `(N, 5)`, see
+    `lmd.space.crowd`.
+    """
     import shapely
 
     faces = []
@@ -50,7 +52,7 @@ class TaggedRoom:
     """
 
     tag: Tag
-    """Family of all tags, and their edge unless `edges` are given."""
+    """Family of all tags, and their edge length unless `edges` are given."""
     ids: NDArray[np.int64]
     """Number of each tag in the family, all different, `(K,)`."""
     centres: FloatArray
@@ -62,7 +64,7 @@ class TaggedRoom:
     surfaces: Sequence[Surface] = ()
     """Surfaces that carry or occlude the tags."""
     edges: FloatArray = None  # type: ignore[assignment] # always an array once made
-    """Edge of each tag, metres, `(K,)`; None for the edge of `tag`."""
+    """Edge length of each tag, metres, `(K,)`; None for that of `tag`."""
     people: FloatArray = None  # type: ignore[assignment] # always an array once made
     """Cylinders of people in front of surfaces and tags, `(N, 5)`, see `lmd.space.crowd`; None without a crowd."""
 
@@ -90,12 +92,12 @@ class TaggedRoom:
             raise InputError(f"ups[{k}] must be perpendicular to normals[{k}], their product is {lean[k]:g}.")
 
     def among(self, people: FloatArray) -> "TaggedRoom":
-        """Room with the people `(N, 5)` instead of its own."""
+        """Room with other people, given as cylinders `(N, 5)`."""
         return replace(self, people=people)
 
     @cached_property
     def people_faces(self) -> tuple[Surface, ...]:
-        """Surfaces of the cylinders of people."""
+        """Surfaces of the cylinders that stand for people."""
         return faces_of(self.people)
 
     @cached_property
@@ -105,7 +107,9 @@ class TaggedRoom:
 
     @cached_property
     def picture_corners(self) -> FloatArray:
-        """Like `corners`, but for the whole pictures, which must be in the image."""
+        """Like `corners`, but for the tags' whole pictures, which may be larger than the black squares; a detector
+        needs the whole picture in the image.
+        """
         if self.tag.picture_share == 1.0:
             return self.corners
         return corners(self.centres, self.normals, self.ups, self.tag.picture_share * self.edges)
