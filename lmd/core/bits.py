@@ -1,4 +1,7 @@
-"""Sets of axes as bits: axis a is bit a % 64 of word a // 64."""
+"""Sets of axes (orientations of a camera) as bits: axis a is bit a % 64 of word a // 64, where words are 64-bit
+integers. The counts of all axes of a word are stored as binary digits: digit j of the counts is a word, with a bit for
+each axis.
+"""
 
 from typing import Any, TypeAlias
 
@@ -66,27 +69,30 @@ def _prefetch(array, index):  # type: ignore[no-untyped-def] # noqa: ARG001
 def add_digit(digit: np.uint64, carry: np.uint64, decrement: np.uint64) -> tuple[np.uint64, np.uint64]:
     """Add `carry` to one binary digit of the counts, or subtract `carry` at the axes in `decrement`.
 
-    Sets of axes are words. Returns the new digit and the carry (or borrow) for the next digit.
+    All arguments are words with a bit for each axis. Returns the new digit, and the carry (or borrow) for the next
+    digit.
     """
     return digit ^ carry, carry & (digit ^ decrement)
 
 
 @inlined
 def equal_so_far(equal: np.uint64, digit: np.uint64, n: Integer, j: Integer) -> np.uint64:
-    """Those of the axes `equal` whose count has digit j equal to digit j of n."""
+    """Axes, among the axes `equal`, whose counts agree with n in binary digit j."""
     return equal & (digit if n >> j & 1 else ~digit)
 
 
 @inlined
 def add_set(digits: WordArray, axes: np.uint64, decrement: np.uint64) -> None:
-    """Add 1 to the counts at `axes`, or subtract 1 at the axes in `decrement`; `digits` `(J,)`, lowest first."""
+    """Add 1 to the counts at `axes`, or subtract 1 at those that are also in `decrement`. `digits` `(J,)` are the
+    binary digits of the counts, the lowest digit first.
+    """
     for j in range(np.uint64(len(digits))):
         digits[j], axes = add_digit(digits[j], axes, decrement)
 
 
 @inlined
 def exactly(digits: WordArray, n: Integer) -> np.uint64:
-    """Axes whose counts, binary `digits` `(J,)`, equal n."""
+    """Axes whose counts equal n; `digits` `(J,)` are the binary digits of the counts."""
     equal = ALL
     for j in range(np.uint64(len(digits))):
         equal = equal_so_far(equal, digits[j], n, j)
@@ -95,7 +101,7 @@ def exactly(digits: WordArray, n: Integer) -> np.uint64:
 
 @inlined
 def at_least(digits: WordArray, n: Integer) -> np.uint64:
-    """Axes whose counts, binary `digits` `(J,)`, are at least n."""
+    """Axes whose counts are at least n; `digits` `(J,)` are the binary digits of the counts."""
     reached = ALL
     for j in range(np.uint64(len(digits))):
         # The axes whose counts, taken modulo 2^(j + 1), are at least n modulo 2^(j + 1).

@@ -1,4 +1,4 @@
-"""Checks of user input: each raises `InputError` with one sentence that names the value."""
+"""Checks of user input: each check raises `InputError` with one sentence that names the value."""
 
 import inspect
 import math
@@ -32,7 +32,7 @@ def printable(text: str) -> str:
 
 
 def failure(error: BaseException) -> str:
-    """Error of foreign code in words: its type, its message and its place in the code."""
+    """Text about an error in foreign code: type, message and line of code of the error."""
     place = traceback.extract_tb(error.__traceback__)[-1]
     why = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
     return f"{why} ({Path(place.filename).name}, line {place.lineno})"
@@ -43,7 +43,7 @@ class InputError(ValueError):
 
     Args:
         message: one sentence for the user, converted by `printable`.
-        argument: name of the wrong argument, with which the message begins; None without one.
+        argument: name of the wrong argument, with which the message begins; None if the error is about no argument.
     """
 
     def __init__(self, message: str, argument: str | None = None) -> None:
@@ -54,7 +54,9 @@ class InputError(ValueError):
         self.argument = argument
 
     def within(self, whole: str) -> "InputError":
-        """Copy of the error about the argument `whole.argument`; the error itself if it names no argument."""
+        """Copy of the error, in which the argument is called `whole.argument`; the error itself if it names no
+        argument.
+        """
         if self.argument is None:
             return self
         return InputError(f"{whole}.{self}", f"{whole}.{self.argument}")
@@ -183,7 +185,7 @@ def span(name: str, value: Any, *, point: bool = True, **bounds: float) -> tuple
     """Return `value` as a range of two floats, each checked by `real`; `point` allows equal ends.
 
     Raises:
-        InputError: `value` is not a pair of admissible numbers, or the first exceeds the second.
+        InputError: `value` is not a pair of admissible numbers, or the first number exceeds the second number.
     """
     low, high = vector(name, value, 2, **bounds)
     if low > high or (low == high and not point):
@@ -228,7 +230,7 @@ Point = Annotated[tuple[float, ...], partial(vector, size=3)]
 
 
 def bounded(what: str, number: float, most: float, source: str, argument: str | None = None) -> None:
-    """Raise `InputError` if a file or a setting requires more than `most` objects; called before they are made.
+    """Raise `InputError` if a file or a setting requires more than `most` objects; called before the objects are made.
 
     Args:
         what: plural noun, such as `triangles`.
@@ -285,7 +287,9 @@ def returned(part: Any, method: str, value: Any, *shape: int | None, truth: bool
 
 @cache
 def _field_checks(kind: type) -> tuple[tuple[str, Callable[[str, Any], Any], bool], ...]:
-    """Fields of a dataclass with a check: name, check, and True if the field may be None."""
+    """Fields of a dataclass that have a check: for each field, its name, the check, and True if the field may be
+    None.
+    """
     found = []
     for field in fields(kind):
         types = get_args(field.type) if get_origin(field.type) in (Union, UnionType) else (field.type,)

@@ -32,7 +32,9 @@ class CompileClock:
 
     @contextmanager
     def stopped(self, function: Any) -> Iterator[None]:
-        """Stop the clock while a function is compiled; print its name unless the compilation is nested in another."""
+        """Stop the clock while a function is compiled; print its name unless the compilation is nested in another
+        compilation.
+        """
         with self._lock:
             self._compiling += 1
             if outermost := self._compiling == 1:
@@ -76,7 +78,7 @@ CLOCK = CompileClock()
 
 
 class TimedCompiler(Compiler):
-    """numba's compiler; `CLOCK` stands still while it works."""
+    """numba's compiler; `CLOCK` stops while this compiler works."""
 
     returns_arrays = True  # False: a function may return an array with a reference count, but no tuple with an array
 
@@ -100,7 +102,9 @@ class TimedCompiler(Compiler):
 
 
 class StrictCompiler(TimedCompiler):
-    """Refuses functions that return arrays in tuples or without a reference count, as these would be freed early."""
+    """Compiler that refuses functions that return arrays in tuples or without a reference count, as such arrays would
+    be freed too early.
+    """
 
     returns_arrays = False
 

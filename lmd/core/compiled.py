@@ -58,9 +58,9 @@ OVERLOAD_INLINED: Any = OVERLOAD | _INLINED
 F = TypeVar("F", bound=Callable[..., Any])
 
 clock = CLOCK.read
-"""Clock like `time.perf_counter`, seconds, that stands still while kernels are compiled.
+"""Clock like `time.perf_counter`, seconds, that stops while kernels are compiled.
 
-So time limits do not depend on whether kernels are cached.
+With this clock, time limits do not depend on the cache of kernels.
 """
 
 
@@ -102,8 +102,8 @@ def inner(function: F) -> F:
     numba's own compiler has LLVM optimise a function by itself and again within each caller, at every level of nesting,
     which takes most of the compilation time for nested calls. Here LLVM optimises a function within the kernel only.
 
-    The function must neither allocate nor return arrays, alone or in a tuple: without reference counts they would be
-    freed too early.
+    The function must neither allocate nor return arrays, alone or in a tuple: without reference counts the arrays would
+    be freed too early.
     """
     return _made_inner(function, _INNER, _UNCOUNTED)
 

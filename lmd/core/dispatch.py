@@ -46,7 +46,7 @@ def dispatched(declaration: Callable[P, R_co]) -> Dispatched[P, R_co]:
 
 
 def dispatched_call(declaration: Callable[P, R_co]) -> Dispatched[P, R_co]:
-    """Like `dispatched`, but calls are not inlined; for long functions."""
+    """Like `dispatched`, but calls are not inlined; meant for long functions."""
     return _dispatched(declaration, None, OVERLOAD)
 
 
@@ -81,7 +81,9 @@ def _dispatched(declaration: Callable[P, R_co], otherwise: Function | None, opti
 
 
 def entry(column: Any, k: Any) -> Any:
-    """Entry k of a column `(K,)`; a column that is one number has this value for all k. Kernels accept both types."""
+    """Entry k of a column `(K,)`; a column may be a single number, which is then the entry for all k. Kernels accept
+    both types.
+    """
     return column[k] if isinstance(column, np.ndarray) else column
 
 

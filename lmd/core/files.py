@@ -1,4 +1,4 @@
-"""Readers of files that users name: bytes, text, and keys in YAML or JSON.
+"""Readers of files that users name: contents as bytes, as text, or as keys and values in YAML or JSON.
 
 Files are not trusted. Pipes, devices, files larger than the memory, and small files that expand to gigabytes are
 refused with one sentence before they are read.
@@ -190,7 +190,7 @@ def _yaml(text: str) -> Any:
 
 
 def check_aliases(text: str) -> None:
-    """Raise `ValueError` if YAML with expanded aliases has more values than the text has characters."""
+    """Raise `ValueError` if a YAML text, after its aliases are expanded, has more values than characters."""
     root = yaml.compose(text, _Loader)
     if root is not None and (values := _values(root, {})) > len(text):
         raise ValueError(f"its aliases stand for {values:.4g} values, more than its {len(text)} characters")

@@ -1,6 +1,6 @@
 """Subclasses of numba's internal classes: libraries, compilers and a cache of kernels (docs/engine.md).
 
-Only `lmd`'s functions use them; numba and llvmlite are not patched.
+Only `lmd`'s functions use these subclasses; numba and llvmlite are not patched.
 """
 
 import glob
@@ -94,7 +94,9 @@ def _called_by(library: Any, found: dict[Any, None]) -> list[Any]:
 
 
 class _Flags(Flags):
-    """Flags compared by the options that are set; numba compares flags for each array element that is read."""
+    """Compiler flags that are compared by the options that are set, which is fast; numba compares flags for each array
+    element that is read.
+    """
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Flags):
@@ -146,7 +148,9 @@ class InnerCompiler(KernelCompiler):
 
 
 class AllocatingCompiler(InnerCompiler):
-    """Compiler of inner functions with reference counts, or with the reference counts of their callers."""
+    """Compiler of inner functions that may return arrays: `allocating` functions, which count references, and
+    overloads, which count references if their callers do.
+    """
 
     returns_arrays = True
 
@@ -163,7 +167,7 @@ class Cache(FunctionCache):
         self._locks = LOCKS.setdefault(function, {})
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Load a kernel from the cache; waits for another process that is compiling it."""
+        """Load a kernel from the cache; if another process is compiling the kernel, wait for that process."""
         classes = classes_in(getattr(sig, "args", sig))
         names = sorted({kind.__module__ for kind in classes})
         base = f"{self._impl.filename_base}-{hashlib.sha256(repr(names).encode()).hexdigest()[:8]}"
@@ -200,7 +204,7 @@ class Cache(FunctionCache):
 class _Index(IndexDataCacheFile):
     """Index of the cache, written by one process at a time; unreadable files count as missing.
 
-    The names of kernel files contain the digest, so an old file is never taken for a new one.
+    The names of kernel files contain the digest, so an old file is never taken for a new file.
     """
 
     def __init__(self, folder: str, base: str, digest: str) -> None:

@@ -13,7 +13,9 @@ LIMITS = (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory/memory.
 
 
 def free_memory() -> float:
-    """Free memory, bytes: MemAvailable on Linux, the total memory elsewhere; at most the limit of a container."""
+    """Free memory, bytes: MemAvailable on Linux, the total memory elsewhere; at most the memory limit of a
+    container.
+    """
     limits = [path.read_text().strip() for path in LIMITS if path.is_file()]
     if MEMINFO.is_file():
         entries = dict(line.split(":") for line in MEMINFO.read_text().splitlines())
@@ -24,7 +26,7 @@ def free_memory() -> float:
 
 
 def check_memory(needed: float, what: str, argument: str | None = None) -> None:
-    """Raise `InputError` if the free memory does not suffice.
+    """Raise `InputError` if less memory is free than is needed.
 
     Args:
         needed: needed memory, bytes.

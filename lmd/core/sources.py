@@ -117,13 +117,15 @@ def _text_of_code(code: CodeType) -> str:
 
 
 def _resolved(function: FunctionType, kinds: set[type]) -> list[FunctionType]:
-    """The function; for a `dispatched` one, also the variants that are registered for the classes."""
+    """The function itself; for a `dispatched` function, also the variants that are registered for the classes
+    `kinds`.
+    """
     table = getattr(function, "registered", {})
     return [function, *(inspect.unwrap(table[kind]) for kind in kinds & table.keys())]
 
 
 def _text_of(value: Any) -> str:
-    """Value of a constant as text; for an object that is no constant, the name of its type."""
+    """Value of a constant as text; for an object that is not a constant, the name of its type."""
     if isinstance(value, np.ndarray):
         return f"{value.dtype}{value.shape}{value.tobytes().hex()}"
     if isinstance(value, tuple | frozenset):

@@ -30,8 +30,8 @@ def write_table(file: str | Path | TextIO, columns: Mapping[str, ArrayLike]) -> 
 
     Args:
         file: path, or an open text file.
-        columns: numbers or texts by name of the column, of equal lengths. NaN becomes an empty cell; other numbers have
-            enough digits to be read back exactly.
+        columns: numbers or texts of each column, keyed by the column's name; all columns have one length. NaN becomes
+            an empty cell; other numbers have enough digits to be read back exactly.
     """
     if isinstance(file, str | Path):
         with Path(file).open("w", encoding="utf-8", newline="") as opened:
@@ -50,7 +50,8 @@ class Table:
     Args:
         path: path of the file, for messages.
         lines: line number of each row, from 1.
-        texts: texts of the rows by name of the column, with escapes in place of control characters.
+        texts: texts of each column, one per row, keyed by the column's name, with escapes in place of control
+            characters.
     """
 
     path: str
@@ -181,7 +182,7 @@ def read_numbers(path: Any, columns: Sequence[str], *, name: str) -> FloatArray:
 
     Args:
         path: path of the file.
-        columns: names of the columns, in the order of the result; the file must have no others.
+        columns: names of the columns, in the order of the result; the file must have no other columns.
         name: argument that gave the path, for messages.
 
     Returns:
@@ -194,7 +195,8 @@ def read_numbers(path: Any, columns: Sequence[str], *, name: str) -> FloatArray:
 
 
 def time_of(text: str) -> Decimal | str:
-    """Sort key of a time: a decimal number; for a text that is not a number, such as a photograph's name, the text.
+    """Sort key of a time: the decimal number that the text states; for another text, such as a photograph's name, the
+    text itself.
 
     A float has too few digits for nanoseconds since 1970.
     """

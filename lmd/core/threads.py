@@ -24,7 +24,7 @@ def available_threads() -> int:
 def _helpers(count: int) -> ThreadPoolExecutor:
     """Pool of threads, shared by all calls of `at_once` in a process.
 
-    Starting threads takes a millisecond, half an evaluation of the paper's room.
+    Starting threads takes a millisecond, half the time of an evaluation of the paper's room.
     """
     return ThreadPoolExecutor(count)
 
@@ -34,7 +34,8 @@ if hasattr(os, "register_at_fork"):
 
 
 def at_once(threads: int, work: Callable[..., T], *arguments: Iterable[Any]) -> list[T]:
-    """Call `work` in threads, once for each set of arguments like `map`; returns the results in order.
+    """Call `work` in threads, once for each set of arguments, like `map`; return the results in the order of the
+    arguments.
 
     The calling thread works too, so Ctrl-C interrupts it as usual. After an error, no further call begins, and the
     function waits for calls that have begun. `work` may call `at_once`; calls for which no thread is free run in the
@@ -80,7 +81,7 @@ def in_parts(threads: int, work: Callable[[int, int], object], size: int, parts:
 
 
 def in_daemon(work: Callable[..., T], *arguments: Any) -> "Future[T]":
-    """Begin `work(*arguments)` in a daemon thread; returns the future of its result.
+    """Begin `work(*arguments)` in a daemon thread; return the future of the result.
 
     Threads that `work` starts are daemons by default, too. A process does not wait for daemons when it ends.
     """

@@ -27,12 +27,13 @@ def in_processes(
     name: Callable[[Job], str],
     ordered: bool = False,
 ) -> Generator[Result, None, None]:
-    """Results of a function for each job, computed in worker processes; in this process if one would suffice.
+    """Yield the result of a function for each job, computed in worker processes, or in this process if one process is
+    enough.
 
     When a worker is killed, all jobs that it may have been running are repeated, one at a time.
 
     Args:
-        function: function of a job, which a worker imports by name.
+        function: function whose argument is a job; a worker imports the function by its name.
         jobs: the jobs.
         workers: number of processes; None for every processor.
         name: function that returns the name of a job, for messages.
@@ -100,7 +101,7 @@ def _in_order(results: Iterable[tuple[int, Result]]) -> Generator[Result, None, 
 
 @contextmanager
 def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """Context with a pool of worker processes; the processes end when the context is left."""
+    """Context with a pool of worker processes; the processes end at the end of the context."""
     ready_server()
     others = multiprocessing.active_children()
     try:

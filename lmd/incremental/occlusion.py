@@ -171,7 +171,7 @@ def note_neighbour(state: Any, groups: Any, near: Any, role: Any, place: Any, fi
             to it.
         near: indices of the cameras' centre (`MountGroup.centres`), of the block, and of landmarks i and k; then, in
             metres, the offset of the place from the cameras' centre if the body is at the middle of the block, and half
-            the diagonal of the block's box.
+            the diagonal of the block's box, which is enlarged by the cameras' distance from their centre.
         role: `OLD_PLACE`, `NEW_PLACE` or `FIRST_PLACE`.
         place: position (metres) and unit normal.
     """

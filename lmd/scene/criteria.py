@@ -9,15 +9,17 @@ Most criteria depend mainly on the camera's position, so a model is evaluated in
 
 These functions are scalar, with as few branches as possible. Kernels call only the functions of this module.
 
-A model has two halves:
+A visibility model has two halves:
 
 - a `Criteria` with the thresholds that a user sets; its `covered` is the NumPy reference.
-- a `SightModel`, a named tuple of numbers compiled for one camera, whose type is registered with the functions below.
+- a `SightModel`, the *model of sight*: a named tuple of numbers, compiled for one camera, whose type is registered with
+  the functions below.
 
-Both halves must give equal results, bit for bit. A `Covering` has only the first half.
+Both halves must give equal results, bit for bit. A `Covering` has the NumPy reference only, without a compiled half.
 
-Pruning uses conservative bounds. Bands of axes use a cone (`low`) that contains every axis from which the landmark is
-covered; tables of directions use only the field of view (`in_view`).
+Pruning uses conservative bounds. (An axis is an orientation of the camera, given by the optical axis and the image's
+right.) Bands of axes use a cone (`low`) that contains every axis from which the landmark is covered; tables of
+directions use only the field of view (`in_view`).
 """
 
 import math
@@ -59,19 +61,22 @@ class SightModel(Protocol):
 
     @property
     def horizon(self) -> float:
-        """Distance of `horizon_of`, metres; an optional field, by default infinite."""
+        """Distance beyond which a landmark has no effect, metres, see `horizon_of`; an optional field, by default
+        infinite.
+        """
 
     @property
     def tabulated(self) -> bool:
         """True if looking up a table of directions (`lmd.sight.directions`) is faster than `in_image`; an optional
-        field, by default False, as of a depth and two comparisons.
+        field, by default False, which is right for an `in_image` of few operations.
         """
 
     def unhidden(self) -> "SightModel":
-        """Model without occlusion by landmarks."""
+        """Model of sight without occlusion of one landmark by another."""
 
     def among(self, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray) -> "SightModel":
-        """Model for given landmarks: `unhidden` if a conservative test excludes occlusion, otherwise the model itself.
+        """Model of sight for given landmarks: `unhidden` if a conservative test excludes occlusion, otherwise the model
+        itself.
 
         Args:
             low, high: corners of a box around all positions of the camera, `(3,)`, metres.
@@ -80,7 +85,7 @@ class SightModel(Protocol):
         """
 
     def shrunk(self, size: float) -> "SightModel":
-        """Model in which the occluding body of each landmark is scaled by `size`."""
+        """Model of sight in which the occluding body of each landmark is scaled by `size`."""
 
 
 class Criteria(Protocol):
@@ -95,7 +100,7 @@ class Criteria(Protocol):
         """Least distance between neighbouring landmarks at which neither can hide the other, metres."""
 
     def sight(self, camera: Camera) -> Any:
-        """Compile the criteria for a camera to a `SightModel`; None if there is no compiled half."""
+        """Compile the criteria for a camera to a `SightModel`; None if the criteria have only the NumPy reference."""
 
     def covered(
         self, camera: Camera, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
@@ -112,7 +117,7 @@ class Criteria(Protocol):
 
 
 class Covering(ABC):
-    """Base of criteria without a compiled half; a subclass implements `covered`, see `Criteria`.
+    """Base of criteria without a compiled model of sight; a subclass implements `covered`, see `Criteria`.
 
     All results are computed from `covered` (`lmd.sight.reference`), which is slower than a compiled model.
     """
@@ -121,7 +126,7 @@ class Covering(ABC):
     spacing = 0.0
 
     def sight(self, camera: Camera) -> Any:
-        """Return None, as there is no compiled half."""
+        """Return None, as there is no compiled model of sight."""
         return None
 
     @abstractmethod
@@ -134,8 +139,8 @@ class Covering(ABC):
 def horizon_of(sight: SightModel) -> float:
     """Distance beyond which landmarks have no effect, metres; infinite if there is no such distance.
 
-    A landmark farther than this from the camera is not covered and hides no covered landmark. Two landmarks farther
-    than this from each other do not hide each other.
+    A landmark farther from the camera than this distance is not covered and hides no covered landmark. Two landmarks
+    that are farther apart than this distance do not hide each other.
     """
     return float(getattr(sight, "horizon", math.inf))
 
@@ -144,8 +149,8 @@ def horizon_of(sight: SightModel) -> float:
 def sized(sight: Any, k: Integer) -> Any:
     """Compiled model of landmark k.
 
-    A model for landmarks of several sizes stores arrays with one value per landmark; `sized` selects the values of k.
-    All functions below except `in_view` and `pixel_density` require a model of one landmark.
+    A model for landmarks of several sizes stores arrays with one value per landmark; `sized` selects the values of
+    landmark k. All functions below except `in_view` and `pixel_density` require a model of one landmark.
     """
     return sight
 
@@ -157,14 +162,14 @@ def from_position(sight: Any, offset: Vector, normal: Vector, slack: float) -> A
     Args:
         offset: offset of the landmark from the camera, world frame, metres.
         normal: unit normal of the landmark.
-        slack: metres; `reached` and `low` also hold for landmarks moved by up to this distance in the landmark's plane
-            (see `lmd.sight.poses`).
+        slack: metres; `reached` and `low` also hold if the landmark is moved by up to this distance in its plane (see
+            `lmd.sight.poses`).
 
     Returns:
         reached: False only if no orientation covers the landmark.
         low, high: bounds on the depth of a covered landmark along the optical axis, metres; `high` ignores the slack.
-        sure: depth, metres. An orientation with the landmark well in view (`SightModel.inset`) and at a depth between
-            `low` and `sure` covers it; infinite if no depth is too large. `sure` ignores the slack.
+        sure: depth, metres. An orientation covers the landmark if the landmark is well in view (`SightModel.inset`) at
+            a depth between `low` and `sure`; infinite if no depth is too large. `sure` ignores the slack.
     """
 
 
@@ -211,7 +216,9 @@ def in_view(sight: Any, way: Vector, sine: float, cosine: float, axis: Vector, r
 
 @inlined
 def in_cone(least: float, way: Vector, sine: float, cosine: float, axis: Vector) -> Any:
-    """`in_view` for a conical field of view around the optical axis; `least` is the cosine of the cone's half-angle."""
+    """Version of `in_view` for a conical field of view around the optical axis; `least` is the cosine of the cone's
+    half-angle.
+    """
     # With the half-angle theta, the cone narrowed by delta has the cosine cos(theta - delta), unless it is empty or the
     # whole sphere.
     edge = least * cosine + math.sqrt(max(0.0, 1.0 - least * least)) * sine
@@ -221,7 +228,7 @@ def in_cone(least: float, way: Vector, sine: float, cosine: float, axis: Vector)
 
 @dispatched
 def hide(sight: Any, a: Vector, aa: float, b: Vector, bb: float, u: Vector, v: Vector) -> Any:
-    """Test if landmark A hides B from the camera's position, and if B hides A; two booleans.
+    """Test if landmark A hides landmark B from the camera's position, and if B hides A; return two booleans.
 
     Args:
         a, b: offsets of A and B from the camera, metres.
@@ -232,7 +239,7 @@ def hide(sight: Any, a: Vector, aa: float, b: Vector, bb: float, u: Vector, v: V
 
 @overridable
 def hide_between(sight: Any, other: Any, a: Vector, aa: float, b: Vector, bb: float, u: Vector, v: Vector) -> Any:
-    """`hide` for landmarks with two compiled models (see `sized`): `sight` for A, `other` for B.
+    """Version of `hide` for landmarks with two compiled models (see `sized`): `sight` for A, `other` for B.
 
     A model with landmarks of several sizes registers this function instead of `hide`.
     """
@@ -241,20 +248,22 @@ def hide_between(sight: Any, other: Any, a: Vector, aa: float, b: Vector, bb: fl
 
 @inlined
 def covers(sight: Any, offset: Vector, normal: Vector, low: float, slack: float, axes: FloatArray, a: Integer) -> Any:
-    """`in_image` for orientation a of `axes` `(6, D)`, whose rows are the optical axis and the image's right."""
+    """Result of `in_image` for orientation a of `axes` `(6, D)`; rows 0 to 2 are the optical axis, rows 3 to 5 the
+    image's right.
+    """
     axis, right = pair3(axes, a)
     return in_image(sight, offset, normal, low, slack, axis, right)
 
 
 @overridable
 def frame_of(sight: Any, normal: Vector) -> Any:
-    """Precomputed argument `frame` of `covers_one` for a landmark with a unit normal."""
+    """Compute the argument `frame` of `covers_one` in advance, for a landmark with a unit normal."""
     return normal
 
 
 @overridable
 def covers_one(sight: Any, offset: Vector, frame: Any, depths: Vector, well: Any, axes: FloatArray, a: Integer) -> Any:
-    """`covers` without slack; a model with an expensive test may register a version with early exits.
+    """Version of `covers` without slack; a model with an expensive test may register a version with early exits.
 
     Args:
         offset: as in `from_position`.
@@ -268,7 +277,7 @@ def covers_one(sight: Any, offset: Vector, frame: Any, depths: Vector, well: Any
 
 @overridable
 def pixel_density(sight: Any, offset: Vector, axes: FloatArray, a: Integer) -> Any:
-    """Image area per solid angle around a landmark that orientation a covers, divided by distance^3.
+    """Image area per solid angle, in the direction of a landmark that orientation a covers, divided by distance^3.
 
     The unit is squared focal lengths per steradian and cubic metre. For a pinhole the result is 1 / depth^3.
     """
@@ -280,7 +289,7 @@ def pixel_density(sight: Any, offset: Vector, axes: FloatArray, a: Integer) -> A
 def covering(
     sight: Any, left: Any, w: Integer, offset: Vector, frame: Any, depths: Vector, well: Any, axes: FloatArray
 ) -> Any:
-    """Those of the axes in `left` from which the landmark is covered; bit sets of word w.
+    """Axes from which the landmark is covered, among the axes `left`; both sets are bits of word w.
 
     Arguments as in `covers_one`, except that `well` is a bit set. All axes of half a word are tested: for a cheap test
     this is faster than iterating over the set bits.
@@ -299,7 +308,9 @@ def covering(
 def depth_first(
     sight: Any, left: Any, w: Integer, offset: Vector, frame: Any, depths: Vector, well: Any, axes: FloatArray
 ) -> Any:
-    """`covering` for models with an expensive test: depths are compared first, as these decide most cases."""
+    """Version of `covering` for models with an expensive test: depths are compared first, as the depths decide most
+    cases.
+    """
     within, shallow, (low, high, sure) = ZERO, ZERO, depths
     for first in range(np.uint64(0), np.uint64(BITS), np.uint64(LANES)):
         if left >> first << np.uint64(BITS - LANES):

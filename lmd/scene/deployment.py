@@ -26,7 +26,7 @@ FLUSH = 1e-6
 
 @dataclass(frozen=True)
 class Deployment:
-    """K landmarks.
+    """K landmarks: positions, normals, and further data about each landmark.
 
     Args:
         positions: `(K, 3)`, world frame, metres.
@@ -36,13 +36,13 @@ class Deployment:
         labels: ids and further columns of the landmarks; None for ids from 0.
         surveyed: measured positions and up vectors, for landmarks measured behind their surface or rotated in their
             plane; None if `positions` are the measured positions and all landmarks hang upright.
-        edges: edges of the black squares, metres, `(K,)`; NaN (the default) for the edge of the scene's tag, see
-            `edges_of`.
-        note: remark on an ambiguous file, a sentence; empty without ambiguity.
+        edges: edge lengths of the black squares, metres, `(K,)`; NaN (the default) for the edge length of the scene's
+            tag, see `edges_of`.
+        note: remark on an ambiguous file, a sentence; empty if nothing is ambiguous.
 
     Raises:
-        InputError: wrong shapes, no landmark, a value that is not finite, a normal that is not unit, or an edge that is
-            not positive.
+        InputError: wrong shapes, no landmark, a value that is not finite, a normal that is not unit, or an edge length
+            that is not positive.
     """
 
     positions: FloatArray
@@ -94,7 +94,9 @@ class Deployment:
         return np.arange(len(self)) if self.labels is None else self.labels.ids
 
     def put(self, chosen: slice | IntArray, there: "Deployment") -> "Deployment":
-        """Deployment in which the landmarks `chosen` have the poses of the landmarks of `there`."""
+        """Copy of the deployment in which the landmarks `chosen` have the poses of the landmarks of `there`, in
+        order.
+        """
         parts = {name: getattr(self, name).copy() for name in POSE_FIELDS}
         for name, values in parts.items():
             values[chosen] = getattr(there, name)
@@ -111,7 +113,7 @@ class Deployment:
         return replace(both, surveyed=Surveyed(both.positions, places, ups))
 
     def with_surfaces(self, room: Space, anywhere: bool = False, papers: float | FloatArray = 0.0) -> "Deployment":
-        """Deployment with `surfaces` set to the surfaces of `room` that carry the landmarks.
+        """Copy of the deployment with `surfaces` set to the surfaces of `room` that carry the landmarks.
 
         The wall would hide a tag that belongs to a surface (`Space.surface_near`) but has a corner behind the surface.
         Such a tag is moved along the normal until the tag touches the surface; `places` keeps the measured position.
@@ -119,7 +121,7 @@ class Deployment:
         Args:
             room: room of the landmarks.
             anywhere: True if landmarks may lie outside the room.
-            papers: edges of the footprints, metres, one for all or `(K,)`; 0 for points.
+            papers: edge lengths of the footprints, metres, one for all or `(K,)`; 0 for points.
 
         Raises:
             InputError: a landmark lies outside the room and belongs to none of the room's surfaces.
@@ -182,15 +184,17 @@ class Deployment:
         return None
 
     def belonging(self, room: Space) -> IntArray:
-        """Index of each landmark's surface, `(K,)`: the surface that carries the landmark, else the surface nearby
-        (`Space.surface_near`), else -1.
+        """Index of each landmark's surface, `(K,)`: the surface that carries the landmark, else the surface that is
+        near (`Space.surface_near`), else -1.
         """
         if (self.surfaces >= 0).all():
             return self.surfaces
         return np.where(self.surfaces < 0, room.surface_near(self.positions, self.normals), self.surfaces)
 
     def before(self, room: Space) -> "Deployment":
-        """Deployment with a surface for every landmark: the surface in `belonging`, else the nearest surface."""
+        """Copy of the deployment in which every landmark has a surface: the surface in `belonging`, else the nearest
+        surface.
+        """
         own = self.belonging(room)
         if own is self.surfaces:
             return self
@@ -238,23 +242,27 @@ class Deployment:
 
     @property
     def ups(self) -> FloatArray:
-        """Up vectors: unit vectors to the upper edges of the tags, world frame, `(K, 3)`; upright unless `surveyed`."""
+        """Up vectors: unit vectors from the centres of the tags to their upper edges, world frame, `(K, 3)`; tags are
+        upright unless `surveyed`.
+        """
         ups = upright(self.normals)[1] + 0.0  # turns -0 into 0
         return ups if self.surveyed is None else self.surveyed.ups_of(self.positions, ups)
 
     @property
     def has_own_edges(self) -> bool:
-        """True if any landmark has its own edge."""
+        """True if any landmark has an individual edge length."""
         return not np.isnan(self.edges).all()
 
     def edges_of(self, tag: Tag) -> FloatArray:
-        """Edges of the black squares, metres, `(K,)`: `edges`, with NaN replaced by the edge of `tag`; 0 for points."""
+        """Edge lengths of the black squares, metres, `(K,)`: `edges`, with NaN replaced by the edge length of `tag`; 0
+        for points.
+        """
         return tag.filled(self.edges)
 
     def to_csv(self, file: str | Path | TextIO, ups: bool = False) -> None:
         """Write a CSV with the columns `id,x,y,z,nx,ny,nz` and all digits; `from_csv` restores equal values and labels.
 
-        If any tag has its own edge, the column `edge` is added.
+        If any tag has an individual edge length, the column `edge` is added.
 
         Args:
             file: path or open text file.
@@ -272,8 +280,8 @@ class Deployment:
     def from_csv(cls, path: str | Path, name: str = "path") -> "Deployment":
         """Read a CSV with the columns x,y,z,nx,ny,nz and optionally id, ux,uy,uz (up vectors of tags) and edge.
 
-        Column `edge` has the edges of tags, metres; an empty cell means the edge of the scene's tag. Normals printed
-        with few decimals are normalised. Further columns are kept as labels.
+        Column `edge` has the edge lengths of tags, metres; an empty cell means the edge length of the scene's tag.
+        Normals printed with few decimals are normalised. Further columns are kept as labels.
 
         Args:
             path: path of the file.
@@ -299,7 +307,7 @@ class Deployment:
         return deployment if rows.shape[1] == len(COLUMNS) else deployment.turned(path, rows[:, 6:])
 
     def turned(self, path: str | Path, ups: FloatArray) -> "Deployment":
-        """Deployment with the up vectors `(K, 3)` of a file; unchanged if all tags are upright.
+        """Copy of the deployment with the up vectors `(K, 3)` of a file; the deployment itself if all tags are upright.
 
         Raises:
             InputError: an up vector is not a unit vector in the plane of its tag.

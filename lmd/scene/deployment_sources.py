@@ -30,7 +30,7 @@ class DeploymentSource(Protocol):
 
         Args:
             room: room whose surfaces allow the centres of landmarks.
-            rng: source of everything random.
+            rng: random generator.
             tag: tag of the landmarks; its sizes are assigned as in `Tag.edges_in_order`.
         """
 
@@ -51,7 +51,7 @@ LandmarkCount = Annotated[int, landmark_count]
 
 @dataclass(frozen=True)
 class RandomDeployment(Checked):
-    """Landmarks flush on the walls; a wall is chosen with a probability proportional to its area."""
+    """Random landmarks flush with the walls; a wall is chosen with a probability proportional to its area."""
 
     count: LandmarkCount
     varies = True
@@ -70,7 +70,7 @@ class UniformDeployment(Checked):
     """Landmarks at the centres of a regular grid on each wall, flush.
 
     Args:
-        count: K.
+        count: number of landmarks K.
         layout: `per_wall` for equal numbers on all walls, and the remainder on the largest walls, as in the paper (15
             each); `by_area` for numbers in proportion to the areas of walls.
     """
@@ -99,7 +99,7 @@ class ExistingDeployment:
 
     Attributes:
         path: file of the landmarks, for messages.
-        free: True to skip the check of placement: landmarks may be outside the room, on no surface, or overlap.
+        free: True to skip the check of placement, so that landmarks may be outside the room, on no surface, or overlap.
     """
 
     path: str | None
@@ -124,6 +124,8 @@ class GivenDeployment:
 
 
 def _flush(surfaces: SurfaceArrays, surface: IntArray, at: FloatArray, tag: Tag) -> Deployment:
-    """Landmarks flush on their surfaces `(K,)` at surface coordinates `(K, 2)`."""
+    """Landmarks flush with surfaces, given by the index of each landmark's surface, `(K,)`, and the surface
+    coordinates, metres, `(K, 2)`.
+    """
     points, normals = surfaces.points(surface, at), surfaces.normal[surface]
     return Deployment(points, normals, surface, edges=tag.edges_in_order(len(surface)))

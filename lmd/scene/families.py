@@ -1,10 +1,10 @@
 """Families of fiducial tags, their names, and the pictures of their tags.
 
-The edge of a tag is the distance between neighbouring corners that detectors find. In most families these are the
-corners of the outer black square. In AprilTag's newer families (41h12, 52h13, circle21h7), which also have data around
-the black ring, they are the corners of the white square within the ring. Up is the top of the published picture: the
-picture of `cv2.aruco.generateImageMarker` for ArUco families, and AprilTag's own picture, which OpenCV shows rotated by
-180 degrees, for AprilTag families.
+The edge length of a tag is the distance between adjacent corners that detectors find. In most families these corners
+are the corners of the outer black square. In AprilTag's newer families (41h12, 52h13, circle21h7), which also have data
+around the black ring, the detected corners are the corners of the white square within the ring. The top of a tag is the
+top of its published picture: the picture of `cv2.aruco.generateImageMarker` for ArUco families, and AprilTag's own
+picture, which OpenCV shows rotated by 180 degrees, for AprilTag families.
 """
 
 import re
@@ -28,7 +28,7 @@ class Family:
         dictionary: name of the dictionary in `cv2.aruco`; None if OpenCV lacks the family.
         apriltag: name in the AprilTag library; None if the library lacks the family.
         around: width of the border (ring and data) outside the detected square, modules.
-        square: words for the detected square in texts; the square's edge is the edge of a tag.
+        square: words for the detected square in texts; the edge length of this square is the edge length of a tag.
     """
 
     modules: int
@@ -80,7 +80,8 @@ _NAMED = {_short(name): name for name in FAMILIES} | {"aruco": "aruco_original"}
 
 
 def family_named(name: Any) -> str:
-    """Name in `FAMILIES` of a family with a library's name, such as `tagStandard41h12` or `DICT_4X4_50`.
+    """Convert a library's name of a family to the name in `FAMILIES`; a library's name is, for instance,
+    `tagStandard41h12` or `DICT_4X4_50`.
 
     Returns:
         one of `FAMILIES`, or `name` unchanged if no family has that name.
@@ -131,7 +132,7 @@ def _apriltag_picture(family: str, number: int) -> BoolArray:
 
 @lru_cache
 def _described(family: str) -> Any:
-    """AprilTag library's description of a family: the codes, and the places of their bits in the picture."""
+    """AprilTag library's description of a family: the codes, and the places in the picture of the codes' bits."""
     # No detector is made for the family: its table of codes with errors would take up to 3.2 GB.
     library = optional("pyapriltags", "detection").Detector(families="").libc
     return getattr(library, f"{FAMILIES[family].apriltag}_create")().contents

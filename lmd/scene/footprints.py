@@ -1,9 +1,10 @@
-"""Footprints: the squares of paper that tags cover. A footprint lies wholly on its surface and overlaps no other one.
+"""Footprints: the squares of paper that tags cover. A footprint must lie wholly on its surface, and must not overlap
+another footprint.
 
 Tags hang upright (`lmd.geometry.squares.upright`), so footprints are squares along u and v of their surface. Two
-footprints with edges e and f do not overlap if and only if their centres are at least (e + f) / 2 apart along u or v.
-Landmarks that are points have no footprints. Tags that are tilted or on no surface, which only files contain, are not
-checked.
+footprints with the edge lengths e and f do not overlap if and only if their centres are at least (e + f) / 2 apart
+along u or v. Landmarks that are points have no footprints. Tags that are tilted or on no surface, which only files
+contain, are not checked.
 """
 
 from dataclasses import dataclass, replace
@@ -26,10 +27,10 @@ COLUMN = "fixed"  # column in a file of landmarks: 1 for fixed landmarks, 0 for 
 
 
 def beside(fixed: Deployment, others: Deployment) -> Deployment:
-    """Concatenate the fixed landmarks and the others; ids and columns are kept, and the column `COLUMN` is added.
+    """Concatenate the fixed landmarks and other landmarks; ids and columns are kept, and the column `COLUMN` is added.
 
     Other landmarks without labels get the smallest unused ids. `others` may include fixed landmarks, identified by
-    their ids; these are dropped from `others`.
+    their ids; the function drops these from `others`.
 
     Args:
         fixed: F landmarks with known surfaces.
@@ -78,7 +79,7 @@ class Footprints:
 
     @cached_property
     def edge(self) -> float:
-        """Edge of the smallest footprint to place, metres; 0 for landmarks that are points."""
+        """Edge length of the smallest footprint to place, metres; 0 for landmarks that are points."""
         return 0.0 if self.tag.is_point else self.tag.paper_share * min(self.tag.sizes)
 
     @cached_property
@@ -91,7 +92,9 @@ class Footprints:
         return self.inset(self.edge)
 
     def inset(self, paper: float) -> Space:
-        """Room whose surfaces are the regions where centres of footprints with edge `paper`, metres, are allowed."""
+        """Room whose surfaces are the regions where centres of footprints with the edge length `paper`, metres, are
+        allowed.
+        """
         if not paper:
             return self.room
         with said_of("edge is too large", "edge"):
@@ -102,7 +105,8 @@ class Footprints:
         return SurfaceArrays.of(self.hanging.surfaces())
 
     def surfaces_of(self, paper: float) -> SurfaceArrays:
-        """Surfaces with the allowed centres of footprints with the edge `paper`, metres, in coordinates of `hanging`.
+        """Surfaces with the allowed centres of footprints with the edge length `paper`, metres, in coordinates of
+        `hanging`.
 
         Raises:
             InputError: a surface is narrower than a footprint.
@@ -117,10 +121,10 @@ class Footprints:
         return self._others[paper]
 
     def pieces_of(self, papers: FloatArray) -> tuple[FloatArray, IntArray]:
-        """Allowed centres of footprints with S different edges `papers` `(S,)`, metres, as trapezoids.
+        """Allowed centres of footprints with S different edge lengths `papers` `(S,)`, metres, as trapezoids.
 
         Returns:
-            `pieces` `(T, 6)`; `first` `(S, W + 1)` for each edge, see `SurfaceArrays`.
+            `pieces` `(T, 6)`, and `first` `(S, W + 1)` with a row for each edge length, see `SurfaceArrays`.
         """
         sizes = [self.surfaces_of(paper) for paper in papers.tolist()]
         before = np.cumsum([0, *(len(own.pieces) for own in sizes[:-1])])
@@ -132,12 +136,12 @@ class Footprints:
         return {}
 
     def papers(self, deployment: Deployment) -> FloatArray:
-        """Edges of the footprints of a deployment's tags, metres, `(K,)`; 0 for points."""
+        """Edge lengths of the footprints of a deployment's tags, metres, `(K,)`; 0 for points."""
         return self.tag.paper_share * deployment.edges_of(self.tag)
 
     def capacity(self, paper: float) -> float:
-        """Upper bound on the number of footprints with the edge `paper`, metres: as many as a grid on each surface
-        would hold.
+        """Upper bound on the number of footprints with the edge length `paper`, metres: the number that a grid on each
+        surface would hold.
         """
         if not paper:
             return np.inf
@@ -147,8 +151,8 @@ class Footprints:
     def checked_fixed(self, fixed: Deployment, beside: DeploymentSource) -> Deployment:
         """Assign surfaces to existing landmarks and check them.
 
-        Positions are measured by hand, so a tag slightly in front of or behind a surface belongs to the surface. The
-        tag's footprint is at its projection to the surface.
+        Positions are measured by hand, so a tag slightly in front of or behind a surface is assigned to the surface.
+        The tag's footprint is at the tag's projection to the surface.
 
         Args:
             fixed: existing landmarks.
@@ -176,7 +180,7 @@ class Footprints:
 
         Args:
             source: source of the deployment.
-            rng: source of everything random.
+            rng: random generator.
             fixed: existing landmarks from `checked_fixed`, which precede the drawn landmarks in the result. Drawn
                 landmarks that are not from a file are pushed away from the fixed landmarks.
 
@@ -260,8 +264,9 @@ class Footprints:
     ) -> tuple[FloatArray, FloatArray, IntArray, BoolArray]:
         """Push the footprints of B deployments apart, largest first; valid footprints are not moved.
 
-        A footprint that overlaps an earlier one is moved to the nearest free place on its surface, or else on the next
-        surface with a free place. The result is deterministic, so that a search may use the positions before the push.
+        A footprint that overlaps an earlier footprint is moved to the nearest free place on its surface, or else on the
+        next surface with a free place. The result is deterministic, so that a search may use the positions before the
+        push.
 
         Landmarks that are points are moved to the nearest allowed place.
 
@@ -269,8 +274,8 @@ class Footprints:
             positions: positions of flush landmarks, metres, `(B, K, 3)`.
             normals: unit normals, `(B, K, 3)`.
             surfaces: indices of the surfaces, `(B, K)`.
-            edges: edges of the tags as in `Deployment.edges`, metres, `(K,)`.
-            size: factor on the edges of the footprints.
+            edges: edge lengths of the tags as in `Deployment.edges`, metres, `(K,)`.
+            size: factor on the edge lengths of the footprints.
             fixed: number of landmarks at the beginning that are not moved.
 
         Returns:
@@ -318,5 +323,5 @@ def as_they_are(source: DeploymentSource) -> bool:
 
 
 def _named(papers: FloatArray) -> str:
-    """Distinct edges of footprints, metres, for messages."""
+    """Distinct edge lengths of footprints, metres, as text for messages."""
     return " and ".join(f"{paper:.4g}" for paper in np.unique(papers))

@@ -1,4 +1,6 @@
-"""Values of the landmarks of a file, kept from input to output: ids, further columns, edges, and measured places."""
+"""Data about the landmarks of a file that is kept from input to output: ids, further columns, edge lengths, and
+measured positions.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -79,14 +81,15 @@ EDGE = "edge"  # column with the edge of each tag, metres; an empty cell means t
 
 
 def checked_edges(edges: FloatArray | None, ids: IntArray) -> FloatArray:
-    """Check the edges of K tags, metres, `(K,)`; NaN for tags without their own edge.
+    """Check the edge lengths of K tags, and return them, metres, `(K,)`; NaN for tags without an individual edge
+    length.
 
     Args:
-        edges: edges, metres, `(K,)`; None if no tag has its own edge.
+        edges: edge lengths, metres, `(K,)`; None if no tag has an individual edge length.
         ids: ids of the tags, `(K,)`.
 
     Raises:
-        InputError: the numbers of edges and `ids` differ, or an edge is not positive.
+        InputError: the numbers of `edges` and `ids` differ, or an edge length is not positive.
     """
     edges = np.full(ids.shape, np.nan) if edges is None else np.array(edges, dtype=np.float64)
     if edges.shape != ids.shape:
@@ -98,10 +101,11 @@ def checked_edges(edges: FloatArray | None, ids: IntArray) -> FloatArray:
 
 
 def edge_column(table: Table) -> FloatArray:
-    """Column `EDGE` of a file, metres, `(K,)`; NaN for empty cells or without the column.
+    """Edge lengths from the column `EDGE` of a file, metres, `(K,)`; NaN for empty cells, or if the file lacks the
+    column.
 
     Raises:
-        InputError: an edge is not a number, or exceeds `LARGEST_EDGE`.
+        InputError: an edge length is not a number, or exceeds `LARGEST_EDGE`.
     """
     if EDGE not in table:
         return np.full(len(table.lines), np.nan)
@@ -127,7 +131,7 @@ class Surveyed:
     Args:
         positions: corrected positions, on or in front of the surfaces, world frame, metres, `(K, 3)`.
         places: measured positions, such as slightly behind a wall, world frame, metres, `(K, 3)`.
-        ups: unit vectors in the planes of the tags to their upper edges, world frame, `(K, 3)`.
+        ups: unit vectors from the centres of the tags to their upper edges, world frame, `(K, 3)`.
     """
 
     positions: FloatArray

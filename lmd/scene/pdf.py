@@ -38,7 +38,7 @@ class Orientations(NamedTuple):
     index_of: np.ndarray
     """Index in `axes` of each orientation of the PDF, `(A,)`."""
     weight: FloatArray
-    """Probabilities, `(D,)`."""
+    """Probability of each orientation, `(D,)`."""
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,8 @@ class OrientationPdf:
             distribution.
         roll: roll about the optical axis, radians, one for all or `(A,)`; independent of yaw and pitch if `continuous`
             is given.
-        by_position: position-dependent probabilities, with the mean `weight`; None if probabilities are equal at all
-            positions.
+        by_position: position-dependent probabilities, whose mean is `weight`; None if the probabilities do not depend
+            on the position.
 
     Raises:
         InputError: shapes differ, an angle or weight is not finite or out of range, or the sum is not 1.
@@ -128,7 +128,7 @@ class OrientationPdf:
 
         One orientation is drawn in each of 2 divisions x divisions cells of equal probability. Estimates are unbiased,
         as for independent draws, but the error of P_n for a union of visible axes falls as divisions^-1.5 instead of
-        divisions^-1. For a PDF of the yaw alone, 2 divisions^1.5 strata of the yaw have an error of equal order.
+        divisions^-1. For a PDF of the yaw alone, 2 divisions^1.5 strata of the yaw give an error of this order.
         """
         if self.continuous is None:
             return self
@@ -143,7 +143,9 @@ class OrientationPdf:
         return OrientationPdf(yaw, pitch, weight, f"{self.name}, stratified", roll=self._draw_roll(len(yaw), rng))
 
     def at(self, positions: FloatArray) -> FloatArray:
-        """Probabilities of the orientations at positions `(Q, 3)`, `(Q, A)`; `(1, A)` without `by_position`."""
+        """Probability of each orientation at each of the positions `(Q, 3)`, `(Q, A)`; `(1, A)` without
+        `by_position`.
+        """
         return self.weight[None] if self.by_position is None else self.by_position(positions)
 
     def draw_at(self, positions: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -174,11 +176,11 @@ class OrientationPdf:
 
 
 def divisions_of(value: int, pitches: int | None = None) -> int:
-    """Check `divisions`, the number of pitches of a grid and half the number of its yaws.
+    """Check `divisions`: the number of pitches of a grid, which is half the number of yaws.
 
     Args:
         value: value from a user.
-        pitches: number of pitches, if it differs from `divisions`.
+        pitches: number of pitches, if this number differs from `divisions`.
 
     Raises:
         InputError: the value is not a positive whole number, or the orientations do not fit into memory.
@@ -211,7 +213,9 @@ def _product(
     continuous: Angles,
     rolls: Sequence[tuple[float, float]],
 ) -> OrientationPdf:
-    """PDF on the product of yaws, pitches and rolls; `weight` `(len(pitch),)` is the probability of (yaw, pitch)."""
+    """PDF on the grid of all combinations of yaws, pitches and rolls; `weight` `(len(pitch),)` is the probability of
+    each pair (yaw, pitch).
+    """
     roll, share = np.array(rolls).T
     grid = (angles.reshape(-1) for angles in np.meshgrid(yaw, pitch, roll, indexing="ij"))
     grid_yaw, grid_pitch, grid_roll = grid
@@ -248,7 +252,7 @@ def grid_with_ends(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
     over the sphere: each pole has 25 orientations, and each direction with a yaw of +-pi has two.
 
     Args:
-        divisions: number of steps of pi / divisions in pitch, and half the number in yaw.
+        divisions: number of steps in pitch, each pi / divisions; half the number of steps in yaw.
         roll: roll of the camera about its optical axis, radians: one angle, or pairs (angle, probability).
     """
     n, roll = divisions_of(divisions), _rolls(roll)
@@ -261,7 +265,7 @@ def grid_with_ends(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
 def grid_of_cells(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
     """PDF uniform over the angles, on the grid of the paper's text (`grid_288` for 12 divisions).
 
-    Yaws are -pi, ..., pi - step; pitches are the middles of the steps. Args as in `grid_with_ends`.
+    Yaws are -pi, ..., pi - step; pitches are the middles of the steps. Arguments as in `grid_with_ends`.
     """
     n, roll = divisions_of(divisions), _rolls(roll)
     weight, refine = np.full(n, 1.0 / (2 * n * n)), partial(grid_of_cells, 2 * n, roll)
@@ -269,7 +273,7 @@ def grid_of_cells(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
 
 
 def solid_angle(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
-    """PDF uniform over the sphere: each cell of `grid_of_cells` weighs its solid angle over 4 pi."""
+    """PDF uniform over the sphere: the weight of each cell of `grid_of_cells` is its solid angle divided by 4 pi."""
     n, roll = divisions_of(divisions), _rolls(roll)
     weight = np.diff(np.sin(np.linspace(-np.pi / 2, np.pi / 2, n + 1))) / (4 * n)
     refine = partial(solid_angle, 2 * n, roll)

@@ -23,7 +23,8 @@ def _is_free(k, a, b, s, surface, at, edge):  # type: ignore[no-untyped-def]
 
 @inner
 def _blocked(k, a, b, s, surface, at, edge, beside):  # type: ignore[no-untyped-def]
-    """Ends of an interval around b. Footprint k does not fit at (a, q) on surface s for any q inside. Empty if b fits.
+    """Ends of an interval around b. For no q within the interval does footprint k fit at (a, q) on surface s. The
+    interval is empty if the footprint fits at b.
 
     The interval ends a rounding error before the footprints that block it. `beside` `(2, K)` is working memory.
     """
@@ -44,11 +45,12 @@ def _blocked(k, a, b, s, surface, at, edge, beside):  # type: ignore[no-untyped-
 
 @inner
 def _nearest_free(k, s, a, b, within, surface, at, pieces, start, stop, edge, lines, beside, found):  # type: ignore[no-untyped-def]
-    """Write the free place for footprint k nearest to (a, b) on surface s to `found`; False without one.
+    """Write into `found` the free place for footprint k that is nearest to (a, b) on surface s; return False if there
+    is no free place.
 
     Each coordinate of the nearest place is either unchanged or on a candidate line. Such a line is a border of a
     trapezoid along u or v, or a line on which footprint k touches another footprint. Only footprints within a distance
-    of `within` give candidate lines. Trapezoids `start` to `stop` of `pieces` are the allowed centres.
+    of `within` give candidate lines. Rows `start` to `stop - 1` of `pieces` are trapezoids of allowed centres.
     """
     lines[0, 0], lines[1, 0] = a, b
     across, up = 1, 1
@@ -81,16 +83,17 @@ def _nearest_free(k, s, a, b, within, surface, at, pieces, start, stop, edge, li
 
 @kernel
 def push(fixed, surface, at, pieces, first, of, edge, moved):  # type: ignore[no-untyped-def]
-    """Push K footprints apart in place; False without room for all.
+    """Push K footprints apart, updating the arrays in place; return False if there is no room for all footprints.
 
     Args:
         fixed: number of footprints at the beginning that are not moved.
         surface: surface of each footprint, `(K,)`; updated.
         at: centres in surface coordinates, metres, `(K, 2)`; updated.
         pieces: trapezoids of the allowed centres of S sizes, `(T, 6)`.
-        first: trapezoids for size c on surface s are `first[c, s]` to `first[c, s + 1]`, `(S, W + 1)`.
+        first: rows `first[c, s]` to `first[c, s + 1] - 1` of `pieces` are the trapezoids for size c on surface s, `(S,
+            W + 1)`.
         of: size index of each footprint, `(K,)`.
-        edge: edges of the footprints, metres, `(K,)`.
+        edge: edge lengths of the footprints, metres, `(K,)`.
         moved: mask of the moved footprints, `(K,)`; written.
     """
     lines, beside = np.empty((2, 2 * len(at) + 4 * len(pieces) + 1)), np.empty((2, len(at)))

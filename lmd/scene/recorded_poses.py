@@ -44,13 +44,13 @@ ENTRY_BYTES = 20  # memory of a nonzero K_t(a): two copies of a probability and 
 def pdf_by_position(
     poses: FloatArray, seconds: FloatArray, bandwidth: float, direction_bandwidth: float, divisions: int
 ) -> OrientationPdf:
-    """Estimate the PDF w_a(p) of this module.
+    """Estimate w_a(p), the probability of orientation a at position p, from recorded poses by kernel smoothing.
 
     Args:
         poses: X of T records, camera to world, `(T, 4, 4)`.
         seconds: duration tau_t of each record, `(T,)`.
-        bandwidth: h, metres.
-        direction_bandwidth: g, radians.
+        bandwidth: bandwidth h of the kernel in position, metres.
+        direction_bandwidth: bandwidth g of the kernel in direction, radians.
         divisions: the step of the grid of orientations is pi / divisions.
 
     Returns:
@@ -83,13 +83,14 @@ def _grid(poses: FloatArray, divisions: int) -> tuple[FloatArray, FloatArray, Fl
 
 
 def _spread(poses: FloatArray, orientations: FloatArray, solid_angle: FloatArray, width: float) -> csr_array:
-    """Kernels K_t(a), `(T, A)`.
+    """Kernels K_t(a): for each record t, weights that spread the recorded orientation over the grid's orientations a,
+    `(T, A)`.
 
     Args:
         poses: X, camera to world, `(T, 4, 4)`.
         orientations: rotations from the world to the camera, `(A, 3, 3)`.
-        solid_angle: A_a, `(A,)`.
-        width: g, radians.
+        solid_angle: solid angle A_a of each orientation's cell, `(A,)`.
+        width: bandwidth g in direction, radians.
     """
     nodes = Rotation.from_matrix(np.swapaxes(orientations, 1, 2)).as_quat()
     recorded = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
@@ -111,11 +112,11 @@ class _Kernels:
     """Kernel estimate w_a(p) of the PDF at a position.
 
     Args:
-        positions: x_t, `(T, 3)`, metres.
-        seconds: tau_t, `(T,)`.
-        spread: K_t(a), `(T, A)`.
+        positions: position x_t of each record, `(T, 3)`, metres.
+        seconds: duration tau_t of each record, `(T,)`.
+        spread: kernels K_t(a), see `_spread`, `(T, A)`.
         everywhere: mean PDF of the recording, for positions beyond all kernels, `(A,)`.
-        bandwidth: h, metres.
+        bandwidth: bandwidth h in position, metres.
     """
 
     def __init__(
@@ -167,11 +168,12 @@ class Records:
 
 @dataclass(frozen=True)
 class RecordedPoses(Checked):
-    """Recording, with settings for the positions, the orientation PDF and the validation from the recording.
+    """Recording of camera poses, with settings for the positions, the orientation PDF and the validation that are
+    derived from the recording.
 
     Args:
         trajectory: trajectory of the camera in the room.
-        spacing: edge of the cells with one position each, metres: one number or one per axis.
+        spacing: edge length of the cells, each of which gives one position, metres: one number or one per axis.
         bandwidth: bandwidth of the kernel in position, metres.
         direction_bandwidth: bandwidth of the kernel in direction, degrees.
         divisions: the step of the orientation grid is 180 degrees / divisions.
@@ -204,7 +206,7 @@ class RecordedPoses(Checked):
 
     @cached_property
     def _records(self) -> Records:
-        """All records; the last pose of the trajectory only ends the last record."""
+        """All records; the last pose of the trajectory only marks the end of the last record."""
         time = self.trajectory.time
         block = np.floor((time[:-1] - time[0]) / self.block).astype(np.int64)
         return Records(self.trajectory.poses[:-1], np.diff(time), block)

@@ -46,7 +46,7 @@ class Mount(Checked):
         camera: intrinsics.
         translation: offset of the camera's centre from the body's origin, body frame, metres.
         yaw, pitch, roll: radians, see the module; with zero angles the camera looks along the body's x axis, upright.
-        quaternion: instead of the angles, x, y, z, w of the rotation from the camera's frame to the body's frame. The
+        quaternion: rotation from the camera's frame to the body's frame as x, y, z, w, instead of the angles. The
             camera's frame has x along the optical axis, y left and z up in the image.
 
     Raises:
@@ -94,7 +94,9 @@ class Rig:
 
     @classmethod
     def of_poses(cls, cameras: Sequence[Camera], poses: FloatArray) -> "Rig":
-        """Rig of cameras with the poses `mounted`, `(C, 4, 4)`; the body's frame is the first camera's frame."""
+        """Rig of cameras with given poses, as in `mounted`, `(C, 4, 4)`; the body's frame is the first camera's
+        frame.
+        """
         from scipy.spatial.transform import Rotation
 
         turns = Rotation.from_matrix(OPTICAL @ poses[:, :3, :3] @ OPTICAL.T).as_quat()
@@ -103,7 +105,7 @@ class Rig:
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
-        """Camera of each mount."""
+        """Camera on each mount."""
         return tuple(mount.camera for mount in self.mounts)
 
     @cached_property
@@ -148,7 +150,9 @@ class Rig:
         return np.round(offsets, SAME_PLACE_DECIMALS) + 0.0, np.stack(turned)  # + 0.0 turns -0 into 0
 
     def stations(self, axes: FloatArray) -> "Iterator[Station]":
-        """Stations of the cameras for orientations `(A, 6)` of the body, ordered by camera and offset."""
+        """Stations of the cameras (see `Station`) for orientations `(A, 6)` of the body, ordered by camera and
+        offset.
+        """
         for camera, offsets, turned in zip(self.cameras, *self.views(axes), strict=True):
             places, place = np.unique(offsets, axis=0, return_inverse=True)
             for g, offset in enumerate(places):
@@ -162,12 +166,14 @@ def rig_of(camera: Camera | Rig) -> Rig | None:
 
 
 class Station(NamedTuple):
-    """Camera at one offset from the body's origin, and the orientations of the body that give this offset."""
+    """Station of a rig's camera: one offset of the camera from the body's origin, and the orientations of the body that
+    give this offset.
+    """
 
     camera: Camera
-    """Intrinsics."""
+    """Intrinsics of the camera."""
     offset: FloatArray
-    """Offset from the body's origin, world frame, metres, `(3,)`."""
+    """Offset of the camera from the body's origin, world frame, metres, `(3,)`."""
     there: np.ndarray
     """Indices of the orientations of the body with this offset, `(a,)`."""
     axes: FloatArray

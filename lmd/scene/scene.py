@@ -37,7 +37,8 @@ class Scene:
         visibility: criteria for the coverage of a landmark.
         tag: tag at each landmark; by default the tag of the visibility model, or a point.
         recorded: recording from which room and PDF are derived, with its held-out poses; None without a recording.
-        edges: edge of each landmark in order, or one edge for all, metres, see `sized`; None for the edge of `tag`.
+        edges: edge length of each landmark in order, or one length for all, metres, see `sized`; None for the edge
+            length of `tag`.
         crowd: states of people and other robots that hide landmarks; None without a crowd.
 
     Raises:
@@ -67,12 +68,12 @@ class Scene:
             self.check_no_crowd(f"a rig of {len(self.rig.mounts)} cameras")
 
     def sized(self, edges: FloatArray) -> "Scene":
-        """Scene for deployments of K landmarks with given edges.
+        """Scene for deployments of K landmarks with given edge lengths.
 
-        The scene itself is returned if all edges are NaN, or if landmarks are points.
+        The scene itself is returned if all entries of `edges` are NaN, or if landmarks are points.
 
         Args:
-            edges: edges of the black squares, metres, `(K,)`; NaN for the edge of `tag`.
+            edges: edge lengths of the black squares, metres, `(K,)`; NaN for the edge length of `tag`.
         """
         if self.tag.is_point or np.isnan(edges).all():
             return self
@@ -87,12 +88,12 @@ class Scene:
 
     @property
     def largest_edge(self) -> float:
-        """Largest edge of a landmark, metres; 0 for points."""
+        """Largest edge length of a landmark, metres; 0 for points."""
         return 0.0 if self.tag.is_point else max(self.edges or (self.tag.size,))
 
     @property
     def has_several_sizes(self) -> bool:
-        """True if the edges of landmarks differ."""
+        """True if the edge lengths of landmarks differ."""
         return self.edges is not None and len(self.edges) > 1
 
     def check_one_size(self, what: str) -> None:
@@ -102,7 +103,7 @@ class Scene:
             raise InputError(f"{what} works with tags of one size, not with edges of {sizes} m.")
 
     def check_count(self, count: int) -> None:
-        """Raise `InputError` if `edges` has one value per landmark and their number is not `count`."""
+        """Raise `InputError` if `edges` has one value per landmark, and the number of values is not `count`."""
         if self.edges is not None and len(self.edges) not in (1, count):
             raise InputError(f"the sizes of {count} landmarks are not known, as there are {len(self.edges)} edges.")
 
@@ -154,7 +155,9 @@ class Scene:
         return self if self.crowd is None else replace(self, crowd=self.crowd.only(state))
 
     def stations(self, axes: FloatArray) -> Iterator[Station]:
-        """Stations of the cameras for orientations of the camera or of the rig's body, `(A, 6)`."""
+        """Stations of the cameras (`lmd.scene.rig.Station`) for orientations of the camera or of the rig's body, `(A,
+        6)`.
+        """
         if self.rig is not None:
             yield from self.rig.stations(axes)
         else:
@@ -190,7 +193,9 @@ class Scene:
         return self.pdf.by_axis_and_roll if by_rig or self.visibility.needs_roll else self.pdf.by_axis
 
     def probability(self, positions: FloatArray) -> FloatArray:
-        """Probabilities of `orientations` at positions `(Q, 3)`, `(Q, D)`; `(1, D)` if independent of the position."""
+        """Probability of each of `orientations` at each of the positions `(Q, 3)`, `(Q, D)`; `(1, D)` if the PDF does
+        not depend on the position.
+        """
         axes, index_of, _ = self.orientations
         check_views(PROBABILITY_BYTES, 1 if self.pdf.by_position is None else len(positions), len(index_of))
         rows = self.pdf.at(positions)
@@ -200,11 +205,13 @@ class Scene:
 
     @property
     def is_compiled(self) -> bool:
-        """True if the visibility model has a compiled half."""
+        """True if the visibility model has a compiled half, a `SightModel`."""
         return self.visibility.sight(self.cameras[0]) is not None
 
     def check_compiled(self, what: str) -> None:
-        """Raise `InputError` if the visibility model has no compiled half; `what` is the subject of the message."""
+        """Raise `InputError` if the visibility model has no compiled half, a `SightModel`; `what` is the subject of the
+        message.
+        """
         if not self.is_compiled:
             name = type(self.visibility).__name__
             raise InputError(

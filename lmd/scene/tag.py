@@ -28,7 +28,9 @@ from lmd.scene.families import FAMILIES, Family, family_named, picture
 
 
 def edge_or_point(name: str, value: Any) -> float | None:
-    """Return `value` as the edge of a tag, metres; None for a point. Raise `InputError` if the value is not an edge."""
+    """Return `value` as the edge length of a tag, metres; None for a point. Raise `InputError` if the value is
+    neither.
+    """
     if value is not None and real(name, value) < 0.0:
         raise InputError(
             f"{name} must be positive, in metres, or null for landmarks that are points, got {value!r}.", name
@@ -43,15 +45,16 @@ def known_family(name: str, value: Any) -> str:
 
 @dataclass(frozen=True)
 class Tag(Checked):
-    """Tag at the landmarks of a deployment; without an edge, landmarks are points.
+    """Tag at the landmarks of a deployment; without an edge length, landmarks are points.
 
     Args:
-        edge: distance between neighbouring detected corners, metres. None or 0 for landmarks that are points, as in the
-            paper; with `edges`, None for the largest of `edges`. Landmarks of a file without sizes have this edge.
+        edge: edge length, which is the distance between adjacent detected corners, metres. None or 0 for landmarks that
+            are points, as in the paper; with `edges`, None for the largest of `edges`. Landmarks of a file without
+            sizes have this edge length.
         family: one of `lmd.scene.families.FAMILIES`, or a library's name of the family.
         quiet_zone: q, width of the white margin on each side, modules.
-        edges: edges of tags of several sizes, metres; None for one size, `edge`. Placed landmarks are assigned these
-            edges cyclically unless `counts` is given.
+        edges: edge lengths of tags of several sizes, metres; None for one size, `edge`. Placed landmarks are assigned
+            these lengths cyclically unless `counts` is given.
         counts: number of placed landmarks with each of `edges`, in order of the landmarks; None for the cyclic
             assignment.
         paper: total area of paper of the placed landmarks, square metres, for which the number of each size is
@@ -60,9 +63,9 @@ class Tag(Checked):
         budget: total cost of the placed landmarks, instead of `paper`.
 
     Raises:
-        InputError: the edge or the quiet zone is negative, or the family is unknown; a value of `edges` is not positive
-            or is repeated; `counts` or `costs` do not have one value for each of `edges`; `paper` is given without
-            `edges`; or `budget` is given without `costs` or with `paper`.
+        InputError: the edge length or the quiet zone is negative, or the family is unknown; a value of `edges` is not
+            positive or is repeated; `counts` or `costs` do not have one value for each of `edges`; `paper` is given
+            without `edges`; or `budget` is given without `costs` or with `paper`.
     """
 
     edge: Annotated[float | None, edge_or_point] = None
@@ -96,7 +99,8 @@ class Tag(Checked):
             )
 
     def edges_in_order(self, count: int) -> FloatArray:
-        """Edges of `count` placed landmarks, metres, `(count,)`; NaN if all have the edge of the tag.
+        """Edge lengths of `count` landmarks in the order of placement, metres, `(count,)`; NaN if one edge length holds
+        for all.
 
         Raises:
             InputError: the sum of `counts` is not `count`.
@@ -108,7 +112,7 @@ class Tag(Checked):
         return np.repeat(self.edges, self.counts)
 
     def filled(self, edges: FloatArray) -> FloatArray:
-        """Edges `(K,)`, metres, with NaN replaced by the edge of the tag; zeros for points."""
+        """Edge lengths `(K,)`, metres, with NaN replaced by the edge length of the tag; zeros for points."""
         return np.zeros(len(edges)) if self.edge is None else np.where(np.isnan(edges), self.edge, edges)
 
     def of_size(self, edge: float) -> "Tag":
@@ -117,12 +121,14 @@ class Tag(Checked):
 
     @property
     def sizes(self) -> tuple[float, ...]:
-        """Edges of placed tags, metres; empty for points."""
+        """Edge lengths of placed tags, metres; empty for points."""
         return self.edges or (() if self.edge is None else (self.edge,))
 
     @property
     def limit(self) -> float | None:
-        """Limit on the total paper, square metres, or on the total cost; None if the number of landmarks is given."""
+        """Limit on the total area of paper, square metres, or on the total cost; None if the number of landmarks is
+        given.
+        """
         return self.budget if self.paper is None else self.paper
 
     @property
@@ -136,24 +142,24 @@ class Tag(Checked):
         return None if self.is_point else self.family
 
     def check_edge(self) -> None:
-        """Raise `InputError` if the tag is a point."""
+        """Raise `InputError` if the tag is a point, without an edge length."""
         if self.is_point:
             message = f"edge must be given, in metres, as a detector cannot read a point: measure the {self.square}."
             raise InputError(message, "edge").within("tag")
 
     @property
     def in_family(self) -> Family:
-        """Properties of the family."""
+        """Properties of the tag's family."""
         return FAMILIES[self.family]
 
     @property
     def square(self) -> str:
-        """Name in texts of the square whose edge is the edge of the tag."""
+        """Name in texts of the square whose edge length is the edge length of the tag."""
         return self.in_family.square
 
     @property
     def modules(self) -> int:
-        """N, modules along the edge."""
+        """N, number of modules along the edge between the detected corners."""
         return self.in_family.modules
 
     @property
@@ -163,7 +169,7 @@ class Tag(Checked):
 
     @property
     def size(self) -> float:
-        """Edge between the detected corners, metres.
+        """Edge length: distance between adjacent detected corners, metres.
 
         Raises:
             InputError: the tag is a point.
@@ -174,36 +180,40 @@ class Tag(Checked):
 
     @property
     def module(self) -> float:
-        """Edge of one module, metres."""
+        """Edge length of one module, metres."""
         return self.size / self.modules
 
     @property
     def picture_share(self) -> float:
-        """Ratio of the edges of the whole picture and of the tag, M / N; 1 if there is no data around the square."""
+        """Edge length of the whole picture divided by the edge length of the tag, M / N; 1 if there is no data around
+        the detected square.
+        """
         return self.in_family.picture_modules / self.modules
 
     @property
     def picture_edge(self) -> float:
-        """Edge of the whole picture, metres."""
+        """Edge length of the whole picture, metres."""
         return self.size * self.picture_share
 
     @property
     def paper_modules(self) -> float:
-        """Edge of the paper with its quiet zone, M + 2 q, modules."""
+        """Edge length of the paper with its quiet zone, M + 2 q, modules."""
         return self.in_family.picture_modules + 2.0 * self.quiet_zone
 
     @property
     def paper_share(self) -> float:
-        """Ratio of the edges of paper and tag, (M + 2 q) / N."""
+        """Edge length of the paper divided by the edge length of the tag, (M + 2 q) / N."""
         return self.picture_share + 2.0 * self.quiet_zone / self.modules
 
     @property
     def paper_edge(self) -> float:
-        """Edge of the paper, metres."""
+        """Edge length of the paper, metres."""
         return self.size * self.paper_share
 
     def check_ids(self, ids: IntArray) -> None:
-        """Raise `InputError` if the family has fewer than K tags, or lacks one of the `ids` `(K,)`, all different."""
+        """Raise `InputError` if the family has fewer than K tags, or lacks one of the `ids` `(K,)`, which are all
+        different.
+        """
         if len(ids) > self.ids:
             raise InputError(f"family {self.family} has {self.ids} different tags, too few for {len(ids)}.", "family")
         if ids.max() >= self.ids:
