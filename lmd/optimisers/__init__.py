@@ -1,1 +1,1 @@
-"""Optimisers: each maximises a `Problem` within an exact budget."""
+"""Optimisers: each one maximises the fitness of a `Problem` with an exact budget of evaluations or time."""

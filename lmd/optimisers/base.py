@@ -1,4 +1,4 @@
-"""Base classes of optimisers: the interface for pipelines, and the ask/tell loop."""
+"""Base classes of optimisers: the interface that pipelines use, and the loop of optimisers that ask and tell."""
 
 import math
 import sys
@@ -27,22 +27,26 @@ AT_ONCE = 1000  # largest number of evaluations between two checks of the time l
 
 @dataclass(frozen=True)
 class Result:
-    """Outcome of a run."""
+    """Outcome of an optimiser's run."""
 
     deployment: Deployment
     """Best deployment found."""
     fitness: float
     """Fitness of `deployment`."""
     evaluations: float
-    """Full evaluations spent."""
+    """Number of full evaluations spent."""
     seconds: float
     """Wall time spent, summed over all parts of a resumed run, without compilation."""
     history: tuple[Record, ...]
-    """Best fitness against evaluations and wall time: each improvement, and the end of each batch."""
+    """Records of the best fitness against evaluations and wall time: one for each improvement, and one for the end of
+    each batch.
+    """
     stopped: str
-    """`budget` if the budget is used up, `interrupted` by the callback, `proven` if the result is proved optimal."""
+    """Reason for the end: `budget` if the budget is used up, `interrupted` by the callback, `proven` if the result is
+    proved optimal.
+    """
     rig: Rig | None = None
-    """Best cameras found if cameras are placed and the deployment is given, else None."""
+    """Best cameras found, if cameras are placed and the deployment is given; otherwise None."""
 
 
 # Called after every batch; stops the run by returning True.
@@ -50,9 +54,9 @@ Callback = Callable[["Optimiser"], bool | None]
 
 
 class Optimiser(ABC):
-    """Interface of optimisers for pipelines.
+    """Interface of optimisers, which pipelines use.
 
-    The instance has the whole state of a run: a second call of `run`, or a call after `restore`, continues the run.
+    The object holds the whole state of a run: a second call of `run`, or a call after `restore`, continues the run.
 
     Args:
         seed: seed of the random generator of the run.
@@ -68,21 +72,21 @@ class Optimiser(ABC):
         return type(self).__name__
 
     def state(self) -> dict[str, Any]:
-        """Return the results of the run as data, for a checkpoint; settings are not part of it.
+        """Return the state of the run as plain data, for a checkpoint; the optimiser's settings are not part of it.
 
-        Data are None, numbers, texts, arrays of NumPy, and lists and mappings of these; `lmd.optimisers.stored` has
+        Plain data are None, numbers, texts, NumPy arrays, and lists and mappings of these; `lmd.optimisers.stored` has
         functions for generators and deployments.
 
         Raises:
-            InputError: the optimiser cannot be checkpointed; the default.
+            InputError: the optimiser cannot be checkpointed, as is the case unless a subclass overrides this method.
         """
         raise InputError("it has no state to be saved")
 
     def restore(self, state: Mapping[str, Any], problem: Problem) -> None:
-        """Take over the `state` of an optimiser with equal settings; this one has not run.
+        """Continue from the `state` of another optimiser with equal settings; this optimiser must not have run before.
 
         Args:
-            state: read from a file, which may be malicious, so each value has to be checked.
+            state: plain data read from a file, which may be malicious, so each value has to be checked.
             problem: problem of the run.
 
         Raises:
@@ -96,28 +100,29 @@ class Optimiser(ABC):
             raise InputError(f"{type(self).__name__} places landmarks, not cameras; use a black box.")
 
     def figures(self) -> Mapping[str, float]:
-        """Further figures of this optimiser, recorded beside the fitness; none by default."""
+        """Further metrics of this optimiser, which are recorded beside the fitness; none by default."""
         return {}
 
     @abstractmethod
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
-        """Maximise `problem` within `budget`; deterministic for a given seed and problem."""
+        """Maximise the fitness of `problem` within `budget`; the result depends only on the seed and the problem."""
 
     @abstractmethod
     def found(self, problem: Problem) -> Deployment | None:
-        """Best deployment; None before there is one."""
+        """Best deployment found until now; None if there is none."""
 
     def found_rig(self, problem: Problem) -> Rig | None:
-        """Best cameras; None before any is found, or if no cameras are placed."""
+        """Best cameras found until now; None if there are none, or if no cameras are placed."""
         return None
 
     def _spend(
         self, problem: Problem, budget: Budget, callback: Callback | None, step: Callable[[float], None],
         spent: Callable[[], float],
     ) -> Result:  # fmt: skip
-        """Call `step` with the spent share of the budget until it is used up, or the callback stops the run.
+        """Call `step` with the spent fraction of the budget until the budget is used up, or the callback stops the run.
 
-        `spent` returns the exact number of evaluations spent; the ledger may have a sum of rounded parts.
+        `spent` returns the exact number of evaluations spent; the number in the ledger may be a sum of rounded
+        fractions.
         """
         while (used := budget.used(spent(), self.ledger.seconds)) < 1.0:
             step(used)
@@ -126,7 +131,7 @@ class Optimiser(ABC):
         return self.result(problem, "budget")
 
     def result(self, problem: Problem, stopped: str) -> Result:
-        """Result of `run` from the ledger, also for an interrupted run.
+        """Result of `run`, made from the ledger, also for an interrupted run.
 
         Raises:
             InputError: no deployment was found.
@@ -139,10 +144,10 @@ class Optimiser(ABC):
 
 
 class AskTell(Optimiser):
-    """Base of optimisers that propose batches of genes and receive their fitness.
+    """Base of optimisers that propose batches of genes (`ask`) and are then told the fitness of these genes (`tell`).
 
     Overlapping footprints are pushed apart before an evaluation (`lmd.scene.footprints`); the genes do not change. A
-    deployment without room for its footprints counts as a failed evaluation.
+    deployment whose footprints find no room counts as a failed evaluation.
 
     Subclasses write `_ask` and `_tell` only. Before the first `_ask`, `run` sets
 
@@ -152,15 +157,15 @@ class AskTell(Optimiser):
 
     Args:
         seed: see `Optimiser`.
-        encoding: encoding of landmarks, `wall` or `paper` (`lmd.optimisers.encoding`); None for the one that the caller
-            sets before `run`, by default `wall`.
+        encoding: encoding of landmarks, `wall` or `paper` (`lmd.optimisers.encoding`); None for the encoding that the
+            caller sets before `run`, by default `wall`.
 
-    A checkpoint has the fitness of all batches, but no genes. `restore` repeats all calls of `_ask` and `_tell` with
+    A checkpoint holds the fitness of all batches, but no genes. `restore` repeats all calls of `_ask` and `_tell` with
     this fitness, without evaluations, which reproduces the state of any subclass.
     """
 
     start_size = 1
-    """Number of starting deployments that the method can use."""
+    """Number of starting candidates that the optimiser can use."""
     flush = True
     """True if landmarks lie flat on their surface; a caller may set it before `run`."""
     dim: int
@@ -175,17 +180,19 @@ class AskTell(Optimiser):
 
     @abstractmethod
     def _ask(self) -> FloatArray:
-        """Propose genes `(B, dim)` in the unit box, B >= 1."""
+        """Propose genes `(B, dim)` in the unit box, for B >= 1 candidates."""
 
     @abstractmethod
     def _tell(self, genes: FloatArray, fitness: FloatArray) -> None:
-        """Receive the fitness `(B,)` of the genes of the last `_ask`; a failed evaluation is -inf, never NaN."""
+        """Take the fitness `(B,)` of the genes that the last `_ask` returned; a failed evaluation has -inf, never
+        NaN.
+        """
 
     def ask(self) -> FloatArray:
-        """Return the next batch, `(B, dim)`, clipped to the unit box.
+        """Return the genes of the next batch, `(B, dim)`, clipped to the unit box.
 
         Raises:
-            InputError: the method did not return genes of the right shape.
+            InputError: `_ask` did not return genes of the right shape.
         """
         asked = self._ask()
         try:
@@ -200,11 +207,11 @@ class AskTell(Optimiser):
         return np.clip(genes, 0.0, 1.0)
 
     def tell(self, genes: FloatArray, fitness: FloatArray) -> None:
-        """Record a batch and pass it to the method; NaN counts as -inf."""
+        """Record the fitness of a batch and pass it to `_tell`; NaN counts as -inf."""
         self._tell(genes, self._note(genes, fitness))
 
     def _note(self, genes: FloatArray, fitness: FloatArray) -> FloatArray:
-        """Record a batch; returns the fitness, with -inf for NaN."""
+        """Record the fitness of a batch; return the fitness with NaN replaced by -inf."""
         fitness = np.where(np.isnan(fitness), -np.inf, fitness)
         self.told.append((_checksum(genes), fitness.copy(), self.ledger.seconds))
         if (best := self.ledger.note_batch(fitness)) is not None:
@@ -212,7 +219,7 @@ class AskTell(Optimiser):
         return fitness
 
     def _note_or_tell(self, genes: FloatArray, fitness: FloatArray, asked: int) -> None:
-        """Pass a complete batch of `asked` genes to the method; an incomplete batch is only recorded."""
+        """Pass a batch to `_tell` if it has all `asked` candidates; an incomplete batch is only recorded."""
         if len(genes) == asked:
             self.tell(genes, fitness)
         else:  # `_tell` needs a complete batch
@@ -230,7 +237,9 @@ class AskTell(Optimiser):
 
     @override
     def restore(self, state: Mapping[str, Any], problem: Problem) -> None:
-        """See `Optimiser.restore`; all batches are repeated, which takes the optimiser's own computing time."""
+        """See `Optimiser.restore`. All calls of `_ask` and `_tell` are repeated, which takes the optimiser's own
+        computing time.
+        """
         checksums = array("checksums", state["checksums"], np.uint32, None)
         seconds = array("wall_time", state["wall_time"], np.float64, len(checksums), low=0.0)
         batches = array("batches", state["batches"], np.int64, len(checksums), low=1)
@@ -253,7 +262,7 @@ class AskTell(Optimiser):
         self._genome(problem).reached(self.ledger.best_fitness)
 
     def _draw_start(self, problem: Problem, budget: Budget) -> None:
-        """Set `dim`, `rng` and `start`, which has no more candidates than the budget can evaluate."""
+        """Set `dim`, `rng` and `start`; `start` has no more candidates than the budget can evaluate."""
         genome = self._genome(problem)
         self.dim = genome.dim
         taken = f"optimiser: {self.start_size} candidates of {self.dim} genes at a time"
@@ -266,7 +275,7 @@ class AskTell(Optimiser):
 
     @override
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
-        """Ask, evaluate and tell until the budget is used up; a batch that would exceed it is cut short."""
+        """Ask, evaluate and tell until the budget is used up; a batch that would exceed the budget is cut short."""
         ledger, genome = self.ledger, self._genome(problem)
         began = clock() - ledger.seconds
         if not ledger.evaluations:
@@ -307,7 +316,7 @@ def _checksum(genes: FloatArray) -> int:
 
 
 class DeploymentSearch(Optimiser):
-    """Optimiser that evaluates one deployment at a time and keeps the best of them.
+    """Optimiser that evaluates one deployment at a time and keeps the best deployment.
 
     Args:
         seed: see `Optimiser`.
@@ -319,7 +328,7 @@ class DeploymentSearch(Optimiser):
 
     @override
     def state(self) -> dict[str, Any]:
-        """See `Optimiser.state`; a subclass that keeps more adds it."""
+        """See `Optimiser.state`; a subclass that holds more data adds them."""
         return {**self.ledger.state(), "best": None if self.best is None else deployment_state(self.best)}
 
     @override
@@ -333,12 +342,12 @@ class DeploymentSearch(Optimiser):
         return self.best
 
     def _record(self, problem: Problem, evaluations: float, deployment: Deployment | None, began: float) -> None:
-        """Evaluate a deployment and record it.
+        """Evaluate a deployment and record its fitness.
 
         Args:
             problem: problem of the run.
             evaluations: full evaluations spent in the whole run.
-            deployment: the deployment; None for one that cannot be the best.
+            deployment: deployment to be evaluated; None if it cannot be the best.
             began: time at which the run would have begun without a pause, see `clock`.
         """
         fitness = -math.inf if deployment is None else problem.fitness_of(deployment)

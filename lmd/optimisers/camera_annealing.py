@@ -1,7 +1,8 @@
 """Simulated annealing of the cameras of a rig, one camera after the other.
 
-Only the moved camera is evaluated (`lmd.cameras.problem`), so a sweep over all cameras costs one evaluation. A move
-changes some genes of a camera by a random step, whose size shrinks during the run, or draws new genes of the camera.
+After a move only the moved camera is evaluated (`lmd.cameras.problem`), so moving each camera once (a sweep) costs one
+evaluation. A move changes some genes of a camera by random steps, whose size shrinks during the run, or draws all genes
+of the camera anew.
 """
 
 import math
@@ -25,17 +26,17 @@ SHARE_SKIPPED = 0.5  # share of the schedule that is skipped for a given start
 
 
 class CameraAnnealing(Optimiser):
-    """Simulated annealing of mounts in the unit box of their genes.
+    """Simulated annealing of the mounts of cameras, given as genes in the unit box.
 
     A run from given cameras begins in the middle of the schedule, so that moves at a high temperature do not discard
     the given cameras.
 
     Args:
-        temperature: first and last temperature, in units of the energy.
-        step: first and last standard deviation of a changed gene.
-        jump: first and last share of moves that draw new genes of a camera.
-        mean_share: weight in the energy of the mean value over positions, beside the fitness. The mean has a slope
-            where the fitness is constant.
+        temperature: first and last temperature, in units of the energy. The energy, which is maximised, is the fitness
+            plus a small multiple of the mean value over positions.
+        step: first and last standard deviation of the random step of a gene.
+        jump: first and last fraction of moves that draw all genes of a camera anew.
+        mean_share: weight of the mean value in the energy. The mean value has a slope where the fitness is constant.
         seed: see `Optimiser`.
 
     Raises:
@@ -83,7 +84,9 @@ class CameraAnnealing(Optimiser):
 
     @override
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
-        """Sweep over all cameras until the budget is used up; each sweep counts as an evaluation."""
+        """Move the cameras one after the other until the budget is used up; a sweep over all cameras counts as one
+        evaluation.
+        """
         cameras, ledger = _cameras(problem), self.ledger
         began = clock() - ledger.seconds
         if self.here is None:
@@ -109,7 +112,7 @@ class CameraAnnealing(Optimiser):
         return None if self.best is None else _cameras(problem).rig(self.best.reshape(-1))
 
     def _note(self, fitness: FloatArray) -> None:
-        """Record the `fitness` `(C,)` of a sweep's moves, each of which costs 1/C evaluations."""
+        """Record the `fitness` `(C,)` after each of a sweep's C moves, each of which costs 1/C evaluations."""
         ledger, spent, last = self.ledger, self.ledger.evaluations, len(fitness) - 1
         for move, reached in enumerate(fitness.tolist()):
             if reached > ledger.best_fitness and move < last:
@@ -117,7 +120,9 @@ class CameraAnnealing(Optimiser):
         ledger.note(spent + 1, reached)
 
     def _swept(self, problem: CameraProblem, used: float, energy: float) -> tuple[float, FloatArray]:
-        """Try to move each camera once; returns the energy of the cameras afterwards, and the fitness of each move."""
+        """Try to move each camera once; return the energy of the resulting cameras, and the fitness after each tried
+        move.
+        """
         assert self.here is not None
         best, reached = self.ledger.best_fitness, np.empty(len(self.here))
         temperature = self.temperature[0] * (self.temperature[1] / self.temperature[0]) ** used
@@ -133,7 +138,7 @@ class CameraAnnealing(Optimiser):
         return energy, reached
 
     def _changed(self, genes: FloatArray, used: float) -> FloatArray:
-        """Change the genes of a camera `(G,)`."""
+        """Return genes of a camera, `(G,)`, after a random change."""
         if self.rng.random() < self.jump[0] + used * (self.jump[1] - self.jump[0]):
             return self.rng.random(len(genes))
         step = self.step[0] * (self.step[1] / self.step[0]) ** used
@@ -144,7 +149,7 @@ class CameraAnnealing(Optimiser):
         return np.clip(moved, 0.0, 1.0)
 
     def _scored(self, problem: CameraProblem, genes: FloatArray) -> tuple[float, float]:
-        """Fitness and energy of cameras; -inf for cameras that are not admissible."""
+        """Fitness and energy of all cameras together, given their genes; -inf for cameras that are not admissible."""
         mounts = problem.space.mounts(genes)
         fitness = problem.fitness_of_cameras(mounts)
         if mounts is None or not math.isfinite(fitness):

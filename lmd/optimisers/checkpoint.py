@@ -1,7 +1,7 @@
 """Checkpoints: files from which a stopped run is resumed.
 
-A checkpoint holds data and no code: an optimiser made from the configuration takes over the state in the file. The file
-is a NumPy archive with the arrays and a JSON document; nothing is unpickled.
+A checkpoint holds data and no code: an optimiser that is made from the configuration continues from the state in the
+file. The file is a NumPy archive with the arrays and a JSON document; nothing is unpickled.
 """
 
 import io
@@ -29,21 +29,22 @@ MOST_TEXT = 200  # greatest number of characters shown of an error of another li
 
 @dataclass
 class Checkpoint:
-    """Run that can be resumed."""
+    """Run that can be stopped and resumed: its optimiser and settings."""
 
     optimiser: Optimiser
-    """Optimiser, which has the whole state of the run."""
+    """Optimiser, which holds the whole state of the run."""
     settings: Mapping[str, Any]
-    """Flat settings, which must be equal when the run is resumed."""
+    """Settings, keyed by config key, which must be equal when the run is resumed."""
     run_id: str | None = None
-    """Tracked run to continue, if any."""
+    """Id of the tracked run that is continued; None for none."""
 
     def check(self) -> None:
         """Raise `InputError` if the optimiser cannot be checkpointed."""
         self._content()
 
     def save(self, directory: Path) -> None:
-        """Replace the checkpoint in `directory`; after a crash, the old or the new file is complete.
+        """Replace the checkpoint in `directory`; even after a crash, there is a complete file, either the old or the
+        new one.
 
         Raises:
             InputError: the optimiser cannot be checkpointed.
@@ -51,14 +52,14 @@ class Checkpoint:
         write_whole(directory / CHECKPOINT_FILE, self._content())
 
     def resume(self, directory: str | Path, problem: Problem) -> None:
-        """Take over the state and the run of the checkpoint in `directory`.
+        """Continue from the state and the tracked run of the checkpoint in `directory`.
 
         Args:
             directory: directory of the run to resume.
             problem: problem of the run.
 
         Raises:
-            InputError: there is no checkpoint, it is damaged, or it was made with other settings.
+            InputError: there is no checkpoint, or it is damaged or was made with other settings.
         """
         path = file_path("resume", directory) / CHECKPOINT_FILE
         if not path.is_file():
@@ -92,7 +93,9 @@ class Checkpoint:
 
 
 def _without_arrays(name: str, value: Any, arrays: dict[str, Any]) -> Any:
-    """Turn `value` into JSON with names in place of arrays, and add the arrays to `arrays`."""
+    """Replace each array in `value` by a name, so that `value` fits into JSON, and add the arrays to `arrays` by
+    name.
+    """
     if value is None or isinstance(value, str | bool | int | float):
         return value
     if isinstance(value, np.generic):
@@ -109,7 +112,7 @@ def _without_arrays(name: str, value: Any, arrays: dict[str, Any]) -> Any:
 
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any], str | None]:
-    """Read state, settings and run of a checkpoint."""
+    """Read the state, the settings and the id of the tracked run from a checkpoint."""
     try:
         document = _document(path)
         state, run_id = document["state"], document["run"]
@@ -142,5 +145,5 @@ def _document(path: Path) -> Any:
 
 
 def _described(error: Exception) -> str:
-    """Text of an error, which may quote the file."""
+    """Text of an error about a file; the text may contain parts of the file."""
     return f"{type(error).__name__}: {' '.join(str(error).split())[:MOST_TEXT]}"

@@ -12,13 +12,14 @@ class CoordinateSearch(AskTell):
     """Coordinate search on the unit box, with a step for each gene (Kolda, Lewis and Torczon, SIAM Review 45, 2003,
     section 1.1).
 
-    Each sweep visits the genes of the best candidate in random order. A better move is kept, and the gene's step is
-    doubled. An equal move is kept, as many deployments have equal fitness. Where both directions are worse, the step is
-    halved. When all steps are below `least`, they are `step` again.
+    Each sweep visits the genes of the best candidate in random order. A move that raises the fitness is kept, and the
+    gene's step is doubled. A move that leaves the fitness unchanged is also kept, as many deployments have equal
+    fitness. If both directions lower the fitness, the step is halved. When all steps are below `least`, they are reset
+    to `step`.
 
     Args:
         step: first step of each gene (genes span 1).
-        least: step below which a gene is settled.
+        least: step below which a gene is no longer moved.
         encoding: see `AskTell`.
         seed: see `Optimiser`.
 

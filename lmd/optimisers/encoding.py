@@ -1,6 +1,7 @@
-"""Encodings (the paper's W): deployments as genes in the unit box, and back.
+"""Encodings (the paper's W), which convert deployments to genes in the unit box and back.
 
-A black box varies genes in [0, 1]; an encoding maps them to landmarks. Genes are ordered by landmark.
+A black-box optimiser varies genes in [0, 1]; an encoding maps the genes to landmarks. All genes of a landmark are
+adjacent.
 """
 
 from typing import TypeAlias
@@ -23,10 +24,10 @@ KINDS = ("wall", "paper")
 
 
 class PaperEncoding:
-    """Five genes for a landmark as printed: x, y, z, yaw rho, pitch eta.
+    """Encoding printed in the paper, with five genes for a landmark: x, y, z, yaw rho, pitch eta.
 
     The point is projected to the nearest surface that may carry landmarks. With `flush` the landmark has the normal of
-    the surface, and the two genes of angles have no effect, though they are part of the chromosome.
+    the surface, and the genes of the two angles have no effect, though they are part of the chromosome.
     """
 
     genes_per_landmark = 5
@@ -42,7 +43,9 @@ class PaperEncoding:
         self.planes_tell = room.blockers() is None and not np.triu(alike, 1).any()
 
     def decode(self, genes: FloatArray) -> tuple[FloatArray, FloatArray, np.ndarray]:
-        """Positions and normals `(B, K, 3)` and surfaces `(B, K)` of genes `(B, K * genes_per_landmark)` in [0, 1]."""
+        """Positions and normals `(B, K, 3)` and surfaces `(B, K)` that the genes `(B, K * genes_per_landmark)` in [0,
+        1] encode.
+        """
         g = genes.reshape(len(genes), genes.shape[1] // 5, 5)
         points = self.low + g[..., :3] * self.size
         surface = np.argmin(self._distance(points), axis=-1)
@@ -69,8 +72,8 @@ class PaperEncoding:
         return np.clip(np.hstack([(points - self.low) / self.size, angles]), 0.0, 1.0).reshape(-1)
 
     def _distance(self, points: FloatArray) -> FloatArray:
-        """Distance from points `(..., 3)` to each surface, or to its plane if the planes suffice, `(..., W)`,
-        metres.
+        """Distance of points `(..., 3)` from each of W surfaces, `(..., W)`, metres; the distance from the surface's
+        plane if the planes suffice.
         """
         s, depth = self.surfaces, np.abs(self.surfaces.heights(points))
         if self.planes_tell:
@@ -82,11 +85,12 @@ class PaperEncoding:
 
 
 class WallEncoding:
-    """Two genes for a landmark: the coordinate along all surfaces, side by side, and the height on the surface.
+    """Encoding with two genes for a landmark: its coordinate along all surfaces, laid side by side, and its height on
+    the surface.
 
-    Each piece of a surface where landmarks may hang has a share of the first gene in proportion to its area, so uniform
-    genes are uniform over these places. Without `flush`, two more genes turn the normal by up to 90 degrees towards u
-    and v of the surface.
+    Each piece of a surface where landmarks may hang gets an interval of the first gene in proportion to its area, so
+    uniform genes give places that are uniform over these pieces. Without `flush`, two more genes turn the normal by up
+    to 90 degrees towards u and v of the surface.
     """
 
     def __init__(self, room: Space, flush: bool) -> None:
@@ -97,7 +101,7 @@ class WallEncoding:
 
     @property
     def genes_per_landmark(self) -> int:
-        """Two if flush, four otherwise."""
+        """Number of genes for a landmark: two if landmarks are flush, four otherwise."""
         return 2 if self.flush else 4
 
     def decode(self, genes: FloatArray) -> tuple[FloatArray, FloatArray, np.ndarray]:
@@ -133,17 +137,17 @@ Encoding: TypeAlias = PaperEncoding | WallEncoding
 
 
 def make_encoding(kind: str, room: Space, flush: bool) -> Encoding:
-    """Make the encoding called `kind`, one of `KINDS`.
+    """Make the encoding with the name `kind`, one of `KINDS`.
 
     Raises:
-        InputError: there is no such encoding.
+        InputError: no encoding has this name.
     """
     choice("encoding", kind, KINDS)
     return PaperEncoding(room, flush) if kind == "paper" else WallEncoding(room, flush)
 
 
 class LandmarkGenome:
-    """Free landmarks of a problem as genes; footprints are pushed apart before they are evaluated.
+    """Genome whose genes encode the free landmarks of a problem; footprints are pushed apart before they are evaluated.
 
     Args:
         problem: the problem.
@@ -151,7 +155,7 @@ class LandmarkGenome:
         flush: True if landmarks lie flat on their surface.
 
     Raises:
-        InputError: there is no such encoding, or tags with a size are not flush.
+        InputError: no encoding has this name, or `flush` is False for tags with a size.
     """
 
     def __init__(self, problem: Problem, kind: str, flush: bool) -> None:
@@ -190,7 +194,9 @@ class LandmarkGenome:
         """See `Genome.reached`; the fitness of genes does not depend on earlier evaluations."""
 
     def _placed(self, genes: FloatArray) -> tuple[FloatArray, FloatArray, IntArray, BoolArray]:
-        """Decode genes `(B, dim)`, put the fixed landmarks first, and push footprints apart."""
+        """Decode genes `(B, dim)`, put the fixed landmarks first, and push footprints apart; return positions, normals,
+        surfaces, and a mask of the candidates that find room.
+        """
         problem = self._problem
         positions, normals, surfaces = self._encoding.decode(genes)
         if (fixed := problem.fixed) is not None:

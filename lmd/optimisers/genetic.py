@@ -1,4 +1,6 @@
-"""The genetic algorithms of the paper (Sec. IV-B and V-A), their operators, and random search, the baseline of all."""
+"""The genetic algorithms of the paper (Sec. IV-B and V-A), their operators, and random search, the baseline for all
+optimisers.
+"""
 
 import numpy as np
 
@@ -7,13 +9,13 @@ from lmd.optimisers.base import AskTell
 
 
 def filled_up(start: FloatArray, size: int, rng: np.random.Generator) -> FloatArray:
-    """Cut the start to `size`, or fill it up with uniform genes, `(size, dim)`."""
+    """Cut the genes `start` to `size` candidates, or add uniform random genes, so that the result is `(size, dim)`."""
     missing = max(size - len(start), 0)
     return np.vstack([start[:size], rng.random((missing, start.shape[1]))])
 
 
 def recombination_range(shortest: float, longest: float) -> tuple[float, float]:
-    """Check Y_min and Y_max, fractions of the chromosome.
+    """Check and return Y_min and Y_max, the shortest and longest run of exchanged genes as fractions of the chromosome.
 
     Raises:
         InputError: not 0 <= shortest <= longest <= 1.
@@ -23,14 +25,18 @@ def recombination_range(shortest: float, longest: float) -> tuple[float, float]:
 
 
 def run_of_genes(rng: np.random.Generator, dim: int, shortest: float, longest: float) -> slice:
-    """Draw a run of successive genes of a chromosome; its length is between `shortest` and `longest` times `dim`."""
+    """Draw a random run of successive genes of a chromosome; its length is between `shortest` and `longest` times
+    `dim`.
+    """
     length = int(rng.integers(round(shortest * dim), round(longest * dim), endpoint=True))
     first = int(rng.integers(0, dim - length, endpoint=True))
     return slice(first, first + length)
 
 
 def exchange(rng: np.random.Generator, parents: FloatArray, shortest: float, longest: float) -> FloatArray:
-    """Pair up parents at random and exchange a run of genes in each pair, `(B, dim)`; an unpaired parent is copied."""
+    """Pair up parents at random and exchange a run of genes in each pair; return the children `(B, dim)`. A parent
+    without a partner is copied.
+    """
     children = parents.copy()
     order = rng.permutation(len(parents))
     for i, j in zip(order[0::2], order[1::2], strict=False):
@@ -40,7 +46,7 @@ def exchange(rng: np.random.Generator, parents: FloatArray, shortest: float, lon
 
 
 def reset(rng: np.random.Generator, genes: FloatArray, probability: float) -> FloatArray:
-    """Draw a new value of each gene with `probability`."""
+    """Replace each gene by a new random value with the given `probability`."""
     mutates = rng.random(genes.shape) < probability
     return np.where(mutates, rng.random(genes.shape), genes)
 
@@ -50,21 +56,21 @@ class EGA(AskTell):
 
     In each generation the best chromosome survives unchanged, so the best fitness never falls. The Q worst chromosomes
     are replaced by random chromosomes. The others form the recombinant pool, exchange a run of genes and mutate. Fit is
-    the problem's fitness, pop_0 the problem's start (filled up with random chromosomes), T the budget.
+    the problem's fitness, pop_0 the problem's start (filled up with random chromosomes), and T the budget.
 
-    The parameters fix choices that the paper leaves open. The defaults follow the text of the paper literally.
+    Some parameters fix choices that the paper leaves open. Their defaults follow the text of the paper literally.
 
     Args:
-        population: M.
-        eliminated: Q, with Q + 1 <= M.
+        population: number M of chromosomes.
+        eliminated: number Q of chromosomes that are replaced in each generation, with Q + 1 <= M.
         recombination_min, recombination_max: Y_min and Y_max, the shortest and longest run of genes exchanged, as
-            fractions of the chromosome: the printed 100 and 300 of 450 genes.
-        mutation_probability: Psi, for each gene of a recombined chromosome.
+            fractions of the chromosome; the paper has 100 and 300 of 450 genes.
+        mutation_probability: probability Psi that a gene of a recombined chromosome mutates.
         partner: `pool` pairs the chromosomes of the pool at random, and each pair exchanges a run of genes; `survivor`
             gives each chromosome a run of the survivor's genes.
         acceptance: `always` lets a child replace its parent; `if_better` does so only if the child's fitness is not
             lower.
-        encoding: W, see `AskTell`.
+        encoding: encoding W, see `AskTell`.
         seed: see `Optimiser`.
 
     Raises:
@@ -116,7 +122,7 @@ class EGA(AskTell):
         self.population, self.fitness = genes[order], fitness[order]
 
     def _recombine(self, pool: FloatArray) -> FloatArray:
-        """Children `(M - 1 - Q, dim)` of the pool, row i descending from parent i."""
+        """Children `(M - 1 - Q, dim)` of the pool; the child in row i descends from parent i."""
         assert self.population is not None
         shortest, longest = self.recombination_min, self.recombination_max
         if self.partner == "pool":
@@ -132,14 +138,14 @@ class SGA(AskTell):
     """Standard genetic algorithm.
 
     In each generation M parents are drawn with a probability proportional to their fitness (by a roulette wheel, so one
-    chromosome can be drawn often). The parents pair up, exchange a run of genes and mutate; the children replace the
-    population. So the population can get worse; the result is the best chromosome of all generations.
+    chromosome can be drawn several times). The parents pair up, exchange a run of genes and mutate; the children
+    replace the population. So the population can get worse; the result is the best chromosome of all generations.
 
     Args:
-        population: M.
-        recombination_min, recombination_max: the shortest and longest run of genes exchanged, as fractions of the
+        population: number M of chromosomes.
+        recombination_min, recombination_max: shortest and longest run of exchanged genes, as fractions of the
             chromosome.
-        mutation_probability: probability of a new gene.
+        mutation_probability: probability that a gene is replaced by a random value.
         survivors: number of best chromosomes that take the place of the worst children; 0 as in the paper.
         encoding: see `AskTell`.
         seed: see `Optimiser`.
@@ -182,8 +188,8 @@ class SGA(AskTell):
         self.population, self.fitness = genes, fitness
 
     def _roulette(self) -> np.ndarray:
-        """Indices of M parents. A failed evaluation has no share of the wheel; if all evaluations failed, the shares
-        are equal.
+        """Draw the indices of M parents. A chromosome whose evaluation failed has probability 0; if all evaluations
+        failed, the probabilities are equal.
         """
         share = np.maximum(self.fitness, 0.0)
         if not share.any():
@@ -192,10 +198,10 @@ class SGA(AskTell):
 
 
 class RandomSearch(AskTell):
-    """Random search: the start, then uniform genes.
+    """Random search: evaluates the start and then uniform random genes.
 
     Args:
-        batch: deployments drawn at a time; the result does not depend on the number.
+        batch: number of deployments drawn at a time; the result does not depend on it.
         encoding: see `AskTell`; with `wall`, uniform genes are uniform over the walls.
         seed: see `Optimiser`.
 

@@ -1,4 +1,4 @@
-"""Gradient ascent of all landmarks at once from random deployments."""
+"""Gradient ascent of all landmarks together, from random deployments."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -26,7 +26,7 @@ GROWTH, SHRINKAGE = 1.5, 0.5  # factors of the step after a trial that raises th
 
 @kernel
 def _smooth_fitness(target: Any, units: Any, width: float) -> Any:
-    """Smoothed fitness of a deployment with the values `units` `(Q,)`."""
+    """Smoothed fitness of a deployment with the quantised values `units` `(Q,)` at Q positions."""
     total, terms = 0.0, np.empty(len(units))
     for p in range(len(units)):
         terms[p] = smoothed(target, p, units[p], 0.0, width, SHARE)
@@ -39,14 +39,14 @@ class GradientAscent(DeploymentSearch):
 
     The slope along the surface of each landmark is a central difference with exact values, occlusion included. A trial
     moves each landmark by one step in the direction of its slope. If the smoothed objective rises, the trial is kept
-    and the step grows, otherwise the step shrinks. When the step has vanished, the smooth threshold becomes narrower;
-    after the narrowest threshold the next ascent begins. The deployment with the best *true* fitness is kept.
+    and the step grows, otherwise the step shrinks. When the step falls below its minimum, the smooth threshold becomes
+    narrower; after the narrowest threshold the next ascent begins. The deployment with the best *true* fitness is kept.
 
-    The slopes cost as much as moving each free landmark to four places; a trial costs 1 evaluation.
+    The slopes cost as much of the budget as moving each free landmark to four places; a trial costs one evaluation.
 
     Args:
-        step: first and smallest step of a landmark, metres; the difference has the same step.
-        widths: widths of the smooth threshold of an ascent, in value.
+        step: first and smallest step of a landmark, metres; the central difference uses the present step.
+        widths: successive widths of the smooth threshold in an ascent, in units of the values.
         seed: see `Optimiser`.
 
     Raises:
@@ -102,7 +102,7 @@ class GradientAscent(DeploymentSearch):
         return self._spend(problem, budget, callback, step, lambda: self.spent / count)
 
     def _trial(self, problem: Problem, climb: "_Climb") -> Deployment:
-        """Try a step, or begin the next ascent; returns the deployment to evaluate."""
+        """Try a step, or begin the next ascent; return the deployment to be evaluated."""
         width = self.widths[self.stage]
         if self.direction is None:
             self.direction = climb.direction(self.step, width)
@@ -120,7 +120,7 @@ class GradientAscent(DeploymentSearch):
         return trial
 
     def _random(self, problem: Problem) -> Deployment:
-        """Draw a deployment to start from; random also if the start of the problem is given."""
+        """Draw a random deployment from which an ascent begins, even if the start of the problem is given."""
         if problem.start.varies:
             return _movable(problem, problem.draw(self.rng))
         drawn = problem.scene.footprints.draw(RandomDeployment(problem.free_count), self.rng, problem.fixed)
@@ -161,7 +161,7 @@ def _movable(problem: Problem, start: Deployment) -> Deployment:
 
 
 class _Climb:
-    """Current place of an ascent on the objective's field.
+    """State of one ascent: the present deployment, in the field (the incremental evaluator) of the objective.
 
     Args:
         problem: problem with an incremental objective.
@@ -177,11 +177,13 @@ class _Climb:
         self.begin(here)
 
     def begin(self, here: Deployment) -> None:
-        """Move to a deployment."""
+        """Begin from the deployment `here`."""
         self._here, self._state = here, self._field.state(here)
 
     def direction(self, difference: float, width: float) -> FloatArray:
-        """Direction of the slope of each landmark along u and v, unit vectors, `(K, 2)`; 0 without a slope."""
+        """Unit vectors along the slope of each landmark, with components along u and v, `(K, 2)`; 0 where there is no
+        slope.
+        """
         out, scratch = np.zeros((len(self._here), 2)), self._field.scratch(self._state)
         target = slope_target(self._target, self._state.units)
         parts = self._problem.fixed_count, self._field, self._state, scratch, target, self._surfaces
@@ -190,11 +192,11 @@ class _Climb:
         return np.asarray(out / np.where(length > 0.0, length, 1.0))
 
     def moved(self, away: FloatArray) -> Deployment:
-        """Landmarks moved by `away` `(K, 2)` along u and v, metres, with footprints that do not overlap."""
+        """Move the landmarks by `away` `(K, 2)` along u and v, metres, and push overlapping footprints apart."""
         return moved_along(self._problem, self._here, self._surfaces, away)
 
     def rises(self, trial: Deployment, width: float) -> bool:
-        """Move to the trial if the smoothed fitness is higher there; returns True if it is."""
+        """Move to the deployment `trial` if its smoothed fitness is higher; return True in this case."""
         state, smooth = self._field.state(trial), runner(self._field, _smooth_fitness)
         before, now = (smooth(self._target, each.units, width) for each in (self._state, state))
         if now > before:

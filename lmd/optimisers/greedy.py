@@ -25,10 +25,11 @@ REFINING_STAGE = Stage(temperature=(4e-5, 2e-5), width=(0.02, 0.006), step=(0.3,
 
 
 class Greedy(Annealing):
-    """Greedy selection from a grid of wall poses; the rest of the budget refines it by annealing at a low temperature.
+    """Greedy selection from a grid of poses on the walls; the rest of the budget refines the result by annealing at a
+    low temperature.
 
-    The footprints of chosen poses do not overlap. Evaluating the gain of a pose costs as much of the budget as moving a
-    landmark.
+    The footprints of chosen poses do not overlap. To evaluate the gain of a pose costs as much of the budget as to move
+    a landmark.
 
     Args:
         spacing: spacing of the grid, metres; enlarged if the budget does not suffice.
@@ -58,14 +59,14 @@ class Greedy(Annealing):
 
 @dataclass(frozen=True)
 class GreedyDeployment(Checked):
-    """Greedy selection as a start for any optimiser, or as a deployment to score (`deployment=greedy`).
+    """Deployment chosen greedily, as a start for any optimiser or to be scored (`deployment=greedy`).
 
     The cost of the selection is not charged to the budget of the optimiser that starts from it.
 
     Args:
         count: number of landmarks.
         scene: the scene.
-        objective: the objective, which has a selection.
+        objective: objective that has a surrogate for greedy choice (`selection`).
         spacing: spacing of the grid of poses, metres.
         threads: worker threads, all processors by default; the result does not depend on the number.
         fixed: landmarks that exist already, with their surfaces; the selection adds the other landmarks.

@@ -1,4 +1,4 @@
-"""Budget of a run, and its ledger: spent evaluations and time, and best fitness."""
+"""Budget of a run, and its ledger, which records spent evaluations and time, and the best fitness."""
 
 import math
 from bisect import bisect_left, bisect_right
@@ -16,7 +16,7 @@ ROUNDING = 1e-6  # evaluations are sums of parts 1/K
 
 @dataclass(frozen=True)
 class Budget(Checked):
-    """Limits of a run.
+    """Limits of a run, in evaluations and in time.
 
     Raises:
         InputError: a limit is not positive, or no limit is given.
@@ -25,7 +25,7 @@ class Budget(Checked):
     evaluations: Count | None = None
     """Greatest number of full evaluations; a moved landmark counts 1/K. None for no limit."""
     seconds: Positive | None = None
-    """Wall time after which no evaluation starts, seconds, without compilation; None for no limit."""
+    """Wall time after which no further evaluation starts, seconds, without compilation; None for no limit."""
 
     def _validate(self) -> None:
         if self.evaluations is None and self.seconds is None:
@@ -33,22 +33,24 @@ class Budget(Checked):
 
     @property
     def limit(self) -> float:
-        """Evaluations allowed, infinity for no limit."""
+        """Greatest number of evaluations; infinity for no limit."""
         return math.inf if self.evaluations is None else self.evaluations
 
     def used(self, evaluations: float, seconds: float) -> float:
-        """Spent share of the budget, the larger of the two limits; 1 or more if it is used up."""
+        """Fraction of the budget that is spent, the larger of the fractions of both limits; 1 or more if the budget is
+        used up.
+        """
         return max(evaluations / self.limit, seconds / (self.seconds or math.inf))
 
 
 @dataclass(frozen=True)
 class Record:
-    """Progress of a run."""
+    """One point in the progress of a run."""
 
     evaluations: float
-    """Full evaluations spent."""
+    """Number of full evaluations spent."""
     best_fitness: float
-    """Best fitness."""
+    """Best fitness at this point."""
     wall_time: float
     """Seconds spent; all records of a batch have the end time of the batch, as its candidates are evaluated together.
     """
@@ -56,19 +58,21 @@ class Record:
 
 @dataclass
 class Ledger:
-    """Progress of a run."""
+    """Progress of a run until now."""
 
     evaluations: float = 0
-    """Full evaluations spent."""
+    """Number of full evaluations spent."""
     seconds: float = 0.0
-    """Wall time spent."""
+    """Wall time spent, seconds."""
     best_fitness: float = -math.inf
-    """Best fitness."""
+    """Best fitness; -inf before the first successful evaluation."""
     history: list[Record] = field(default_factory=list)
     """Records in the order of time."""
 
     def note(self, evaluations: float, fitness: float) -> bool:
-        """Record `evaluations` and the `fitness` of the last one; return True if this fitness is the best."""
+        """Record that `evaluations` are spent, and the `fitness` of the last evaluation; return True if this fitness is
+        the best.
+        """
         is_best = fitness > self.best_fitness
         self.evaluations, self.best_fitness = evaluations, fitness if is_best else self.best_fitness
         self.history.append(Record(evaluations, self.best_fitness, self.seconds))
@@ -81,7 +85,7 @@ class Ledger:
         a fitness do not depend on the size of batches.
 
         Returns:
-            the index of the best fitness, or None if none is better than the fitness before.
+            index of the best fitness in the batch; None if it is not better than the best fitness before.
         """
         spent, best = self.evaluations, np.maximum.accumulate(np.append(self.best_fitness, fitness))
         improved = np.flatnonzero(best[1:] > best[:-1]).tolist()
@@ -90,12 +94,12 @@ class Ledger:
         return improved[-1] if improved else None
 
     def state(self) -> dict[str, Any]:
-        """Return the history as arrays `(N,)`, for a checkpoint; the other fields follow from the history."""
+        """Return the history as arrays `(N,)`, for a checkpoint; the other attributes follow from the history."""
         return {f.name: np.array([getattr(r, f.name) for r in self.history], dtype=float) for f in fields(Record)}
 
     @classmethod
     def of(cls, state: Mapping[str, Any]) -> "Ledger":
-        """Make a ledger from the `state` of another ledger.
+        """Make a ledger from the data that the `state` of another ledger returned.
 
         Raises:
             InputError: `state` is not the state of a ledger.
@@ -113,18 +117,19 @@ class Ledger:
 
 
 def columns_of(history: Sequence[Record]) -> dict[str, list[float]]:
-    """History of a run as columns of a table, from the first successful evaluation on."""
+    """Columns of a table with the history of a run, from the first successful evaluation on."""
     known = [record for record in history if math.isfinite(record.best_fitness)]
     return {key.name: [getattr(record, key.name) for record in known] for key in fields(Record)}
 
 
 def curve(history: Sequence[Record], budget: Budget, until: float = math.inf) -> list[tuple[int, float, float]]:
-    """Points (step, best fitness, seconds) of a run up to `until`, at steps that all runs of a budget share.
+    """Points (step, best fitness, seconds) of the curve of a run up to the step `until`; all runs with equal budgets
+    have points at equal steps.
 
-    mlflow draws a group as the mean of the runs that have a value at a step. With shared steps that mean never falls.
-    Steps are 1, 2, 5, 10, 20, ... and each hundredth of the budget, in evaluations, or in whole seconds if only seconds
-    are limited. The best fitness is carried forward to the next record and to the end; steps before the first record
-    have its value.
+    mlflow draws a group of runs as the mean over those runs that have a value at a step. With shared steps this mean
+    never falls. Steps are 1, 2, 5, 10, 20, ... and each hundredth of the budget, in evaluations, or in whole seconds if
+    only seconds are limited. The best fitness is carried forward to the next record and to the end; steps before the
+    first record have the value of the first record.
     """
     in_seconds = budget.evaluations is None
     most = math.ceil(budget.evaluations or budget.seconds or 0)

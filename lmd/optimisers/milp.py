@@ -1,4 +1,5 @@
-"""Best choice of poses from a lattice with a proof of optimality, by an integer program for HiGHS.
+"""Best choice of poses from a lattice, with a proof of optimality, by a mixed-integer linear program for the solver
+HiGHS.
 
 Let `x_j` be the number of landmarks at pose j of the lattice, `A_jpa` = 1 if a landmark at pose j covers axis a from
 position p without occlusion, else 0, `w_a` the probability of an axis and `r_p` the relevance of a position. Then
@@ -45,7 +46,9 @@ MOST_PAIRS = 20_000_000  # largest number of pairs of a pose and a view; HiGHS s
 
 
 def lattice_of(problem: Problem, spacing: float) -> Deployment:
-    """Poses of a lattice whose footprints do not overlap footprints of fixed tags; `spacing` in metres."""
+    """Poses of a lattice (a regular grid on the surfaces) whose footprints do not overlap the footprints of fixed tags;
+    `spacing` in metres.
+    """
     footprints, hung = problem.scene.footprints, problem.fixed_with_edges
     poses = candidates(footprints, problem.free_edges, spacing)
     if hung is None or not footprints.edge:
@@ -55,7 +58,9 @@ def lattice_of(problem: Problem, spacing: float) -> Deployment:
 
 
 def check_lattice(problem: Problem, poses: Deployment, spacing: float) -> None:
-    """Raise `InputError` if a problem and the poses of its lattice make no program, or a program that is too large."""
+    """Raise `InputError` if no integer program can be made for a problem and the poses of its lattice, or if it would
+    be too large.
+    """
     objective = problem.objective
     if not isinstance(objective, Coverage) or objective.sampling is not None:
         raise InputError("the integer program needs the objective Coverage on the grid, without a sampling.")
@@ -75,7 +80,7 @@ def check_lattice(problem: Problem, poses: Deployment, spacing: float) -> None:
 
 
 def by_size(problem: Problem, poses: Deployment) -> list[tuple[IntArray, int]]:
-    """Indices of the poses of each size of the free landmarks, and the number of these landmarks."""
+    """For each size of the free landmarks, the indices of the poses for this size, and the number of landmarks."""
     sizes, own = problem.free_sizes, poses.edges_of(problem.scene.tag)
     return [(np.flatnonzero(own == edge), int((sizes == edge).sum())) for edge in np.unique(sizes)]
 
@@ -86,9 +91,9 @@ def per_pose(problem: Problem) -> int:
 
 
 def placed(problem: Problem, poses: Deployment, taken: IntArray) -> Deployment:
-    """Make the deployment with `taken` `(J,)` landmarks at each pose, fixed landmarks first.
+    """Make the deployment with `taken` `(J,)` landmarks at the J poses; fixed landmarks come first.
 
-    Points at one pose are separated; tags are in the order of the problem's sizes.
+    Points that share a pose are separated; tags are ordered as the problem's sizes.
     """
     if poses.has_own_edges:
         sizes, own = problem.free_sizes, poses.edges_of(problem.scene.tag)
@@ -105,13 +110,13 @@ def placed(problem: Problem, poses: Deployment, taken: IntArray) -> Deployment:
 
 
 def _seen(problem: Problem, landmarks: Deployment) -> NDArray[np.int8]:
-    """Number of landmarks that cover each view without occlusion, n at the most, `(P, A)`."""
+    """Number of landmarks that cover each view (a position with an axis) without occlusion, limited to n, `(P, A)`."""
     counts = covered_amounts(problem.evaluator, landmarks, np.ones(len(landmarks)))
     return np.minimum(counts[:, _used(problem)], problem.objective.n).astype(np.int8)
 
 
 def _views(problem: Problem) -> FloatArray:
-    """Probability of each axis that `_used` selects, at each position, `(P, A)`."""
+    """Probability of each view, a position with one of the axes that `_used` selects, `(P, A)`."""
     evaluator = problem.evaluator
     probability = evaluator.probability[:, _used(problem)]
     return np.broadcast_to(probability, (len(evaluator.positions), probability.shape[1]))
@@ -124,26 +129,28 @@ def _used(problem: Problem) -> BoolArray:
 
 @dataclass(frozen=True)
 class Program:
-    """Integer program: `x` of the J poses, `y` of the R rows, `z` of the P positions."""
+    """Integer program with the variables `x` for J poses, `y` for R rows, and `z` for P positions; a row is a group of
+    views of one position that equal sets of poses cover.
+    """
 
     covers: csr_array
-    """`(R, J)` 1 if a landmark at the pose covers the views of the row."""
+    """Matrix `(R, J)` with 1 if a landmark at the pose covers the views of the row."""
     counted: IntArray
-    """`(R,)` number of fixed landmarks that cover the views of each row."""
+    """Number of fixed landmarks that cover the views of each row, `(R,)`."""
     weights: csr_array
-    """`(P, R)` probability of the views of each row, at its position."""
+    """Matrix `(P, R)` with the probability of the views of each row, at the position of the row."""
     overlaps: coo_array
-    """`(C, J)` 1 at the two poses of a pair with overlapping footprints."""
+    """Matrix `(C, J)` with 1 at both poses of each of C pairs whose footprints overlap."""
     sizes: csr_array
-    """`(S, J)` 1 if the pose is for tags of the size."""
+    """Matrix `(S, J)` with 1 if the pose is for tags of the size."""
     counts: IntArray
-    """`(S,)` number of landmarks of each size."""
+    """Number of landmarks of each size, `(S,)`."""
     relevance: FloatArray
-    """`(P,)` relevance of each position."""
+    """Relevance of each position, `(P,)`."""
     n: int
-    """Number of landmarks that a view needs."""
+    """Number n of landmarks that must cover a view."""
     threshold: float
-    """thold_p: probability of covered views that qualifies a position."""
+    """Threshold thold_p: probability of covered views from which on a position is qualified."""
     copies: int
     """Largest number of landmarks at a pose."""
 
@@ -169,7 +176,7 @@ class Program:
         return cls(*left, problem.fitness_relevance, problem.objective.n, threshold, per_pose(problem))
 
     def solver(self, options: Mapping[str, Any]) -> Callable[[], OptimizeResult]:
-        """Return a call of HiGHS; its objective is minus the relevance of qualified positions.
+        """Return a function that calls HiGHS; the minimised value is minus the relevance of the qualified positions.
 
         Args:
             options: limits of `scipy.optimize.milp`, such as `time_limit`.
@@ -201,7 +208,7 @@ class Program:
         return np.asarray(np.rint(solved.x[: self.covers.shape[1]]), dtype=np.int64)  # HiGHS returns integers to 1e-6
 
     def value(self, solved: OptimizeResult) -> float:
-        """Relevance of the qualified positions in a solution, as a share of all."""
+        """Relevance of the qualified positions in a solution, as a fraction of the relevance of all positions."""
         qualified = np.rint(solved.x[-len(self.relevance) :]).astype(int)
         return float(self.relevance @ qualified / self.relevance.sum())
 
@@ -211,11 +218,11 @@ POLL_SECONDS = 0.2  # seconds between two calls of the callback while the solver
 
 
 class Milp(DeploymentSearch):
-    """Best deployment on a lattice of poses, with a bound for all deployments on it.
+    """Best deployment on a lattice of poses, with an upper bound for all deployments on this lattice.
 
-    The start is the result until the solver finds a better deployment. Computing the views of a pose costs as much of
-    the budget as moving one landmark; the solver costs only time. The solver cannot be resumed: a resumed run starts
-    over.
+    The start is the result until the solver finds a better deployment. To compute the views that a pose covers costs as
+    much of the budget as to move one landmark; the solver costs only time. The solver cannot be resumed: a resumed run
+    starts over.
 
     Args:
         spacing: spacing of the lattice, metres.
@@ -233,7 +240,9 @@ class Milp(DeploymentSearch):
         self.proven: dict[str, float] = {}
 
     def figures(self) -> dict[str, float]:
-        """Bound, value of the solver's choice without occlusion, and distance of the result from the bound."""
+        """Upper bound, value of the solver's choice without occlusion, and difference between the bound and the
+        result.
+        """
         return self.proven
 
     @override

@@ -1,4 +1,4 @@
-"""Any optimiser of nevergrad behind `AskTell`."""
+"""Adapter that makes any optimiser of nevergrad an `AskTell` optimiser."""
 
 import difflib
 import math
@@ -22,8 +22,10 @@ class Nevergrad(Wrapped):
 
     Args:
         name: a registered optimiser, e.g. `TwoPointsDE`, `NGOpt`, `RLSOnePlusOne`.
-        workers: number of deployments asked for at a time; 1 for methods that cannot take more.
-        budget: number of evaluations that the method plans with; None for `PLANNED`, after which it restarts.
+        workers: number of deployments that are asked for at a time; 1 for methods that must be told each fitness before
+            they propose again.
+        budget: number of evaluations for which the method plans; None for `PLANNED`. After this number the method
+            restarts.
         step: standard deviation of a step (genes span 1); None for nevergrad's default, 1/6.
         encoding: see `AskTell`.
         seed: see `Optimiser`.
@@ -54,7 +56,7 @@ class Nevergrad(Wrapped):
         return f"nevergrad's {self.name}"
 
     def method(self) -> Callable[..., Any]:
-        """Return the function that makes the optimiser.
+        """Return nevergrad's function that makes the optimiser.
 
         Raises:
             InputError: nevergrad has no optimiser of that name.
@@ -73,7 +75,7 @@ class Nevergrad(Wrapped):
 
 
 class _Running:
-    """Optimiser of nevergrad with the settings of `Nevergrad`."""
+    """Running optimiser of nevergrad, with the settings of `Nevergrad`."""
 
     def __init__(self, settings: Nevergrad, start: FloatArray, rng: np.random.Generator) -> None:
         import nevergrad

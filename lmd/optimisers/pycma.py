@@ -1,4 +1,4 @@
-"""CMA-ES of pycma behind `AskTell`."""
+"""Adapter that makes the CMA-ES of pycma an `AskTell` optimiser."""
 
 from typing import Any
 
@@ -10,13 +10,14 @@ from lmd.optimisers.wrapped import LibraryOptimiser, Wrapped
 
 
 class PyCma(Wrapped):
-    """Covariance matrix adaptation on the unit box.
+    """Covariance matrix adaptation evolution strategy (CMA-ES) on the unit box.
 
-    The mean begins at the start; when the strategy stops by itself, a new strategy begins at the best genes.
+    The mean of the distribution begins at the start; when the strategy's own criterion stops it, a new strategy begins
+    at the best genes.
 
     Args:
-        variant: covariance that is learnt: `full`, which takes about 100 evaluations per gene; `separable`, one
-            variance per gene; `vkd`, variances and a few directions.
+        variant: covariance that is learnt: the `full` matrix, which takes about 100 evaluations per gene; `separable`,
+            one variance per gene; `vkd`, variances and a few directions.
         step: initial standard deviation sigma_0 (genes span 1).
         encoding: see `AskTell`.
         seed: see `Optimiser`.
@@ -38,7 +39,7 @@ class PyCma(Wrapped):
 
 
 class _Strategy:
-    """CMA-ES with the settings of `PyCma`."""
+    """Running CMA-ES, with the settings of `PyCma`."""
 
     def __init__(self, settings: PyCma, mean: FloatArray, rng: np.random.Generator) -> None:
         import cma

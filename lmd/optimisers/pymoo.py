@@ -1,4 +1,4 @@
-"""Any single-objective algorithm of pymoo behind `AskTell`."""
+"""Adapter that makes any single-objective algorithm of pymoo an `AskTell` optimiser."""
 
 from collections.abc import Callable
 from typing import Any
@@ -15,11 +15,11 @@ class Pymoo(Wrapped):
     """Algorithm of pymoo on the unit box.
 
     The first population is the start, filled up with uniform genes. pymoo's default termination is replaced by the
-    budget. Local searches keep their own termination, and restart from the best genes when they end.
+    budget. Local searches keep their own termination, and are restarted from the best genes when they end.
 
     Args:
-        algorithm: makes the algorithm; in YAML a node with `_target_` (the class), `_partial_: true` and its
-            parameters, operators included.
+        algorithm: function that makes the algorithm; in YAML a node with `_target_` (the class), `_partial_: true` and
+            the parameters of the class, operators included.
         encoding: see `AskTell`.
         seed: see `Optimiser`.
 
@@ -45,7 +45,7 @@ def _made(make: Callable[[], Any]) -> Any:
     """Make an algorithm.
 
     Raises:
-        InputError: `make` is no function, fails, or makes something else.
+        InputError: `make` is not a function, fails, or returns an object that is not an algorithm.
     """
     from pymoo.core.algorithm import Algorithm
 
@@ -69,7 +69,7 @@ def _size(algorithm: Any) -> int:
 
 
 class _Running:
-    """Algorithm of pymoo on the unit box."""
+    """Running algorithm of pymoo on the unit box."""
 
     def __init__(self, algorithm: Any, start: FloatArray, rng: np.random.Generator) -> None:
         from pymoo.algorithms.base.local import LocalSearch

@@ -1,4 +1,6 @@
-"""Global optimisers of SciPy behind `AskTell`: functions that call the objective run in a thread of their own."""
+"""Adapter that makes a global optimiser of SciPy an `AskTell` optimiser. SciPy's functions call the objective, so each
+runs in a thread of its own.
+"""
 
 import inspect
 from collections.abc import Callable
@@ -25,12 +27,12 @@ MOST_GENES = 400  # genes beyond which a float cannot hold the number of pairs
 class Scipy(Wrapped):
     """Optimisation on the unit box by a function such as `scipy.optimize.dual_annealing`.
 
-    The function gets the start if it has an argument `x0`. The function is called again whenever it ends by its own
-    rules.
+    The function gets the start if it has an argument `x0`. It is called again whenever it ends by its own criterion
+    before the budget is used up.
 
     Args:
-        minimise: called with the objective and `bounds`; in YAML a node with `_target_` (the function),
-            `_partial_: true` and its parameters.
+        minimise: function that is called with the objective and `bounds`; in YAML a node with `_target_` (the
+            function), `_partial_: true` and the function's parameters.
         encoding: see `AskTell`.
         seed: see `Optimiser`.
 
@@ -51,7 +53,7 @@ class Scipy(Wrapped):
 
     @override
     def check(self, problem: Problem) -> None:
-        """Refuse shgo where the corners of the unit box would not fit into memory."""
+        """Raise `InputError` for shgo if the corners of the unit box would not fit into memory."""
         super().check(problem)
         if self.called == "shgo":
             dim = self._genome(problem).dim
@@ -63,7 +65,7 @@ class Scipy(Wrapped):
 
 
 class Call:
-    """Call of the function, in a thread that works only while `ask` waits for the thread."""
+    """Call of SciPy's function in a thread of its own, which works only while `ask` waits for it."""
 
     def __init__(self, minimise: Callable[..., Any], start: FloatArray, rng: np.random.Generator) -> None:
         taken = inspect.signature(minimise).parameters

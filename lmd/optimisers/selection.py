@@ -1,11 +1,13 @@
-"""Lazy greedy selection of poses from a grid on the surfaces.
+"""Lazy greedy selection of poses from a grid on the surfaces of the room.
 
-The surrogate is the `selection` of an objective, which is monotone and submodular. Adding the pose with the largest
-gain, one after the other, reaches 1 - 1/e of the value of the best choice of poses. Gains do not increase, so the lazy
-variant (Minoux 1978) is exact: a pose is evaluated again only while its last known gain is the largest.
+The selection maximises a surrogate of an objective (its `selection`), which is monotone and submodular. If in each step
+the pose with the largest gain is added, the value is at least 1 - 1/e of the value for the best choice of poses. Gains
+do not increase, so the lazy variant (Minoux 1978) is exact: a pose is evaluated again only while its last known gain is
+the largest.
 
-For tags of several sizes, a candidate is a pose with a size, and may be chosen while tags of its size are left. If the
-paper or the cost of all tags is limited instead, candidates are compared by their gain per square metre or cost.
+For tags of several sizes, a candidate is a pose with a size, and may be chosen while unplaced tags of this size remain.
+If instead the area of paper or the cost of all tags is limited, candidates are compared by their gain divided by their
+area or cost, their "price".
 """
 
 import operator
@@ -35,19 +37,19 @@ ROUNDING = 1e-9  # relative tolerance of a limit
 
 @dataclass(frozen=True)
 class Tags:
-    """A number of landmarks of each size."""
+    """Supply of landmarks for a selection: a given number of landmarks of each size."""
 
     sizes: FloatArray
-    """Edges of the landmarks, `(K,)`, metres; zeros for points."""
+    """Edge length of each of the K landmarks, `(K,)`, metres; zeros for points."""
     tag: Tag
-    """Tag at poses without an edge of their own."""
+    """Tag that applies to poses without an edge length of their own."""
 
     def prices(self, poses: Deployment) -> FloatArray:
-        """Price of each pose, `(N,)`, by which the gain of the pose is divided."""
+        """Price by which the gain of each pose is divided, `(N,)`."""
         return np.ones(len(poses))
 
     def none_left(self, poses: Deployment, chosen: Sequence[int]) -> BoolArray:
-        """Mask `(N,)` of the poses for which no landmark is left after the `chosen` poses."""
+        """Mask `(N,)` of the poses for whose size no landmark remains once the poses `chosen` are taken."""
         sizes, of = np.unique(poses.edges_of(self.tag), return_inverse=True)
         left = (self.sizes == sizes[:, None]).sum(axis=1) - np.bincount(of[list(chosen)], minlength=len(sizes))
         return np.asarray((left <= 0)[of])
@@ -55,12 +57,12 @@ class Tags:
 
 @dataclass(frozen=True)
 class Limited:
-    """Tags of any size with a limited total price."""
+    """Supply of landmarks for a selection: tags of any size, with a limited total price."""
 
     total: float
     """Limit on the total price: square metres of paper, or cost."""
     prices_of: Callable[[Deployment], FloatArray]
-    """Returns the price of each pose, `(N,)`."""
+    """Function that returns the price of each pose, `(N,)`."""
 
     def prices(self, poses: Deployment) -> FloatArray:
         """See `Tags.prices`."""
@@ -87,13 +89,13 @@ def select(
     """Choose some of the `poses`, each at most once, with footprints that do not overlap.
 
     Args:
-        selection: surrogate for which no landmark is chosen yet.
-        poses: N candidates.
-        stock: landmarks that can be chosen, or the number of points.
+        selection: surrogate, for which no landmark has been chosen yet.
+        poses: N candidate poses.
+        stock: supply of landmarks; a number for landmarks that are points.
         footprints: footprints of the tags; None for landmarks that are points.
         allowance: largest number of gains to evaluate; fewer poses are chosen if the allowance does not suffice.
         fixed: landmarks that are chosen before the first of the poses.
-        stop: called from time to time; returns True to end the choice early.
+        stop: function that is called from time to time, and returns True to end the choice early.
 
     Returns:
         indices of the chosen poses in the order of choice, and the number of gains evaluated.
@@ -131,16 +133,16 @@ def select(
 
 
 def add_each(selection: Selection, fixed: Deployment | None) -> None:
-    """Add the `fixed` landmarks to a selection, if there are any."""
+    """Add the `fixed` landmarks to a selection; nothing is done if there are none."""
     if fixed is not None:
         for k in range(len(fixed)):
             selection.add(fixed[k : k + 1])
 
 
 def candidates(footprints: Footprints, edges: FloatArray, spacing: float) -> Deployment:
-    """Poses of a grid where tags may hang, for each size of `edges` `(K,)`, metres, see `Deployment.edges`.
+    """Candidate poses of a grid where tags may hang, for each size in `edges` `(K,)`, metres, see `Deployment.edges`.
 
-    The poses have their own edges if any of `edges` is not NaN.
+    The poses have edge lengths of their own if any of `edges` is not NaN.
     """
     parts, own = [], not np.isnan(edges).all()
     for edge in np.unique(footprints.tag.filled(edges)):
@@ -150,8 +152,8 @@ def candidates(footprints: Footprints, edges: FloatArray, spacing: float) -> Dep
 
 
 def _candidates_within(footprints: Footprints, edges: FloatArray, spacing: float, most: float) -> Deployment:
-    """`candidates` with a spacing that gives at most `most` poses, or one pose of each size for each piece of a
-    surface.
+    """`candidates` with the spacing enlarged so that there are at most `most` poses, but at least one pose of each size
+    on each piece of a surface.
     """
     poses, widest = candidates(footprints, edges, spacing), max(max(wall.extent) for wall in footprints.room.surfaces())
     while len(poses) > most and spacing < widest:
@@ -163,11 +165,12 @@ def _candidates_within(footprints: Footprints, edges: FloatArray, spacing: float
 def greedy_start(
     problem: Problem, start: Deployment, spacing: float, allowance: float, stop: Callable[[], bool]
 ) -> tuple[Deployment, int]:
-    """Choose landmarks greedily until an allowance is used up or `stop` is True; the others stay as in `start`.
+    """Choose landmarks greedily until an allowance is used up or `stop` is True; landmarks that are not chosen keep
+    their poses in `start`.
 
     Args:
         problem: problem whose objective has a selection.
-        start: K landmarks, the fixed landmarks first.
+        start: K landmarks; fixed landmarks come first.
         spacing: spacing of the grid of poses, metres; larger if the allowance does not suffice for the grid.
         allowance: largest number of gains to evaluate.
         stop: see `select`.
@@ -196,11 +199,11 @@ def _in_place(problem: Problem, start: Deployment, found: Deployment) -> Deploym
 def composition(
     scene: Scene, objective: Objective, threads: int | None = None, fixed: Deployment | None = None
 ) -> tuple[int, ...]:
-    """Choose the number of tags of each edge by greedy selection, by the gain per price.
+    """Choose the number of tags of each edge length by greedy selection, comparing the gains divided by the prices.
 
     Args:
-        scene: scene whose tag has several edges, and a limit of paper or cost.
-        objective: the objective, which has a selection.
+        scene: scene whose tag has several edge lengths, and a limit on the area of paper or on the cost.
+        objective: objective that has a surrogate for greedy choice (`selection`).
         threads: worker threads, all processors by default; the result does not depend on the number.
         fixed: fixed landmarks, with their surfaces.
 
@@ -224,7 +227,9 @@ def composition(
 
 
 def stock_of_sizes(tag: Tag, footprints: Footprints, limit: float) -> Stock:
-    """Stock of tags of any edge of `tag`, limited in cost if the tag has a budget, else in paper, square metres."""
+    """Supply of tags of any edge length of `tag`, with a limit on the cost if the tag has a budget, else on the area of
+    paper, square metres.
+    """
     if tag.budget is None:
         return Limited(limit, lambda poses: footprints.papers(poses) ** 2)
     costs = dict(zip(tag.edges or (), tag.costs or (), strict=True))  # a tag with a budget has edges and costs

@@ -1,6 +1,7 @@
-"""Generators and deployments as data for checkpoints, and checks of data read from them.
+"""Random generators and deployments as plain data for checkpoints, and checks of data that are read from checkpoints.
 
-A checkpoint may have been written by an attacker, and kernels do not check indices, so each value is checked.
+A checkpoint may have been written by an attacker, and compiled functions do not check indices, so each value is
+checked.
 """
 
 import sys
@@ -27,10 +28,10 @@ def array(
     low: float | FloatArray = -LARGEST,
     high: float | FloatArray = LARGEST,
 ) -> np.ndarray:
-    """Return `value` if it is an array of this type and shape (None: any length), with values in [low, high].
+    """Return `value` if it is an array of the given type and shape (None: any length) with all values in [low, high].
 
     Raises:
-        InputError: `value` is no such array, or an element is NaN or out of range.
+        InputError: `value` is not an array of this type and shape, or an element is NaN or out of range.
     """
     wanted = f"{np.dtype(dtype)} of shape ({', '.join('N' if size is None else str(size) for size in shape)})"
     if not isinstance(value, np.ndarray):
@@ -44,7 +45,7 @@ def array(
 
 
 def generator_state(rng: np.random.Generator) -> dict[str, Any]:
-    """Return a generator as data.
+    """Return the state of a random generator as plain data.
 
     Raises:
         InputError: the generator was not made by `numpy.random.default_rng`.
@@ -56,7 +57,7 @@ def generator_state(rng: np.random.Generator) -> dict[str, Any]:
 
 
 def generator(name: str, state: Mapping[str, Any]) -> np.random.Generator:
-    """Make a generator from the `generator_state` of another generator.
+    """Make a random generator from the data that `generator_state` returned.
 
     Raises:
         InputError: `state` is not the state of a generator.
@@ -72,16 +73,16 @@ def generator(name: str, state: Mapping[str, Any]) -> np.random.Generator:
 
 
 def deployment_state(deployment: Deployment) -> dict[str, Any]:
-    """Return a deployment as data, without its labels; the problem has the labels (`Problem.labelled`)."""
+    """Return a deployment as plain data, without its labels; these come from the problem (`Problem.labelled`)."""
     return {name: getattr(deployment, name) for name in POSE_FIELDS}
 
 
 def deployment(name: str, state: Mapping[str, Any], problem: Problem, count: int) -> Deployment:
-    """Make a deployment from the `deployment_state` of another deployment.
+    """Make a deployment from the data that `deployment_state` returned.
 
     Args:
-        name: name of the argument, for messages.
-        state: data of the other deployment.
+        name: name of the argument, for error messages.
+        state: data of the deployment.
         problem: problem with the room on whose surfaces the landmarks hang.
         count: number of landmarks.
 
@@ -95,10 +96,11 @@ def deployment(name: str, state: Mapping[str, Any], problem: Problem, count: int
 
 
 def points(name: str, value: Any, problem: Problem, count: int) -> FloatArray:
-    """Return `value` if it holds points `(count, 3)` in the box around a problem's room and fixed tags, metres.
+    """Return `value` if it is an array of points `(count, 3)` within the box around a problem's room and fixed tags,
+    metres.
 
     Raises:
-        InputError: `value` is no such array, or a point is outside the box.
+        InputError: `value` is not an array of this shape, or a point is outside the box.
     """
     fixed = np.empty((0, 3)) if problem.fixed is None else problem.fixed.positions
     corners = np.vstack([*problem.scene.room.bounds(), fixed])

@@ -1,4 +1,6 @@
-"""Optimisers of other libraries behind `AskTell`: seeds, suppressed output and restarts."""
+"""Base class that makes optimisers of other libraries `AskTell` optimisers: it seeds and restarts them, and suppresses
+their output.
+"""
 
 import inspect
 import io
@@ -27,21 +29,23 @@ TIE_BONUS = 1e-12
 
 
 class LibraryOptimiser(Protocol):
-    """Running optimiser of a library, which minimises the loss."""
+    """Interface of a running optimiser of another library, which minimises the loss."""
 
     def ask(self) -> FloatArray | None:
         """Return the next genes `(B, dim)`, or None when the optimiser has ended by its own rules."""
 
     def tell(self, genes: FloatArray, losses: FloatArray) -> None:
-        """Learn the losses `(B,)` of the genes asked for, after the genes were clipped to the unit box."""
+        """Tell the optimiser the losses `(B,)` of the genes that it has returned, which were clipped to the unit
+        box.
+        """
 
 
 class Wrapped(AskTell):
-    """Library optimisers behind `AskTell`; subclasses write `_open` only.
+    """Optimisers of other libraries as `AskTell` optimisers; subclasses write `_open` only.
 
     - If an optimiser ends before the budget, a new optimiser with another seed starts from the best genes.
-    - Libraries draw from global random generators. The global generators are seeded for each call of a library, and
-      reset afterwards.
+    - Libraries draw from global random generators. These are seeded for each call of a library, and reset to their
+      former state afterwards.
     """
 
     def __init__(self, seed: int = 0, encoding: str | None = None) -> None:
@@ -80,7 +84,7 @@ class Wrapped(AskTell):
         return genes
 
     def _in_library(self, work: Callable[..., T], *arguments: Any) -> T:
-        """Call a library in a daemon thread, as some libraries leave a thread behind that waits for ever.
+        """Call a library in a daemon thread, as some libraries leave behind a thread that never ends.
 
         Raises:
             InputError: the library fails.
@@ -116,20 +120,20 @@ class Wrapped(AskTell):
 
 
 def _inner(call: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the function inside nested `functools.partial` objects."""
+    """Return the function that is wrapped by nested `functools.partial` objects."""
     while isinstance(call, partial):
         call = call.func
     return call
 
 
 def name_of(call: Callable[..., Any]) -> str:
-    """Name of a function or a class of a library in messages."""
+    """Name of a library's function or class, for messages."""
     return str(getattr(_inner(call), "__qualname__", call))
 
 
 def with_tuples(call: Callable[..., Any]) -> Callable[..., Any]:
-    """Turn lists among the arguments of a partial function into tuples where the defaults are tuples, as configurations
-    have only lists.
+    """Replace lists by tuples among the arguments of a partial function, for those arguments whose defaults are tuples,
+    as configurations have only lists.
     """
     if not isinstance(call, partial):
         return call
@@ -153,6 +157,6 @@ def _set_global_state(state: tuple[Any, Any]) -> None:
 
 
 def _global_state_of(seed: int) -> tuple[Any, Any]:
-    """Global state after seeding with `seed`."""
+    """State of the global random generators after they are seeded with `seed`."""
     legacy = np.random.RandomState(seed % 2**32)
     return random.Random(seed).getstate(), legacy.get_state()

@@ -1,18 +1,18 @@
 """Simulated annealing of landmarks on the surfaces of a room.
 
-Good deployments for a threshold of n landmarks have clusters of about n landmarks. So a run from a random start has up
-to three stages:
+An orientation counts only if at least n landmarks are seen, so good deployments have clusters of about n landmarks. A
+run from a random start therefore has up to three stages:
 
 1. K/n *stacks* (groups of n coincident landmarks) are annealed without occlusion. A stack acts as one landmark of a
-   problem with n = 1, which is smaller, smoother and faster to evaluate.
-2. The landmarks of each stack are separated, and single landmarks are annealed at a low temperature. Landmarks pushed
-   apart at once, until none hides another, would cover less than the stack. So footprints are small at first and *grow*
-   to their size, and landmarks separate gradually.
-3. For an objective with a sampling, a gradient ascent of all landmarks at once (`ascent`) finds the local optimum, as
-   the gains of single moves are below the error of a sample.
+problem with n = 1, which is smaller, smoother and faster to evaluate. 2. The landmarks of each stack are separated, and
+single landmarks are annealed at a low temperature. If all landmarks were pushed apart in one step until none hides
+another, they would cover less than the stack did. So the assumed footprints are small at first and *grow* to their true
+size, which separates the landmarks gradually. 3. For an objective that is evaluated on random samples of poses (an
+objective "with a sampling"), a gradient ascent of all landmarks together (`ascent`) finds the local optimum, as the
+gains of single moves are smaller than the sampling error.
 
-The walk mostly maximises a `surrogate` of the problem. From time to time the walk's deployment is evaluated on the
-problem itself, which costs an evaluation of the budget.
+The annealing ("walk") mostly maximises a `surrogate` of the problem. From time to time the present deployment is
+evaluated on the problem itself, which costs an evaluation of the budget.
 """
 
 import math
@@ -63,9 +63,9 @@ SMALLEST_SIZE = 0.2  # size of footprints, relative to the true size, when the s
 
 
 class Annealing(DeploymentSearch):
-    """Simulated annealing of stacks, then of single landmarks, which lie flush on a surface.
+    """Simulated annealing of stacks of landmarks and then of single landmarks, which lie flat (flush) on a surface.
 
-    A start that does not vary (`uniform`, `file`) is improved without stacks, under the conditions `given`, with
+    A start that is not random (`uniform`, `file`) is improved without stacks, under the conditions `given`, with
     footprints of their true size from the beginning. Landmarks are flush, as tilting a landmark never helps inside a
     cuboid.
 
@@ -73,11 +73,11 @@ class Annealing(DeploymentSearch):
         stacked: conditions of the stage that moves stacks. `stacked`, `single`, `sampled`, `given` and `chosen` are
             each a `Stage`, or a mapping of the fields that differ from the default stage.
         single: conditions of the stage that moves single landmarks after the stacks are separated.
-        sampled: conditions in place of `single` for an objective with a sampling, whose samples the walk must not
-            overfit.
-        given: conditions of the only stage if the start is given. The temperature is higher, as the start may be bad,
-            and the objective as smooth as in `sampled`.
-        chosen: conditions in place of `given` after a greedy start, which an objective without stacks gets.
+        sampled: conditions in place of `single` for an objective with a sampling; they keep the walk from overfitting
+            its samples.
+        given: conditions of the only stage if the start is given. The temperature is higher than in `single`, as the
+            start may be bad, and the objective is as smooth as in `sampled`.
+        chosen: conditions in place of `given` after a greedy start, which is used for objectives without stacks.
         stacked_share: share of the budget spent on stacks.
         climb_share: share of the budget spent on the ascent, for an objective with a sampling.
         walkers: number of groups of landmarks that are moved at the same time, see `Surrogate`.
@@ -88,7 +88,7 @@ class Annealing(DeploymentSearch):
     """
 
     spacing = GRID_SPACING
-    """Spacing of the grid of poses for a greedy start, metres."""
+    """Spacing of the grid of poses from which a greedy start is chosen, metres."""
 
     def __init__(
         self,
@@ -150,10 +150,10 @@ class Annealing(DeploymentSearch):
         return self._spend(problem, budget, callback, step, lambda: self.spent / count)
 
     def _begin(self, problem: Problem, stack: int, limit: float, stop: Callable[[], bool]) -> int:
-        """Draw the start, as stacks if the budget suffices, and return the cost of the start in moved landmarks.
+        """Draw the start, as stacks if the budget suffices, and return its cost, counted in moved landmarks.
 
         Args:
-            stop: returns True when the time is over.
+            stop: function that returns True when the time limit is reached.
         """
         count = problem.count
         self.rng = np.random.default_rng(self.seed)
@@ -175,18 +175,18 @@ class Annealing(DeploymentSearch):
         return 0
 
     def _is_greedy(self, problem: Problem, stack: int) -> bool:
-        """True if the start is chosen greedily."""
+        """True if the start of the run is chosen greedily."""
         return not stack and problem.start.varies and isinstance(problem.objective, Selectable)
 
     def _walk(self, problem: Problem, surrogate: Surrogate, used: float, left: float) -> tuple[int, Deployment | None]:
-        """Walk for a phase, and return the number of moved landmarks and the resulting deployment, None for a
-        deployment that cannot be the best.
+        """Do one phase of the walk (a number of moves under constant conditions); return the number of moved landmarks,
+        and the resulting deployment, or None if this deployment cannot be the best.
 
         Args:
             problem: the problem.
             surrogate: surrogate of `problem`.
-            used: spent share of the budget.
-            left: number of landmarks that may be moved until the walk ends.
+            used: fraction of the budget that is spent.
+            left: number of landmarks that may still be moved before the walk ends.
         """
         count, stack = problem.count, surrogate.stack
         if self.in_stacks and used >= self.stacked_share:
@@ -210,7 +210,9 @@ class Annealing(DeploymentSearch):
         return moves * each + count, self.walked
 
     def _climb(self, problem: Problem, used: float, left: float) -> tuple[int, Deployment | None]:
-        """Make steps of the ascent. Arguments and result are as in `_walk`, but `left` counts to the end of the run."""
+        """Do some steps of the gradient ascent. Arguments and result are as in `_walk`, but `left` counts to the end of
+        the run.
+        """
         count, each = problem.count, PLACES_TRIED * problem.free_count
         steps = int(min(ASCENT_STEPS, (left - count) / each))
         if steps < 1:
@@ -224,7 +226,7 @@ class Annealing(DeploymentSearch):
         return steps * each + count, self.here
 
     def _conditions(self, problem: Problem, stack: int, used: float) -> Conditions:
-        """Conditions of the walk after the share `used` of the budget."""
+        """Conditions of the walk when the fraction `used` of the budget is spent."""
         if self.in_stacks:
             done = used / self.stacked_share
             return Conditions(True, 1.0, done, self.stacked.settings(done, near=0.0))
@@ -241,25 +243,29 @@ class Annealing(DeploymentSearch):
         return Conditions(False, size, done, stage.settings(done, near * size))
 
     def _climb_share(self, problem: Problem) -> float:
-        """Share of the budget for the ascent; 0 without a sampling, as the ascent would overfit the grid."""
+        """Fraction of the budget for the gradient ascent; 0 for an objective without a sampling, as the ascent would
+        overfit the grid.
+        """
         return 0.0 if problem.objective.sampling is None else self.climb_share
 
     @property
     def _known(self) -> Deployment:
-        """The best deployment."""
+        """Best deployment found until now."""
         assert self.best is not None, "the start was noted"
         return self.best
 
     def _mean(self, problem: Problem) -> Deployment:
-        """Mean places of a walk on samples; or the last places while growing footprints push landmarks apart."""
+        """Deployment with the mean places of a walk on samples; while growing footprints push landmarks apart, with the
+        last places.
+        """
         if problem.objective.sampling is None or self.angles is not None:
             return self.here
         self.mean_places = self.mean_places or MeanPlaces(self.here)
         return self.mean_places.add(self.here)
 
     def _separated(self, problem: Problem, stack: int, size: float) -> Deployment:
-        """Separate the landmarks of each stack for footprints of `size` over the true size; landmarks in no stack stay
-        at the start.
+        """Separate the landmarks of each stack so that footprints of `size` times their true size do not overlap;
+        landmarks in no stack keep their place in the start.
         """
         assert self.angles is not None, "there are stacks"
         distance = STACK_SPREAD * size * problem.scene.spacing

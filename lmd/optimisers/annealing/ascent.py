@@ -1,13 +1,14 @@
-"""Gradient ascent of all landmarks at once on random samples, the last stage of annealing on samples.
+"""Gradient ascent of all landmarks together on random samples, the last stage of annealing for objectives with a
+sampling.
 
-A walk on samples does not reach a local optimum, as the gain of a small step of one landmark is below the error of the
-sample. Here each sample is used for all landmarks, and the steps average over samples.
+A walk on samples does not reach a local optimum, as the gain of a small step of one landmark is smaller than the
+sampling error. In the ascent each sample serves all landmarks, and steps average over samples.
 
 The slope of the smoothed objective (`walk`) along u and v of a landmark's surface is a central difference (f(x + d) -
-f(x - d)) / 2 d. The values are exact on the sample, occlusion included. So any objective with a field can be maximised.
-d is a few millimetres. Neighbours are just far enough apart not to hide each other; a larger d would smooth the edge at
-which occlusion begins and push neighbours further apart. The steps follow Adam (Kingma and Ba, 2015): they are smaller
-where samples disagree about the direction.
+f(x - d)) / 2 d. The values f are exact on the sample, occlusion included. So any objective with a field (an incremental
+evaluator, `lmd.incremental.field`) can be maximised. The step d is a few millimetres. Neighbours are just far enough
+apart not to hide each other; a larger d would smooth the edge at which occlusion begins and push neighbours further
+apart. The steps follow Adam (Kingma and Ba, 2015): steps are smaller where samples disagree about the direction.
 """
 
 from collections.abc import Mapping
@@ -42,13 +43,13 @@ def slopes(
 
     Args:
         first: number of fixed landmarks.
-        field: field of the objective.
-        state: state of the field with the landmarks; it does not change.
+        field: incremental evaluator of the objective.
+        state: state of the field with the landmarks at their places; it is not changed.
         scratch: working memory of the field.
-        target: fitness of values.
+        target: functions that compute the fitness from the values, a `Target`.
         surfaces: surfaces of the landmarks.
         difference: step d of the difference quotient, metres.
-        width: width of the smooth step at the threshold, in value.
+        width: width of the smooth step at the threshold, in units of the values.
         out: slopes, `(K, 2)`, 1/metre.
     """
     units, accepted, known = scratch.units, state.units, placed(state)
@@ -81,14 +82,14 @@ def slopes(
 
 
 def moved_along(problem: Problem, here: Deployment, surfaces: SurfaceArrays, away: FloatArray) -> Deployment:
-    """Landmarks of `here` moved by `away` `(K, 2)` along u and v, metres, with footprints that do not overlap."""
+    """Move the landmarks of `here` by `away` `(K, 2)` along u and v, metres, and push overlapping footprints apart."""
     at = surfaces.coordinates(here.surfaces, here.positions) + away
     moved = Deployment(surfaces.points(here.surfaces, at), here.normals, here.surfaces)
     return problem.separated(problem.complete(problem.free(moved))) or here
 
 
 class Ascent:
-    """State of Adam: means of the slopes of K landmarks.
+    """State of the optimiser Adam: running means of the slopes of K landmarks.
 
     Args:
         count: number K of landmarks.
@@ -100,15 +101,15 @@ class Ascent:
     def step(
         self, problem: Problem, here: Deployment, progress: float, samples: int, rng: np.random.Generator
     ) -> Deployment:
-        """Move the landmarks of `here` that are not fixed a step along their surfaces.
+        """Move each landmark of `here` that is not fixed by one step along its surface.
 
         Args:
             problem: problem whose objective has a sampling.
             here: K landmarks, flush on their surfaces.
-            progress: completed share of the ascent, in [0, 1]; steps get smaller as it increases.
-            samples: number of samples to draw, each with one position in each cell; each sample has a thread, if
-                possible.
-            rng: draws the samples.
+            progress: completed fraction of the ascent, in [0, 1]; steps get smaller as it increases.
+            samples: number of samples to draw; a sample has one random position in each grid cell, and is evaluated by
+                a thread of its own if possible.
+            rng: random generator that draws the samples.
         """
         surfaces, seeds = (
             SurfaceArrays.of(problem.scene.footprints.hanging.surfaces()),
@@ -138,7 +139,7 @@ class Ascent:
         return moved_along(problem, here, surfaces, away)
 
     def state(self) -> dict[str, Any]:
-        """Return the means of the slopes as data."""
+        """Return the running means of the slopes as plain data, for a checkpoint."""
         return {"mean": self._mean, "square": self._square, "steps": self._steps}
 
     def restore(self, state: Mapping[str, Any]) -> None:

@@ -1,7 +1,8 @@
 """Moves that the walk of simulated annealing (`walk`) proposes, and the conditions of its stages.
 
-Landmarks are columns of `here`, the places of all K landmarks. A move changes a `group` of landmarks, indices `(G,)`:
-their new poses, position and normal, are written to `new` `(G, 6)`, and their new surfaces to `on` `(G,)`.
+A landmark is a column of `here`, the poses and surfaces of all K landmarks. A move changes a `group` of landmarks,
+indices `(G,)`: their new poses, position and normal, are written to `new` `(G, 6)`, and their new surfaces to `on`
+`(G,)`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,24 +20,26 @@ from lmd.space.surface import SurfaceArrays
 
 
 class Settings(NamedTuple):
-    """Conditions of the walk, which change from phase to phase."""
+    """Conditions of the walk, which change from phase to phase. Differences of the objective's values are "in
+    value".
+    """
 
     temperature: float
     """Loss in the smoothed objective that is accepted with probability 1/e."""
     width: float
-    """Width in value over which the objective is smoothed."""
+    """Width of the smooth step that replaces the threshold, in value."""
     margin: float
-    """Height in value of the smoothed threshold above the true threshold."""
+    """Distance of the middle of the smooth step above the true threshold, in value."""
     share: float
-    """Weight of the value itself beside the smoothed step."""
+    """Weight of the value itself, which is added to the smooth step."""
     step: float
-    """Standard deviation of a local move, metres."""
+    """Standard deviation of a local move along u and along v, metres."""
     jump: float
     """Probability of a move to a place drawn uniformly from all surfaces."""
     join: float
-    """Probability of a move next to another landmark."""
+    """Probability of a move to a place near another landmark."""
     near: float
-    """Standard deviation of the distance from the landmark joined, along u and along v, metres."""
+    """Standard deviation of the distance from that landmark, along u and along v, metres."""
     together: float
     """Probability that a landmark moves with its n - 1 nearest neighbours, whose offsets from it stay unchanged."""
     exchange: float
@@ -44,24 +47,26 @@ class Settings(NamedTuple):
 
 
 class FootprintArrays(NamedTuple):
-    """Squares that K landmarks cover on their surfaces; S sizes, W surfaces, T trapezoids.
+    """Squares that K landmarks cover on their surfaces, in arrays for S sizes, W surfaces and T trapezoids.
 
     A move is not tried if footprints would overlap, or if a landmark would leave the places where it may hang.
     """
 
     edges: FloatArray
-    """`(K,)` edge of the footprint of each landmark, metres; 0 for points."""
+    """Edge length of the footprint of each landmark, `(K,)`, metres; 0 for points."""
     of: IntArray
-    """`(K,)` index of the size of each landmark."""
+    """Index of the size of each landmark, `(K,)`."""
     pieces: FloatArray
-    """`(T, 6)` trapezoids in which landmarks of a size may hang, as `SurfaceArrays.pieces`."""
+    """Trapezoids in which landmarks of a size may hang, `(T, 6)`, with columns as in `SurfaceArrays.pieces`."""
     first: IntArray
-    """`(S, W + 1)` trapezoids of size s on surface w are `first[s, w]` to `first[s, w + 1] - 1`."""
+    """Ranges of the trapezoids, `(S, W + 1)`: the indices for size s on surface w are `first[s, w]` to `first[s, w + 1]
+    - 1`.
+    """
 
 
 @inner
 def _reflect(value: float, extent: float) -> float:
-    """Fold a coordinate back into [0, extent]."""
+    """Reflect a coordinate at 0 and at `extent` until it lies in [0, extent]."""
     value = abs(value) % (2.0 * extent)
     return 2.0 * extent - value if value > extent else value
 
@@ -114,7 +119,8 @@ def propose(
     group: IntArray, here: Places, surfaces: SurfaceArrays, footprints: FootprintArrays, settings: Settings,
     rng: np.random.Generator, new: FloatArray, on: IntArray,
 ) -> bool:  # fmt: skip
-    """Propose a place for the first landmark of `group`; the other landmarks keep their offsets from it along u and v.
+    """Propose a pose for the first landmark of `group`; the other landmarks of the group keep their offsets from it
+    along u and v.
 
     Returns:
         True if all landmarks may hang at their new places.
@@ -140,14 +146,18 @@ def propose(
 
 @inner
 def _may_hang(k: int, s: int, a: float, b: float, footprints: FootprintArrays) -> bool:
-    """Return True if landmark k may hang at (a, b) on surface s; never where s is negative."""
+    """Return True if landmark k may hang at the coordinates (a, b) of surface s; False if s is negative, which means no
+    surface.
+    """
     first = footprints.first[footprints.of[k]]
     return s >= 0 and allows(footprints.pieces, first[s], first[s + 1], a, b)
 
 
 @inner
 def pair_up(k: int, members: IntArray, footprints: FootprintArrays, rng: np.random.Generator, pair: IntArray) -> bool:
-    """Fill `pair` with landmark k and a landmark of another size among the `members`; return False if there is none."""
+    """Fill `pair` with landmark k and a landmark of another size among the `members`; return False if there is no such
+    landmark.
+    """
     start = int(rng.random() * len(members))
     for i in range(len(members)):
         j = members[(start + i) % len(members)]
@@ -179,7 +189,9 @@ def exchange(
 def overlap(
     group: IntArray, on: IntArray, new: FloatArray, here: Places, surfaces: SurfaceArrays, footprints: FootprintArrays
 ) -> bool:
-    """Return True if a footprint of `group` at its new place would overlap another footprint on that surface."""
+    """Return True if the footprint of a landmark in `group` would, at its new pose, overlap another footprint on its
+    surface.
+    """
     poses, edges = here.poses, footprints.edges
     for m in range(len(group)):
         surface, mine = on[m], edges[group[m]]
@@ -216,8 +228,8 @@ Course = Annotated[Sequence[float], partial(vector, size=2, above=0.0)]
 
 @dataclass(frozen=True)
 class Stage(Checked):
-    """Conditions of one stage; a pair has the values at the beginning and at the end of the stage, with geometric
-    interpolation.
+    """Conditions of one stage of the walk. A pair gives the values at the beginning and the end of the stage, with
+    geometric interpolation between them.
 
     Raises:
         InputError: a value is out of range.
@@ -226,17 +238,17 @@ class Stage(Checked):
     temperature: Course
     """Loss in the smoothed objective that is accepted with probability 1/e; the objective is a mean over positions."""
     width: Course
-    """Width of the smooth step around the threshold, in value."""
+    """Width of the smooth step that replaces the threshold, in value."""
     step: Course
-    """Standard deviation of a local move, metres."""
+    """Standard deviation of a local move along u and along v, metres."""
     margin: Finite = 0.0
-    """Height of the middle of the smooth step above the threshold, in value."""
+    """Distance of the middle of the smooth step above the threshold, in value."""
     share: NotNegative = 0.02
-    """Weight of the mean value beside the smooth step."""
+    """Weight of the mean value, which is added to the smooth step."""
     jump: Share = 0.1
     """Probability of a move to a place drawn uniformly from all surfaces."""
     join: float = 0.1
-    """Probability of a move next to another landmark."""
+    """Probability of a move to a place near another landmark."""
     together: Share = 0.0
     """Probability that a landmark moves with its n - 1 nearest neighbours."""
     exchange: Share = 0.05
@@ -246,11 +258,11 @@ class Stage(Checked):
         real("join", self.join, low=0.0, high=1.0 - self.jump)
 
     def settings(self, progress: float, near: float) -> Settings:
-        """Settings of the walk after a share `progress` in [0, 1] of the stage.
+        """Conditions of the walk when a fraction `progress` of the stage is completed.
 
         Args:
-            progress: completed share of the stage, clipped to [0, 1].
-            near: standard deviation of the distance from the landmark that a move joins, metres.
+            progress: completed fraction of the stage, clipped to [0, 1].
+            near: standard deviation of the distance from the landmark near which a move ends, metres.
         """
         progress = max(0.0, min(progress, 1.0))
         now = {name: getattr(self, name) for name in CONSTANTS}
@@ -271,10 +283,10 @@ CHOSEN_STAGE = replace(GIVEN_STAGE, temperature=(5e-5, 2e-6), jump=0.1, join=0.1
 
 
 def changed(name: str, default: Stage, given: Stage | Mapping[str, Any]) -> Stage:
-    """Return the stage `given`, or the default stage with the conditions that a mapping gives.
+    """Return the stage `given`; if it is a mapping, the stage `default` with the conditions in the mapping replaced.
 
     Raises:
-        InputError: a value is out of range, or no condition has such a name.
+        InputError: a value is out of range, or a key of the mapping is not the name of a condition.
     """
     if isinstance(given, Stage):
         return given

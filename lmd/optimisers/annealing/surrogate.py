@@ -1,8 +1,8 @@
-"""Surrogates of a problem for simulated annealing, and the conversion of their results to deployments.
+"""Surrogates of a problem for simulated annealing, and the conversion of their solutions to deployments of the problem.
 
-A surrogate has one or more of these simplifications: *stacks*, groups of n coincident landmarks that do not hide
-others, and footprints smaller than their true size. For an objective with a sampling, each phase of the walk has new
-samples.
+A surrogate simplifies the problem in one or both of two ways: by *stacks*, groups of n coincident landmarks that hide
+no other landmark, and by footprints smaller than their true size. For an objective with a sampling (evaluated on random
+samples of poses), each phase of the walk draws new samples.
 """
 
 import math
@@ -40,28 +40,28 @@ NOWHERE = Places(np.empty((6, 0)), np.empty(0, dtype=np.int64))
 
 @dataclass(frozen=True)
 class Conditions:
-    """Surrogate and settings for a phase of the walk."""
+    """Conditions of one phase of the walk: the surrogate, and the settings of the moves."""
 
     in_stacks: bool
     """True if each moved landmark is a stack."""
     size: float
-    """Size of the footprints over their true size."""
+    """Ratio of the assumed size of the footprints to their true size."""
     done: float
-    """Completed share of the stage, in [0, 1]."""
+    """Completed fraction of the stage, in [0, 1]."""
     settings: Settings
-    """Settings of the walk."""
+    """Settings of the moves."""
 
 
 class Surrogate:
-    """Problem as arrays for the walk, and the walks on the problem.
+    """Problem in the form of arrays for the walk, and the walks on it.
 
-    Walks run in parallel. Each walk moves its own landmarks while all other landmarks stay; then the moves are
-    combined. The room is divided between walks by slices across a random direction, as distant landmarks are rarely
-    seen together. The number of walks, and so the result, does not depend on the machine.
+    Walks run in parallel. Each walk moves its own landmarks while all other landmarks keep their places; then the moves
+    of all walks are combined. The room is divided between walks by slices across a random direction, as distant
+    landmarks are rarely seen together. The number of walks, and so the result, does not depend on the machine.
 
     Args:
-        problem: the true problem.
-        walkers: largest number of walks. There are fewer if a walk would have too few landmarks to move together.
+        problem: the problem without simplification.
+        walkers: largest number of walks. There are fewer walks if a walk would have too few landmarks for a joint move.
     """
 
     def __init__(self, problem: Problem, walkers: int) -> None:
@@ -75,7 +75,7 @@ class Surrogate:
         self._walkers: list[Walker]
 
     def _lay_out(self, evaluator: Evaluator, relevance: FloatArray) -> None:
-        """Lay out positions, orientations and relevance for the walk."""
+        """Order positions, orientations and relevance in memory as the walk needs them."""
         objective = self._problem.objective
         self._true = field_of(objective, evaluator)
         self._target = target_of(objective, self._true, evaluator, relevance)
@@ -86,7 +86,8 @@ class Surrogate:
         return stack_of(self._true)
 
     def is_true(self, count: int, conditions: Conditions) -> bool:
-        """True if a single walk is on the problem itself, so that the fitness of its deployments is exact.
+        """True if there is a single walk and it is on the problem itself, so that the fitness of its deployments is
+        exact.
 
         Args:
             count: number of landmarks or stacks.
@@ -98,15 +99,15 @@ class Surrogate:
     def walk(
         self, here: Deployment, best: Deployment, conditions: Conditions, moves: int, rng: np.random.Generator
     ) -> tuple[Deployment, Deployment | None]:
-        """Try `moves` moves from `here`, and return the resulting deployment, and the best deployment on the way if it
-        beats `best`.
+        """Make `moves` moves from `here`; return the resulting deployment, and the best deployment met on the way, or
+        None if it is not better than `best`.
 
         Args:
-            here: stacks, or all landmarks.
-            best: best deployment of the problem.
+            here: deployment at the beginning: the stacks, or all landmarks.
+            best: best deployment found until now.
             conditions: conditions of the walk.
             moves: number of landmarks, or stacks, to move.
-            rng: source of everything random.
+            rng: random generator for all random numbers.
         """
         places = self._prepare(here, best, conditions, rng)
         before, number = self._walkers[0].best.fitness[0], len(self._walkers)
@@ -123,9 +124,10 @@ class Surrogate:
         return self._together(), first.places.deployment() if found else None
 
     def _prepare(self, here: Deployment, best: Deployment, conditions: Conditions, rng: np.random.Generator) -> Places:
-        """Prepare the walks, and return the places at which they begin: `NOWHERE` if the walks are already there.
+        """Prepare the walks, and return the places at which they begin; `NOWHERE` if the walks are already at these
+        places.
 
-        The size of samples grows with the square of the completed share of the stage. Early moves need only a rough
+        The size of samples grows with the square of the completed fraction of the stage. Early moves need only a rough
         estimate, late moves are smaller than the error of a small sample.
         """
         in_stacks, size = conditions.in_stacks, conditions.size
@@ -161,14 +163,14 @@ class Surrogate:
         return 0 if in_stacks else self._problem.fixed_count
 
     def _shared_out(self, count: int, in_stacks: bool) -> tuple[int, int]:
-        """Number of landmarks, among `count`, that can move together, and number of walks."""
+        """Number of landmarks, out of `count`, that can move in one joint move, and number of walks."""
         movable = count - self._first_movable(in_stacks)
         together = 1 if in_stacks else max(1, min(self.stack, movable))
         return together, max(1, min(self._most_walkers, movable // together))
 
     def _walker(self, best: Deployment | None, together: int, members: IntArray, state: Any) -> Walker:
-        """Make a walk that begins with `state`; its best deployment is `best`, or the deployment of the state if
-        `best` is None.
+        """Make a walk that begins with the deployment of `state`; its best deployment is `best` or, if that is None,
+        the deployment of `state`.
         """
         exchanged = 2 if len(self._footprints.first) > 1 else 1
         scratches = layers(self._field.scratch(state), max(together, exchanged))
@@ -178,7 +180,9 @@ class Surrogate:
         return Walker(members, np.empty(together, dtype=np.int64), state, scratches, met)
 
     def _footprints_of(self, count: int, size: float) -> FootprintArrays:
-        """Footprints of `count` landmarks, `size` times their true size; 0 for stacks, which have no footprints."""
+        """Footprints of `count` landmarks with `size` times their true size; size 0 for stacks, which have no
+        footprints.
+        """
         footprints, sizes = self._problem.scene.footprints, self._problem.sizes
         papers = footprints.tag.paper_share * sizes if size else np.full(count, footprints.edge)
         found, of = np.unique(papers, return_inverse=True)
@@ -186,7 +190,9 @@ class Surrogate:
         return FootprintArrays(size * papers * (1.0 - TOUCHING), of.astype(np.int64), pieces, first)
 
     def _slices(self, here: Deployment, first: int, number: int, rng: np.random.Generator) -> list[IntArray]:
-        """Indices of the landmarks from `first` on, divided into `number` slices of the room."""
+        """Divide the landmarks from index `first` on among `number` slices of the room; return the indices in each
+        slice.
+        """
         movable = np.arange(first, len(here))
         if number == 1:
             return [movable]
@@ -204,23 +210,25 @@ class Surrogate:
 
 
 def count_stacks(problem: Problem, stack: int) -> int:
-    """Number of stacks of `stack` landmarks among the free landmarks; the remaining landmarks are in no stack."""
+    """Number of stacks of `stack` landmarks each that the free landmarks form; the remaining free landmarks are in no
+    stack.
+    """
     return problem.free_count // stack if stack else 0
 
 
 def pulled_apart(problem: Problem, stacks: Deployment, angles: FloatArray, stack: int, distance: float) -> Deployment:
-    """Separate the landmarks of stacks: put them on a circle around their stack, with neighbours `distance` metres
-    apart.
+    """Separate the landmarks of stacks: put them on a circle around the place of their stack, with neighbours
+    `distance` metres apart.
 
     Args:
         problem: problem with the surfaces.
         stacks: places of S stacks.
-        angles: direction of the first landmark of each stack, `(S,)`, radians.
+        angles: direction from the centre of the circle to the first landmark of each stack, `(S,)`, radians.
         stack: number of landmarks in each stack.
-        distance: metres.
+        distance: distance of neighbours on the circle, metres.
 
     Returns:
-        S * `stack` landmarks.
+        deployment of S * `stack` landmarks.
     """
     surfaces = SurfaceArrays.of(problem.scene.footprints.hanging.surfaces())
     radius = 0.0 if stack == 1 else distance / (2.0 * math.sin(math.pi / stack))
@@ -232,7 +240,7 @@ def pulled_apart(problem: Problem, stacks: Deployment, angles: FloatArray, stack
 
 
 class MeanPlaces:
-    """Weighted mean of the places of each landmark since its last jump or change of surface.
+    """Weighted mean of the places that each landmark has had since its last jump or change of surface.
 
     On random samples a walk does not converge, as each step fits its sample only. The mean of a landmark's places is
     closer to the optimum over all samples than any single place. Later places have a larger weight, as the walk still
@@ -248,7 +256,7 @@ class MeanPlaces:
         self._places = np.zeros(len(start))
 
     def add(self, here: Deployment) -> Deployment:
-        """Add the places `here` to the mean, and return the mean, on the surfaces of `here`."""
+        """Add the deployment `here` to the mean; return the mean as a deployment on the surfaces of `here`."""
         away = here.positions - self._mean
         jumped = (here.surfaces != self._surfaces) | (np.linalg.norm(away, axis=1) > RESTART_M)
         self._places = np.where(jumped, 1.0, self._places + 1.0)
@@ -261,7 +269,7 @@ class MeanPlaces:
         return {"mean": self._mean, "surfaces": self._surfaces, "places": self._places}
 
     def restore(self, state: Mapping[str, Any], problem: Problem) -> None:
-        """Take over the `state` of another mean, of K landmarks in the room of `problem`.
+        """Continue the mean with the `state` of an earlier mean of K landmarks in the room of `problem`.
 
         Raises:
             InputError: `state` is not the state of a mean of K landmarks in that room.

@@ -10,10 +10,10 @@ The walk records the best deployment by the true objective (`contribution`), to 
 shrinks.
 
 Most moves are rejected before their exact gain is computed. The objective is monotone in every value, so upper bounds
-on the values (`bound`) give an upper bound on the gain. If the bound is negative, the gain is negative, and the random
-number of Metropolis' rule is drawn. A bound that the rule rejects implies that the rule would reject the gain;
-otherwise the rule is applied to the gain with the number drawn. So decisions and random numbers do not depend on the
-bound.
+on the values (`bound`) give an upper bound on the gain. If the bound is negative, so is the gain, and the random number
+for Metropolis' rule is drawn. If the rule rejects the bound, it would also reject the gain, and the move is rejected;
+otherwise the gain is computed, and the rule is applied to it with the number already drawn. So decisions and random
+numbers do not depend on the bound.
 """
 
 import math
@@ -44,10 +44,10 @@ _SLACK = 1e-12
 
 
 class Best(NamedTuple):
-    """Best deployment of the walk."""
+    """Best deployment that a walk has met."""
 
     fitness: FloatArray
-    """`(1,)` fitness of the deployment."""
+    """Fitness of the deployment, `(1,)`."""
     places: Places
     """Poses and surfaces of the deployment's landmarks."""
 
@@ -56,35 +56,35 @@ class Walker(NamedTuple):
     """Memory of one of several simultaneous walks."""
 
     members: IntArray
-    """`(M,)` indices of the landmarks that the walker moves."""
+    """Indices of the landmarks that this walk moves, `(M,)`."""
     group: IntArray
-    """`(n,)` working memory: landmarks that move together."""
+    """Working memory for the indices of landmarks that move together, `(n,)`."""
     state: Any
-    """State of the field with the landmarks at the end of the walker's last phase."""
+    """State of the field (the incremental evaluator) with the landmarks at the end of the walk's last phase."""
     scratches: Any
-    """`layers` of a scratch, one for each landmark of a group."""
+    """Working memory of the field, one layer for each landmark of a group (`layers`)."""
     best: Best
-    """Best deployment of the walk. This state is the best for the true problem only if a single walker walks on that
+    """Best deployment of the walk. It is the best deployment of the true problem only if there is a single walk on that
     problem.
     """
 
 
 class Known(NamedTuple):
-    """Smoothed objective of the walk's deployment; Q positions."""
+    """Smoothed objective of the walk's present deployment, for Q positions."""
 
     total: float
-    """Smoothed fitness from `terms`, see `combined`."""
+    """Smoothed fitness, the combination of `terms`, see `combined`."""
     units: IntArray
-    """`(Q,)` quantised values."""
+    """Quantised value at each position, `(Q,)`."""
     terms: FloatArray
-    """`(Q,)` contribution of each position."""
+    """Contribution of each position to the smoothed fitness, `(Q,)`."""
     tried: FloatArray
-    """`(Q,)` working memory: contributions of the positions after a move that is tried."""
+    """Working memory, `(Q,)`: contribution of each position after a move that is tried."""
 
 
 @inner
 def _sum_values(units: IntArray, known: Known, target: Any, settings: Settings) -> float:
-    """Return the smoothed objective for `units`, and write its terms to `known.tried`."""
+    """Return the smoothed fitness for the quantised values `units`, and write the contributions to `known.tried`."""
     accepted, terms, tried = known.units, known.terms, known.tried
     total = 0.0
     for p in range(len(units)):
@@ -98,7 +98,7 @@ def _sum_values(units: IntArray, known: Known, target: Any, settings: Settings) 
 
 @inner
 def _keep_best(units: IntArray, here: Places, target: Any, best: Best) -> None:
-    """Update `best` if the landmarks `here`, with the values `units`, are better."""
+    """Replace `best` by the landmarks `here`, whose quantised values are `units`, if their fitness is higher."""
     fitness, places = total_fitness(target, units), best.places
     if fitness > best.fitness[0]:
         best.fitness[0] = fitness
@@ -113,10 +113,10 @@ def _try(
     tried: Any, field: Any, state: Any, scratches: Any, target: Any, settings: Settings, rng: np.random.Generator,
     known: Known,
 ) -> tuple[float, bool]:  # fmt: skip
-    """Make the move `tried`, the `group`, `new` and `on` of `propose`, or reject the move by Metropolis' rule.
+    """Make the move `tried` (the arguments `group`, `new` and `on` of `propose`), or reject it by Metropolis' rule.
 
     Returns:
-        smoothed objective after the decision, and True if the landmarks were moved.
+        smoothed fitness after the decision, and True if the landmarks were moved.
     """
     group, new, on = tried
     last = len(group) - 1
@@ -151,17 +151,18 @@ def walk(
     moves: int, places: Places, walker: Walker, field: Any, target: Any, room: tuple[SurfaceArrays, FootprintArrays],
     settings: Settings, rng: np.random.Generator,
 ) -> None:  # fmt: skip
-    """Move landmarks `moves` times from `places`; the walker's state ends where the walk ends.
+    """Move landmarks, `moves` in all, starting from `places`; afterwards the walker's state is that of the last
+    deployment.
 
     Args:
         moves: total number of moved landmarks; moves that are proposed but not tried count.
-        places: places at the beginning of the walk; if empty, the walk begins at `state`.
-        walker: memory of the walk, with at least n scratches, and two for an exchange.
-        field: values of positions, a `Field`.
-        target: fitness of values, a `Target`.
+        places: poses and surfaces at the beginning of the walk; if empty, the walk begins with the walker's `state`.
+        walker: memory of the walk, with at least n layers of working memory, and two for an exchange.
+        field: incremental evaluator of the values at positions, a `Field`.
+        target: functions that compute the fitness from the values, a `Target`.
         room: surfaces of the room, and footprints of all landmarks.
         settings: conditions of the walk.
-        rng: draws proposals and decisions.
+        rng: random generator for proposals and decisions.
     """
     (members, several, state, scratches, best), (surfaces, footprints) = walker, room
     # The places are reached in this kernel, as in another kernel the functions that move landmarks would be compiled
