@@ -271,7 +271,7 @@ def test_annealing_does_without_stacks_and_selection_and_greedy_says_what_it_lac
     result = Annealing().run(p, Budget(100))
     assert result.fitness > result.history[0].best_fitness
     greedy = Greedy()
-    with pytest.raises(InputError, match=r"^Unselected has no selection that landmarks could be chosen by\.$"):
+    with pytest.raises(InputError, match=r"^Unselected has no selection for a greedy choice of landmarks\.$"):
         greedy.run(p, Budget(100))
     assert not greedy.ledger.history
 
@@ -298,6 +298,6 @@ def test_a_command_refuses_what_does_not_fit_before_it_writes_anything(guides, t
     settings = [f"hydra.searchpath=[file://{tmp_path}]", "objective=bare", "hydra.run.dir=run"]
     done = call("optimise", cwd=tmp_path, settings=settings, folders=[tmp_path, guides])
     assert (done.returncode, done.stdout) == (1, "")
-    assert done.stderr.startswith("error: Bare has no field that single moves could update; use a black box")
+    assert done.stderr.startswith("error: Bare has no field to evaluate single moves; use a black-box optimiser")
     assert not (tmp_path / "outputs").exists()
     assert not list((tmp_path / "run").glob("*.*"))

@@ -196,7 +196,7 @@ def incremental(objective: Objective) -> Incremental:
     if isinstance(objective, Incremental):
         return objective
     raise InputError(
-        f"{type(objective).__name__} has no field that single moves could update; use a black box such as ega.",
+        f"{type(objective).__name__} has no field to evaluate single moves; use a black-box optimiser such as ega.",
         "objective",
     )
 
@@ -209,7 +209,7 @@ def selectable(objective: Objective) -> Selectable:
     """
     if isinstance(objective, Selectable):
         return objective
-    raise InputError(f"{type(objective).__name__} has no selection that landmarks could be chosen by.", "objective")
+    raise InputError(f"{type(objective).__name__} has no selection for a greedy choice of landmarks.", "objective")
 
 
 @dataclass(frozen=True)

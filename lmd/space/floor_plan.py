@@ -83,7 +83,8 @@ class FloorPlan(Checked):
                 face = self._faces[f"obstacle_{i}_{name}"]
                 if self._region(face).is_empty:
                     raise InputError(
-                        f"obstacles[{i}].faces: {name} stands against a wall, the floor or the ceiling.",
+                        f"obstacles[{i}].faces: {name} stands against a wall, the floor or the ceiling, so it cannot "
+                        "carry landmarks.",
                         f"obstacles[{i}].faces",
                     )
         for i, part in enumerate(self.keep_out):

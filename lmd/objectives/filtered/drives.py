@@ -41,7 +41,7 @@ class Drives(Checked):
 
     def _validate(self) -> None:
         if not self.trajectories:
-            raise InputError("drives must be at least one, got none.", "drives")
+            raise InputError("drives must have at least one drive, got none.", "drives")
 
     def __len__(self) -> int:
         return len(self.trajectories)

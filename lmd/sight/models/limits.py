@@ -146,7 +146,7 @@ def limits_of(detector: str, family: str, changes: Mapping[str, Any]) -> Limits:
     pairs = "; ".join(f"{name} with {', '.join(own)}" for name, own in families.items())
     others = "".join(f", or detector={name} be taken" for name, own in families.items() if kind in own)
     raise InputError(
-        f"detector {detector} was not measured with tags of family {family}, only {pairs}; "
-        f"limits must give {', '.join(NAMES)}{others}.",
+        f"detector {detector} was not measured with tags of family {family} (measured: {pairs}), "
+        f"so limits must give {', '.join(NAMES)}{others}.",
         "detector",
     )
