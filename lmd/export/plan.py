@@ -293,9 +293,10 @@ def _draw_tag(
     at: FloatArray,
     papers: FloatArray,
 ) -> None:
-    """Draw a tag: paper, black square, a triangle that points up, and the number beside it, clear of other tags.
+    """Draw a tag: paper, black square, a triangle that points up, and the number beside it.
 
-    The N tags of the surface are `at` `(N, 2)` and have the `papers` `(N,)`, mm.
+    The number does not overlap other tags: the N tags of the surface have the positions `at` `(N, 2)` and, with their
+    white margins, the edge lengths `papers` `(N,)`, mm.
     """
     x, y = origin + centre / scale
     plate, edge = (MM_PER_M * length / scale for length in (tags.papers[k], tags.sizes[k]))

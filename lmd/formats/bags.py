@@ -1,7 +1,7 @@
 """Bags of ROS 2, read without ROS: a folder with `metadata.yaml`, an MCAP file, or a database (`.db3`).
 
-Messages are read with definitions of their types by `lmd`, as the library would generate code from definitions in the
-bag. A bag is refused if the hash of its definition of a type differs.
+Messages are read with the message definitions of `lmd`, as the library would generate code from the definitions in a
+bag. A bag is refused if its definition of a message type has another hash.
 """
 
 import math
@@ -47,14 +47,14 @@ class Message(NamedTuple):
     stamp: str
     """Time in the header, seconds with nine decimals; time of recording if the header has no time."""
     logged: int
-    """Time of recording, ns."""
+    """Time at which the message was recorded, ns."""
     raw: bytes
     """Message in the serialised form in which it is stored."""
 
 
 @cache
 def types() -> Any:
-    """Types of the messages that are read and written."""
+    """Type store of the library, with the types of the messages that are read and written."""
     optional("rosbags", EXTRA)
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -66,7 +66,9 @@ def types() -> Any:
 
 @cache
 def _reader() -> Any:
-    """Class of the library's reader, extended by a check that compressed content does not expand beyond the limits."""
+    """Class of the library's reader for MCAP, with an additional check that compressed content does not expand beyond
+    the limits.
+    """
     optional("rosbags", EXTRA)
     library, mcap = (optional(f"rosbags.rosbag2.{name}", EXTRA) for name in ("reader", "storage_mcap"))
     zstd, lz4 = library.zstd, optional("lz4.frame", EXTRA)
@@ -126,7 +128,7 @@ def _reader() -> Any:
 
 
 def is_bag(path: Any) -> bool:
-    """Return True for the path of a bag: a file whose name is that of a bag, or a folder with a `metadata.yaml`."""
+    """Return True for the path of a bag: a file with the suffix of bags, or a folder with a `metadata.yaml`."""
     with suppress(OSError, TypeError, ValueError):
         return Path(path).suffix.lower() in SUFFIXES or (Path(path) / METADATA).is_file()
     return False
@@ -150,16 +152,16 @@ class Bag:
 
     @cached_property
     def topics(self) -> dict[str, str]:
-        """Type of the messages of each topic, by topic."""
+        """Type of the messages of each topic, keyed by topic."""
         with self._opened() as reader:
             return {topic: str(info.msgtype) for topic, info in sorted(reader.topics.items())}
 
     def topics_of(self, *kinds: str) -> list[str]:
-        """Topics whose messages have one of these types, ascending."""
+        """Names of the topics whose messages have one of the given types, ascending."""
         return [topic for topic, kind in self.topics.items() if kind in kinds]
 
     def chosen(self, topic: Any, *kinds: str, count: int = 1) -> list[str]:
-        """Topics to read.
+        """Choose the topics to read.
 
         Args:
             topic: topic or list of topics that the user wants; None for all topics with messages of `kinds`.
@@ -212,7 +214,7 @@ class Bag:
             raise self.refused(f"has a damaged message of {kind} ({_reason(error)})") from None
 
     def refused(self, why: str, argument: str | None = None) -> InputError:
-        """Error about this bag; the reason `why` is the predicate of a sentence."""
+        """Make an error about this bag; the reason `why` is the predicate of a sentence."""
         return InputError(f"{self.argument}: the bag {str(self.path)!r} {why}.", argument or self.argument)
 
     def _check_type(self, connection: Any) -> None:
@@ -245,12 +247,12 @@ class Bag:
 
 
 def _reason(error: Exception) -> str:
-    """Reason that a library gives, on one line."""
+    """Reason that an error of a library states, on one line."""
     return (" ".join(str(error).split()) or type(error).__name__).rstrip(".")[:SHOWN]
 
 
 def _stamp(raw: bytes, logged: int) -> str:
-    """Time in the header at the beginning of a message, seconds as a text."""
+    """Time in the header of a message, seconds, as a text; the time of recording if the header has no time."""
     if len(raw) < 12:
         return _seconds(logged)
     seconds, rest = struct.unpack_from("<iI" if raw[1] & 1 else ">iI", raw, 4)
@@ -262,7 +264,8 @@ def _seconds(nanoseconds: int) -> str:
 
 
 def cameras_in(path: Any, argument: str) -> Mapping[str, Any]:
-    """Cameras of a bag, by topic; each is a function that returns the keys of the first `CameraInfo`.
+    """Cameras of a bag, keyed by topic. Each value is a function that reads the first `CameraInfo` of the topic and
+    returns its keys.
 
     Raises:
         InputError: the bag cannot be read, or has no camera.

@@ -1,7 +1,7 @@
 """Cameras from calibration files; `tables/calibration.yaml` lists the formats.
 
-All readers return pixel coordinates that count from the centre of the first pixel. `lmd` counts from the image's
-border, which adds 0.5 to the principal point and changes no other value.
+All readers return pixel coordinates that count from the centre of the first pixel. `lmd` itself counts from the image's
+border: its principal point is larger by 0.5, all other values are equal.
 """
 
 import math
@@ -38,9 +38,9 @@ class Calibration(Checked):
     """Intrinsic calibration of a camera, in pixels.
 
     Args:
-        image_width, image_height: w and h.
-        focal_pixels: (f / s_u, f / s_v).
-        principal_point: (c_x, c_y), from the centre of the first pixel, as OpenCV counts.
+        image_width, image_height: width w and height h of the image.
+        focal_pixels: focal lengths (f / s_u, f / s_v).
+        principal_point: principal point (c_x, c_y), counted from the centre of the first pixel as in OpenCV.
         distortion, distortion_model: coefficients and model of the lens, see `lmd.geometry.lens.Lens`.
         image_circle: diameter of the image circle, pixels; infinite if the file has none.
         note: remark for the user on how the values were obtained.
@@ -72,7 +72,8 @@ class Calibration(Checked):
             object.__setattr__(self, "image_circle", math.inf)  # a pinhole has no image circle
 
     def camera(self, focal_length: float | None = None, aperture: float | None = None, **lens: float) -> Camera:
-        """Camera with this calibration; without an aperture, a pinhole camera, whose images are sharp at any depth.
+        """Make a camera with this calibration. Without an aperture it is a pinhole camera, whose images are sharp at
+        any depth.
 
         Args:
             focal_length: f, mm; determines the size of a pixel, which matters only for the focus.
@@ -116,7 +117,7 @@ def calibrated_camera(
     focus_distance: float = Camera.focus_distance,
     image_circle: float = Camera.image_circle,
 ) -> Camera:
-    """Camera from a calibration file.
+    """Make a camera from a calibration file.
 
     Args:
         path, name, image_size, distortion_model: see `read_calibration`.
@@ -131,11 +132,11 @@ def calibrated_camera(
 
 
 class CalibrationFile(File):
-    """File of a calibration, which may also be XML, or an archive of arrays."""
+    """File of a calibration: a text, XML, or an archive of arrays (`.npz`)."""
 
     @cached_property
     def arrays(self) -> Keys | None:
-        """Keys of an archive of arrays; None for a text file."""
+        """Arrays of an archive, keyed by name; None for a text file."""
         arrays = arrays_of(self.path, self.argument, self.largest)
         return None if arrays is None else {name: array.tolist() for name, array in arrays.items()}
 
@@ -165,7 +166,9 @@ class ReadCamera(NamedTuple):
     calibration: Callable[[], Calibration]
     """Function that returns the calibration."""
     poses: Callable[[], Mapping[str, FloatArray]] = dict
-    """Function that returns poses of the camera's optical frame, by frame of reference, see `lmd.formats.rigs`."""
+    """Function that returns the poses of the camera's optical frame, keyed by frame of reference, see
+    `lmd.formats.rigs`.
+    """
 
 
 def lens_model(word: Any, models: Mapping[str, str]) -> str:
@@ -185,7 +188,7 @@ def lens_model(word: Any, models: Mapping[str, str]) -> str:
 
 
 def no_size() -> InputError:
-    """Error about a file without the size of the image."""
+    """Make an error about a file that lacks the size of the image."""
     return InputError(
         "image_size must be given, [width, height] in pixels: image_width or image_height is missing.", "image_size"
     )
@@ -222,7 +225,9 @@ def read_calibration(
 
 
 def _chosen(path: str, names: list[str], name: str | None, size: tuple[float, ...] | None) -> str:
-    """Choose the camera with a name, or with the part of a name before `/` and with the image size in the name."""
+    """Choose one of the cameras `names`: the camera `name`, or the camera whose name begins with `name` and `/`; if
+    there are several, the one with the image size `size` in its name.
+    """
     if not names:
         raise InputError(f"path: {path} has no camera in its list.", "path")
     cameras = [key for key in names if key]
@@ -241,7 +246,7 @@ def _chosen(path: str, names: list[str], name: str | None, size: tuple[float, ..
 def read_cameras(
     path: Any, image_size: Any = None, distortion_model: str | None = None, argument: str = "path"
 ) -> dict[str, ReadCamera]:
-    """Read the cameras of a file; the result is by name, and a camera without a name has the name "".
+    """Read the cameras of a file, keyed by name; a camera without a name has the name "".
 
     Args:
         path: path of the file, at most `LARGEST` bytes.
@@ -258,7 +263,9 @@ def read_cameras(
 
 
 def camera_info(camera: Camera) -> dict[str, Any]:
-    """Keys of a file in ROS's format, whose pixel coordinates begin at the centre of the first pixel."""
+    """Keys and values of a calibration file in ROS's format, whose pixel coordinates count from the centre of the first
+    pixel.
+    """
     (focal_u, focal_v), (u, v) = camera.focal_pixels.tolist(), camera.principal_point
     lens = list(camera.distortion or UNDISTORTED)
     matrix = [focal_u, 0.0, u - PIXEL_CENTRE, 0.0, focal_v, v - PIXEL_CENTRE, 0.0, 0.0, 1.0]

@@ -1,4 +1,4 @@
-"""Tables of poses and of tags in texts: names and units of columns, and the reader.
+"""Tables of poses and of tags in text files: names and units of columns, and the reader.
 
 A text names its columns in the first line, or in a comment above the values. For other texts the user names the
 columns, or the program that wrote the text, a row of `LAYOUTS`. Otherwise only TUM's format and lines of `ros2 topic
@@ -40,18 +40,18 @@ _TABLE = yaml.load(_TEXT, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
 
 
 class Quantity(NamedTuple):
-    """Quantity of a table."""
+    """Quantity that a column of a table may hold, with the names and units of such columns."""
 
     name: str
-    """Standard name, in which {} stands for the axis."""
+    """Standard name of the column, in which {} stands for the axis."""
     pattern: re.Pattern[str]
-    """Pattern, with the groups `axis` and `unit`, that matches the names in files in small letters."""
+    """Pattern of the column's names in files, in small letters; it has the groups `axis` and `unit`."""
     units: Mapping[str, float]
     """Size of each unit in seconds, metres or radians, by the unit's name; empty for a quantity without a unit."""
 
     @classmethod
     def of(cls, name: str, names: str, unit: str = "") -> "Quantity":
-        """Quantity from a row of the table."""
+        """Make a quantity from its row in `lmd`'s table of columns."""
         units = _units(unit) | (_units(f"bare_{unit}") if unit == TIME else {})
         words = "|".join(sorted(units, key=len, reverse=True))
         return cls(name, re.compile(names.replace("UNIT", f"(?P<unit>{words})")), units)
@@ -72,23 +72,27 @@ class Layout(NamedTuple):
     """Columns of a text that does not name its columns."""
 
     name: str
-    """Name of the program, as in the argument `columns`; empty for columns that a file or the user names."""
+    """Name of the program, as in the argument `columns`; empty if a file or the user names the columns."""
     of: str
     """Kind of the table, `POSES` or `TAGS`."""
     columns: tuple[str, ...]
     """Names of the columns, with their units."""
     least: int = 0
-    """Least number of values, if lines may lack the last, which are then 0; 0 if no value may be missing."""
+    """Smallest number of values in a line, if the last values may be missing (they are then 0); 0 if no value may be
+    missing.
+    """
     more: bool = False
-    """True if further values may follow, which are left out."""
+    """True if further values, which are ignored, may follow in a line."""
     ragged: bool = False
     """True if the number of further values may differ between lines."""
     header: str = ""
-    """First line of the program's files, which names columns without their units; a regular expression."""
+    """Regular expression that matches the first line of the program's files, which names columns without their
+    units.
+    """
     axes: Sequence[str] | None = None
     """Directions of x, y and z of a tag's frame, see `lmd.formats.placed_tag.axes_of`."""
     opencv: bool = False
-    """True if the program rotates tags as OpenCV does."""
+    """True if the program detects tags with OpenCV, whose up of a tag may differ from that of AprilTag."""
 
     def takes(self, width: int) -> bool:
         """True if a line of the layout may have `width` values."""
@@ -145,11 +149,13 @@ class Lines(NamedTuple):
 
 
 class Named(NamedTuple):
-    """Table whose known columns have standard names, in metres and radians; unknown columns keep their names."""
+    """Table in which the columns of known quantities have standard names, in metres and radians; other columns keep
+    their names.
+    """
 
     table: Table
     columns: Mapping[str, str]
-    """Names of the known columns in the file, by standard name."""
+    """Names that the columns of known quantities have in the file, keyed by standard name."""
     time_unit: float | None
     """Unit of the column `TIME`, seconds; None if the file names no unit."""
     layout: Layout
@@ -157,8 +163,8 @@ class Named(NamedTuple):
 
 
 def standard(name: str, of: str) -> tuple[str, float | None] | None:
-    """Standard name of a column, and unit in seconds, metres or radians, which is None for a quantity without a unit.
-    None for an unknown column.
+    """Standard name of the column `name`, and size of its unit in seconds, metres or radians (None for a quantity
+    without a unit). None if the quantity is unknown.
 
     Raises:
         InputError: the unit is unknown.
@@ -180,7 +186,7 @@ def standard(name: str, of: str) -> tuple[str, float | None] | None:
 
 
 def standardised(table: Table, of: str, layout: Layout | None = None) -> Named:
-    """Table with standard names and units; of several columns of times, the first is taken.
+    """Convert a table to standard names and units; if it has several columns of times, the first one is taken.
 
     Raises:
         InputError: two columns may hold one quantity, or a unit is unknown.
@@ -248,7 +254,7 @@ def named(
 
 
 def _asked(lines: Lines, of: str, columns: str | Sequence[str]) -> Layout:
-    """Columns that the user has given."""
+    """Layout of the columns that the user has given."""
     known = [layout for layout in LAYOUTS if layout.of == of]
     if isinstance(columns, str) and re.fullmatch(r"\w+", columns):
         found = [layout for layout in known if layout.name == columns]
@@ -261,10 +267,10 @@ def _asked(lines: Lines, of: str, columns: str | Sequence[str]) -> Layout:
 
 
 def _commented(lines: Lines, of: str) -> Layout | None:
-    """Columns named by the last comment that names columns; None without such a comment.
+    """Layout of the columns that the last comment with names of columns states; None if no comment names columns.
 
-    A comment names the columns if its words name a pose, are as many as the values of a line, or begin with the number
-    and the position of a tag.
+    A comment names the columns if its words name a pose, if it has as many words as a line has values, or if it begins
+    with the number and the position of a tag.
 
     Raises:
         InputError: a comment names more columns than there are.
@@ -293,7 +299,7 @@ def _commented(lines: Lines, of: str) -> Layout | None:
 
 
 def _by_content(lines: Lines, of: str) -> Layout:
-    """Columns of a text, determined from the values.
+    """Layout of the columns of a text, determined from its values.
 
     Raises:
         InputError: the values do not determine the columns; the message suggests columns.

@@ -1,9 +1,10 @@
-"""Files of detections: tables, bags, and JSON of PhotonVision and Limelight; and files that list all images.
+"""Files of detections: tables, bags, and JSON of PhotonVision and Limelight; and files that list all images, also those
+without tags.
 
 PhotonVision's corners are counter-clockwise from the tag's bottom left. The AprilTag pipeline counts pixels from the
 border of the image, as AprilTag 3 does. (Its ArUco pipeline counts from the centre of the first pixel, but files do not
-name the pipeline.) Limelight documents neither order nor origin. The corners are assumed to have the order and the
-origin of AprilTag 3.
+name the pipeline.) Limelight documents neither the order of the corners nor the origin of pixel coordinates. The
+corners are assumed to have the order and the origin of AprilTag 3.
 
 Sources: `PhotonPipelineResult`, `PhotonTrackedTarget` and `TrackedTarget` (PhotonVision/photonvision); "JSON Results
 Specification" of Limelight.
@@ -46,7 +47,7 @@ class SeenTag(NamedTuple):
     """Detection of a tag."""
 
     camera: str
-    """Name of the camera; empty for a single camera."""
+    """Name of the camera; empty if there is a single camera."""
     time: str
     """Time of the frame, seconds, or the name of the frame."""
     number: int
@@ -54,7 +55,7 @@ class SeenTag(NamedTuple):
     corners: Sequence[Sequence[float]]
     """Four corners in the order of the file, pixels from the border of the image, (x, y)."""
     family: str = ""
-    """Family as the program writes it; empty if the program writes none."""
+    """Tag family as the program names it; empty if the program names none."""
 
 
 class DetectionsFile(File):
@@ -88,12 +89,12 @@ class DetectionsFile(File):
 
     @cached_property
     def lacks(self) -> list[str]:
-        """Columns of detections that the header lacks."""
+        """Names of the columns of detections that the header lacks."""
         lacks = [column for column in ("id", *CORNER_COLUMNS) if column not in self.header]
         return [" or ".join(TIMES)] * (not set(TIMES) & set(self.header)) + lacks
 
     def refused(self, reason: str) -> InputError:
-        """Error about a file that is not a table of detections; `LACKS` in the reason stands for the missing
+        """Make an error about a file that is not a table of detections; `LACKS` in the reason stands for the missing
         columns.
         """
         lacks = f"lacks {few(self.lacks, MOST_LACKING)} in its first line, {self.first.strip()[:SHOWN]!r}"
@@ -102,14 +103,14 @@ class DetectionsFile(File):
 
 
 def is_table(file: DetectionsFile) -> bool:
-    """True for a table with the columns of detections, or with semicolons, about which the reader of tables raises an
-    error.
+    """True for a table with the columns of detections. True also for a table with semicolons, as its reader then
+    explains that commas are needed.
     """
     return not file.lacks or (len(file.header) == 1 and ";" in file.first)
 
 
 def is_json(file: DetectionsFile) -> bool:
-    """True for JSON; raises `InputError` if it is broken."""
+    """True for JSON; raises `InputError` if the JSON is broken."""
     return bool(file.data)
 
 
@@ -120,7 +121,7 @@ def has_rows_of_corners(file: DetectionsFile) -> bool:
 
 @dataclass(frozen=True)
 class KeyedDetections:
-    """Description of a program's results in JSON, a row of `tables/detections.yaml`."""
+    """Description of the JSON in which a program writes its results; a row of `tables/detections.yaml`."""
 
     tags: str
     """Key of the list of tags; a mapping with this key is a result."""
@@ -129,11 +130,15 @@ class KeyedDetections:
     corners: str
     """Key of a tag's four corners: pairs, or mappings with x and y."""
     times: Mapping[str, int]
-    """Keys of the time in the order in which they are tried, with the number of units per second."""
+    """Keys of the time of a result, in the order in which they are tried; the values are the numbers of time units per
+    second.
+    """
     tag_family: str = ""
     """Key of a tag's family; empty if tags have none."""
     least: float = -np.inf
-    """Minimum coordinate of a corner; smaller ones count from the middle of the image, and are refused."""
+    """Minimum coordinate of a corner. Files with smaller coordinates, which count from the middle of the image, are
+    refused.
+    """
 
     def read(self, file: Any) -> DetectedTags:
         """Detections of all results in a file.
@@ -156,7 +161,7 @@ class KeyedDetections:
         return _detections(file, seen)
 
     def _seen(self, keys: Any) -> Iterator[SeenTag]:
-        """Tags with corners in all results, with times of capture."""
+        """Tags with corners in all results of a file, with the times at which their images were taken."""
         for camera, result in _results(keys, self.tags):
             metadata = result.get("metadata")
             keys = {**result, **({f"metadata.{key}": value for key, value in metadata.items()} if metadata else {})}
@@ -218,11 +223,11 @@ def read_csv(file: File) -> DetectedTags:
 
 
 def _detections(file: File, seen: Sequence[SeenTag]) -> DetectedTags:
-    """Detections from the `seen` tags, with corners from the tag's top left; quadrilaterals without an area are left
-    out.
+    """Convert the `seen` tags to detections, with corners that begin at the tag's top left; tags whose four corners
+    span no area are left out.
 
     Raises:
-        InputError: no tag has an area, or the tags have several families.
+        InputError: the corners of no tag span an area, or the tags have several families.
     """
     # Times are compared as texts: nanoseconds since 1970 have more digits than a float.
     texts = {text for tag in seen for text in (tag.time, tag.camera)}
@@ -247,7 +252,7 @@ def _detections(file: File, seen: Sequence[SeenTag]) -> DetectedTags:
 
 
 def _results(documents: Any, key: str, camera: str = "", depth: int = DEEPEST) -> Iterator[tuple[str, Any]]:
-    """Results within documents: the mappings that have the key `key`, each with the name of its camera."""
+    """Results within JSON documents: the mappings that have the key `key`, each after the name of its camera."""
     if isinstance(documents, Mapping):
         if key in documents:
             yield camera, documents
@@ -260,7 +265,7 @@ def _results(documents: Any, key: str, camera: str = "", depth: int = DEEPEST) -
 
 
 def read_bag(file: File) -> DetectedTags:
-    """Read detections from a bag: of one topic, or a list of topics of several cameras, or all topics."""
+    """Read detections from a bag: from one topic, from a list of topics of several cameras, or from all topics."""
     bag, topic, seen, images = Bag(file.path, file.argument), file.asked.get("topic"), list[SeenTag](), []
     found = bag.topics_of(DETECTIONS) if topic is None else [topic] if isinstance(topic, str) else list(topic)
     topics = bag.chosen(topic, DETECTIONS, count=max(len(found), 1))
@@ -279,7 +284,9 @@ def read_bag(file: File) -> DetectedTags:
 
 
 def _as_first_written(texts: Sequence[str]) -> list[str]:
-    """Texts of times, of which equal numbers get one text, the first one: 9.5 for 9.5 and 9.50."""
+    """Texts of times, in which texts of equal numbers are replaced by the first of them: 9.50 becomes 9.5 if 9.5 came
+    first.
+    """
     written: dict[Decimal | str, str] = {}
     return [written.setdefault(time_of(text), text) for text in texts]
 
@@ -328,7 +335,7 @@ def with_images(detected: DetectedTags, path: Any) -> DetectedTags:
 
 
 def _with_images(detected: DetectedTags, images: Sequence[tuple[str, str]]) -> DetectedTags:
-    """Add frames for all `images`, given as time and camera of each, to detections; the name of a single camera is not
+    """Add frames for all `images`, each given by its time and camera, to detections; the name of a single camera is not
     needed.
 
     Images of cameras without detections are left out.

@@ -15,19 +15,22 @@ class DetectedTags:
     """N tags in the frames of C cameras.
 
     Args:
-        times: texts of the times, or names, of the F frames, ascending, all different. Simultaneous images of several
-            cameras are one frame.
+        times: texts of the F frames, their times or their names, ascending and all different. Simultaneous images of
+            several cameras are one frame.
         cameras: names of the cameras, `(C,)`.
         frame: index of the frame of each detection, `(N,)`.
         camera: index of the camera of each detection, `(N,)`.
         ids: numbers of the tags, `(N,)`.
-        corners: pixels from the border, top left, top right, bottom right, bottom left of the tag, `(N, 4, 2)`.
-        blurred: blur, pixels, of the frames whose detections were left out because of blur, by name of the frame.
-        copies: for images whose detections were left out as copies, name of the original by the name of the copy.
+        corners: corners in the image, pixels from the border, in the order top left, top right, bottom right, bottom
+            left of the tag, `(N, 4, 2)`.
+        blurred: for the frames whose detections were left out because of blur, the blur, pixels, keyed by the name of
+            the frame.
+        copies: for the images whose detections were left out as copies, the name of the original image, keyed by the
+            name of the copy.
         in_order: True if corners are known to begin at the top left, as a detector of `lmd.detection` ensures.
         taken: True where a camera has a valid image of a frame, with or without tags, `(F, C)`; None if all cameras
             have images of all frames.
-        left_out: frames whose detections were left out as redundant.
+        left_out: names of the frames whose detections were left out as redundant.
         family: family of the tags; None if unknown.
 
     Raises:
@@ -64,12 +67,12 @@ class DetectedTags:
 
     @classmethod
     def in_frames(cls, names: Sequence[str], ids: Sequence[IntArray], corners: Sequence[FloatArray]) -> "DetectedTags":
-        """Make the detections of one camera from those in each frame.
+        """Make the detections of one camera from the ids and corners in each frame.
 
         Args:
             names: names of the frames, in ascending order.
             ids: ids of the tags in each frame, `(M,)`.
-            corners: corners in each frame, as in the class, `(M, 4, 2)`.
+            corners: corners in each frame, in the order and unit of the class, `(M, 4, 2)`.
 
         Raises:
             InputError: there is no tag in any frame.
@@ -82,7 +85,9 @@ class DetectedTags:
 
     @classmethod
     def together(cls, parts: Mapping[str, "DetectedTags"]) -> "DetectedTags":
-        """Merge the detections of several cameras, by ascending name; frames of equal names become one frame."""
+        """Merge the detections of several cameras, `parts` keyed by the camera's name in ascending order; frames with
+        equal names become one frame.
+        """
         times = sorted({time for part in parts.values() for time in part.times})
         places = [np.searchsorted(times, part.times)[part.frame] for part in parts.values()]
         camera = np.repeat(np.arange(len(parts)), [len(part) for part in parts.values()])
@@ -102,10 +107,10 @@ class DetectedTags:
         return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 
     def renumbered(self, ids: IntArray, quarters: IntArray) -> "DetectedTags":
-        """Detections in which the corners of the tags `ids` `(K,)`, ascending, begin at another corner.
+        """Detections with renumbered corners of the tags `ids` `(K,)`, which are ascending.
 
         Args:
-            quarters: number of corners by which the first corner moves back, `(K,)`.
+            quarters: index that corner 0 of each tag gets, `(K,)`.
         """
         place = np.minimum(np.searchsorted(ids, self.ids), len(ids) - 1)
         back = np.where(ids[place] == self.ids, quarters[place], 0)
@@ -113,7 +118,8 @@ class DetectedTags:
         return replace(self, corners=np.take_along_axis(self.corners, order[..., None], axis=1))
 
     def without(self, blurs: Mapping[str, float]) -> "DetectedTags":
-        """Detections without those in the blurred frames; `blurs` is the blur of each blurred frame, by name.
+        """Detections without those in the blurred frames; `blurs` is the blur of each blurred frame, pixels, keyed by
+        the frame's name.
 
         Raises:
             InputError: no detection is left.
@@ -129,8 +135,8 @@ def signed_area(corners: FloatArray) -> FloatArray:
 
 
 def without_copies(detected: DetectedTags) -> DetectedTags:
-    """Detections without those in copies, images that equal an earlier image of their camera; `copies` names the
-    copies.
+    """Detections without those in copies, that is, in images that equal an earlier image of their camera; the result's
+    `copies` names them.
 
     An image is a copy of an earlier image if both show equal tags, with corners at most `SAME` apart. Errors of corners
     are independent in two photographs, but equal in a photograph and its copy.

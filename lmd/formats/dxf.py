@@ -94,7 +94,7 @@ def _lines(file: File) -> Drawing:
 
 
 def _with_subclasses(content: bytes) -> bytes:
-    """Content of a drawing in which polylines have the marks of subclasses, which some programs omit."""
+    """Content of a DXF drawing in which all polylines have subclass markers; some programs omit these markers."""
     lines = content.replace(b"\r\n", b"\n").split(b"\n")
     if b"LWPOLYLINE" not in content or b"AcDbPolyline" in content:
         return content
@@ -127,8 +127,8 @@ def _shapes(
     shown: bool = True,
     depth: int = 0,
 ) -> Iterator[tuple[str, str, Any]]:
-    """Kind, layer and entity of each shape of a drawing, including shapes in blocks; `number` counts the entities. The
-    kind is `line`, `door` or `window`, or `hidden` for a shape that CAD programs do not show.
+    """Kind, name of the layer, and entity of each shape in a drawing, including shapes in blocks; `number` counts the
+    entities. The kind is `line`, `door` or `window`, or `hidden` for a shape that CAD programs do not show.
 
     A block on a frozen layer is hidden as a whole. If the layer of a block is off, its shapes on layer 0 are hidden.
     """
@@ -147,7 +147,8 @@ def _shapes(
 
 
 def _flattened(entity: Any, tolerance: float, source: str, number: Iterator[int]) -> FloatArray:
-    """Vertices of a shape, `(N, 2)`, in the unit of the drawing; empty for shapes without a path, such as a mesh.
+    """Vertices of the polyline that approximates a shape, `(N, 2)`, in the unit of the drawing; empty for shapes
+    without a path, such as a mesh.
 
     `number` counts the vertices of all shapes.
     """
@@ -170,7 +171,9 @@ def _flattened(entity: Any, tolerance: float, source: str, number: Iterator[int]
 
 
 def _layers(file: File, drawn: Counter[str], hidden: Counter[str]) -> set[str]:
-    """Names of the layers with walls, among layers with `drawn` shapes; layers with `hidden` shapes are refused."""
+    """Names of the layers with walls. `drawn` and `hidden` count the shapes on each layer that CAD programs show and do
+    not show; a layer that the user names and that has only hidden shapes is refused.
+    """
     asked = file.asked["layers"]
     if asked is not None:
         if isinstance(asked, str) or not all(isinstance(name, str) for name in asked):

@@ -1,4 +1,5 @@
-"""Cameras from keyed files, described by rows of `tables/calibration.yaml`.
+"""Cameras from files of keys and values (YAML, JSON, XML), whose formats are described by rows of
+`tables/calibration.yaml`.
 
 Sources of the rows: `sensor_msgs/CameraInfo`, "YAML formats" of Kalibr and its `CameraUtils.py`, the calibration
 samples of OpenCV, `CameraCalibrationCoefficients` of PhotonVision, `cameracalibration.cpp` of WPIcal, "Cameras" of
@@ -60,32 +61,35 @@ MOST_CAMERAS = 64  # maximum number of different cameras among the images of a f
 
 @dataclass(frozen=True, kw_only=True)
 class KeyedCameras(Keyed):
-    """Description of the cameras in a keyed file.
+    """Description of a format: the keys under which a file holds its cameras.
 
     Quantities of a camera: `width` and `height`, or `size`; `matrix`, nine numbers row by row, or `columns`, column by
     column, or the names of `QUANTITIES`; `lens`, a list of coefficients. `body` is the pose of the camera's optical
-    frame on the body, `body_inverse` its inverse, `step` the pose of the previous camera in this one.
+    frame on the body, `body_inverse` its inverse, `step` the pose of the previous camera in this camera's optical
+    frame.
     """
 
     called: str = ""
-    """Name of a camera, with `{key}`, `{index}` from 0, `{number}` from 1, and keys of the entry; the second camera
-    with a name gets `/2`."""
+    """Template for the name of a camera, in which `{key}`, `{index}` (from 0), `{number}` (from 1) and keys of the
+    entry are replaced; the second camera with a name gets `/2`.
+    """
     named: str = ""
-    """Quantities that the entry holds under their own names."""
+    """Names of the quantities that the entry holds under these names."""
     values: Sequence[str] = ()
     """Paths of lists with the quantities that `models` names, or of mappings with quantities by name. A path that ends
     in a dot stands for all keys that begin with the path."""
     model: Sequence[str] = ()
-    """Paths of the words that name the lens model; the words are joined by `_`."""
+    """Paths in the entry of the words that, joined by `_`, are the name of the lens model."""
     models: Mapping[str, str] = field(default_factory=lambda: LENS_MODELS)
-    """Model in `COEFFICIENTS` for each pattern of words in small letters; empty for an unknown model. The names of the
-    quantities in `values` follow after a colon, as `ours` or `ours=theirs`."""
+    """Lens model, a key of `COEFFICIENTS`, for each pattern of the words in small letters; empty for an unknown model.
+    The names of the quantities in the lists at `values` follow after a colon, as `ours` or `ours=theirs`.
+    """
     origin: float = 0.0
-    """Pixel coordinate of the centre of the first pixel."""
+    """Coordinate that the file's pixel coordinates give the centre of the first pixel."""
     loose: bool = False
     """True if keys are compared in small letters and without `_`; this applies to the outermost keys of an entry."""
     distinct: bool = False
-    """True if equal cameras count once, such as the camera of several images."""
+    """True if equal cameras are returned only once, as in a file that repeats the camera of each image."""
 
     def __post_init__(self) -> None:
         models = {words.partition(":")[0] for words in self.models.values() if words}
@@ -94,10 +98,10 @@ class KeyedCameras(Keyed):
             raise InputError(f"a row of a calibration has no quantity and no lens model {unknown[0]!r}.")
 
     def read(self, file: File) -> dict[str, ReadCamera]:
-        """Cameras by name.
+        """Cameras in a file, keyed by name.
 
         Raises:
-            InputError: the file is no such tree, or has more than `MOST_CAMERAS` different cameras.
+            InputError: the file does not have the described keys, or has more than `MOST_CAMERAS` different cameras.
         """
         found: dict[str, ReadCamera] = {}
         owns: dict[str, Any] = {}
@@ -114,7 +118,7 @@ class KeyedCameras(Keyed):
         return found
 
     def compared(self, entry: Keys) -> Keys:
-        """Entry with its keys in the form in which they are compared."""
+        """Entry with its keys in the form in which they are compared, see `loose`."""
         return {plain(name): value for name, value in entry.items()} if self.loose else entry
 
 
@@ -128,7 +132,7 @@ class _Camera:
     asked: Keys
 
     def path(self, path: str) -> str:
-        """Path in the entry, without `?` and with `{key}` replaced."""
+        """The given path without `?`, and with the entry's key in place of `{key}`."""
         path = path.rstrip("?").replace("{key}", self.key)
         return plain(path) if self.form.loose else path
 
@@ -183,7 +187,7 @@ class _Camera:
         return Calibration(width, height, *pinhole, found.coefficients, found.model, note=note)  # type: ignore[arg-type]
 
     def _lens(self, model: str) -> list[float]:
-        """List of the lens's coefficients; empty if the row of the table names none, or if the model needs none."""
+        """Coefficients of the lens; empty if the format or the lens model has none."""
         path = self.form.at.get("lens", "")
         value = self.value(path) if path else []
         optional = path.endswith("?") or model in ("none", *MODELS)
@@ -199,7 +203,9 @@ class _Camera:
         return None if size is None else float(size[index])
 
     def _model(self) -> tuple[str, str, list[str]]:
-        """Words that name the lens model, the model, and names of the quantities in the lists."""
+        """Words of the file that name the lens model; the lens model; and the names of the quantities in the lists at
+        `values`.
+        """
         said = [self.value(path) for path in self.form.model]
         needed = [path for path, word in zip(self.form.model, said, strict=True) if word is MISSING and path[-1] != "?"]
         if len(said) > 1 and needed:
@@ -211,7 +217,9 @@ class _Camera:
         return words, name, names.split()
 
     def _chosen(self, model: str, lens: Sequence[float], word: str) -> str:
-        """Lens model; the user must name the model if the file does not determine it."""
+        """Lens model of the file, or else the model that the user names; raises `InputError` if neither
+        determines it.
+        """
         asked = self.asked.get("distortion_model")
         if model == INVERSE and any(lens) and asked is None:
             raise InputError(
@@ -231,7 +239,7 @@ class _Camera:
         return model if model != "unsaid" else "plumb_bob" if asked is None else lens_model(asked, LENS_MODELS)
 
     def _quantities(self, names: Sequence[str]) -> dict[str, float]:
-        """Quantities by name; `names` are the quantities in the lists at `values`."""
+        """Quantities of the camera, keyed by name; `names` are those of the quantities in the lists at `values`."""
         found: dict[str, float] = {}
         pairs = [(ours, theirs or ours) for ours, _, theirs in (name.partition("=") for name in names)]
         for path in map(self.path, self.form.values):
@@ -250,7 +258,9 @@ class _Camera:
         return found
 
     def _pinhole(self, values: Keys) -> dict[str, float]:
-        """fx, fy, cx and cy, pixels from the centre of the first pixel."""
+        """Focal lengths fx, fy and principal point cx, cy, keyed by these names, pixels from the centre of the first
+        pixel.
+        """
         found, skew = dict(values), values.get("skew", 0.0)
         for name in ("matrix", "columns"):
             path = self.form.at.get(name, "")
@@ -270,8 +280,8 @@ class _Camera:
         return {name: found[name] - (self.form.origin if name[0] == "c" else 0.0) for name in PINHOLE}
 
     def poses(self) -> dict[str, FloatArray]:
-        """Poses `(4, 4)` by frame of reference: `body`, of the camera's optical frame on the body; `step`, of the
-        previous camera in this camera's optical frame.
+        """Poses `(4, 4)`, keyed by frame of reference: `body` is the pose of the camera's optical frame on the body;
+        `step` is the pose of the previous camera in this camera's optical frame.
 
         Raises:
             InputError: a pose is not a rigid motion.
@@ -285,7 +295,9 @@ class _Camera:
 
 
 def _nearest(model: str, lens: Sequence[float], values: Mapping[str, float], size: Sequence[Any]) -> Restated:
-    """Lens and intrinsics; they are fitted if `lmd.geometry.lens` lacks the lens model."""
+    """Lens and intrinsics of a camera; if `lmd.geometry.lens` lacks the lens model, those of a model that it has are
+    fitted.
+    """
     focal, centre = (values["fx"], values["fy"]), (values["cx"], values["cy"])
     if model in MODELS:
         return restated(model, values, size)

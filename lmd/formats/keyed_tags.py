@@ -1,4 +1,4 @@
-"""Tags from keyed files, described by rows of `tables/tag_map.yaml`.
+"""Tags from files of keys and values (YAML, JSON), whose formats are described by rows of `tables/tag_map.yaml`.
 
 Sources of the rows: `AprilTagFieldLayout` of WPILib; `Marker::corners_f_map` of ptrmu/fiducial_vlam; `MarkerMap` of
 ArUco 3; `SE2Transform` of duckietown-world; `target_map.fbs` of frc971; "AprilTag Map Specification" of Limelight;
@@ -41,7 +41,7 @@ KNOWN = ("id", "position", "corners", "edge", "family", *TURNS)
 
 @dataclass(frozen=True, kw_only=True)
 class KeyedTags(Keyed):
-    """Description of the tags in a keyed file.
+    """Description of a format: the keys under which a file holds its tags.
 
     Quantities of a tag: `id`, a number or a name such as `tag36h11:7`; `edge`; `family`; the `position`; the rotation
     as `quaternion`, as `rpy` (roll, pitch, yaw), or as `yaw` (rad) or `yaw_degrees` about the vertical; position and
@@ -57,19 +57,19 @@ class KeyedTags(Keyed):
     unit: float = METRE
     """Unit of edges in metres."""
     any_edge: bool = False
-    """True if implausible edges are accepted."""
+    """True if implausible edge lengths are accepted."""
     opencv: bool = False
-    """True if the programs that read such files detect tags with OpenCV."""
+    """True if the programs that read files of this format detect tags with OpenCV."""
     where: Mapping[str, Any] = field(default_factory=dict)
-    """Values that an entry must have at paths to be a tag."""
+    """Values that an entry must have to be a tag, keyed by the path of the value."""
     first: str = ""
     """Path of a number n; only the first n entries, in the order of their keys, are read."""
     corner: Sequence[str] = ()
-    """Paths of length and width of a field. Positions in the file count from the field's middle, in the map from its
-    corner.
+    """Paths of length and width of a field. Positions count from the field's middle in the file, and from its corner in
+    the map that is read.
     """
     notes: Mapping[str, str] = field(default_factory=dict)
-    """Sentences for the user, by path; a sentence is shown if the value at the path is not 0."""
+    """Sentences for the user, keyed by path; a sentence is shown if the value at its path is not 0."""
 
     def __post_init__(self) -> None:
         axes_of(list(self.axes))
@@ -140,7 +140,9 @@ class KeyedTags(Keyed):
 
 
 def _numbers(tag: Keys, path: str, names: str, order: str = "") -> FloatArray:
-    """Numbers from a mapping by names, with or without a `q`, or from a list in an order; sorted as `names`."""
+    """Numbers at a path, in the order of `names`. The value is a mapping with these names (with or without a `q`), or a
+    list in the order `order`.
+    """
     if " " in path:
         return np.array([*(number_at(tag, part) for part in path.split()), 0.0][: len(names)])
     value = find(tag, path)
@@ -190,7 +192,8 @@ def _nodes(keys: Keys, depth: int) -> Iterable[Keys]:
 
 
 def apriltag_ros(keys: Keys) -> Keys:
-    """Tags of the bundle, whose frame is the world frame; or standalone tags with positions in the world frame.
+    """Tags in a configuration of apriltag_ros: those of its bundle, whose frame is taken as the world frame; or
+    standalone tags with positions in the world frame.
 
     Raises:
         InputError: no tag has a pose, or several bundles have tags.
@@ -219,7 +222,7 @@ def apriltag_ros(keys: Keys) -> Keys:
 
 
 def _placed(tag: Keys) -> Keys:
-    """Tag with its pose from the keys of ROS 1, or from roll, pitch and yaw."""
+    """Entry of a tag with its pose, which is taken from the keys of ROS 1, or from roll, pitch and yaw."""
     if TRANSFORM not in tag:
         return tag
     values = vector(TRANSFORM, tag[TRANSFORM], None)
@@ -234,14 +237,16 @@ def _placed(tag: Keys) -> Keys:
 
 
 def _listed(listed: Any) -> Iterator[tuple[str, list[Keys]]]:
-    """Bundles of ROS 1 by name, with their tags, from a list of entries with a name and a layout."""
+    """Names and tags of the bundles of ROS 1, from a list of entries, each with a name and a layout."""
     for i, bundle in enumerate(mappings("tag_bundles", listed)):
         if bundle.get("layout"):
             yield str(bundle.get("name", f"without a name, number {i}")), mappings("layout", bundle["layout"])
 
 
 def _named(bundles: Keys) -> Iterator[tuple[str, list[Keys]]]:
-    """Bundles of ROS 2 by name, with their tags. Parameters cannot be lists of mappings, so tags are keys, too."""
+    """Names and tags of the bundles of ROS 2. As parameters of ROS 2 cannot be lists of mappings, each tag has a key of
+    its own.
+    """
     for name in bundles.get("bundle_names") or [name for name in bundles if isinstance(bundles[name], dict)]:
         bundle = mapping(str(name), bundles[name])
         tags = {str(key): value for key, value in mapping("layout", bundle.get("layout", bundle)).items()}
@@ -250,7 +255,8 @@ def _named(bundles: Keys) -> Iterator[tuple[str, list[Keys]]]:
 
 
 def tagslam(keys: Keys) -> list[Keys]:
-    """Tags of the static bodies of TagSLAM; TagSLAM estimates the other bodies.
+    """Tags of the static bodies in a configuration of TagSLAM; tags of other bodies, whose poses TagSLAM estimates, are
+    ignored.
 
     Raises:
         InputError: no body with tags is static, or a static body has no pose.
@@ -272,7 +278,9 @@ def tagslam(keys: Keys) -> list[Keys]:
 
 
 def _on_body(body: Keys) -> Iterator[Keys]:
-    """Tags of a body in the body's frame: listed tags, or tags of a board, row by row from the board's corner."""
+    """Tags of a body, with poses in the body's frame: tags in a list, or tags of a board, row by row from the board's
+    corner.
+    """
     for tag in mappings("tags", body.get("tags") or ()):
         pose = _tagslam_pose(mapping("pose", tag.get("pose") or {}))
         yield {"id": tag["id"], "size": tag.get("size", body.get("default_tag_size")), TRANSFORM: pose}
@@ -287,7 +295,9 @@ def _on_body(body: Keys) -> Iterator[Keys]:
 
 
 def _tagslam_pose(pose: Keys) -> FloatArray:
-    """Transform `(4, 4)` from a position and a rotation vector; missing values are zero."""
+    """Transform `(4, 4)` from the position and the rotation vector of a pose in TagSLAM's file; missing values are
+    zero.
+    """
     parts = [pose.get(name) or dict.fromkeys("xyz", 0.0) for name in ("position", "rotation")]
     position, rotation = (np.array([number_at(mapping("pose", part), axis) for axis in "xyz"]) for part in parts)
     return pose_of(turn_by_vector("pose", rotation), position)

@@ -42,7 +42,7 @@ HARMLESS = (
 def check_gltf(file: Path, content: bytes, most: int) -> None:
     """Raise `InputError` for a glTF that trimesh would read wrongly, that needs other files, or that is too large.
 
-    All data must be in the file itself, as a later run identifies the room by the content of the file.
+    All data must be in the file itself, as a later run recognises the room by the content of this file.
 
     Args:
         file: path of the file, for its suffix and messages.
@@ -80,7 +80,7 @@ def check_gltf(file: Path, content: bytes, most: int) -> None:
 
 
 def _unread(header: dict[str, Any], pieces: list[dict[str, Any]]) -> str:
-    """Feature of a glTF that trimesh does not read; empty if there is none."""
+    """Name of a feature that the glTF uses and trimesh does not read; empty if there is none."""
     instanced = "EXT_mesh_gpu_instancing"
     needed = [str(name) for name in header.get("extensionsRequired", [])]
     needed += [instanced for node in header.get("nodes", []) if instanced in node.get("extensions", {})]
@@ -126,7 +126,7 @@ _PLY_FACES = re.compile(rb"^element\s+face\s+(\d+)\s*$", re.MULTILINE)
 
 
 class RoomFile(File):
-    """File of a room; `asked` has `up`, the axis of the file that points up."""
+    """File of a room; its `asked` has the setting `up`, the axis of the file that points up."""
 
     @cached_property
     def content(self) -> bytes:
@@ -134,7 +134,7 @@ class RoomFile(File):
         return read_bytes(self.path, self.argument)
 
     def refused(self, reason: str) -> InputError:
-        """Error about a refused room file; the message lists the supported suffixes."""
+        """Make an error about a refused room file; the message lists the supported suffixes."""
         return InputError(f"path = {str(self.path)!r} must end in one of {', '.join(SUFFIXES)}; {reason}.", "path")
 
 
@@ -184,7 +184,7 @@ def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None
 def read_mesh_room(
     path: Any, reachable: Any, spacing: Any, scale: float = 1.0, up: str | None = None, **more: Any
 ) -> MeshRoom:
-    """Room from a mesh in a file.
+    """Read a room from a mesh in a file.
 
     Args:
         path, scale, up: see `read_mesh`.
@@ -197,7 +197,7 @@ def read_mesh_room(
 
 
 def _hint(size: FloatArray) -> str:
-    """Advice about the unit of a file, from the extents along x, y and z in the unit of the file, `size` `(3,)`."""
+    """Advice about the unit of a file, from its extents along x, y and z, `size` `(3,)`, in the unit of the file."""
     told = [
         f"a file in {unit} needs {per:g}, which makes {box_text(per * size)}"
         for unit, per in UNITS.items()
@@ -212,7 +212,7 @@ def _turned(points: FloatArray, up: str) -> FloatArray:
 
 
 def triangles(room: RoomFile) -> dict[str, Any]:
-    """Objects of a file that have triangles, by name, as meshes in the scene's frame with z up."""
+    """Objects of a file that have triangles, keyed by name, as meshes in the scene's frame with z up."""
     file, up = Path(room.path), room.asked["up"]
     trimesh = optional("trimesh", "mesh")
     logging.getLogger("trimesh").setLevel(logging.WARNING)  # trimesh would warn about quads in every object
@@ -286,7 +286,9 @@ def _place(word: str) -> float:
 
 
 def _cut_face(line: str, words: list[str], places: list[list[float]]) -> list[str]:
-    """Lines of the triangles of a face; the line of the face if it is bent, crosses itself, or has no area."""
+    """Lines of an OBJ with the triangles of a face; the given line if the face is bent, crosses itself, or has
+    no area.
+    """
     import shapely
 
     found = [_CORNER.match(word) for word in words]

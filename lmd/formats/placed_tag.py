@@ -1,4 +1,4 @@
-"""Tag of a map: its family and number from names of other programs, and checks of the values of its pose.
+"""Tag of a map that another program wrote: its family and number from that program's names, and checks of its pose.
 
 All readers return tag poses with one convention: x to the right of the tag, y up, z along the normal towards the
 viewer.
@@ -74,7 +74,7 @@ class Found(NamedTuple):
         tags: tags of another program's map.
         table: table of tags, instead of `tags`; see `lmd.formats.tag_tables`.
         by_opencv: True if the programs that read such files detect tags with OpenCV.
-        note: assumption about the file, a sentence; empty without an assumption.
+        note: sentence for the user on an assumption about the file; empty if none was made.
     """
 
     tags: Sequence[PlacedTag]
@@ -84,7 +84,8 @@ class Found(NamedTuple):
 
 
 def axes_of(words: Sequence[str] | None) -> FloatArray:
-    """Axes x, y and z of a tag's frame from their directions, as columns in the frame x right, y up, z out, `(3, 3)`.
+    """Axes x, y and z of a tag's frame from their directions in words: columns in the frame with x right, y up, z out,
+    `(3, 3)`.
 
     Args:
         words: three of `DIRECTIONS`; None for right, up, out.
@@ -110,7 +111,7 @@ def number_of(value: Any) -> int:
 
 
 def family_and_rest(text: str) -> tuple[str | None, str]:
-    """Family in the name of a tag, or None, and the name with the word `tag` in place of the family."""
+    """Family that the name of a tag contains, or None; and the name with the word `tag` in place of the family."""
     for found in APRILTAG.finditer(text):
         names = [family_named(f"{kind}{found[1]}h{int(found[2])}") for kind in ("", "circle", "aruco_mip_")]
         known = [name for name in names if name in FAMILIES]
@@ -136,34 +137,34 @@ def tag_named(value: Any) -> tuple[str | None, int] | None:
 
 
 def mapping(name: str, value: Any) -> Keys:
-    """Return `value` if it is a mapping; otherwise raise `InputError`."""
+    """Return `value` if it is a mapping; otherwise raise an `InputError` that names `name`."""
     if not isinstance(value, Mapping):
         raise InputError(f"{name} must be a mapping with keys, got {_kind(value)}.")
     return value
 
 
 def mappings(name: str, value: Any) -> list[Keys]:
-    """Return `value` if it is a list of mappings; otherwise raise `InputError`."""
+    """Return `value` if it is a list of mappings; otherwise raise an `InputError` that names `name`."""
     if not isinstance(value, list | tuple):
         raise InputError(f"{name} must be a list, got {_kind(value)}.")
     return [mapping(f"{name}[{i}]", entry) for i, entry in enumerate(value)]
 
 
 def _kind(value: Any) -> str:
-    """Short text of a value, possibly a deep tree, for a message."""
+    """Short text of a value, which may be a deep tree, for a message."""
     if isinstance(value, Mapping | list | tuple):
         return "a mapping" if isinstance(value, Mapping) else "a list"
     return "nothing" if value is None else repr(value)[:80]
 
 
 def edge_of(name: str, value: Any, unit: float = METRE) -> float:
-    """Edge of the black square of a tag, metres.
+    """Edge length of a tag's black square, metres.
 
     Args:
         unit: unit of the value, metres.
 
     Raises:
-        InputError: the value is not a number, or is an implausible edge.
+        InputError: the value is not a number, or is implausible as an edge length.
     """
     edge = unit * real(name, value, above=0.0)
     if not SMALLEST_EDGE <= edge <= LARGEST_EDGE:
@@ -195,7 +196,7 @@ def turn_by_angles(number: int, roll: float, pitch: float, yaw: float) -> FloatA
     """Rotation matrix from ROS's roll, pitch and yaw of a tag, rad.
 
     Raises:
-        InputError: the angles look like degrees.
+        InputError: an angle is so large that the angles seem to be in degrees.
     """
     radians(f"tag {number}", roll=np.array([roll]), pitch=np.array([pitch]), yaw=np.array([yaw]))
     return roll_pitch_yaw([roll, pitch, yaw])
@@ -205,7 +206,7 @@ def turn_by_vector(source: str, rotation: FloatArray) -> FloatArray:
     """Rotation matrix of a rotation vector `(3,)`, whose length is the angle, rad; `source` is for messages.
 
     Raises:
-        InputError: the vector looks like degrees.
+        InputError: the vector is so long that it seems to be in degrees.
     """
     radians(source, rotation=rotation)
     return exp(np.concatenate([rotation, np.zeros(3)]))[:3, :3]
@@ -256,7 +257,8 @@ def tag_of_corners(number: int, corners: FloatArray, family: str | None) -> Plac
 
 
 def one_family(named: Iterable[str | None]) -> str | None:
-    """Family of a map's tags, from the families that the tags name; None if no tag names a family.
+    """Family of all tags of a map, from the families that the entries of the tags name; None if no entry names a
+    family.
 
     Raises:
         InputError: the tags have several families.
@@ -271,8 +273,8 @@ def one_family(named: Iterable[str | None]) -> str | None:
 
 
 def check_family(path: Any, told: str | None, wanted: str | None) -> None:
-    """Raise `InputError` if the family `told` by the map at `path` differs from the family `wanted`; an unknown family
-    is None.
+    """Raise `InputError` if the family `told` by the map at `path` differs from the family `wanted`; `told` is None if
+    the map names no family.
     """
     if told is None or wanted is None or told == wanted:
         return

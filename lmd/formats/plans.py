@@ -1,4 +1,4 @@
-"""Rooms over floor plans from files: readers of the formats, and settings that files leave open."""
+"""Rooms over floor plans from files: readers of the formats, and settings for what the files do not state."""
 
 import io
 from collections.abc import Sequence
@@ -100,15 +100,15 @@ def read_occupancy_grid(path: str | Path) -> OccupancyGrid:
 def occupancy(
     grey: FloatArray, is_opaque: BoolArray, mode: str, negate: bool, occupied_thresh: float, free_thresh: float
 ) -> IntArray:
-    """Occupancy in per cent, -1 for unknown, `(H, W)`, of the pixels of a map.
+    """Occupancy in per cent, -1 for unknown, `(H, W)`, of the pixels in a map's picture.
 
     Args:
         grey: grey values from 0 to 255, `(H, W)`.
         is_opaque: mask of the pixels that are not transparent, `(H, W)`.
         mode: one of `MODES`.
         negate: True if white is occupied.
-        occupied_thresh: least occupancy of an occupied cell, from 0 to 1.
-        free_thresh: greatest occupancy of a free cell, from 0 to 1.
+        occupied_thresh: smallest occupancy of a cell that counts as occupied, from 0 to 1.
+        free_thresh: greatest occupancy of a cell that counts as free, from 0 to 1.
     """
     if mode == "raw":
         return np.where(grey <= OCCUPIED, grey, UNKNOWN).astype(np.int8)
@@ -125,8 +125,8 @@ def occupancy(
 
 
 def _beside(file: Path, image: Any) -> Path:
-    """Path of a picture, relative to the YAML file. A picture with an absolute path that does not exist is searched in
-    the folder of the YAML file.
+    """Path of a picture, relative to the YAML file. If a picture's absolute path does not exist, the picture is looked
+    for in the folder of the YAML file.
     """
     if not isinstance(image, str) or not image.strip():
         raise InputError(f"image must be the path of the picture, got {image!r}.")
@@ -178,7 +178,9 @@ ROUNDING_M = 1e-9
 
 
 class PlanFile(File):
-    """File of a floor plan; `asked` has `start`, `tolerance`, `speck`, `passage`, `layers`, `unit` and `gap`."""
+    """File of a floor plan; its `asked` has the settings `start`, `tolerance`, `speck`, `passage`, `layers`, `unit` and
+    `gap`.
+    """
 
     @override
     def refused(self, reason: str) -> InputError:
@@ -198,8 +200,8 @@ class Reading(Checked):
     tolerance: Positive = 0.1
     """Maximum distance of a wall from the contour in the file, metres."""
     speck: NotNegative = 0.2
-    """Cells of an occupancy grid that are not free count as free if both sides of their group are shorter than this,
-    metres.
+    """Length below which a group of cells in an occupancy grid that are not free counts as free, metres; it applies to
+    both sides of the group's bounding box.
     """
     passage: NotNegative = 0.3
     """Minimum width of parts of an occupancy grid's free region, metres; narrower parts are left out."""
@@ -208,7 +210,7 @@ class Reading(Checked):
     unit: str | None = None
     """Unit of a drawing, one of `lmd.space.parts.UNITS`; None for the unit that the drawing states."""
     gap: NotNegative = 1.3
-    """Maximum width of a gap between walls of a drawing, such as a door, that is closed, metres."""
+    """Maximum width of the gaps between walls of a drawing, such as doors, that are treated as closed, metres."""
     least_width: NotNegative = 0.4
     """Minimum free width of walls that carry landmarks by default, metres."""
 
@@ -225,7 +227,7 @@ def read_plan_room(
     margin: Any = 0.0,
     **more: Any,
 ) -> Prism:
-    """Room over a floor plan from a file or from its arguments, in the frame of the file.
+    """Make a room over a floor plan, which comes from a file, in the frame of the file, or from the other arguments.
 
     Args:
         path: file of a format of this module; None for a plan from the other arguments.
@@ -263,7 +265,9 @@ def read_plan_room(
 
 
 def _walls(found: ReadPlan, height: float, margin: float, least_width: float) -> tuple[list[str], list[dict[str, Any]]]:
-    """Names of the walls with at least the free width `least_width`, and keep-outs as mappings of their arguments."""
+    """Names of the walls with at least the free width `least_width`; and the keep-outs of doors and windows, each as a
+    mapping of its arguments.
+    """
     walls: list[str] = []
     parts: list[dict[str, Any]] = []
     for i, ring in enumerate(found.rings):

@@ -44,8 +44,9 @@ class Rows:
         time: times, seconds, `(T,)`; increasing after `read_rows`.
         poses: poses of the recorded body, in the frame of the recording, `(T, 4, 4)`.
         frame: frame of the orientations, `optical` or `body`; None if the file does not define it.
-        angles: True if orientations are angles of a camera; with a mount these are the angles of the body's x axis.
-        notes: omissions and assumptions, sentences without a full stop.
+        angles: True if orientations are given by angles of a camera; with a mount, they are the angles of the body's x
+            axis.
+        notes: omissions and assumptions for the user, sentences without a full stop.
     """
 
     path: str
@@ -57,7 +58,7 @@ class Rows:
     notes: tuple[str, ...] = ()
 
     def kept(self, chosen: BoolArray, reason: str) -> "Rows":
-        """Rows selected by `chosen`, with a note about the others; the same object if all rows are selected."""
+        """Rows selected by `chosen`, with a note about the other rows; the object itself if all rows are selected."""
         if chosen.all():
             return self
         lines = [line for line, keep in zip(self.lines, chosen, strict=True) if keep]
@@ -66,7 +67,8 @@ class Rows:
 
 
 def read_rows(path: str, **asked: Any) -> Rows:
-    """Read poses in any known format; rows that repeat the previous time, as with a coarse clock, are left out.
+    """Read poses in any known format; rows with the time of the previous row, as a coarse clock gives them, are left
+    out.
 
     Args:
         asked: `times`, `rate`, `frame` and `columns` of `lmd.formats.trajectories.TrajectoryFile`.
@@ -121,7 +123,8 @@ def checked_seconds(source: str, time: FloatArray, unit: float | None, positions
 
 
 def given_times(count: int, what: str, times: str | None, rate: float | None) -> FloatArray | None:
-    """Times `(count,)`, seconds, for poses from a file without times; None if the times follow from a `rate`.
+    """Times `(count,)`, seconds, for poses from a file without times; None if a `rate` is given, from which the caller
+    derives the times.
 
     Args:
         what: name of the format without times, for messages.
@@ -151,7 +154,8 @@ def given_times(count: int, what: str, times: str | None, rate: float | None) ->
 
 
 def steep(sines: FloatArray, path: object) -> str:
-    """Question to the user if nearly all views look up or down, as happens if body poses are read as camera poses.
+    """Question to the user if nearly all views look up or down, as happens if body poses are read as camera poses; else
+    empty.
 
     Args:
         sines: sine of the pitch of each view, `(T,)`.
@@ -165,7 +169,7 @@ def steep(sines: FloatArray, path: object) -> str:
 
 
 def of_table(file: File) -> Rows:
-    """Rows from a table with a time in each line, or from KITTI's matrices."""
+    """Rows of poses from a table with a time in each line, or from KITTI's matrices."""
     found = named(file.path, file.text, POSES, file.asked["columns"], file.argument)
     table, unit = found.table, found.time_unit
     if found.layout.name == "kitti":
@@ -193,8 +197,8 @@ def of_table(file: File) -> Rows:
 
 
 def _oriented(found: Named, place: FloatArray, frame: str) -> tuple[FloatArray, str | None, bool, str]:
-    """Make poses from the columns; return the poses, the frame of the orientations, True if these are angles of a
-    camera, and a note.
+    """Make poses from the columns of a table. Returns: the poses; the frame of the orientations; True if the
+    orientations are angles of a camera; a note.
     """
     table, columns, path = found.table, found.columns, found.table.path
     if set(QUATERNION) <= columns.keys():
@@ -225,7 +229,9 @@ def _oriented(found: Named, place: FloatArray, frame: str) -> tuple[FloatArray, 
 
 
 def _frame_of_ros(table: Table, frame: str) -> tuple[str | None, str]:
-    """Frame of the orientations that ROS's column `child_frame_id` names by REP 103 and REP 105, if any, and a note."""
+    """Frame of the orientations, as ROS's column `child_frame_id` names it according to REP 103 and REP 105, or None;
+    and a note.
+    """
     found = {text for name in table.texts if name.lower().endswith("child_frame_id") for text in table.texts[name]}
     name = found.pop() if len(found) == 1 else ""
     if ROS_OPTICAL.fullmatch(name):
@@ -238,7 +244,7 @@ def _frame_of_ros(table: Table, frame: str) -> tuple[str | None, str]:
 
 
 def _lacking(found: Named) -> InputError:
-    """Error about a table that is not a trajectory; the message names the missing columns."""
+    """Make an error about a table that is not a trajectory; the message names the missing columns."""
     turns = EULER if any(name in found.columns for name in EULER) and "qw" not in found.columns else QUATERNION
     missing = [name for name in (TIME, *POSITION, *turns) if name not in found.columns]
     hint = ""
@@ -272,16 +278,16 @@ def _of_matrices(file: File, table: Table) -> Rows:
 
 
 class Image(NamedTuple):
-    """Image of COLMAP."""
+    """Image in COLMAP's `images.txt`."""
 
     number: int
-    """IMAGE_ID."""
+    """Number of the image, COLMAP's IMAGE_ID."""
     line: int
     """Line in the file, from 1."""
     numbers: list[float]
     """Quaternion, w first, and translation: world to camera."""
     camera: str
-    """CAMERA_ID, and the folder of the image."""
+    """COLMAP's CAMERA_ID, and the folder of the image, which together identify the camera."""
     name: str
     """Name of the image's file."""
 
@@ -342,5 +348,5 @@ def of_images(file: File) -> Rows:
 
 
 def _in_words(name: str) -> list[tuple[int, str]]:
-    """Sort key for names with numbers: img9 comes before img10."""
+    """Sort key for names with numbers, by which img9 comes before img10."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d{1,18})", name)]

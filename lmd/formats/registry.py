@@ -39,11 +39,11 @@ CALL = re.compile(r"(?P<module>[\w.]+)\.(?P<name>\w+)\((?P<arguments>[\w, ]*)\)"
 
 
 class Writer(NamedTuple):
-    """Output of a format: a tag map, a plan or print sheets.
+    """Writer of a file in a format: a tag map, a plan or print sheets.
 
     Args:
         file: name of the file.
-        write: function of the path, the map as `tags` and, for printed files, the size of the paper as `paper`.
+        write: function of the path of the file, the map `tags` and, for printed files, the paper size `paper`.
         only_apriltag: True if readers of the format support only the families of AprilTag.
         only_opencv: True if readers of the format support only families that OpenCV has.
         on_paper: True if the file is to be printed.
@@ -72,18 +72,20 @@ OWN, ONE, NONE = "own", "one", "none"  # values of `Writer.edges`
 
 @dataclass(frozen=True)
 class Format(Checked):
-    """Format that is read or written, or recognised and refused."""
+    """Format of a file that is read or written, or that is recognised and refused."""
 
     family: Annotated[str, partial(choice, options=FAMILIES)]
-    """One of `FAMILIES`."""
+    """Kind of the files in this format, one of `FAMILIES`."""
     name: str
-    """Name of the program or the standard; the name in `formats` if the format is written."""
+    """Name of the program or the standard; for a format that `lmd` can write, also its name in the option `formats`,
+    unless `written` has another.
+    """
     recognises: Callable[[Any], bool]
     """Function that returns True for a `File` of this format; called only for files that no earlier format
     recognises.
     """
     read: Callable[[Any], Any] | None = None
-    """Function that reads a `File`; None for a refused format.
+    """Function that reads a `File`; None for a format that is only written or refused.
 
     | family | it returns |
     | --- | --- |
@@ -100,12 +102,12 @@ class Format(Checked):
     row: str = ""
     """Row of the documentation's table, with ` | ` between cells; the row names arguments, as in `name=cam1`.
 
-    There is a line for each kind of file; empty for a format that shares the row of another format.
+    The text has one line for each kind of file; it is empty for a format that shares the row of another format.
     """
     writer: Writer | None = None
     """Writer of the format; None if the format is only read."""
     written: str = ""
-    """Name of the writer in `formats`; empty if it equals `name`."""
+    """Name of the writer in the option `formats`; empty if it equals `name`."""
 
 
 def begins(mark: str) -> Callable[[File], bool]:
@@ -121,7 +123,7 @@ def ends(*suffixes: str) -> Callable[[File], bool]:
 
 
 def anything(_: File) -> bool:
-    """Test that is True for every file, for the last format of a family."""
+    """Return True for every file; the test of a family's last format."""
     return True
 
 
@@ -150,20 +152,25 @@ def function_of(text: str) -> Callable[[File], Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class Keyed:
-    """Description of a keyed file with several entries; for paths see `lmd.formats.trees`."""
+    """Description of a format of keys and values: where in a file the entries (such as cameras or tags) and their
+    values are. For paths see `lmd.formats.trees`.
+    """
 
     at: Mapping[str, str]
-    """Paths of quantities in an entry, in which `{key}` stands for the key of the entry; the value at a path with `?`
-    at the end may be missing."""
+    """Paths in an entry to the values of quantities, keyed by quantity; `{key}` stands for the key of the entry; the
+    value at a path with `?` at the end may be missing.
+    """
     each: str = ""
     """Alternative paths to the entries; empty for a file that is itself the only entry."""
     patterns: Mapping[str, str] = field(default_factory=dict)
-    """Regular expressions whose matches in a text form the tree, see `lmd.formats.trees.matches`."""
+    """Regular expressions whose matches in the file's text form the tree of keys and values, see
+    `lmd.formats.trees.matches`.
+    """
     source: str = ""
-    """Call that returns the tree; by default the tree is that of the file's keys."""
+    """Function call, as a text, that returns the tree of keys and values; empty for the tree of the file itself."""
 
     def entries(self, file: File) -> tuple[Any, list[tuple[str, Mapping[str, Any]]]]:
-        """Tree of a file, and entries of the tree with their keys."""
+        """Tree of keys and values in a file, and the entries of the tree, each with its key."""
         tree: Any = function_of(self.source)(file) if self.source else {}
         if not self.source:
             tree = matches(file.text, self.patterns) if self.patterns else file.data
@@ -174,13 +181,13 @@ class Keyed:
 def described(row: Mapping[str, Any], family: str, advice: str = "") -> Format:
     """Make a format from a row of a table.
 
-    A row has `name`, and `row` for the documentation. The keys `marks`, `text`, `when` and `any` decide which files are
-    of the format, and must all hold. `marks` are paths that lead to a value, which a regular expression after a `=`
-    must match, or, after a `!`, to none. `text` is a regular expression that matches in the text, `when` a call that
-    returns True. A row without these keys is only written. `refuse` is the reason for a refusal. In it `{keys}` stands
-    for the keys of the file, `{known}` for the names of the formats that are read, and `{advice}` for the family's
-    advice. `writes` has the fields of a `Writer` and its `name` in `formats`. `read` is a call that reads a file;
-    without `read`, the other keys are the fields of the family's class in `KEYED`.
+    A row has `name`, and `row` for the documentation. The keys `marks`, `text`, `when` and `any` are tests; a file is
+    of the format if it passes all tests that the row has. `marks` are paths that lead to a value, which a regular
+    expression after a `=` must match, or, after a `!`, to none. `text` is a regular expression that matches in the
+    text, `when` a call that returns True. A row without tests describes a format that is only written. `refuse` is the
+    reason for a refusal. In it `{keys}` stands for the keys of the file, `{known}` for the names of the formats that
+    are read, and `{advice}` for the family's advice. `writes` has the fields of a `Writer` and its `name` in `formats`.
+    `read` is a call that reads a file; without `read`, the other keys are the fields of the family's class in `KEYED`.
 
     Raises:
         InputError: the row lacks its name, or has an unknown key or value.
@@ -217,7 +224,7 @@ def described(row: Mapping[str, Any], family: str, advice: str = "") -> Format:
 
 
 def _tests(row: dict[str, Any]) -> list[Callable[[Any], bool]]:
-    """Tests of a row for its files; the keys of the tests are removed from the row."""
+    """Tests by which a row recognises its files; the keys of the tests are removed from the row."""
     tests: list[Callable[[Any], bool]] = [anything] if row.pop("any", False) else []
     if call := row.pop("when", None):
         tests.append(function_of(call))
@@ -246,7 +253,9 @@ def _has(keys: Mapping[str, Any], mark: str, loose: bool) -> bool:
 
 
 def _writer(name: str, write: str, **options: Any) -> tuple[str, Writer]:
-    """Name and writer of a row; the function `module.function` is imported when it is called."""
+    """Name and writer of a row's format; the function `write`, a text `module.function`, is imported when it is
+    called.
+    """
     module, _, function = write.rpartition(".")
     return name, Writer(write=lambda *args, **tags: getattr(import_module(module), function)(*args, **tags), **options)
 
@@ -288,8 +297,8 @@ def outside() -> tuple[Format, ...]:
 
 
 def _takes(form: Format, file: File) -> bool:
-    """True if a format of another package recognises a file; False if the test of the format fails because the file is
-    neither YAML nor JSON.
+    """True if a format of another package recognises a file; False also if its test raises an `InputError`, as the file
+    is neither YAML nor JSON.
     """
     try:
         return form.recognises(file)
@@ -324,7 +333,7 @@ def formats(family: str) -> tuple[Format, ...]:
 
 
 def writers() -> dict[str, Writer]:
-    """Writers of tag maps, plans and print sheets, by their names in `formats`."""
+    """Writers of tag maps, plans and print sheets, keyed by their names in the option `formats`."""
     forms = chain(formats("tag map"), outside())
     return {form.written or form.name: form.writer for form in forms if form.writer is not None}
 

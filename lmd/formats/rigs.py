@@ -1,4 +1,6 @@
-"""Rigs, cameras on a body: from rig files, calibrations with poses of cameras, and configurations."""
+"""Rigs (several cameras on one body) from rig files, from calibrations with poses of cameras, and from
+configurations.
+"""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -46,13 +48,13 @@ def read_mount(path: Any, name: str | None = None) -> FloatArray:
 
 
 def read_chain(path: Any, names: Any = None, **shared: Any) -> dict[str, FloatArray]:
-    """Read the poses of several cameras, by name: from the camera's optical frame to the first camera's optical frame,
-    `(4, 4)`.
+    """Read the poses of several cameras, keyed by name; each is a transform from the camera's optical frame to the
+    first camera's optical frame, `(4, 4)`.
 
     Args:
         path: a file as in `read_mount`; a file of Kalibr with `T_cn_cnm1` in each camera but the first.
         names: names of the cameras to return, in this order; None for all cameras.
-        shared: `image_size` and `distortion_model` of all cameras, see `read_calibration`.
+        shared: arguments `image_size` and `distortion_model`, which are common to all cameras, see `read_calibration`.
 
     Raises:
         InputError: the file cannot be read, or lacks the pose of a camera.
@@ -75,7 +77,7 @@ def read_chain(path: Any, names: Any = None, **shared: Any) -> dict[str, FloatAr
 
 
 def _poses(argument: str, path: Any, **shared: Any) -> dict[str, dict[str, FloatArray]]:
-    """Poses of the cameras in a calibration, by camera, then by frame of reference."""
+    """Poses of the cameras in a calibration, keyed by camera, then by frame of reference."""
 
     def poses(camera: ReadCamera) -> dict[str, FloatArray]:
         try:
@@ -101,13 +103,13 @@ def rig_of(mounts: Any, camera: Camera | None = None) -> Rig:
     Args:
         mounts: list of mappings with the arguments of `Mount`, in which `camera` is a calibration file or a mapping
             with the arguments of `calibrated_camera`. Or one mapping: its `path` is a calibration file with poses, see
-            `read_chain`, with `names`, `image_size` and `distortion_model` if needed. Its other keys are arguments of
-            `Mount`, the pose of the first camera on the body, by default at the body's origin, looking along the body's
-            x axis.
+            `read_chain`, with `names`, `image_size` and `distortion_model` if needed; its other keys are arguments of
+            `Mount` for the pose of the first camera on the body, which by default is at the body's origin and looks
+            along the body's x axis.
         camera: camera for mounts without a camera of their own.
 
     Raises:
-        InputError: `mounts` is neither a list nor such a mapping, or a value is refused.
+        InputError: `mounts` is neither a list nor a mapping with a `path`, or a value is refused.
     """
     if _is_chain(mounts):
         return _chained(mounts)
@@ -182,7 +184,7 @@ def rig_text(rig: Rig, sources: Mapping[Camera, Any]) -> str:
     """Text of a rig file, see `read_mounts`; numbers are bit-identical to those of the rig.
 
     Args:
-        sources: calibration of each camera, as in `rig_of`; the default camera of the rig has none.
+        sources: calibration of each camera, as in `rig_of`; None for a mount that uses the rig's default camera.
     """
     import yaml
 

@@ -51,7 +51,7 @@ class TagMap:
 
     @property
     def ids(self) -> list[int]:
-        """Number of each tag in its family."""
+        """Number (id) of each tag in its family."""
         return [int(number) for number in self.deployment.ids]
 
     @cached_property
@@ -83,8 +83,8 @@ class TagMap:
 
     @cached_property
     def route(self) -> list[int]:
-        """Indices of the surfaces with tags in the order of a walk through the room; -1, for tags that stand free, is
-        last.
+        """Indices of the surfaces with tags, in the order of a walk through the room; -1, which stands for tags on no
+        surface, is last.
 
         Walls are ordered from left to right around the middle of the room; horizontal surfaces follow.
         """
@@ -108,7 +108,7 @@ class TagMap:
 
     @cached_property
     def tags_by_surface(self) -> dict[int, IntArray]:
-        """For each surface of `route`, positions of its tags in `order`, from 0."""
+        """For each surface of `route`, the positions of its tags in the array `order`, from 0."""
         return {index: np.flatnonzero(self.surfaces[self.order] == index) for index in self.route}
 
     @cached_property
@@ -123,25 +123,25 @@ class TagMap:
 
     @cached_property
     def sizes(self) -> FloatArray:
-        """Edge of each tag, `(K,)`: the tag's own edge, or the edge of `tag`."""
+        """Edge length of each tag, metres, `(K,)`: that of the deployment, or else that of `tag`."""
         return self.deployment.edges_of(self.tag)
 
     @property
     def papers(self) -> FloatArray:
-        """Edge of each tag's paper, `(K,)`."""
+        """Edge length of each tag including its white margin (its paper), metres, `(K,)`."""
         return self.tag.paper_share * self.sizes
 
     @cached_property
     def by_size(self) -> list[tuple[Tag, IntArray]]:
-        """For each size, smallest first: the tag of that size, and indices of the tags of that size in the order of
-        hanging.
+        """For each tag size, the smallest first: the tag type with that size, and the indices of the tags with that
+        size in the order of hanging.
         """
         own = self.sizes[self.order]
         return [(self.tag.of_size(edge), self.order[own == edge]) for edge in np.unique(own).tolist()]
 
     @property
     def edges_in_words(self) -> str:
-        """Text of the edges that occur, mm, and of the square to which they belong."""
+        """Text of the edge lengths that occur, mm, and of the square of the tag to which they refer."""
         return f"{', '.join(f'{MM_PER_M * tag.size:.4g}' for tag, _ in self.by_size)} mm ({self.tag.square})"
 
     @property
@@ -159,7 +159,9 @@ class TagMap:
 
     @property
     def roll_pitch_yaw(self) -> FloatArray:
-        """Rotations `turns` as roll, pitch, yaw of ROS's `setRPY`, `(K, 3)`, rad, with the up of OpenCV's pictures."""
+        """Rotations `turns` as roll, pitch and yaw of ROS's `setRPY`, `(K, 3)`, rad, for frames whose up is that of
+        OpenCV's tag pictures.
+        """
         from scipy.spatial.transform import Rotation
 
         half = FAMILIES[self.tag.family].apriltag is not None
@@ -182,7 +184,7 @@ class TagMap:
 
 
 def rounded_values(values: FloatArray) -> FloatArray:
-    """Values rounded to `DECIMALS` for files, without -0."""
+    """Values rounded to `DECIMALS` decimals for files; -0 becomes 0."""
     return np.asarray(np.round(values, DECIMALS) + 0.0)
 
 
@@ -192,6 +194,8 @@ def axes(values: FloatArray) -> dict[str, float]:
 
 
 def write_yaml(path: Path, keys: dict[str, Any], *header: str) -> None:
-    """Write YAML: a header, then keys in their order, with innermost lists and mappings on one line."""
+    """Write YAML: a comment as header, then the keys in their order; innermost lists and mappings are on one
+    line each.
+    """
     text = yaml.safe_dump(keys, sort_keys=False, default_flow_style=None, width=1000)
     path.write_text("".join(f"{line}\n" for line in header) + text, encoding="utf-8")

@@ -61,8 +61,9 @@ def write_aruco(path: Path, tags: TagMap) -> None:
     """Write `tags.aruco.yaml`, the marker map of the ArUco library.
 
     Corners are in the order in which the library finds them, clockwise from the top left of the tag's own picture. The
-    library reads the code of an AprilTag from the top left, so its up is AprilTag's up. A family that only OpenCV has
-    gets OpenCV's name. Lines are indented as by OpenCV's `FileStorage`, which reads no other indentation.
+    library reads the code of an AprilTag from the top left, so a tag's up is that of AprilTag. A family that only
+    OpenCV supports has OpenCV's name. Lines are indented as by OpenCV's `FileStorage`, which reads no other
+    indentation.
 
     Source: ArUco 3, `MarkerMap::saveToFile`, `Dictionary` and `DictionaryBased::touulong`.
     """
@@ -81,8 +82,8 @@ def write_aruco(path: Path, tags: TagMap) -> None:
 
 
 def write_limelight(path: Path, tags: TagMap) -> None:
-    """Write `tags.fmap`: for each tag a matrix, with the origin in the middle of the field, and the edge in
-    millimetres.
+    """Write `tags.fmap` for Limelight: for each tag its pose as a matrix, with the origin in the middle of the field,
+    and its edge length in millimetres.
 
     The axes of a tag are WPILib's: x out of the tag, y to the right, z up. The field is the floor of the room.
 
@@ -104,8 +105,8 @@ def write_limelight(path: Path, tags: TagMap) -> None:
 def write_rtabmap(path: Path, tags: TagMap) -> None:
     """Write `tags.rtabmap.txt`, the value of the parameter `Marker/Priors`.
 
-    The value is `id x y z roll pitch yaw` for each tag, with `|` between tags. RTAB-Map detects with OpenCV, so a tag's
-    up is OpenCV's up. The edge is another parameter, `Marker/Length`.
+    The value is `id x y z roll pitch yaw` for each tag, with `|` between tags. RTAB-Map detects tags with OpenCV, so a
+    tag's up is that of OpenCV. The edge length is another parameter, `Marker/Length`.
 
     Source: introlab/rtabmap, `Parameters` and `MarkerDetector::detect`.
     """
@@ -263,8 +264,8 @@ def generate_launch_description():
 
 
 def write_ros2_tf(path: Path, tags: TagMap) -> None:
-    """Write `tags.ros2_tf.launch.py` for `ros2 launch`; the argument `frame` of the launch file is the frame of the
-    map.
+    """Write `tags.ros2_tf.launch.py`, which publishes the tags' frames, for `ros2 launch`; the argument `frame` of the
+    launch file is the frame of the map.
     """
     family = FAMILIES[tags.tag.family].apriltag or tags.tag.family
     poses = np.hstack([tags.positions, rounded_values(tags.turns.as_quat(canonical=True))]).tolist()

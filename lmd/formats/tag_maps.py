@@ -1,8 +1,8 @@
-"""Reader of tag maps of several ecosystems as deployments; and the joint covariance of a surveyed map.
+"""Reader that turns tag maps of several ecosystems into deployments; and the joint covariance of a surveyed map.
 
 `tables/tag_map.yaml` lists the formats; `lmd.export` writes tag maps. Errors of neighbouring tags in a surveyed map are
-alike, so the covariances of single tags in `map.csv` misjudge the effect of the map on a pose. The joint covariance of
-all tags is in `map.npz` beside `map.csv`.
+correlated, so the covariances of single tags in `map.csv` misstate the effect of the map's errors on a pose. The joint
+covariance of all tags is in `map.npz` beside `map.csv`.
 
 Source: `convert_apriltag_layouts.py` of WPILib.
 """
@@ -67,8 +67,8 @@ def read_deployment(
 
     Args:
         name: name of the argument that gave the path, for messages.
-        family: family of the tags, which determines OpenCV's up, and which the file must not contradict; None for
-            points.
+        family: family of the tags, which the file must not contradict, and on which the up of OpenCV's tags depends;
+            None for points.
         axes: directions of the axes of a tag's frame for a file that does not define this frame, such as a table, see
             `lmd.formats.placed_tag.axes_of`.
         columns: for a text that does not name its columns, names of the columns, or name of the program that wrote it.
@@ -108,7 +108,7 @@ def _deployment(path: Any, tags: Sequence[PlacedTag], note: str) -> Deployment:
 
 
 def write_map_covariance(path: Path, ids: IntArray, covariance: FloatArray) -> None:
-    """Write the covariance of the twists of tags in their own frames, rotations before shifts.
+    """Write the joint covariance of the tags' twists, each in the frame of its tag, with rotations before shifts.
 
     Args:
         path: file.
@@ -149,9 +149,9 @@ class FileDeployment(Checked, ExistingDeployment):
 
     Args:
         path: path of the file, see `lmd.formats.tag_maps.read_deployment`.
-        count: K; if given, the file must have that many rows.
+        count: number K of landmarks; if given, the file must have exactly K rows.
         free: True to skip the checks of the placement: landmarks may be on no surface, outside the room or the allowed
-            regions, or face into their surface, and papers may overlap.
+            regions, or face into their surface, and tags with their white margins may overlap.
         family: family of the tags, instead of the family of the scene's tag.
         axes: directions of x, y and z of a tag's frame in a table, see `lmd.formats.placed_tag.axes_of`.
         columns: for a text that does not name its columns, names of the columns, or name of a program, see

@@ -77,7 +77,7 @@ def read_tag_text(file: File) -> Found:
 
 
 def _landmarks(table: Table) -> list[PlacedTag]:
-    """Landmarks among the poses that RTAB-Map exports: the poses with a negative id."""
+    """Tags among the poses that RTAB-Map exports: the poses with a negative id."""
     numbers = table.numbers([ID], None)[:, 0].tolist()
     chosen = [i for i, number in enumerate(numbers) if number < 0.0]
     if not chosen:
@@ -164,7 +164,7 @@ def deployment_of(table: Table, axes: Sequence[str] | None) -> tuple[Deployment,
 
 
 def _numbered(table: Table) -> tuple[Table, list[str]]:
-    """Table with the numbers of tags as ids, and the families that the table names.
+    """Table whose column of ids has the tags' numbers, and the families that the table names.
 
     Raises:
         InputError: a table of poses lacks a column with the numbers of the tags, or has two such columns that differ.
@@ -198,7 +198,7 @@ def _numbered(table: Table) -> tuple[Table, list[str]]:
 
 
 def is_list(keys: Keys) -> bool:
-    """True if keys hold a list of tags with ids, or a mapping of tags by their numbers."""
+    """True if `keys` hold a list of tags with ids, or a mapping of tags that is keyed by their numbers."""
     return _list_of(keys) is not None
 
 
@@ -247,7 +247,9 @@ def listed(file: File) -> Found:
 
 
 def _cells(at: str, keys: Keys, prefix: str = "") -> Iterator[tuple[str, str]]:
-    """Columns of an entry with their texts: dots join nested keys, and each number of a list gets its own column."""
+    """Columns of an entry, as pairs of name and text: nested keys are joined by dots, and each number of a list gets
+    its own column.
+    """
     for key, value in keys.items():
         if isinstance(value, Mapping):
             yield from _cells(at, value, f"{prefix}{key}.")

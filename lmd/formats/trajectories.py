@@ -1,4 +1,4 @@
-"""Recorded trajectories: conversion of a recorder's file to poses of the camera in the frame of the room."""
+"""Recorded trajectories: conversion of a file of recorded poses to poses of the camera in the frame of the room."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -32,7 +32,7 @@ class TrajectoryFile(Checked):
     Args:
         path: file in a format of `lmd.formats.pose_files`, or a table with the columns time,x,y,z and one of:
             qx,qy,qz,qw; roll,pitch,yaw of a body in ROS's convention; yaw_from_y,pitch_up (and roll_left) of a camera
-            as in `lmd.geometry.frames.rotation`, also as time,x,y,z,yaw,pitch. Seconds, metres, radians.
+            as in `lmd.geometry.frames.rotation`, also as time,x,y,z,yaw,pitch. Units are seconds, metres and radians.
         frame: frame of the orientations: `optical` (x right, y down, z the optical axis) or `body` (x along the optical
             axis, y left, z up; yaw, pitch and roll are then ROS's). Not used with a `mount`.
         times: file with the time of each pose, one per line, for a trajectory without times (KITTI, COLMAP).
@@ -85,7 +85,7 @@ class TrajectoryFile(Checked):
         """Poses of the camera in the room.
 
         Raises:
-            InputError: the file cannot be read, or holds no trajectory; the message names the file.
+            InputError: the file cannot be read, or has no trajectory; the message names the file.
         """
         return self._read[0]
 
@@ -95,7 +95,7 @@ class TrajectoryFile(Checked):
         return self.note_of("")
 
     def note_of(self, group: str) -> str:
-        """Note about the file; keys of the configuration get the prefix `group`."""
+        """Note about the file, in which keys of the configuration get the prefix `group`."""
         notes = (*self._read[1].notes, self._doubt(group))
         return "; ".join(filter(None, notes))
 
@@ -118,7 +118,7 @@ class TrajectoryFile(Checked):
             check: check of `lmd.space.space`.
 
         Raises:
-            InputError: the trajectory leaves the room; the message has the distance and advice.
+            InputError: the trajectory leaves the room; the message states the distance, and gives advice.
         """
         check_file_inside(self.path, self.trajectory, room, check)
         return self.trajectory
@@ -145,7 +145,7 @@ def alignment(align: Sequence[Any]) -> FloatArray:
     """Transform from the frame of a recording to the frame of a room, `(4, 4)`; see `TrajectoryFile`.
 
     Raises:
-        InputError: `align` has another form, or its points do not fit each other or are collinear.
+        InputError: `align` has none of the forms, or its points are collinear or not related by a rigid motion.
     """
     if isinstance(align, str | Mapping) or not hasattr(align, "__len__"):
         raise InputError(f"align must be a list, got {align!r}.", "align")
@@ -169,8 +169,8 @@ def alignment(align: Sequence[Any]) -> FloatArray:
 
 
 def _fitted(points: FloatArray) -> FloatArray:
-    """Rigid motion between paired points `(N, 6)`, after a check that the points determine the motion and fit each
-    other.
+    """Rigid motion `(4, 4)` that maps the first to the second point of each pair, `points` `(N, 6)`, after a check that
+    the pairs determine the motion and agree on it.
     """
     if len(points) < FEWEST:
         raise InputError(f"align must have at least {FEWEST} points, got {len(points)}.", "align")

@@ -1,4 +1,5 @@
-"""Files as trees of keys and values, also texts, XML, arrays and Python literals; and paths to the values.
+"""Content of files as trees of keys and values, also that of texts, XML, arrays and Python literals; and paths to the
+values.
 
 A path is a text of keys with dots between them, such as `pose.translation`; a key of a file may also contain dots. A
 number is an index into a list, or into the numbers in a text. A list of one entry stands for the entry, as XML does not
@@ -59,7 +60,7 @@ def _at(tree: Any, path: str) -> Any:
 
 
 def entries(tree: Any, path: str, around: Keys | None = None, key: str = "") -> Iterator[tuple[str, Keys]]:
-    """Entries at a path, each with its key. An entry also gets the keys that it lacks from the mappings around it.
+    """Entries at a path, each with its key. An entry that lacks keys gets them from the mappings around it.
 
     A step `*` stands for each entry of a list or a mapping, `/PATTERN/` for each key that matches a regular expression.
     Entries of one mapping get no keys from each other. An entry without keys becomes the value of the key `value`.
@@ -82,7 +83,9 @@ def entries(tree: Any, path: str, around: Keys | None = None, key: str = "") -> 
 
 
 def _anywhere(tree: Any, wanted: str, name: str = "", levels: int = LEVELS) -> Iterator[tuple[str, Keys]]:
-    """Mappings with a wanted key at any depth, by the keys above them, joined by `/`; long lists are not searched."""
+    """Mappings at any depth that have a wanted key, each after its name, the keys above it joined by `/`; long lists
+    are not searched.
+    """
     if isinstance(tree, Mapping) and wanted in tree:
         yield name, tree
     elif levels and isinstance(tree, Mapping | list) and len(tree) <= LONGEST:
@@ -91,7 +94,7 @@ def _anywhere(tree: Any, wanted: str, name: str = "", levels: int = LEVELS) -> I
 
 
 def plain(text: str) -> str:
-    """Key or path in small letters and without `_`, to compare keys that users write in several ways."""
+    """Key or path in small letters and without `_`, for the comparison of keys that users may write in several ways."""
     return text.lower().replace("_", "")
 
 
@@ -132,14 +135,15 @@ def number_at(tree: Keys, paths: str) -> float:
 
 
 def matches(text: str, patterns: Mapping[str, str]) -> dict[str, Any]:
-    """Groups of all matches of regular expressions in a text, by the name of the expression and of the group."""
+    """Matches of regular expressions in a text, keyed by the name of the expression; each match is a mapping of its
+    named groups.
+    """
     found = {name: re.finditer(pattern, text, re.MULTILINE) for name, pattern in patterns.items()}
     return {name: [match.groupdict() for match in each] for name, each in found.items()}
 
 
 def xml_of(text: str) -> ElementTree.Element | None:
-    """Outermost element of XML, None for a text that is not XML; entities are refused, as they could expand to
-    gigabytes.
+    """Root element of XML; None for a text that is not XML; entities are refused, as they could expand to gigabytes.
 
     Raises:
         InputError: the text has entities, or is broken.
@@ -160,8 +164,8 @@ def xml_of(text: str) -> ElementTree.Element | None:
 
 
 def tree_of(element: ElementTree.Element) -> Any:
-    """Tree of an XML element: attributes, and children as a list for each name; a single child with nothing but a text
-    becomes this text. An element without attributes and children becomes its text.
+    """Tree of an XML element: attributes, and children as a list for each name; a single child with only a text becomes
+    this text. An element without attributes and children becomes its text.
     """
     if not element.attrib and not len(element):
         return (element.text or "").strip().strip('"')
@@ -187,7 +191,7 @@ def literal(text: str) -> Any:
 
 
 def arrays_of(path: Any, name: str, largest: float, most: float = LARGEST_ARRAY) -> dict[str, Any] | None:
-    """Arrays in a NumPy archive (`.npz`), by name; None for a file of another kind.
+    """Arrays in a NumPy archive (`.npz`), keyed by name; None for a file of another kind.
 
     Args:
         path: path of the file.
@@ -227,7 +231,7 @@ def arrays_of(path: Any, name: str, largest: float, most: float = LARGEST_ARRAY)
 
 @dataclass(frozen=True)
 class File:
-    """File of an unknown format; the file is read when its content is first used."""
+    """File of an unknown format; the file is read when its content is needed for the first time."""
 
     path: Any
     """Path of the file."""
@@ -258,7 +262,7 @@ class File:
 
     @cached_property
     def root(self) -> ElementTree.Element | None:
-        """Outermost element of XML; None for a text that is not XML.
+        """Root element of XML; None for a text that is not XML.
 
         Raises:
             InputError: the text begins like XML but is broken, or has entities.
@@ -281,5 +285,5 @@ class File:
         return Path(self.path).suffix.lower()
 
     def refused(self, reason: str) -> InputError:
-        """Error about a file that is refused, with the reason."""
+        """Make an error about a file that is refused, with the reason."""
         return InputError(f"{reason}.")

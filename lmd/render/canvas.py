@@ -139,9 +139,9 @@ class Canvas:
         part += inside[..., 1] * (black - part) + contrast * inside[..., 0]
 
     def _window(self, outline: FloatArray, margin: int) -> tuple[int, int, int, int] | None:
-        """Bounding box (x, y, width, height) of an outline, enlarged by `margin`, pixels; None outside the image.
+        """Bounding box (x, y, width, height) of an outline, enlarged by `margin`, pixels.
 
-        The box may reach beyond the image by `margin`.
+        The box may reach beyond the image by `margin`. None if the box is outside the image.
         """
         if not len(outline):
             return None
@@ -156,7 +156,7 @@ class Canvas:
     def _warp(
         self, picture: Any, homography: FloatArray, window: tuple[int, int, int, int], samples: int, border: int
     ) -> Any:
-        """Warp `picture` by a homography from texels to pixels, both counted from the border.
+        """Warp `picture` by a homography that maps texels to pixels; texels and pixels count from the border.
 
         The result covers `window` with `samples` per pixel along each axis.
         """
