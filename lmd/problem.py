@@ -46,10 +46,10 @@ class Genome(Protocol):
         """
 
     def deployment(self, genes: FloatArray) -> Deployment:
-        """Landmarks of a candidate `(dim,)`."""
+        """Landmarks that the genes `(dim,)` of a candidate encode."""
 
     def rig(self, genes: FloatArray) -> Rig | None:
-        """Cameras of a candidate `(dim,)`; None if the scene's camera is fixed."""
+        """Cameras that the genes `(dim,)` of a candidate encode; None if the scene's camera is fixed."""
 
     def reached(self, fitness: float) -> None:
         """Restore the best fitness from a checkpoint, so that a resumed run makes the decisions of an uninterrupted
@@ -148,12 +148,12 @@ class Problem:
 
     @property
     def fixed_count(self) -> int:
-        """Number of fixed landmarks among the K."""
+        """Number of the K landmarks that are fixed."""
         return 0 if self.fixed is None else len(self.fixed)
 
     @property
     def free_count(self) -> int:
-        """Number of landmarks to be placed among the K."""
+        """Number of the K landmarks that are to be placed."""
         return self.count - self.fixed_count
 
     @property
@@ -191,7 +191,9 @@ class Problem:
         return free if self.fixed is None else self.fixed + free
 
     def separated(self, deployment: Deployment, size: float = 1.0) -> Deployment | None:
-        """The deployment with the free footprints pushed out of the way, see `Footprints.separated`."""
+        """Copy of the deployment in which the footprints of landmarks that are not fixed are pushed apart; None if
+        there is no room, see `Footprints.separated`.
+        """
         return self.scene.footprints.separated(replace(deployment, edges=self.edges), size, self.fixed_count)
 
     def labelled(self, deployment: Deployment) -> Deployment:
@@ -225,7 +227,7 @@ class Problem:
 
     @property
     def places(self) -> FloatArray:
-        """Positions of the grid; with a crowd, too, each position occurs once."""
+        """Positions of the grid; each position occurs once, even with a crowd."""
         return np.asarray(self.evaluator.positions[: len(self.relevance) // self.state_count])
 
     @property
@@ -234,7 +236,9 @@ class Problem:
         return 1 if self.scene.crowd is None else len(self.scene.crowd)
 
     def by_place(self, values: FloatArray) -> FloatArray:
-        """Mean over the crowd states of values `(P,)` at the positions of the grid; the values without a crowd."""
+        """Mean of values `(P,)` over the crowd states, at each position of the grid; without a crowd, the values
+        themselves.
+        """
         return np.asarray(values.reshape(self.state_count, -1).mean(axis=0))
 
     def _values(self, evaluator: Evaluator, deployment: Deployment) -> FloatArray:
@@ -317,7 +321,7 @@ class Problem:
 
 
 def _fields(part: Any) -> dict[str, Any]:
-    """Fields of a dataclass by name; for another object, its `repr` as `name`."""
+    """Fields of a dataclass, keyed by name; for another object, its `repr` with the key `name`."""
     return _finite(asdict(part)) if hasattr(part, "__dataclass_fields__") else {"name": repr(part)}
 
 

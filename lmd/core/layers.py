@@ -1,6 +1,6 @@
 """Stacks of equal named tuples of arrays: one named tuple whose arrays have an additional first axis.
 
-Kernels are compiled once for all lengths; for a tuple of n named tuples they would be compiled for each n.
+Kernels are compiled once for all lengths; with a tuple of n named tuples, kernels would be compiled for each n.
 """
 
 from typing import Any, TypeVar
@@ -34,7 +34,7 @@ def _copied(part: Any, number: int, copies: dict[int, np.ndarray]) -> Any:
 
 
 def layer(bundle: Any, number: Any) -> Any:
-    """Layer `number` of a result of `layers`, as views; works in kernels, too."""
+    """Layer `number` of a result of `layers`; its arrays are views. The function also works in kernels."""
     if isinstance(bundle, tuple):
         return _made(type(bundle), (layer(part, number) for part in bundle))
     return bundle[number]

@@ -1,4 +1,6 @@
-"""Readers and writers of CSV tables, with messages that name file, line and value; units and sort keys of times."""
+"""Readers and writers of CSV tables, with messages that name file, line and value. Also checks of the units of times
+and angles, and sort keys of times.
+"""
 
 import csv
 import io
@@ -64,7 +66,7 @@ class Table:
 
     @classmethod
     def of(cls, path: Any, columns: Sequence[str], rows: Sequence[tuple[int, list[str]]]) -> "Table":
-        """Table of numbered rows.
+        """Make a table from rows with their line numbers.
 
         Raises:
             InputError: two columns have equal names, or a row does not have one value per column.

@@ -13,7 +13,7 @@ CODE_MARKS = re.compile(r"[\\`*<>|&]")
 
 
 def labelled(rows: Mapping[str, str]) -> str:
-    """Lines for a terminal: each label followed by its text."""
+    """Lines for a terminal, one for each label, which is followed by its text."""
     width = max(map(len, rows))
     return "\n".join(f"{label:<{width}} {text}" for label, text in rows.items())
 

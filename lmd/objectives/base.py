@@ -137,7 +137,9 @@ class Objective(Protocol):
         """Mask of the qualified positions, shape of `values`."""
 
     def fitness(self, values: FloatArray, relevance: FloatArray) -> FloatArray:
-        """Fitness in [0, 1] that optimisers maximise: values `(..., P)`, weights `(P,)` -> `(...)`."""
+        """Fitness in [0, 1] that optimisers maximise, `(...)`, from values `(..., P)` and weights of the positions,
+        `(P,)`.
+        """
 
     def shares(self, values: FloatArray) -> Mapping[str, FloatArray | BoolArray]:
         """Contribution of each position to those figures (metrics) that are means over positions: arrays of the shape
@@ -184,7 +186,9 @@ class SelfValidating(Protocol):
     """
 
     def off_grid(self, evaluator: Evaluator, deployment: Deployment) -> dict[str, float]:
-        """Figures of a deployment off the grid; their names begin with `grid_free_`, and there may be none."""
+        """Figures (metrics) of a deployment off the grid; their names begin with `grid_free_`, and the mapping may be
+        empty.
+        """
 
 
 def incremental(objective: Objective) -> Incremental:

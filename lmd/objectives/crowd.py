@@ -56,7 +56,7 @@ def _contribution(target, p, units):  # type: ignore[no-untyped-def]
 
 @allocating
 def _worst_of_terms(target: Any, terms: FloatArray) -> Any:
-    """Fitness from the contributions `terms` of the positions."""
+    """Fitness from the contributions of the positions to the fitness, `terms` `(Q,)`."""
     sums = np.zeros(target.number)
     for p in range(len(terms)):
         sums[target.groups[p]] += terms[p]
@@ -65,7 +65,7 @@ def _worst_of_terms(target: Any, terms: FloatArray) -> Any:
 
 @allocating
 def _worst_of_units(target: Any, units: Any) -> Any:
-    """Fitness from the values of the positions."""
+    """Fitness from the quantised values of the positions, `units` `(Q,)`."""
     sums = np.zeros(target.number)
     for p in range(len(units)):
         sums[target.groups[p]] += contribution(target.target, p, units[p])
@@ -178,6 +178,6 @@ def _states(evaluator: Evaluator) -> tuple[IntArray, IntArray]:
 
 
 def _worst_count(evaluator: Evaluator, count: int) -> int:
-    """Number of states, among `count`, that count as the worst."""
+    """Number of states that count as the worst among `count` states."""
     assert evaluator.scene.crowd is not None, "there is a crowd"
     return worst_of(count, evaluator.scene.crowd.crowd.worst)

@@ -37,7 +37,7 @@ class ReferenceScratch(NamedTuple):
     surface: np.ndarray
     """`(1,)` index of the surface of the place tried."""
     units: np.ndarray
-    """`(Q,)` quantised values after the move."""
+    """`(Q,)` quantised value of each position after the move."""
 
 
 @dataclass(frozen=True)

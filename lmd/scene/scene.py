@@ -37,8 +37,8 @@ class Scene:
         visibility: criteria for the coverage of a landmark.
         tag: tag at each landmark; by default the tag of the visibility model, or a point.
         recorded: recording from which room and PDF are derived, with its held-out poses; None without a recording.
-        edges: edge length of each landmark in order, or one length for all, metres, see `sized`; None for the edge
-            length of `tag`.
+        edges: edge length of each landmark in the order of the deployment, or one length for all, metres, see `sized`;
+            None for the edge length of `tag`.
         crowd: states of people and other robots that hide landmarks; None without a crowd.
 
     Raises:

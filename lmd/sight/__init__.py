@@ -3,5 +3,6 @@
 An *axis* is one orientation of the camera, given by the unit vectors of the optical axis and of the image's right. A
 set of axes is a bit set; 64 axes share a *word*, a 64-bit integer. A *model of sight* has the visibility criteria
 compiled for one camera (`lmd.scene.criteria.SightModel`). Its *horizon* is the distance beyond which a landmark is
-neither seen nor hides another landmark.
+neither seen nor hides another landmark. *Quantised* probabilities are integers, in units of 1 /
+`lmd.sight.kernels.PROBABILITY_ONE`, whose sums are exact.
 """

@@ -140,7 +140,7 @@ class Evaluator:
 
     @cached_property
     def blocks(self) -> tuple[IntArray, IntArray]:
-        """Positions in blocks of neighbours, results of `in_blocks`."""
+        """Results of `in_blocks`, which sorts the positions into blocks of neighbours."""
         return in_blocks(self.positions)
 
     def check_memory(self, each: float) -> None:
@@ -164,7 +164,7 @@ class Evaluator:
         return np.asarray(counts[0][:, self.axis_of])
 
     def units(self, positions: FloatArray, normals: FloatArray, n: int) -> np.ndarray:
-        """Quantised P_n at every position, in units of 1 / `PROBABILITY_ONE`.
+        """Quantised P_n at every position: integers in units of 1 / `PROBABILITY_ONE`.
 
         Args:
             positions, normals: landmarks of B deployments, metres and unit vectors, `(B, K, 3)`.

@@ -64,9 +64,10 @@ class MountGroup(NamedTuple):
     place: np.ndarray
     """`(M, 64 W)` index in `places` of each offset."""
     tables: np.ndarray
-    """`(1 + levels * cells, 2 M W)` sets of orientations by direction from the centre, see `fill_tables`.
+    """`(1 + levels * cells, 2 M W)` sets of orientations for each direction of a landmark from the centre, see
+    `fill_tables`.
 
-    A row has the certain sets of all mounts, then the possible sets, as the two are read together.
+    A row has the certain sets of all mounts, then the possible sets, as both kinds of sets are read together.
     """
 
 

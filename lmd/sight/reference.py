@@ -54,7 +54,7 @@ def station_caps(scene: Scene, deployment: Deployment, position: FloatArray, sta
 
 
 def cap_count(caps: BoolArray) -> IntArray:
-    """Num(S_k^C(p)): number of caps that contain each axis, `(A, K)` -> `(A,)` (Definition 2)."""
+    """Num(S_k^C(p)): number of caps that contain each axis, `(A,)` (Definition 2); `caps` is a mask `(A, K)`."""
     return np.asarray(caps.sum(axis=-1))
 
 
@@ -66,7 +66,7 @@ def n_ple_cap(counts: IntArray, n: int) -> BoolArray:
 def coverage_probability(
     counts: IntArray, pdf: OrientationPdf, n: int, positions: FloatArray | None = None
 ) -> FloatArray:
-    """P_n(p): probability of the n-ple cap under the PDF (Eq. P_n), `(..., A)` -> `(...)`.
+    """P_n(p): probability of the n-ple cap under the PDF (Eq. P_n), `(...)`, from counts `(..., A)`.
 
     A PDF that depends on the position needs the `positions` `(P, 3)` of the counts `(P, A)`.
     """

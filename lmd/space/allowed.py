@@ -51,7 +51,7 @@ def sizes(pieces: FloatArray) -> FloatArray:
 
 
 def eroded(region: Any, margin: float) -> Any:
-    """Erode a region by a square along u and v with half edge `margin`, metres."""
+    """Erode a region by a square whose sides are along u and v, with half the edge length `margin`, metres."""
     import shapely
 
     if not margin:

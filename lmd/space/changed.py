@@ -54,7 +54,7 @@ ON_BORDER = 1e-9
 
 
 class _Cells(NamedTuple):
-    """P grid cells that contain positions of a recording ("records"), ordered by x, y and z."""
+    """P grid cells that contain records (positions of a recording), ordered by x, y and z."""
 
     of: IntArray
     """Index of the cell of each record, `(T,)`."""

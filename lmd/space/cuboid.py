@@ -38,7 +38,7 @@ class Cuboid(Gridded):
     walls: Annotated[tuple[str, ...], partial(checked_names, known=WALLS)] = WALLS
     """Names of the walls that may carry landmarks."""
     relevance: Relevance = field(default_factory=Relevance)
-    """Rel(p), weights of the positions."""
+    """Relevance Rel(p): weights of the camera positions."""
 
     def _validate(self) -> None:
         size, reachable = self.size, self.reachable_size

@@ -36,7 +36,9 @@ class FloorPlan(Checked):
     obstacles: Annotated[Sequence[Any], partial(all_made, kind=Obstacle)] = ()
     """`Obstacle`s, or mappings of their arguments; their faces are `obstacle_<i>_<face>`."""
     surfaces: Sequence[str] | None = None
-    """Walls, `floor` and `ceiling` that may carry landmarks; None for all. The `faces` of obstacles are added."""
+    """Names of the surfaces that may carry landmarks: walls, `floor` and `ceiling`; None for all. The `faces` of
+    obstacles are added.
+    """
     keep_out: Annotated[Sequence[Any], partial(all_made, kind=KeepOut)] = ()
     """`KeepOut`s, or mappings of their arguments."""
     band: Annotated[Sequence[float], partial(span, point=False)] | None = None
@@ -110,7 +112,9 @@ class FloorPlan(Checked):
 
     @cached_property
     def hull(self) -> tuple[FloatArray, FloatArray]:
-        """Lines of the walls on the convex hull: outward unit normals `(N, 2)`, and offsets, metres, `(N,)`."""
+        """Lines n . x = d through the walls on the convex hull: outward unit normals n, `(N, 2)`, and offsets d,
+        metres, `(N,)`.
+        """
         return planes(edges(self.outline)[on_hull(self.ground)])
 
     @cached_property
@@ -229,7 +233,7 @@ class FloorPlan(Checked):
 
 
 def _covered(face: Surface, obstacle: Obstacle) -> Any:
-    """Part of a face that an obstacle touches, in the coordinates of the face."""
+    """Part of a face that is covered by an obstacle that touches the face, in the coordinates of the face."""
     import shapely
 
     corners = obstacle.corners() - face.origin

@@ -39,7 +39,7 @@ class MeshRoom(Gridded):
     positions: GridKind = "cells"
     """`cells` for the centres of the grid cells, `vertices` for the vertices."""
     relevance: Relevance = field(default_factory=Relevance)
-    """Rel(p), weights of the positions."""
+    """Relevance Rel(p): weights of the camera positions."""
     kind: ClassVar[str] = "room from a mesh"
     digits: ClassVar[int] = 4
 

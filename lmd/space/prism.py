@@ -32,7 +32,7 @@ class Prism(Gridded):
     """
 
     plan: FloorPlan
-    """Floor plan."""
+    """Floor plan of the room."""
     reachable: Annotated[Reachable, partial(made, kind=Reachable)]
     """Reachable volume, or a mapping of its arguments."""
     spacing: float | Sequence[float]
@@ -40,7 +40,7 @@ class Prism(Gridded):
     positions: GridKind = "cells"
     """`cells` for the centres of the grid cells, `vertices` for the vertices."""
     relevance: Relevance = field(default_factory=Relevance)
-    """Rel(p), weights of the positions."""
+    """Relevance Rel(p): weights of the camera positions."""
     kind: ClassVar[str] = "room over a floor plan"
 
     def _validate(self) -> None:

@@ -65,7 +65,7 @@ class Scan(Checked):
     """
 
     mesh: Mesh
-    """Triangles, z up; `lmd.formats.meshes.read_mesh` reads them from a file."""
+    """Mesh with z up; `lmd.formats.meshes.read_mesh` reads a mesh from a file."""
     least_area: Positive = 0.1
     """Area of an upright square that must fit on a patch, square metres."""
     surfaces: Sequence[str] | None = None
@@ -116,7 +116,7 @@ class Scan(Checked):
 
     @cached_property
     def interior(self) -> Interior:
-        """Free space."""
+        """Free space inside the mesh."""
         return Interior(self.triangles, *self.bounds)
 
     @cached_property

@@ -100,13 +100,14 @@ class Space(Protocol):
 
     @property
     def relevance(self) -> Weighing:
-        """Rel(p), weights of the positions."""
+        """Relevance Rel(p): weights of the camera positions."""
 
     def surfaces(self) -> tuple[Surface, ...]:
         """Surfaces that may carry landmarks; a landmark stores the index of its surface."""
 
     def surfaces_of(self, positions: FloatArray, normals: FloatArray) -> IntArray:
-        """Index of the surface whose rectangle contains each landmark `(K, 3)`, `(K,)`; -1 for none.
+        """For each landmark `(K, 3)`, index of the surface whose rectangle contains the landmark, `(K,)`; -1 if there
+        is none.
 
         The landmark may be outside the allowed region of the surface.
         """
@@ -121,7 +122,7 @@ class Space(Protocol):
         """Mask of the points `(..., 3)` in the closed room, `(...)`."""
 
     def blockers(self) -> Blockers | Triangles | None:
-        """Obstacles between points of the room; None for a convex and empty room."""
+        """Obstacles that can block the line between two points of the room; None for a convex and empty room."""
 
     def clear(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
         """Mask of the straight lines between pairs of points `(..., 3)` of the room that are not blocked, `(...)`.

@@ -82,7 +82,9 @@ class Drawing(NamedTuple):
     windows: Any
     """Lines of the windows, which close gaps between walls."""
     boxes: list[tuple[str, Any]]
-    """Doors and windows that are blocks of the drawing: `door` or `window`, and the box, a shapely polygon."""
+    """Doors and windows that are inserted in the drawing as blocks (symbols): for each, the word `door` or `window`,
+    and its box, a shapely polygon.
+    """
     unit: str
     """Name of the drawing's unit of length."""
     note: str

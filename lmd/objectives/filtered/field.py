@@ -47,14 +47,14 @@ class FilteredState(NamedTuple):
     sums: np.ndarray
     """`(F, 15)` sums of the landmarks' information, see `lmd.objectives.localisation.information`."""
     covariances: np.ndarray
-    """`(F, 21)` covariance of the filtered pose."""
+    """`(F, 21)` covariance of the filtered pose in each frame."""
 
 
 class FilteredScratch(NamedTuple):
     """Working memory with the move tried last; after the move is carried out, with the reverse move."""
 
     units: np.ndarray
-    """`(F,)` quantised values after the move."""
+    """`(F,)` quantised value of each frame after the move."""
     pose: np.ndarray
     """`(6,)` position (metres) and unit normal of the place tried."""
     surface: np.ndarray
@@ -72,7 +72,8 @@ class FilteredScratch(NamedTuple):
     changed: np.ndarray
     """`(F,)` uint8, 1 for changed frames: frames in which the move changes the landmarks in view."""
     starts: np.ndarray
-    """`(D,)` int64: first changed frame of each drive, where the filter restarts; end of the drive if no frame changes.
+    """`(D,)` int64 index of the first changed frame of each drive, at which the filter restarts; the end of the drive
+    if no frame changes.
     """
     pairs: np.ndarray
     """`(3, F K)` int32: frame, another landmark, and change of the number of landmarks that hide this other landmark.

@@ -209,7 +209,7 @@ class Lanes(NamedTuple):
     frames: IntArray
     """`(2, LANES)` next frame of each lane, and end of the drive in that lane; both are equal for an idle lane."""
     dense: FloatArray
-    """`(3, 6, 6)` memory of `update_beyond_rounding`."""
+    """`(3, 6, 6)` working memory of `update_beyond_rounding`."""
 
 
 def lanes() -> Lanes:

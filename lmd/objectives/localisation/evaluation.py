@@ -30,12 +30,12 @@ class ViewValues(NamedTuple):
     """Values of the views of B deployments at P positions."""
 
     covered: IntArray
-    """`(B, P)` quantised P_n."""
+    """`(B, P)` quantised P_n of each deployment at each position."""
     localised: IntArray
-    """`(B, P)` quantised L."""
+    """`(B, P)` quantised L of each deployment at each position."""
     variances: FloatArray
-    """`(B, P, D)` variance of the camera's position in each view, for `deviation_per_variance` 1; empty unless `keep`
-    was set.
+    """`(B, P, D)` variance of the camera's position in each view, in units of `deviation_per_variance` squared; empty
+    unless `keep` was set.
 
     The variance is infinite for views that cover fewer than n landmarks or are ambiguous.
     """

@@ -26,9 +26,9 @@ class LocalisationState(NamedTuple):
     """Localised views of a deployment: Q positions in the order of the field, W words of orientations."""
 
     units: np.ndarray
-    """`(Q,)` quantised values."""
+    """`(Q,)` quantised value of each position."""
     located: np.ndarray
-    """`(Q,)` quantised L."""
+    """`(Q,)` quantised L at each position."""
     localised: np.ndarray
     """`(Q, W)` uint64 sets of orientations with which the camera or the body is localised."""
     sums: np.ndarray
@@ -47,15 +47,15 @@ class LocalisationScratch(NamedTuple):
     """
 
     units: np.ndarray
-    """`(Q,)` quantised values after the move, or upper bounds."""
+    """`(Q,)` quantised value of each position after the move, or upper bounds on the values."""
     located: np.ndarray
-    """`(Q,)` quantised L after the move, or upper bounds."""
+    """`(Q,)` quantised L at each position after the move, or upper bounds on L."""
     sets: np.ndarray
     """`(3, Q, W)` uint64 bit sets of orientations, rows `LOCALISED`, `LOST` and `GAINED`."""
     coverage: Scratch | RigScratch
-    """Scratch of the field of coverage; its `units` are quantised P_n."""
+    """Scratch (working memory) of the field of coverage; its `units` are quantised P_n."""
     views: CameraViews | BodyViews
-    """Working memory for views."""
+    """Working memory for the views of one position."""
 
 
 class LocalisationField(NamedTuple):

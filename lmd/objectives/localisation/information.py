@@ -75,7 +75,8 @@ Square: TypeAlias = tuple[Vector, Vector, Vector]
 
 
 class Precision(NamedTuple):
-    """Limits of a localised view; variances are traces of a covariance for `deviation_per_variance` 1.
+    """Limits that a localised view must satisfy. Variances are traces of covariances, in units of
+    `deviation_per_variance` squared.
 
     For a limit that is None, kernels are compiled without the test.
     """
@@ -130,7 +131,7 @@ def precision(
     camera: Camera, tag: Tag, pixel_noise: float, tolerance: float, rotation: float | None = None,
     edges: Sequence[float] | None = None,
 ) -> Precision:  # fmt: skip
-    """Precision from the greatest standard deviations of a view.
+    """Make the limits of a localised view from its greatest standard deviations.
 
     Args:
         camera: the single camera, or the first camera of a rig.

@@ -66,7 +66,8 @@ def log_det_selection(
         relevance: weights of the positions, `(P,)`.
         precision: function that returns the `information.Precision` for a scene, which includes the size of the scene's
             tags.
-        prior: prior information on position and rotation, 1 / `variance` of `information`.
+        prior: information on position and on rotation before the image, each the inverse of a `variance` as in
+            `information`.
     """
     kind: type[LogDeterminant] = RigLogDeterminant if evaluator.groups else CameraLogDeterminant
     if evaluator.by_reference:
@@ -75,7 +76,9 @@ def log_det_selection(
 
 
 class LogDeterminant:
-    """Base of the selections of `log_det_selection`. Methods of a subclass evaluate poses of one tag size."""
+    """Base of the classes whose instances `log_det_selection` returns. Methods of a subclass evaluate poses of one tag
+    size.
+    """
 
     label = "mean log det of the information"
     width = WIDTH

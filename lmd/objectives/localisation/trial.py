@@ -59,7 +59,7 @@ GAINED = 2  # views of touched positions in which another landmark appears for s
 
 @inlined
 def mixed(located: Any, covered: Any, weight: float) -> Any:
-    """Quantised (1 - weight) L + weight P_n; monotone in L and in P_n."""
+    """Quantised value (1 - weight) L + weight P_n, which is monotone in L and in P_n."""
     return located + np.int64(weight * (covered - located))
 
 
@@ -103,7 +103,7 @@ def _decide_word(
 
 @inlined
 def _sum_up(q: Integer, located: np.int64, covered: np.int64, weight: float, values: Any) -> None:
-    """Write the values of position q to a state or a scratch."""
+    """Write quantised L, P_n and value of position q to `values`, which is a state or a scratch."""
     values.located[q], values.coverage.units[q], values.units[q] = located, covered, mixed(located, covered, weight)
 
 

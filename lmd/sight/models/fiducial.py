@@ -164,7 +164,9 @@ class Fiducial(Checked):
     def verdicts(
         self, camera: Camera, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
     ) -> dict[str, BoolArray]:
-        """Masks `(A, K)` of the tags that meet each criterion, keyed by its name; args as in `covered`."""
+        """Masks `(A, K)` of the tags that meet each criterion, keyed by the criterion's name; arguments as in
+        `covered`.
+        """
         sight, offset = self.sight(camera), landmarks - position
         flat = sight.flat if isinstance(sight, LensSight) else sight
         axis, right = axes[:, None, :3], axes[:, None, 3:]

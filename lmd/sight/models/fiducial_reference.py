@@ -20,7 +20,7 @@ def faces(sight: FiducialSight, offset: FloatArray, normals: FloatArray) -> Bool
 
 
 def in_rectangle(sight: FiducialSight, centre: FloatArray, sides: list[FloatArray]) -> BoolArray:
-    """Mask `(A, K)` of the tags with all corners in front of the camera and within the borders.
+    """Mask `(A, K)` of the tags with all corners in front of the camera and within the borders of the image.
 
     Args:
         sight: compiled model, with the borders of the image.

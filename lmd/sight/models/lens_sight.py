@@ -86,7 +86,9 @@ class LensSight(NamedTuple):
     image_error: float
     """Upper bound on the error of `approximation`, focal lengths."""
     pinholes: tuple[FiducialSight, FiducialSight] | tuple[()]
-    """Two pinholes whose pitches and areas bound the lens's from below and from above; none for a fisheye."""
+    """Two pinhole models, whose pitches and areas bound those of the lens from below and from above; empty for a
+    fisheye.
+    """
 
     @property
     def outer_cosine(self) -> float:

@@ -90,7 +90,7 @@ class Preset:
 
     @classmethod
     def from_yaml(cls, path: str | Path) -> "Preset":
-        """Read a file.
+        """Read a preset from a YAML file.
 
         Raises:
             InputError: the file cannot be read, a key is missing or unknown, or a value is out of range.

@@ -169,7 +169,9 @@ class Visibility(Checked):
     def verdicts(
         self, camera: Camera, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
     ) -> dict[str, BoolArray]:
-        """Masks `(A, K)` of the landmarks that meet each criterion, keyed by its name; args as in `covered`."""
+        """Masks `(A, K)` of the landmarks that meet each criterion, keyed by the criterion's name; arguments as in
+        `covered`.
+        """
         offset = landmarks - position
         distance = np.sqrt(dot(offset, offset))
         depth = dot(axes[:, None, :], offset[None, :, :])
