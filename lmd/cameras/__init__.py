@@ -1,4 +1,4 @@
-"""Placement of the cameras of a robot: its body, the views of each camera, and the optimisation problem."""
+"""Placement of cameras on a robot: the robot's body, the views of each camera, and the optimisation problem."""
 
 from lmd.cameras.body import Body, Box
 from lmd.cameras.mounts import MountSpace

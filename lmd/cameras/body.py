@@ -1,6 +1,6 @@
-"""Body of a robot: boxes whose faces may carry cameras, and which should not fill the cameras' images.
+"""Body of a robot: boxes whose faces may carry cameras, and which may fill only a part of the cameras' images.
 
-The frame is the body's frame of `lmd.scene.rig`: x forward, y to the left, z up.
+Coordinates are in the body frame of `lmd.scene.rig`: x forward, y to the left, z up.
 """
 
 from collections.abc import Mapping, Sequence
@@ -43,9 +43,10 @@ class Box(Checked):
         object.__setattr__(self, "faces", checked_names("faces", self.faces, FACES) if self.faces else ())
 
     def surfaces(self) -> list[Surface]:
-        """Entire faces that may carry cameras; seen from outside, u points to the right and v up.
+        """Whole rectangles of the faces that may carry cameras; seen from outside the box, u points to the right and v
+        up.
 
-        On top and bottom v points forward.
+        On the top and the bottom face, v points forward.
         """
         found = []
         for face in self.faces:
@@ -67,10 +68,10 @@ class Body(Checked):
 
     Args:
         boxes: boxes of the body, `Box` or mappings of its arguments.
-        keep_out: regions of faces without cameras, `KeepOut` or mappings of its arguments.
+        keep_out: regions of faces that must stay free of cameras, `KeepOut` or mappings of its arguments.
         margin: least distance of a camera's centre from the edges of its face, metres.
         standoff: distance of a camera's centre from its face, metres.
-        own_share: greatest share of a camera's image that may show the body.
+        own_share: greatest fraction of a camera's image that may show the body.
 
     Raises:
         InputError: a value is out of range, no face may carry a camera, or two faces have one name.
@@ -101,11 +102,13 @@ class Body(Checked):
 
     @cached_property
     def corners(self) -> tuple[FloatArray, FloatArray]:
-        """Lowest and highest corner of each box, body frame, metres, `(B, 3)` each."""
+        """Corners of the B boxes with the least and with the greatest coordinates, body frame, metres, `(B, 3)`
+        each.
+        """
         return np.array([box.low for box in self._boxes]), np.array([box.high for box in self._boxes])
 
     def surfaces(self) -> tuple[Surface, ...]:
-        """Faces that may carry cameras, reduced to their allowed regions; faces without an allowed region are left out.
+        """Faces that may carry cameras, reduced to their allowed regions; faces without an allowed region are omitted.
 
         Raises:
             InputError: no face has an allowed region.
@@ -130,7 +133,9 @@ class Body(Checked):
         return tuple(left)
 
     def own_part(self, centre: FloatArray, rays: FloatArray) -> float:
-        """Share of the rays `(R, 3)` from a camera's centre `(3,)` that hit the body; 1 if the centre is inside."""
+        """Fraction of the rays `(R, 3)` from a camera's centre `(3,)` that hit the body; 1 if the centre is inside the
+        body.
+        """
         low, high = self.corners
         if ((centre > low) & (centre < high)).all(axis=1).any():
             return 1.0

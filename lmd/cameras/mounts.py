@@ -1,4 +1,5 @@
-"""Admissible mounts of cameras on a body, and their encoding as genes in the unit box.
+"""Admissible mounts of cameras on a body (a mount is a camera and its pose in the body frame), and their genes in the
+unit box.
 
 Mounts are rounded to whole millimetres and milliradians, so the mount in a file is exactly the mount that was
 evaluated.
@@ -30,16 +31,17 @@ HALF_TURN = {"low": -math.pi - 0.01, "high": math.pi + 0.01}  # bounds of an ang
 
 @dataclass(frozen=True)
 class MountSpace(Checked):
-    """Search space: mounts of `count` cameras on the faces of a body, with limits on their angles.
+    """Search space for the mounts of `count` cameras on the faces of a body, with limits on the cameras' angles.
 
-    A camera that would see too much of the body (`Body.own_share`) is turned towards the normal of its face in steps.
+    A camera in whose image the body would fill more than `Body.own_share` is turned in steps towards the normal of its
+    face.
 
     Args:
         body: body that carries the cameras.
-        lenses: kinds of cameras; each camera may be of any kind.
+        lenses: kinds of cameras (intrinsics and lens); each of the cameras may be of any kind.
         count: number of cameras.
-        yaw: least and greatest yaw from the normal of an upright face, positive to the left, rad; on top and bottom
-            the yaw is free.
+        yaw: least and greatest yaw from the normal of an upright face, positive to the left, rad; on the top and the
+            bottom face the yaw is not limited.
         pitch: least and greatest pitch, positive down as for `Mount`, rad.
         roll: least and greatest roll, rad.
         apart: least distance between the centres of two cameras, metres.
@@ -72,7 +74,9 @@ class MountSpace(Checked):
         return ("along", "up", *turns, *(("lens",) if len(self.lenses) > 1 else ()))
 
     def mount(self, genes: FloatArray) -> Mount | None:
-        """Decode the genes `(G,)` in [0, 1] of a camera; None if the camera sees too much of the body at any angle."""
+        """Decode the genes `(G,)` in [0, 1] of one camera; None if the body fills too much of its image at any
+        angle.
+        """
         s, of = self._surfaces, dict(zip(self.names, genes.tolist(), strict=True))
         edges = np.append(0.0, s.shares)
         piece = int(np.clip(np.searchsorted(edges, of["along"], side="right") - 1, 0, len(s.shares) - 1))
@@ -99,8 +103,8 @@ class MountSpace(Checked):
         return None
 
     def mounts(self, genes: FloatArray) -> tuple[Mount, ...] | None:
-        """Decode the genes `(count, G)` of all cameras; None if a camera is not admissible, or two cameras are too
-        close.
+        """Decode the genes `(count, G)` of all cameras; None if a camera is not admissible, or two cameras are closer
+        than `apart`.
         """
         found = [self.mount(row) for row in genes]
         mounts = tuple(mount for mount in found if mount is not None)
@@ -128,13 +132,13 @@ class MountSpace(Checked):
         )
 
     def are_apart(self, mounts: Sequence[Mount]) -> bool:
-        """True if the distances between all centres are at least `apart`."""
+        """True if the centres of any two cameras are at least `apart` from each other."""
         at = np.array([mount.translation for mount in mounts])
         distance = np.linalg.norm(at[:, None] - at, axis=-1)[np.triu_indices(len(at), 1)]
         return bool((distance >= self.apart).all())
 
     def own_part(self, mount: Mount) -> float:
-        """Share of a camera's image that shows the body, from a sample of pixels."""
+        """Fraction of a camera's image that shows the body, estimated from a sample of pixels."""
         if mount.camera not in self._rays:
             self._rays[mount.camera] = _rays_of(mount.camera)
         return self.body.own_part(np.array(mount.translation), self._rays[mount.camera] @ mount.rotation.T)
@@ -158,7 +162,7 @@ class MountSpace(Checked):
         return np.stack(found)
 
     def _nearest_genes(self, mount: Mount) -> FloatArray:
-        """Genes `(G,)` of the mount nearest to `mount`, which need not be admissible."""
+        """Genes `(G,)` whose mount is nearest to `mount`; the two differ if `mount` is outside of the search space."""
         s, place = self._surfaces, np.array(mount.translation)
         foot = place - self.body.standoff * s.normal  # (W, 3)
         every = np.arange(len(foot))
@@ -212,7 +216,9 @@ def _turned(angle: float) -> float:
 
 
 def _rays_of(camera: Camera) -> FloatArray:
-    """Viewing directions of sampled pixels, including the borders; components forward, left, up, `(R, 3)`."""
+    """Viewing directions of R sampled pixels, including pixels at the borders, `(R, 3)`; components forward, left,
+    up.
+    """
     sizes = (camera.image_width, camera.image_height)
     u, v = (np.linspace(0.0, size, samples) for size, samples in zip(sizes, IMAGE_SAMPLES, strict=True))
     seen = bearings(camera, np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))

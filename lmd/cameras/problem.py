@@ -1,4 +1,6 @@
-"""Placement of cameras as a problem for black-box optimisers: the tags are given, the cameras vary."""
+"""Placement of cameras as a problem for black-box optimisers: the tags are given, and the mounts of the cameras
+vary.
+"""
 
 from collections import OrderedDict
 from collections.abc import Sequence
@@ -25,7 +27,7 @@ PARTS_PER_THREAD = 4  # number of chunks per thread
 
 
 class CameraViews:
-    """Cache of the views of single cameras; only a camera with a new mount is evaluated.
+    """Cache of the views of single cameras: a camera is evaluated only if its mount is new.
 
     Args:
         evaluator: evaluator of a rig, with the positions and orientations of the body.
@@ -43,7 +45,7 @@ class CameraViews:
         self._kept: OrderedDict[Mount, np.ndarray] = OrderedDict()
 
     def _alone(self, camera: Camera) -> Evaluator:
-        """Evaluator of the scene with a single camera; its positions are not used."""
+        """Evaluator of a scene with the given camera alone; the positions of this evaluator are not used."""
         if camera not in self._of_camera:
             scene = replace(self._evaluator.scene, camera=camera)
             self._of_camera[camera] = Evaluator(scene, self._evaluator.positions[:1], threads=1)
@@ -54,7 +56,9 @@ class CameraViews:
         return mount in self._kept
 
     def visible_tags(self, mount: Mount) -> np.ndarray:
-        """Tags that a camera sees from the N poses of the body, bit sets `(N, W)`."""
+        """Tags that the camera with a mount sees from each of the N poses of the body, as bit sets `(N, W)` of W
+        words.
+        """
         if mount not in self._kept:
             self._kept[mount] = self._look(mount)
             size = 8 * (1 + (len(self._deployment) - 1) // 64) * len(self._position)
@@ -76,7 +80,7 @@ class CameraViews:
         return packed(found)
 
     def units(self, mounts: Sequence[Mount], n: int) -> np.ndarray:
-        """Quantised P_n at each position, `(P,)`."""
+        """Quantised value of P_n at each position for all `mounts` together, `(P,)`."""
         union = np.uint64(0)
         for mount in mounts:
             union = union | self.visible_tags(mount)  # type: ignore[assignment] # an array from the first on
@@ -87,17 +91,17 @@ class CameraViews:
 
 
 class CameraProblem(Problem):
-    """Problem of maximising the objective's fitness over the cameras of a rig.
+    """Problem of placing the cameras of a rig so that the fitness of the objective is greatest.
 
-    The fitness is bit-identical to the fitness of a `Problem` with a rig of these cameras. For objectives that count
+    The fitness is bit-identical to the fitness of a `Problem` with the resulting rig. For objectives that count
     landmarks, the views of each camera are evaluated once and cached; for other objectives every rig is evaluated
     again.
 
     Args:
         problem: problem with the objective and with the scene, whose camera is replaced.
-        tags: the landmarks, which do not move.
+        tags: the landmarks, whose poses do not change.
         space: admissible mounts of the cameras.
-        start: cameras of the start; random cameras by default.
+        start: cameras with which the search starts; random cameras by default.
 
     Raises:
         InputError: the body would leave the room, the cameras of `start` are not in `space`, or the objective does not
@@ -125,11 +129,11 @@ class CameraProblem(Problem):
 
     @property
     def counts(self) -> bool:
-        """True if the objective counts landmarks alone, so that cameras can be evaluated one by one."""
+        """True if the objective only counts the landmarks in view, so that cameras can be evaluated one by one."""
         return isinstance(self.objective, Coverage)
 
     def _corners(self) -> tuple[Mount, ...]:
-        """Mounts at the corners of the faces; if all are in the room, the body is in the room."""
+        """Mounts at the corners of the body's faces; if all these corners are in the room, so is the body."""
         at = [
             face.point(a, b) + self.space.body.standoff * face.normal
             for face in self.space.body.surfaces()
@@ -139,7 +143,7 @@ class CameraProblem(Problem):
         return tuple(Mount(self.space.lenses[0], tuple(place.tolist())) for place in at)
 
     def stay(self, mounts: Sequence[Mount]) -> bool:
-        """True if the cameras are in the room at every position of the body.
+        """True if all cameras are inside the room at every position of the body.
 
         The test takes as long as an evaluation and nearly always succeeds, as the corners of the body are in the room.
         """
@@ -150,7 +154,7 @@ class CameraProblem(Problem):
         return True
 
     def values_of(self, mounts: Sequence[Mount]) -> FloatArray:
-        """Value of the objective at every position of the fitness, `(Q,)`."""
+        """Value of the objective at each of the Q positions that enter the fitness, `(Q,)`."""
         if self.counts:
             return np.asarray(self.views.units(mounts, self.objective.n) / PROBABILITY_ONE)
         measured = self.fitness_evaluator
@@ -159,7 +163,9 @@ class CameraProblem(Problem):
         return np.asarray(self.objective.values(evaluator, *landmarks)[0])
 
     def fitness_of_cameras(self, mounts: Sequence[Mount] | None) -> float:
-        """Fitness of cameras, -inf if they are not admissible; `stay` is tested only for a new best fitness."""
+        """Fitness of the cameras with these mounts; -inf if they are not admissible. `stay` is tested only for a new
+        best fitness.
+        """
         if mounts is None:
             return -np.inf
         fitness = float(self.objective.fitness(self.values_of(mounts), self.fitness_relevance))
@@ -170,7 +176,7 @@ class CameraProblem(Problem):
         return fitness
 
     def reached(self, fitness: float) -> None:
-        """See `Genome.reached`; `stay` is not tested for a lower fitness."""
+        """See `Genome.reached`; from now on, `stay` is tested only for a higher fitness."""
         self._most = max(self._most, fitness)
 
     @property

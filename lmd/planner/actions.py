@@ -1,4 +1,4 @@
-"""Requests from browsers: checks of connections, and a queue of actions that one thread runs in order."""
+"""Requests from browsers: connections are checked, and one thread runs the requested actions in order."""
 
 import hmac
 import logging
@@ -31,20 +31,22 @@ class ActionQueue:
         self._queue.put(action)
 
     def next(self, seconds: float) -> Action | None:
-        """Wait for the next action; None without one within `seconds`."""
+        """Wait for the next action; None if there is none within `seconds`."""
         try:
             return self._queue.get(timeout=seconds)
         except Empty:
             return None
 
     def on(self, register: Callable[[Any], object], answer: Callable[[Any], None]) -> None:
-        """Append `answer` to the queue for each event of viser; `register` receives the callback for viser."""
+        """Append `answer` to the queue at each event of viser; `register` is viser's function that registers a
+        callback.
+        """
         call_in_order(register, partial(self.put_answer, answer))
 
     def put_answer(self, answer: Callable[..., None], *of_event: Any) -> None:
-        """Append the answer to a browser's event.
+        """Append the answer to an event from a browser to the queue.
 
-        Browsers may send invalid values. An answer that fails because of these raises only `InputError`.
+        Browsers may send invalid values. An answer that fails because of such values raises only `InputError`.
         """
         self.put(partial(_answer, answer, *of_event))
 
@@ -76,14 +78,14 @@ Answer = Callable[[Any, Any], Any]
 
 
 class Access:
-    """Check of requests: a request is refused, or forwarded without the token."""
+    """Check of requests for a secret token in the address: a request is refused, or forwarded without the token."""
 
     def __init__(self) -> None:
         self._path = f"/{secrets.token_urlsafe(TOKEN_BYTES)}"
         self._is_asked = False
 
     def address(self, port: int) -> str:
-        """The only allowed address."""
+        """Address of the planner with the token; requests to all other addresses are refused."""
         return f"http://{HOST}:{port}{self._path}/"
 
     @contextmanager
@@ -118,7 +120,7 @@ class Access:
         return hand_on(connection, replace(request, path=path))
 
     def _inner_path(self, path: str) -> str | None:
-        """Path without the token; None if the token is missing or wrong."""
+        """Path of a request without the token; None if the token is missing or wrong."""
         end = len(self._path)
         is_known = hmac.compare_digest(path[:end].encode(errors="replace"), self._path.encode())
         return (path[end:] or "/") if is_known else None

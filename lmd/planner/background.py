@@ -1,4 +1,4 @@
-"""Background work: slow figures, computed in a separate thread while the user does nothing."""
+"""Background work: metrics that take long are computed in a separate thread while the user does nothing."""
 
 import threading
 from collections.abc import Callable, Iterator
@@ -27,11 +27,13 @@ Wanted = Callable[[], bool]
 
 
 class Worker(Generic[Question]):
-    """A daemon thread that answers one request at a time; a new request replaces the previous one.
+    """Daemon thread that answers one question at a time; a new question replaces the previous one.
 
     Args:
-        work: called with a question, and with a function that returns True while the answer is wanted.
-        failed: called in the worker's thread with a question that cannot be answered and with the reason, a sentence.
+        work: function that answers; it is called with a question, and with a function that returns True while the
+            answer is still wanted.
+        failed: function that is called in the worker's thread with a question that cannot be answered, and with the
+            reason as a sentence.
     """
 
     def __init__(self, work: Callable[[Question, Wanted], None], failed: Callable[[Question, str], None]) -> None:
@@ -43,7 +45,9 @@ class Worker(Generic[Question]):
         self._thread.start()
 
     def ask(self, question: Question | None) -> None:
-        """Replace the question; None for no question. A question is answered once, unless it is replaced before."""
+        """Replace the question; None if nothing is to be answered. A question is answered once, unless it is replaced
+        before.
+        """
         with self._changed:
             if question is None:
                 self._question = None
@@ -52,7 +56,9 @@ class Worker(Generic[Question]):
                 self._changed.notify()
 
     def close(self) -> None:
-        """End the thread at the next check if the answer is wanted; there is no check during compilation."""
+        """End the thread; it ends when it next checks that the answer is still wanted, which it cannot do during a
+        compilation.
+        """
         with self._changed:
             self._question, self._closing = None, True
             self._changed.notify()
@@ -77,11 +83,12 @@ class Worker(Generic[Question]):
 
 
 class UnwantedError(Exception):
-    """Raised when the answer is no longer wanted."""
+    """Raised during the computation of an answer that is no longer wanted."""
 
 
 def off_grid(problem: Problem, deployment: Deployment, seed: int, wanted: Wanted) -> Iterator[dict[str, str]]:
-    """Figures off the grid as labelled sentences: estimates from a small sample, then the figures of `evaluate`.
+    """Yield the metrics off the grid as labelled sentences: first estimates from a small sample, then the values that
+    the command `evaluate` gives.
 
     Recorded poses need no sample, so they have no estimate.
 
@@ -89,7 +96,7 @@ def off_grid(problem: Problem, deployment: Deployment, seed: int, wanted: Wanted
         problem: scene and objective.
         deployment: the tags.
         seed: seed of the samples.
-        wanted: called repeatedly; returns False to end the iteration.
+        wanted: function that is called repeatedly, and returns False to end the iteration.
     """
 
     def check() -> None:
@@ -107,14 +114,15 @@ def off_grid(problem: Problem, deployment: Deployment, seed: int, wanted: Wanted
 
 
 class Background:
-    """Computes and shows an estimate of figures off the grid, gains of one more tag, then exact figures off the grid.
+    """Background work for the present plan: it computes and shows an estimate of the metrics off the grid, then the
+    gains by one more tag, then the exact metrics off the grid.
 
     Args:
         session: session with the plan.
-        actions: queue for results.
-        panel: panel that shows figures.
+        actions: queue to which the display of results is appended.
+        panel: panel that shows metrics.
         picture: picture that shows gains on surfaces.
-        seed: seed of the sample off the grid; None to compute no figures off the grid.
+        seed: seed of the random poses off the grid; None to compute no metrics off the grid.
     """
 
     def __init__(
@@ -130,7 +138,7 @@ class Background:
         self._worker = Worker(self._work, lambda *failure: actions.put(partial(self._take_failure, *failure)))
 
     def announce(self) -> None:
-        """Show that figures off the grid will follow."""
+        """Show that metrics off the grid will follow."""
         if self._seed is not None:
             self._panel.show_off_grid(TO_COME)
 
@@ -147,13 +155,13 @@ class Background:
         self._worker.close()
 
     def show_additions(self, _: Any = None) -> None:
-        """Colour the surfaces by the gains, if the user wants these."""
+        """Colour the surfaces by the gains of one more tag, if the user has chosen this."""
         gains = self.additions if self._panel.additions.value else None
         self._picture.show_additions(gains)
         self._panel.show_legend(None if gains is None else float(np.nanmax(gains, initial=0.0)))
 
     def _work(self, posed: Posed, wanted: Wanted) -> None:
-        """Compute and report all results for a plan; runs in the worker's thread."""
+        """Compute and report all results for one plan; runs in the worker's thread."""
         figures = iter(()) if self._seed is None else off_grid(*posed, self._seed, wanted)
         self._hand_over(posed, next(figures, None))
         found = additions(*posed, self._picture.candidates.poses, wanted)

@@ -1,4 +1,4 @@
-"""Figures of a plan: the objective's values as tags move, and the gain of one more tag at each place."""
+"""Metrics of a plan: the objective's values while tags are moved, and the gain by one more tag at each place."""
 
 import math
 from collections.abc import Callable
@@ -25,7 +25,7 @@ CANDIDATE_BATCH = 64  # number of candidate places between two checks whether th
 
 
 class Values:
-    """Values and figures of a deployment, equal to the results of `Problem` to the last bit.
+    """Values and metrics of a deployment, bit-identical to the results of `Problem`.
 
     Values are updated when tags move (`lmd.incremental.field`), and computed again when the number or sizes of tags
     change.
@@ -35,7 +35,7 @@ class Values:
         deployment: K landmarks.
 
     Raises:
-        InputError: the objective has no field, or there is too little memory.
+        InputError: the objective has no field (incremental evaluator), or there is too little memory.
     """
 
     def __init__(self, problem: Problem, deployment: Deployment) -> None:
@@ -45,7 +45,7 @@ class Values:
         self._climbed = _FieldValues(problem, problem.fitness_evaluator, deployment) if sampled else self._grid
 
     def update(self, deployment: Deployment) -> None:
-        """Update the values to another deployment.
+        """Change to another deployment, and update the values.
 
         Raises:
             InputError: there is too little memory.
@@ -65,7 +65,7 @@ class Values:
 
 
 class _FieldValues:
-    """Values at the positions of one evaluator."""
+    """Values at the positions of one evaluator, updated by the objective's field (its incremental evaluator)."""
 
     def __init__(self, problem: Problem, evaluator: Evaluator, deployment: Deployment) -> None:
         self._objective, self._evaluator = problem.objective, evaluator
@@ -78,7 +78,7 @@ class _FieldValues:
         self._state, self._scratches = state, layers(self._field.scratch(state), 1)
 
     def update(self, deployment: Deployment) -> None:
-        """Move the landmarks whose places differ from the present ones."""
+        """Move those landmarks whose poses differ between the present and the given deployment."""
         if np.array_equal(deployment.edges_of(self._evaluator.scene.tag), self._edges):
             steps, poses = moved(places_of(deployment), self._state)
             runner(self._field, perform)(steps, poses, self._field, self._state, self._scratches, NO_UNITS)
@@ -92,7 +92,7 @@ class _FieldValues:
 
 @kernel
 def _add_up(units, relevance, value):  # type: ignore[no-untyped-def]
-    """Write the mean value of each row of `units` `(N, Q)`."""
+    """Write to `value` `(N,)` the mean over Q positions of each row of `units` `(N, Q)`, weighted by `relevance`."""
     for i in range(len(units)):
         total = 0.0
         for p in range(units.shape[1]):
@@ -101,7 +101,7 @@ def _add_up(units, relevance, value):  # type: ignore[no-untyped-def]
 
 
 def candidate_cells(problem: Problem) -> Cells:
-    """Coarse grid of about `CANDIDATES` places where a tag may hang."""
+    """Coarse grid of about `CANDIDATES` cells, at whose centres one more tag may hang."""
     room = problem.scene.footprints.hanging
     surfaces = SurfaceArrays.of(room.surfaces())
     cells = wall_cells(room, math.sqrt(float(surfaces.area.sum()) / CANDIDATES))
@@ -112,24 +112,25 @@ def candidate_cells(problem: Problem) -> Cells:
 def additions(
     problem: Problem, deployment: Deployment, poses: Deployment, wanted: Callable[[], bool] = lambda: True
 ) -> FloatArray | None:
-    """Gains by one more tag at each of N poses, of the objective's mean value over positions, weighted by relevance.
+    """Gain by one more tag at each of N poses, in the objective's mean value over positions weighted by relevance.
 
     Unlike the fitness, the mean value also ranks places where a tag lifts no position over a threshold.
 
-    A landmark that is invisible at first is moved from place to place (`lmd.incremental.field`). Moves are settled, so
-    that occlusion counts, but never accepted.
+    A landmark that is invisible at first is moved from place to place (`lmd.incremental.field`). Occlusion by the moved
+    landmark is taken into account (the move is settled), but no move is accepted.
 
     Args:
         problem: scene and objective; gains are computed on its grid.
         deployment: K landmarks.
-        poses: N places, with their surfaces.
-        wanted: called repeatedly; returns False to stop.
+        poses: N candidate poses, with their surfaces.
+        wanted: function that is called repeatedly, and returns False to stop.
 
     Returns:
-        `(N,)` gains, NaN where the new tag's paper would overlap another; None if `wanted` returned False.
+        gains `(N,)`, NaN where the new tag with its white margin would overlap another tag; None if `wanted` returned
+        False.
 
     Raises:
-        InputError: the objective has no field.
+        InputError: the objective has no field (incremental evaluator).
     """
     objective = incremental(problem.objective)
     more = deployment + Deployment(AWAY[None, :3], AWAY[None, 3:])

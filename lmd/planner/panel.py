@@ -1,4 +1,4 @@
-"""Panel beside the picture: figures, buttons, sliders and the legend, as widgets of viser."""
+"""Panel beside the picture, made of viser's widgets: metrics, buttons, sliders and the legend."""
 
 import html
 import math
@@ -24,14 +24,14 @@ TAGS = {"free": FREE, "pinned": PINNED, "selected": SELECTED}
 
 
 class PlannerPanel:
-    """Widgets of the panel and their texts.
+    """Widgets of the panel, and the texts that they show.
 
     Args:
         gui: GUI of a server of viser.
-        value: label of the values of positions.
+        value: label for the values at the positions.
         budget: initial budget of searches; users may change its limits.
         ids: True to show the ids of tags at first.
-        edges: edges that tags may have, metres.
+        edges: edge lengths that tags may have, metres.
     """
 
     def __init__(self, gui: Any, value: str, budget: Budget, ids: bool, edges: Sequence[float] = ()) -> None:
@@ -78,38 +78,40 @@ class PlannerPanel:
         """Budget of the next search.
 
         Raises:
-            InputError: a typed limit is refused.
+            InputError: a limit that the user has typed is not allowed.
         """
         return Budget(**{name: number.value for name, number in self._limits.items()})
 
     @property
     def edge(self) -> float | None:
-        """Chosen edge, metres; None without a choice, or if a browser sends another value."""
+        """Chosen edge length of new tags, metres; None if there is no choice, or if a browser sends an unknown
+        value.
+        """
         return self._edges.get(self._size.value) if len(self._edges) > 1 else None
 
     def show_figures(self, rows: Mapping[str, str]) -> None:
-        """Show the figures on the grid."""
+        """Show the metrics on the grid."""
         self._figures.content = _table("figures", rows)
 
     def show_off_grid(self, rows: Mapping[str, str]) -> None:
-        """Show the figures off the grid."""
+        """Show the metrics off the grid."""
         self._off_grid.content = f'<div style="min-height: {OFF_GRID_HEIGHT}">{_table("off-grid", rows)}</div>'
 
     def say(self, text: str, refused: bool = False) -> None:
-        """Show a sentence, in red for a refusal."""
+        """Show a sentence; it is red if a request was refused."""
         colour = "#c92a2a" if refused else "inherit"
         self._message.content = _paragraph("message", text, f"color: {colour}; {TWO_LINES}")
 
     def say_addition(self, gain: float) -> None:
-        """Show the gain by a tag at a place; NaN if the tag would overlap another."""
+        """Show the gain by one more tag at a place; NaN if the new tag would overlap another tag."""
         self.say("a tag here would overlap another" if math.isnan(gain) else f"a tag here adds {gain:+.3%}")
 
     def show_tag(self, text: str) -> None:
-        """Show the text of the selected tag."""
+        """Show the description of the selected tag."""
         self._tag.content = _paragraph("tag", text, TWO_LINES)
 
     def show_progress(self, progress: SearchProgress | None, running: bool) -> None:
-        """Show the progress of a search and the label of its button."""
+        """Show the progress of a search, and the label of the button that starts or stops it."""
         self.optimise.label = STOP if running else OPTIMISE
         for number in self._limits.values():
             number.disabled = running
@@ -121,12 +123,14 @@ class PlannerPanel:
         self._progress.content = _paragraph("progress", text)
 
     def show_span(self, span: tuple[float, float]) -> None:
-        """Show the least and the greatest value of the colours of positions in the legend."""
+        """Show in the legend the least and the greatest value that the colours of positions represent."""
         self._span = span
         self.show_legend(self._most)
 
     def show_legend(self, most: float | None) -> None:
-        """Show the legend; `most` is the gain at the brightest place, None while surfaces are grey."""
+        """Show the legend; `most` is the gain that the brightest colour of surfaces represents, None while surfaces are
+        grey.
+        """
         self._most = most
         self._legend.content = _legend_html(self._value, self._span, most)
 
@@ -142,12 +146,12 @@ def _paragraph(name: str, text: str, style: str = "") -> str:
 
 
 def _legend_html(value: str, span: tuple[float, float], most: float | None) -> str:
-    """HTML table of the colours.
+    """Table in HTML that explains the colours.
 
     Args:
-        value: label of the values of positions.
-        span: values, from 0 to 1, of the first and the last colour of positions.
-        most: gain at the brightest place of a surface; None while surfaces are grey.
+        value: label for the values at the positions.
+        span: values, from 0 to 1, that the first and the last colour of positions represent.
+        most: gain that the brightest colour of surfaces represents; None while surfaces are grey.
     """
     rows = [f'<td colspan=2 style="white-space: normal">positions: {html.escape(value)}</td>']
     rows.append(f"<td></td><td>{_scale(VALUES, *(f'{end:.1%}' for end in span))}</td>")
@@ -159,7 +163,7 @@ def _legend_html(value: str, span: tuple[float, float], most: float | None) -> s
 
 
 def _scale(name: str, low: str, high: str) -> str:
-    """HTML bar with the colours of a colour map, between the texts `low` and `high`."""
+    """Bar in HTML with the colours of the colour map `name`, between the texts `low` and `high`."""
     colours = ", ".join(_css(tuple(colour)) for colour in mapped(name, np.linspace(0.0, 1.0, COLOUR_STOPS)).tolist())
     return f"{low} {_box('6em', f'linear-gradient(to right, {colours})')} {high}"
 

@@ -1,4 +1,4 @@
-"""Picture of a room by viser: surfaces, positions and tags, with captions."""
+"""Picture of a room, drawn by viser: surfaces, positions and tags, with captions."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -41,10 +41,10 @@ MOST_CAPTIONS = 120  # maximum number of ids shown at the start; more ids would 
 
 
 class RoomPicture:
-    """Drawing of a room, its positions and tags.
+    """Drawing of a room, of the camera positions and of the tags.
 
-    `tags` and `cells` are handles of viser for callbacks. Instances are the tags of the plan, in its order, and the
-    candidate places.
+    `tags` and `cells` are viser's handles of batched meshes, to which callbacks are attached: instance i of `tags` is
+    tag i of the plan, and instance i of `cells` is the i-th place for one more tag (`candidates`).
 
     Args:
         server: server of viser.
@@ -80,7 +80,7 @@ class RoomPicture:
 
     @staticmethod
     def _behind(face: Surface) -> FloatArray:
-        """Corners of a face, counter-clockwise seen from its front, moved slightly behind the face, `(4, 3)`."""
+        """Corners of a face in counter-clockwise order, seen from its front, and moved slightly behind it, `(4, 3)`."""
         (length, height), is_left = face.extent, np.cross(face.u, face.v) @ face.normal > 0.0
         ring = face.point(*np.array([[0.0, 0.0], [length, 0.0], [length, height], [0.0, height]]).T)
         return np.asarray((ring if is_left else ring[::-1]) - TAG_OFFSET_M * face.normal)
@@ -121,7 +121,7 @@ class RoomPicture:
             ids: True to show all ids, False to show only the id of the selected tag.
 
         Returns:
-            True if `tags` is a new handle without callbacks.
+            True if `tags` is a new handle, to which callbacks must be attached.
         """
         deployment = plan.deployment
         painted = alike(FREE, len(deployment))
@@ -145,17 +145,21 @@ class RoomPicture:
         return fresh
 
     def _halves(self, deployment: Deployment) -> FloatArray:
-        """Half the edges of the papers of tags, `(K,)`, metres; for points, half the drawn size."""
+        """Half the side of each tag's square of paper, `(K,)`, metres; for points, half of the drawn size."""
         papers = self._problem.scene.footprints.papers(deployment)
         return np.where(papers > 0.0, papers / 2.0, POINT_SIZE * self._diagonal)
 
     def show_values(self, values: FloatArray, span: tuple[float, float]) -> None:
-        """Colour the positions by values `(P,)`; the first and the last colour are the ends of `span`."""
+        """Colour the positions by `values` `(P,)`; the ends of `span` are the values of the first and the last
+        colour.
+        """
         low, high = span
         self.balls.batched_colors = mapped(VALUES, (values - low) / (high - low))
 
     def show_additions(self, gains: FloatArray | None) -> None:
-        """Colour the surfaces by gains `(N,)`, from 0 to the largest gain; grey for None."""
+        """Colour the surfaces by the gains `(N,)` of one more tag, from 0 to the largest gain; grey if `gains` is
+        None.
+        """
         if gains is None:
             self.cells.batched_colors = alike(UNKNOWN, len(self.candidates.poses))
             return
@@ -171,16 +175,18 @@ def _squares(count: int) -> IntArray:
 
 
 def _quaternions(right: FloatArray, up: FloatArray, normal: FloatArray) -> FloatArray:
-    """Quaternions w, x, y, z, `(N, 4)`, of rotations from the axes x, y, z to unit vectors `(N, 3)`."""
+    """Quaternions (w, x, y, z), `(N, 4)`, of the rotations that turn the axes x, y, z to the unit vectors `right`,
+    `up`, `normal`, `(N, 3)` each.
+    """
     return np.asarray(Rotation.from_matrix(np.stack([right, up, normal], axis=-1)).as_quat(scalar_first=True))
 
 
 class Captions:
-    """Labels of viser: names of surfaces, and ids of tags.
+    """Texts in the picture, as labels of viser: names of surfaces, and ids of tags.
 
     Args:
         scene: scene of a server of viser.
-        surfaces: surfaces to name.
+        surfaces: surfaces whose names are shown.
     """
 
     def __init__(self, scene: Any, surfaces: Sequence[Surface]) -> None:
@@ -203,8 +209,8 @@ class Captions:
         del self._shown[len(ids) :]
 
     def _show_id(self, k: int, wanted: tuple[str, tuple[float, ...], bool, bool]) -> None:
-        """Update the label k if it differs from `wanted`; there may be hundreds of labels, and each update is sent to
-        browsers.
+        """Update the label of id number k if it differs from `wanted`; there may be hundreds of labels, and each update
+        is sent to all browsers.
         """
         if k == len(self._ids):
             self._ids.append(self._scene.add_label(f"/ids/{k}", "", anchor="bottom-center", visible=False))
@@ -216,7 +222,9 @@ class Captions:
 
 
 def _add_name(scene: Any, surface: Surface) -> Any:
-    """Draw a surface's name: below a wall, where the name is visible without the wall, or in the middle of a floor."""
+    """Draw the name of a surface: below a wall, so that the name is visible when the wall is not drawn, or in the
+    middle of a floor.
+    """
     is_level, (width, height) = abs(surface.normal[2]) > FLAT, surface.extent
     return scene.add_label(
         f"/names/{surface.name}",

@@ -1,4 +1,4 @@
-"""Plan: tags, pinned or free."""
+"""Plan: tags that are pinned, or free to be moved by a search."""
 
 import threading
 from collections.abc import Callable
@@ -21,16 +21,16 @@ from lmd.space.surface import SurfaceArrays
 
 @dataclass(frozen=True)
 class Plan:
-    """Tags, pinned or free. A plan is immutable; every change returns a new plan."""
+    """Tags, each pinned or free to be moved. A plan is immutable; every change returns a new plan."""
 
     deployment: Deployment
-    """Tags with their ids and surfaces; `of` gives ids to landmarks that have none."""
+    """Tags with their ids and surfaces; `of` numbers landmarks that have no ids."""
     pinned: frozenset[int] = frozenset()
     """Ids of tags that do not move."""
 
     @classmethod
     def of(cls, deployment: Deployment, hung: Deployment | None = None) -> "Plan":
-        """Plan of a deployment in which the fixed tags `hung` are pinned."""
+        """Make the plan of a deployment; the tags that are also in `hung` are pinned."""
         labels = deployment.labels or Labels(deployment.ids)
         pinned = frozenset() if hung is None else frozenset(hung.ids.tolist())
         return cls(replace(deployment, labels=labels), pinned)
@@ -52,7 +52,7 @@ class Plan:
         return int(found[0])
 
     def described(self, number: int, scene: Scene) -> str:
-        """Sentence about the place and size of the tag with the id `number`.
+        """Sentence about the pose and the size of the tag with the id `number`.
 
         Raises:
             InputError: there is no such tag.
@@ -67,10 +67,10 @@ class Plan:
         return f"tag {number}: {where}, ({x:.3f}, {y:.3f}, {z:.3f}) m{size}{pinned}"
 
     def moved(self, footprints: Footprints, number: int, surface: int, at: FloatArray) -> "Plan":
-        """Move a tag to the free place nearest to `at` `(2,)`, coordinates on a surface, metres.
+        """Move a tag to the free place nearest to the coordinates `at` `(2,)` on a surface, metres.
 
         Raises:
-            InputError: there is no such tag, the tag is pinned, or there is no room for its paper.
+            InputError: there is no such tag, the tag is pinned, or there is no room for it with its white margin.
         """
         k = self._movable(number)
         rest = np.flatnonzero(np.arange(len(self.deployment)) != k)
@@ -79,16 +79,16 @@ class Plan:
         return replace(self, deployment=self.deployment.put(slice(k, k + 1), there))
 
     def added(self, scene: Scene, surface: int, at: FloatArray, edge: float | None = None) -> tuple["Plan", int]:
-        """Add a tag at the free place nearest to `at`; return the plan and the tag's id, the least unused one.
+        """Add a tag at the free place nearest to `at`; return the plan, and the tag's id, which is the least unused id.
 
         Args:
             scene: scene of the tags.
             surface: index of a surface.
             at: see `moved`.
-            edge: edge of the tag, metres; None for the edge of the scene's tag.
+            edge: edge length of the tag, metres; None for the edge length of the scene's tag.
 
         Raises:
-            InputError: there is no room for its paper, or the family has no tag left.
+            InputError: there is no room for the tag with its white margin, or all ids of the tag family are used.
         """
         ids = self.deployment.ids
         number = int(np.setdiff1d(np.arange(len(ids) + 1), ids)[0])
@@ -136,12 +136,13 @@ class Plan:
 def _nearest_free(
     footprints: Footprints, others: Deployment | None, surface: int, at: FloatArray, edge: float = np.nan
 ) -> Deployment:
-    """Deployment of one landmark at the free place nearest to `at` `(2,)` on a surface, with `others` fixed.
+    """Deployment of one landmark at the free place nearest to the coordinates `at` `(2,)` on a surface; the landmarks
+    `others` do not move.
 
-    `edge` is the edge of the landmark's tag, metres; NaN for the edge of the scene's tag.
+    `edge` is the edge length of the landmark's tag, metres; NaN for the edge length of the scene's tag.
 
     Raises:
-        InputError: `at` is not a place on the surface, or no surface has room for the paper.
+        InputError: `at` is not a place on the surface, or no surface has room for the tag with its white margin.
     """
     surfaces, on = SurfaceArrays.of(footprints.hanging.surfaces()), np.array([surface])
     if not (np.abs(at) <= LARGEST).all():  # also refuses NaN
@@ -158,25 +159,25 @@ class SearchProgress(NamedTuple):
     """Progress of a search."""
 
     used: float
-    """Share of the budget that is used, 0 to 1."""
+    """Fraction of the budget that is spent, 0 to 1."""
     fitness: float
-    """Best fitness."""
+    """Best fitness found until now."""
     best: Deployment
     """Deployment with the best fitness."""
 
 
 class TagSearch:
-    """A daemon thread in which an optimiser moves the free tags of a plan; pinned tags are fixed.
+    """Daemon thread in which an optimiser moves the free tags of a plan; pinned tags do not move.
 
     Args:
         problem: scene and objective.
         plan: initial plan, which is not changed.
         optimiser: optimiser that has not run yet.
         budget: budget of the search.
-        done: called in the thread of the search after the search has ended, also after an error.
+        done: function that is called in the thread of the search when the search has ended, also after an error.
 
     Raises:
-        InputError: no tag is free, or the pinned tags are refused as fixed tags.
+        InputError: no tag is free, or the pinned tags cannot be fixed tags of a problem.
     """
 
     def __init__(
@@ -212,12 +213,12 @@ class TagSearch:
         self._stopped.set()
 
     def join(self, patience: float | None = None) -> None:
-        """Wait for the end of the search, at most `patience` seconds."""
+        """Wait until the search ends, at most `patience` seconds."""
         self._thread.join(patience)
 
     @property
     def running(self) -> bool:
-        """True while the thread runs."""
+        """True while the thread of the search runs."""
         return self._thread.is_alive()
 
     def _run(self) -> None:
@@ -229,7 +230,7 @@ class TagSearch:
             self._done()
 
     def _note(self, optimiser: Optimiser) -> bool:
-        """Record the progress; the callback of the optimiser."""
+        """Record the progress; the optimiser calls this method as its callback."""
         ledger, before = optimiser.ledger, self.progress
         used = min(self._budget.used(ledger.evaluations, ledger.seconds), 1.0)
         if before is not None and ledger.best_fitness <= before.fitness:

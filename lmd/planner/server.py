@@ -1,6 +1,6 @@
-"""The planner: a planning session in a browser.
+"""Server of the planner: a planning session in a browser.
 
-Threads: viser's callbacks, a search and background work each have their own thread. These threads only append actions
+Viser's callbacks, a search and the background work each have a thread of their own. These threads only append actions
 to one queue. The thread in `Planner.run` runs the actions in order; only this thread uses the session, so no lock is
 needed.
 """
@@ -40,7 +40,7 @@ class Planner:
         save: function that writes a plan and returns a text about the written files.
         optimiser: function that makes the optimiser of a search.
         budget: initial budget of searches.
-        seed: seed of the sample off the grid; None to compute no figures off the grid.
+        seed: seed of the random poses off the grid; None to compute no metrics off the grid.
 
     Raises:
         InputError: viser is not installed or its requests cannot be checked, or the port is in use.
@@ -84,7 +84,9 @@ class Planner:
         return self._access.address(self._server.get_port())
 
     def run(self) -> None:
-        """Run actions until an exception other than `InputError`; the best deployment of a search is kept."""
+        """Run actions until an exception other than `InputError` is raised; the best deployment of a running search is
+        then kept.
+        """
         try:
             while True:
                 action = self._actions.next(IDLE_SECONDS) or self._idle
@@ -123,7 +125,7 @@ class Planner:
             self._background.begin()
 
     def _point(self, event: Any) -> None:
-        """Record a drag, in viser's thread; only the last place matters."""
+        """Record the place to which a tag is dragged, in viser's thread; only the last place matters."""
         if event.phase == "start":
             self._actions.put_answer(self._grab, event.instance_index)
         self._pointer = event
@@ -225,7 +227,7 @@ class Planner:
     # Display.
 
     def _show(self) -> None:
-        """Show the changed plan and its immediate figures."""
+        """Show the changed plan, and the metrics that are available immediately."""
         self._background.stop()
         session, problem = self._session, self._session.problem
         with self._server.atomic():

@@ -1,4 +1,4 @@
-"""Planning session: the plan, its history and its figures, independent of browsers.
+"""Planning session: the plan, its history and its metrics, independent of browsers.
 
 Only one thread may use a session. A search works on a copy of the plan, and calls a function when the search ends.
 """
@@ -20,7 +20,7 @@ PATIENCE_SECONDS = 1.0  # maximum time to wait for the end of a stopped search, 
 
 
 class Posed(NamedTuple):
-    """Deployment with its problem."""
+    """Deployment together with its problem."""
 
     problem: Problem
     """Scene and objective."""
@@ -29,14 +29,14 @@ class Posed(NamedTuple):
 
 
 class PlanningSession:
-    """Changes of a plan by a user. Each change is one step that can be undone; a refused change has no effect.
+    """Plan of a user, and its changes. Each change is one step that can be undone; a refused change has no effect.
 
     Args:
-        problem: scene and objective. Fixed landmarks stay pinned.
+        problem: scene and objective. The problem's fixed landmarks are always pinned.
         deployment: initial tags, with their surfaces.
 
     Raises:
-        InputError: the objective has no field.
+        InputError: the objective has no field (incremental evaluator).
     """
 
     def __init__(self, problem: Problem, deployment: Deployment) -> None:
@@ -53,7 +53,7 @@ class PlanningSession:
 
     @property
     def deployment(self) -> Deployment:
-        """Present tags."""
+        """Tags of the present plan."""
         return self.plan.deployment
 
     @property
@@ -62,7 +62,7 @@ class PlanningSession:
         return self.plan.deployment is self._saved.deployment
 
     def note_saved(self) -> None:
-        """Record that the plan was saved."""
+        """Record that the present plan was saved."""
         self._saved = self.plan
 
     def values(self) -> FloatArray:
@@ -74,7 +74,7 @@ class PlanningSession:
         return self._values.metrics()
 
     def gains(self) -> dict[str, str]:
-        """Differences of the figures from the figures of the opened plan, as labelled texts."""
+        """Change of the fitness since the session began, as a text, keyed by its label."""
         gained = self.metrics()["fitness"] - self._opened["fitness"]
         return {"since opened": f"{100.0 * gained:+.2f} points of fitness"}
 
@@ -88,7 +88,7 @@ class PlanningSession:
         additions(self.problem, deployment, deployment[:1])
 
     def drag(self, number: int, surface: int, at: FloatArray) -> None:
-        """Move a tag, see `Plan.moved`. All moves until `drop` are undone as one step.
+        """Move a tag, see `Plan.moved`. All moves of a tag until `drop` form one step for undo.
 
         Raises:
             InputError: as for `Plan.moved`, or a search is running.
@@ -96,7 +96,7 @@ class PlanningSession:
         self._become(self.plan.moved(self.problem.scene.footprints, number, surface, at), number)
 
     def drop(self) -> None:
-        """End a drag."""
+        """End the dragging of a tag."""
         self._dragged = None
 
     def add(self, surface: int, at: FloatArray, edge: float | None = None) -> int:
@@ -145,7 +145,7 @@ class PlanningSession:
         self._step(self._future, self._past, "redo")
 
     def optimise(self, optimiser: Optimiser, budget: Budget, done: Callable[[], None] = lambda: None) -> TagSearch:
-        """Start a search, see `TagSearch`; no other change is allowed until `take`.
+        """Start a search, see `TagSearch`; no other change is allowed until `take` is called.
 
         Raises:
             InputError: as for `TagSearch`, or a search is running.
@@ -156,13 +156,13 @@ class PlanningSession:
         return self.search
 
     def take(self, patience: float | None = None) -> float:
-        """Wait for the end of the search and apply its best deployment, if better, as one step.
+        """Wait for the end of the search, and apply its best deployment as one step if it is better than the plan.
 
         Args:
-            patience: maximum time to wait, seconds, after which the result is dropped. None to wait for the end.
+            patience: maximum time to wait, seconds, after which the result is dropped; None to wait without a limit.
 
         Returns:
-            gain of the fitness.
+            increase of the fitness.
 
         Raises:
             InputError: the search failed.
@@ -179,7 +179,7 @@ class PlanningSession:
         return search.progress.fitness - before
 
     def end_search(self) -> None:
-        """Stop the search, if any, and apply its best deployment if it ends within `PATIENCE_SECONDS`."""
+        """Stop a running search, and apply its best deployment if it ends within `PATIENCE_SECONDS`."""
         if self.search is not None:
             self.search.stop()
             with suppress(InputError):
@@ -195,12 +195,12 @@ class PlanningSession:
         self.plan = source.pop()
 
     def _follow(self, plan: Plan) -> None:
-        """Update the values to another plan."""
+        """Update the values and metrics to the given plan."""
         self._values.update(plan.deployment)
         self.posed = Posed(self.problem, plan.deployment)
 
     def _become(self, plan: Plan, dragged: object = None) -> None:
-        """Change the plan; the change belongs to the last step while one object is dragged."""
+        """Change the plan. While one object (`dragged`) is dragged, all changes belong to one step for undo."""
         self._check_idle()
         self._follow(plan)
         if dragged is None or dragged != self._dragged:

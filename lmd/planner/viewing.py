@@ -1,6 +1,4 @@
-"""Viewing: viewpoint of a browser from which the room fills the window, and the place at which a ray meets a
-surface.
-"""
+"""Viewing: the viewpoint from which the room fills a browser's window, and the place at which a ray meets a surface."""
 
 import math
 from typing import Any, NamedTuple
@@ -22,16 +20,16 @@ ON_SURFACE_M = 1e-6  # tolerance of the borders of a surface, metres
 
 
 class BrowserView(NamedTuple):
-    """Viewpoint of a browser, world frame, metres."""
+    """Viewpoint of a browser's virtual camera, world frame, metres."""
 
     position: FloatArray
-    """`(3,)` position of the viewer."""
+    """Position of the viewer, `(3,)`."""
     look_at: FloatArray
-    """`(3,)` point in the middle of the window."""
+    """Point that appears in the middle of the window, `(3,)`."""
 
 
 def framed(low: FloatArray, high: FloatArray, aspect: float) -> BrowserView:
-    """Nearest view that shows a box wholly, in the middle of the window.
+    """Nearest viewpoint from which a whole box is visible, in the middle of the window.
 
     Args:
         low, high: corners of the box with the least and the largest coordinates, `(3,)`, metres.
@@ -55,8 +53,8 @@ def framed(low: FloatArray, high: FloatArray, aspect: float) -> BrowserView:
 
 
 class Framing:
-    """Fits the room into the window of each browser, also when the window's size changes, until the user moves the
-    view.
+    """Fits the room into the window of each browser, again after each change of the window's size, until the user moves
+    the view.
 
     Args:
         server: server of viser.
@@ -85,7 +83,7 @@ class Framing:
         server.on_client_disconnect(forget)
 
     def _follow(self, client: Any) -> None:
-        """Fit the view to the browser's window, if the user has not moved it."""
+        """Fit the view to the browser's window, unless the user has moved the view."""
         camera = client.camera
         view = framed(self._low, self._high, camera.aspect)
         is_ours = any(self._is_there(camera, at) for at in (self._given[client.client_id], view.position))
@@ -103,24 +101,24 @@ class Place(NamedTuple):
     surface: int
     """Index of the surface."""
     at: FloatArray
-    """`(2,)` coordinates on the surface, metres."""
+    """Coordinates along u and v of the surface, `(2,)`, metres."""
 
 
 def pointed_at(surfaces: SurfaceArrays, eye: FloatArray, way: FloatArray, own: int = -1) -> Place | None:
-    """First place where a ray meets the front of a surface.
+    """Place at which a ray first meets the front of a surface.
 
-    Backs are transparent, so that walls between the viewer and the room do not stop the ray. A ray that meets no front
-    ends in the plane of the surface `own`, even if the ray meets its back. So a tag stays on its wall if the tag is
-    dragged beyond the wall's edge, or is seen from behind.
+    The backs of surfaces are transparent, so that walls between the viewer and the room do not stop the ray. A ray that
+    meets no front ends in the plane of the surface `own`, even if it meets this plane from behind. So a tag stays on
+    its wall if it is dragged beyond the wall's edge, or is seen from behind.
 
     Args:
         surfaces: W surfaces, treated as whole rectangles, even where no landmark may hang.
         eye: start of the ray, `(3,)`, world frame, metres.
         way: direction of the ray, `(3,)`.
-        own: index of a surface; -1 for none.
+        own: index of the surface that carries the dragged tag; -1 for none.
 
     Returns:
-        None if the ray meets no surface, or is not finite.
+        the place; None if the ray meets no surface, or is not finite.
     """
     every = np.arange(len(surfaces.normal))
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -141,7 +139,7 @@ Colours = NDArray[np.uint8]
 
 
 def rgb(colour: str) -> Rgb:
-    """Red, green and blue, 0 to 255, of `#rrggbb`."""
+    """Red, green and blue components, 0 to 255, of a colour `#rrggbb`."""
     red, green, blue = bytes.fromhex(colour[1:])
     return red, green, blue
 
@@ -160,13 +158,13 @@ def alike(colour: Rgb, count: int) -> Colours:
 
 
 def span_of(values: FloatArray) -> tuple[float, float]:
-    """Least and greatest of values from 0 to 1 `(N,)`; 0 and 1 if all are equal."""
+    """Least and greatest of the `values` `(N,)`, which are in [0, 1]; 0 and 1 if all values are equal."""
     low, high = float(values.min()), float(values.max())
     return (low, high) if low < high else (0.0, 1.0)
 
 
 def mapped(name: str, shares: ArrayLike) -> Colours:
-    """Colours `(N, 3)` in a matplotlib colour map of values from 0 to 1 `(N,)`."""
+    """Colours `(N, 3)` of the values `shares` `(N,)` from 0 to 1 in the matplotlib colour map `name`."""
     from matplotlib import colormaps
 
     return np.asarray(colormaps[name](np.asarray(shares), bytes=True))[:, :3]

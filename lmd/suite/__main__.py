@@ -1,4 +1,4 @@
-"""Score entries to the suite: `python -m lmd.suite ENTRY.yaml ...` prints the record of each as YAML."""
+"""Score entries to the suite: `python -m lmd.suite ENTRY.yaml ...` prints the record of each entry as YAML."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""Adapter of the suite's problems to pymoo; docs/suite.md shows the line that other libraries need.
+"""Adapter that makes the suite's problems problems of pymoo; docs/suite.md shows the line that other libraries need.
 
 Values are maximised here; libraries that minimise get values with the opposite sign.
 """
@@ -22,7 +22,7 @@ def pymoo_problem(problem: BlackBox) -> Any:
     core = optional("pymoo.core.problem", "optimisers")
 
     class PymooProblem(core.Problem):  # type: ignore[misc,name-defined] # pymoo has no types
-        """Minimise the negative values."""
+        """Problem of pymoo that minimises the negative values of a `BlackBox`."""
 
         def __init__(self) -> None:
             super().__init__(n_var=problem.dim, n_obj=len(problem.objectives), xl=problem.lower, xu=problem.upper)

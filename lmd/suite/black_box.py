@@ -12,7 +12,7 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
 
 IMPOSSIBLE = -1.0
-"""Value of a candidate without room for all tags, or with cameras that are not admissible; below every fitness."""
+"""Value of a candidate whose tags do not all find room, or whose cameras are not admissible; below every fitness."""
 
 
 class BlackBox:
@@ -20,7 +20,7 @@ class BlackBox:
 
     Args:
         problem: the problem.
-        name: name in messages and records.
+        name: name of the problem in messages and records.
         encoding: encoding of landmarks, see `lmd.optimisers.encoding.make_encoding`; ignored if the problem has its own
             genome.
 
@@ -29,7 +29,7 @@ class BlackBox:
     """
 
     objectives: Sequence[str]
-    """Names of the objectives; most problems have one."""
+    """Names of the objectives; most problems have a single objective."""
 
     def __init__(self, problem: Problem, name: str = "problem", encoding: str = "wall") -> None:
         self.problem, self.name = problem, name
@@ -52,17 +52,18 @@ class BlackBox:
         return np.ones(self.dim)
 
     def start(self, seed: int = 0) -> FloatArray:
-        """Genes `(d,)` of a random candidate to start from."""
+        """Draw a random candidate from which a search may start; return its genes `(d,)`."""
         return self.genome.draw_genes(np.random.default_rng(seed_number(seed)))
 
     def __call__(self, genes: FloatArray) -> FloatArray:
         """Values of candidates.
 
         Args:
-            genes: genes in [0, 1] of B candidates `(B, d)`, or of one `(d,)`.
+            genes: genes in [0, 1] of B candidates, `(B, d)`, or of a single candidate, `(d,)`.
 
         Returns:
-            fitness to be maximised, `(B,)`, or a number for one candidate. With M > 1 objectives `(B, M)`, or `(M,)`.
+            fitness to be maximised, `(B,)`, or a number for a single candidate. With M > 1 objectives the shape is `(B,
+            M)`, or `(M,)` for a single candidate.
 
         Raises:
             InputError: the genes have another shape, are not numbers, or lie outside [0, 1].
@@ -77,25 +78,25 @@ class BlackBox:
         return self._values(checked_genes(genes, "B", self.dim))
 
     def deployment(self, genes: FloatArray) -> Deployment:
-        """Landmarks of a candidate `(d,)`."""
+        """Landmarks that the genes `(d,)` of a candidate encode."""
         return self.problem.labelled(self.genome.deployment(genes))
 
     def rig(self, genes: FloatArray) -> Rig | None:
-        """Cameras of a candidate `(d,)`; None if the problem places landmarks."""
+        """Cameras that the genes `(d,)` of a candidate encode; None if the problem places landmarks."""
         return self.genome.rig(genes)
 
     def score(self, genes: FloatArray, seed: int = 0) -> Mapping[str, float]:
-        """Figures of a candidate `(d,)` on the problem's grid and off it, see `lmd.evaluation.validation`.
+        """Metrics of a candidate on the problem's grid and off it, see `lmd.evaluation.validation`.
 
         Args:
-            genes: the candidate.
-            seed: seed of the sample of poses off the grid.
+            genes: genes of the candidate, `(d,)`.
+            seed: seed of the random poses off the grid.
         """
         rig, deployment = self.rig(genes), self.deployment(genes)
         scored = self.problem if rig is None else self.problem.with_rig(rig)
         return scored.metrics(deployment) | validation_metrics(scored, deployment, seed)
 
     def _values(self, genes: FloatArray) -> FloatArray:
-        """Values of checked candidates `(B, d)`."""
+        """Values of candidates whose genes `(B, d)` have been checked."""
         fitness = self.genome.fitness_of_genes(genes)
         return np.where(np.isfinite(fitness), fitness, IMPOSSIBLE)

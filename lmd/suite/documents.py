@@ -1,4 +1,6 @@
-"""Documents of the suite: `problems/NAME.yaml`, each a frozen problem with its hash, bound, budgets and best value."""
+"""Documents of the suite: each file `problems/NAME.yaml` holds a frozen problem with its hash, bound, budgets and best
+value.
+"""
 
 import hashlib
 import json
@@ -13,20 +15,24 @@ from lmd.core.files import read_bytes, read_keys
 from lmd.suite.families import SEPARATOR, TARGET, drawn, instance_name, instance_of
 
 SETS = ("small", "full")
-"""Names of the sets of problems; the full set contains the small one."""
+"""Names of the sets of problems; the full set contains the small set."""
 FILE = "path"
-"""Key of a file within `problem`, relative to the folder of the suite."""
+"""Key within `problem` whose value is the path of a file, relative to the folder of the suite."""
 MOVED = {
     "lmd.formats.deployments.FileDeployment": "lmd.formats.tag_maps.FileDeployment",
     "lmd.space.relevance.Relevance": "lmd.space.space.Relevance",
 }
-"""Present names of classes by the names in documents, if a class has moved; digests use the names in documents."""
+"""Present name of each class that has moved, keyed by its name in the documents; digests use the names in the
+documents.
+"""
 HASH_DIGITS = 16
 KEYS = ("about", "set", "version", "hash", "budgets", "bound", "problem")
 FOLDER = Path(__file__).parent / "problems"
-"""Folder of the documents and of the files that they name. In `conf`, Hydra would take this folder for a group."""
+"""Folder that holds the documents and the files that they name. It is not in `conf`, where Hydra would take it for a
+group.
+"""
 BEST = FOLDER / "best"
-"""Folder of the best known candidates and their records."""
+"""Folder that holds the best known candidates and their records."""
 
 
 @dataclass(frozen=True)
@@ -40,21 +46,21 @@ class Document(Checked):
     name: str
     """Name of the problem and of its file."""
     about: str
-    """Description of the problem, a sentence."""
+    """Description of the problem in one sentence."""
     set: Annotated[str, partial(choice, options=SETS)]
-    """Smallest set that contains the problem, one of `SETS`."""
+    """Name of the smallest set that contains the problem, one of `SETS`."""
     version: Count
-    """Version of the problem; a changed hash needs a new version."""
+    """Version of the problem; if the hash changes, the version must change, too."""
     hash: str
     """Result of `digest`: digest of everything that determines the fitness."""
     budgets: Sequence[int]
-    """Numbers of evaluations of the three budgets, ascending."""
+    """Numbers of evaluations of three budgets, in ascending order."""
     bound: Annotated[float, partial(real, above=0.0, high=1.0)] | None
-    """Proven upper bound on the fitness of all candidates; None if none below 1 is known."""
+    """Proven upper bound on the fitness of all candidates; None if no bound below 1 is known."""
     best: Mapping[str, Any] | None
     """Record of the best known candidate, made by `lmd.suite.records.verify`; None if there is no record yet."""
     problem: Mapping[str, Any]
-    """Nodes of the problem, as in a configuration of `pipelines.optimise`."""
+    """Config nodes of the problem, as in a configuration of `pipelines.optimise`."""
 
     def _validate(self) -> None:
         if not self.budgets or sorted(set(self.budgets)) != list(self.budgets):
@@ -62,7 +68,7 @@ class Document(Checked):
 
     @property
     def digest(self) -> str:
-        """Digest of the problem's nodes, and of the bytes of all named files."""
+        """Compute the digest of the problem's config nodes, and of the contents of all files that they name."""
         text = hashlib.sha256(json.dumps(self.problem, sort_keys=True).encode())
         files = dict[str, str]()
         _changed(self.problem, {FILE: lambda file: files.setdefault(file, file)})
@@ -84,7 +90,7 @@ def names(which: str = "full") -> list[str]:
 
 @cache
 def document(name: str) -> Document:
-    """Document of a problem; an instance, such as `tiny_mean-3`, has no bound and no best candidate.
+    """Document of a problem, or of an instance such as `tiny_mean-3`, which has no bound and no best candidate.
 
     Raises:
         InputError: no problem has that name, or its document is damaged.
@@ -109,12 +115,14 @@ def _frozen(name: str) -> Document:
 
 
 def with_paths(node: Any) -> Any:
-    """Copy the nodes of a problem, with full paths of files and present names of classes."""
+    """Copy the config nodes of a problem, with full paths of files and present names of classes."""
     return _changed(node, {FILE: lambda file: str(FOLDER / file), TARGET: lambda target: MOVED.get(target, target)})
 
 
 def _changed(node: Any, change: Mapping[str, Callable[[str], str]]) -> Any:
-    """Copy the nodes of a problem, with the values of the keys in `change` changed."""
+    """Copy the config nodes of a problem; `change` has, for each key to be changed, a function that returns the new
+    value.
+    """
     if isinstance(node, Mapping):
         return {
             key: change[key](str(value)) if key in change and value is not None else _changed(value, change)

@@ -1,7 +1,7 @@
-"""Families of problems: variants of each problem of the suite, drawn at random by the number of the instance.
+"""Families of problems: random variants ("instances") of each problem of the suite, determined by their number.
 
-An instance has another room, camera, number of landmarks, size of tags and numbers of the objective, drawn from the
-distributions of `draws.yaml`. Instance 0 is the frozen problem.
+In an instance the room, the camera, the number of landmarks, the size of the tags and the numbers of the objective are
+drawn from the distributions in `draws.yaml`. Instance 0 is the frozen problem.
 """
 
 import copy
@@ -19,9 +19,9 @@ from lmd.core.files import read_keys
 TARGET = "_target_"
 
 HELD_OUT = 1000
-"""First held-out instance: no optimiser and no default is tuned on instances from this number on."""
+"""Number of the first held-out instance: no optimiser and no default is tuned on instances from this number on."""
 SEPARATOR = "-"
-"""Separator of family and instance number in the name of a problem."""
+"""Character between the family and the number of the instance in the name of a problem."""
 DIGITS = 4  # significant digits of a drawn number
 
 
@@ -43,10 +43,10 @@ def instance_of(name: str) -> int:
 
 
 def drawn(nodes: Mapping[str, Any], family: str, instance: int) -> dict[str, Any]:
-    """Nodes of an instance of a family.
+    """Config nodes of an instance of a family.
 
     Args:
-        nodes: nodes of the frozen problem.
+        nodes: config nodes of the frozen problem.
         family: name of the frozen problem, which seeds the draws together with the instance.
         instance: number of the instance, from 1 on.
     """
@@ -73,7 +73,7 @@ def _draws() -> Mapping[str, Any]:
 
 
 def _parts(node: Any) -> Iterator[dict[str, Any]]:
-    """Nodes that name a class; nested nodes come first."""
+    """Yield the config nodes that name a class; nested nodes come before the node that contains them."""
     for value in node.values() if isinstance(node, dict) else node if isinstance(node, list) else ():
         yield from _parts(value)
     if isinstance(node, dict) and TARGET in node:
@@ -81,7 +81,7 @@ def _parts(node: Any) -> Iterator[dict[str, Any]]:
 
 
 def _change(node: Any, path: Sequence[str], operation: str, by: Any) -> None:
-    """Change the values at a path below a node, if the node has this path."""
+    """Change the values at a path below a config node, if the node has this path."""
     first, *rest = path
     for key in range(len(node)) if first == "*" else [first] if first in node else []:
         if rest:
@@ -91,7 +91,9 @@ def _change(node: Any, path: Sequence[str], operation: str, by: Any) -> None:
 
 
 def _changed(value: Any, operation: str, by: Any) -> Any:
-    """Number, vector or list of vectors, changed by one number or by one for each axis; a count stays whole."""
+    """Return a number, a vector or a list of vectors after it is changed by one number, or by one number for each axis;
+    a count stays a whole number.
+    """
     numbers = np.array(value)
     each = by[: numbers.shape[-1]] if np.ndim(by) else by
     found = numbers * each if operation == "times" else numbers + each

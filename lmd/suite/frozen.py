@@ -18,7 +18,9 @@ from lmd.suite.families import TARGET, instance_name
 from lmd.suite.several import SeveralObjectives, TagChoice
 
 COUNTED = {"tags": False, "paper": True}
-"""Second objectives of problems that choose tags; True if tags are weighed by their paper."""
+"""Second objective of problems that choose tags: True if each tag is weighted by the area of its paper, False if tags
+are counted.
+"""
 
 
 def problem(name: str, threads: int | None = 1, instance: int = 0) -> BlackBox:
@@ -37,7 +39,7 @@ def problem(name: str, threads: int | None = 1, instance: int = 0) -> BlackBox:
 
 
 def build(frozen: Document, threads: int | None = 1) -> BlackBox:
-    """Build the problem of a document; see `problem`."""
+    """Build the problem that a document describes, see `problem`."""
     given = with_paths(frozen.problem)
     nodes = {key: _made(node) for key, node in given.items() if key not in ("camera", "cameras")}
     camera, mounts = camera_of(frozen), given["camera"].get("rig")
@@ -60,13 +62,13 @@ def build(frozen: Document, threads: int | None = 1) -> BlackBox:
 
 
 def camera_of(frozen: Document) -> Camera:
-    """Return the camera of a problem, which all mounts of a rig share."""
+    """Return the camera of a problem; all mounts of a rig have this camera."""
     camera: Camera = _made({key: value for key, value in with_paths(frozen.problem["camera"]).items() if key != "rig"})
     return camera
 
 
 def _made(node: Any) -> Any:
-    """Make the object that a node describes, with all nested nodes."""
+    """Make the object that a config node describes, with the objects of all nested nodes."""
     if isinstance(node, list):
         return [_made(each) for each in node]
     if not isinstance(node, Mapping):

@@ -1,4 +1,4 @@
-"""The leaderboard of a tournament: tables, and the runs in IOHprofiler's format."""
+"""Leaderboard of a tournament between optimisers: tables, and files with the runs in IOHprofiler's format."""
 
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
@@ -27,18 +27,18 @@ Runs = Mapping[int, Sequence[OptimiserRun]]  # keyed by the index, from 0, of on
 
 
 class Leaderboard(NamedTuple):
-    """Leaderboard of a tournament."""
+    """Leaderboard of a tournament between optimisers."""
 
     text: str
     """Tables and tests in Markdown."""
     table: pd.DataFrame
-    """Medians of each problem, figure and budget, a column for each optimiser."""
+    """Table of medians over the seeds: a row for each problem, metric and budget, and a column for each optimiser."""
     figures: Mapping[str, float]
-    """Mean ranks, such as `rank_3/fitness/annealing`."""
+    """Mean ranks, keyed by names such as `rank_3/fitness/annealing`: budget, metric and optimiser."""
 
 
 def leaderboard(results: Runs, problems: Iterable[str]) -> Leaderboard:
-    """Leaderboard of the runs of some problems of the suite."""
+    """Make the leaderboard from the runs on some problems of the suite."""
     frozen = {name: document(name) for name in problems}
     blocks, figures, every = list[str](), dict[str, float](), []
     for place in sorted(results, reverse=True):  # the largest budget first
@@ -64,7 +64,9 @@ def leaderboard(results: Runs, problems: Iterable[str]) -> Leaderboard:
 
 
 def _held_out_apart(runs: Sequence[OptimiserRun]) -> Mapping[str, Sequence[OptimiserRun]]:
-    """Runs on the development instances and on the held-out instances, keyed by group; all runs if one is empty."""
+    """Runs on the development instances and runs on the held-out instances, keyed by the group's name; if one group is
+    empty, all runs together.
+    """
     is_held_out = [instance_of(run.problem) >= HELD_OUT for run in runs]
     if len(set(is_held_out)) == 1:
         return {"": runs}
@@ -73,7 +75,7 @@ def _held_out_apart(runs: Sequence[OptimiserRun]) -> Mapping[str, Sequence[Optim
 
 
 def _section(held: Tournament, label: str, frozen: "Mapping[str, Document]") -> list[str]:
-    """Table of a figure, and the tests below it. Only the fitness has a proven bound."""
+    """Markdown lines: the table of one metric, and the tests below the table. Only the fitness has a proven bound."""
     names, is_fitness = list(held.values), label == FIGURES["fitness"]
     columns = ["best known", "bound"] if is_fitness else ["best known"]
     ranks = [f"**{rank:.2f}**" if rank == rank else "" for rank in held.ranks]
@@ -113,7 +115,7 @@ def _cell(value: float, greatest: float) -> str:
 
 
 def write_runs(folder: Path, results: Runs, boxes: "Mapping[str, BlackBox]") -> None:
-    """Write all runs in IOHprofiler's format: a folder for each budget, which has a folder for each optimiser."""
+    """Write all runs in IOHprofiler's format: a folder for each budget contains a folder for each optimiser."""
     numbers = {name: number for number, name in enumerate(names(), 1)}
     shutil.rmtree(folder, ignore_errors=True)
     for place, every in results.items():

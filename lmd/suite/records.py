@@ -1,8 +1,9 @@
-"""Entries and records of the suite: candidates with their origin, scored by the NumPy reference.
+"""Entries and records of the suite: candidates with their origin, and their scores, which the NumPy reference computes.
 
 An entry is a YAML file with the keys of `ENTRY`. Its `candidate` is a list of genes, or the name of a file in the same
-folder: a rig file if cameras are placed, else a table of landmarks. With two objectives, the table's column `point`
-numbers the points of the front. A record is an entry with its score. `problems/best` has the best known candidates.
+folder: a rig file if the problem places cameras, else a table of landmarks. For two objectives, the candidate is a
+Pareto front, and the table's column `point` numbers the front's points. A record is an entry with its score.
+`problems/best` has the best known candidates.
 """
 
 import datetime
@@ -32,19 +33,19 @@ from lmd.suite.several import SeveralObjectives, TagChoice
 
 ENTRY = ("problem", "who", "how", "when", "candidate")
 POINT = "point"
-"""Column that numbers the points in the table of a front."""
+"""Column with the number of the front's point in a table of landmarks."""
 
 
 def verify(path: str | Path) -> dict[str, Any]:
-    """Score an entry by the NumPy reference; a score in the file is ignored.
+    """Compute the score of an entry by the NumPy reference; a score that the file already contains is ignored.
 
     Args:
-        path: the entry, or a record, which is scored again.
+        path: file of the entry, or of a record, whose score is computed again.
 
     Returns:
-        the record, which adds to the entry `version` and `hash` of the problem, and `scorer`. `value` is the fitness,
-        or with two objectives the hypervolume of the front from the origin. `off_grid` is the headline figure off the
-        grid, None for a front.
+        the record, which adds to the entry `version` and `hash` of the problem, and `scorer`. `value` is the fitness
+        or, for two objectives, the hypervolume between the origin and the front. `off_grid` is the main metric
+        (headline) off the grid, None for a front.
 
     Raises:
         InputError: the file cannot be read, a key is missing, the problem is unknown, or the candidate does not belong
@@ -72,10 +73,10 @@ def verify(path: str | Path) -> dict[str, Any]:
 
 
 def scored(frozen: Document, candidate: Any, folder: Path) -> dict[str, float | None]:
-    """Value and figure off the grid of a candidate, see `verify`.
+    """`value` and `off_grid` of a candidate, see `verify`.
 
     Args:
-        frozen: the problem.
+        frozen: document of the problem.
         candidate: genes, or the name of a file in `folder`.
         folder: folder of the entry.
 
@@ -108,17 +109,19 @@ def _values(box: BlackBox, deployment: Deployment) -> FloatArray:
 
 
 def hypervolume(points: FloatArray) -> float:
-    """Area that the points `(N, 2)` of a front dominate, from the origin; values are maximised."""
+    """Area between the origin and the points `(N, 2)` of a front, which these points dominate; both coordinates are
+    maximised.
+    """
     first, second = points[np.argsort(-points[:, 0])].T
     return float(-np.diff(first, append=0.0) @ np.maximum.accumulate(second))
 
 
 def best(name: str) -> list[Deployment] | Rig:
-    """Best known deployment of a problem, the front of one with several objectives, or the cameras of one that places
-    them.
+    """Best known solution of a problem: its deployment; for several objectives, the deployments of the front; or the
+    cameras, if the problem places cameras.
 
     Raises:
-        InputError: there is no problem of that name, or none is recorded.
+        InputError: there is no problem of that name, or no solution is recorded for it.
     """
     frozen = document(name)
     path = _best(frozen)
@@ -126,7 +129,7 @@ def best(name: str) -> list[Deployment] | Rig:
 
 
 def deployments_of(path: Path) -> list[Deployment]:
-    """Deployments in a table of landmarks: one, or one for each point of a front."""
+    """Deployments in a table of landmarks: a single deployment, or one for each point of a front."""
     table = read_table(path, name="candidate")
     every = Deployment.from_table(table)
     if POINT not in table:
@@ -136,7 +139,7 @@ def deployments_of(path: Path) -> list[Deployment]:
 
 
 def rig_in(frozen: Document, path: Path) -> Rig:
-    """Cameras of a rig file for a problem that places cameras."""
+    """Read the cameras from a rig file, for a problem that places cameras."""
     return rig_of(read_mounts(str(path)), camera_of(frozen))
 
 

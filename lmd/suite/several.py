@@ -12,14 +12,14 @@ from lmd.scene.deployment import Deployment
 from lmd.suite.black_box import IMPOSSIBLE, BlackBox
 
 HUNG = 0.5
-"""Least gene of a tag at which the tag is hung."""
+"""Least value of a tag's own gene at which the tag is hung."""
 
 
 class SeveralObjectives(BlackBox):
-    """Several objectives of the landmarks of one scene.
+    """Problem that places the landmarks of one scene for several objectives.
 
     Args:
-        problems: problems that differ in their objective alone; at least two.
+        problems: two or more problems that differ only in their objective.
         name: see `BlackBox`.
         encoding: see `BlackBox`.
     """
@@ -36,7 +36,7 @@ class SeveralObjectives(BlackBox):
         return np.stack([box(genes) for box in self.boxes], axis=1)
 
     def values_of(self, deployment: Deployment) -> FloatArray:
-        """Values of a deployment, `(M,)`."""
+        """Value of each of the M objectives for a deployment, `(M,)`."""
         return np.array([box.problem.fitness_of(deployment) for box in self.boxes])
 
     @override
@@ -48,16 +48,16 @@ class SeveralObjectives(BlackBox):
 
 
 class TagChoice(BlackBox):
-    """Problem with two objectives: the fitness, and the share of tags (or of their paper) that is not used.
+    """Problem with two objectives: the fitness, and the fraction of the tags (or of their paper area) that is not used.
 
-    Each landmark has one gene more than in the problem: the tag is hung if this gene is at least `HUNG`. A candidate
-    without tags has the fitness 0.
+    Each landmark has an additional gene: its tag is hung if this gene is at least `HUNG`. A candidate that hangs no tag
+    has the fitness 0.
 
     Args:
-        problem: problem with all tags hung.
+        problem: problem in which all tags are hung.
         name: see `BlackBox`.
         encoding: see `BlackBox`.
-        by_paper: True to weigh each tag by the area of its square, False to count tags.
+        by_paper: True to weight each tag by the area of its square of paper, False to count tags.
 
     Raises:
         InputError: some landmarks are fixed, or the problem does not place landmarks.
@@ -89,7 +89,7 @@ class TagChoice(BlackBox):
         return deployment
 
     def values_of(self, deployment: Deployment) -> FloatArray:
-        """Fitness with the tags that are hung, and the share that is not used, `(2,)`."""
+        """Fitness of a deployment of the tags that are hung, and the fraction of the tags that is not used, `(2,)`."""
         used, every = (
             (sizes**2).sum() if self.by_paper else len(sizes)
             for sizes in (deployment.edges_of(self.problem.scene.tag), self.problem.sizes)
@@ -108,7 +108,9 @@ class TagChoice(BlackBox):
         return np.array([IMPOSSIBLE, 0.0]) if deployment is None else self.values_of(deployment)
 
     def _hung(self, row: FloatArray) -> Deployment | None:
-        """Tags that a candidate `(d,)` hangs, pushed apart; None if there is no tag, or no room for the tags."""
+        """Tags that a candidate with the genes `(d,)` hangs, after overlapping tags are pushed apart; None if no tag is
+        hung, or the tags find no room.
+        """
         hangs = row[self.genome.dim :] >= HUNG
         if not hangs.any():
             return None

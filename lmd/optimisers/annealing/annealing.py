@@ -4,12 +4,13 @@ An orientation counts only if at least n landmarks are seen, so good deployments
 run from a random start therefore has up to three stages:
 
 1. K/n *stacks* (groups of n coincident landmarks) are annealed without occlusion. A stack acts as one landmark of a
-problem with n = 1, which is smaller, smoother and faster to evaluate. 2. The landmarks of each stack are separated, and
-single landmarks are annealed at a low temperature. If all landmarks were pushed apart in one step until none hides
-another, they would cover less than the stack did. So the assumed footprints are small at first and *grow* to their true
-size, which separates the landmarks gradually. 3. For an objective that is evaluated on random samples of poses (an
-objective "with a sampling"), a gradient ascent of all landmarks together (`ascent`) finds the local optimum, as the
-gains of single moves are smaller than the sampling error.
+   problem with n = 1, which is smaller, smoother and faster to evaluate.
+2. The landmarks of each stack are separated, and single landmarks are annealed at a low temperature. If all landmarks
+   were pushed apart in one step until none hides another, they would cover less than the stack did. So the assumed
+   footprints are small at first and *grow* to their true size, which separates the landmarks gradually.
+3. For an objective that is evaluated on random samples of poses (an objective "with a sampling"), a gradient ascent of
+   all landmarks together (`ascent`) finds the local optimum, as the gains of single moves are smaller than the sampling
+   error.
 
 The annealing ("walk") mostly maximises a `surrogate` of the problem. From time to time the present deployment is
 evaluated on the problem itself, which costs an evaluation of the budget.
