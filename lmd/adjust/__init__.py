@@ -5,7 +5,8 @@ Modules from the ground up:
 - `sightings` converts detections to measurements; `intrinsics` has the cameras' intrinsics and shifts of corners as
   unknowns.
 - `corners` has reprojection errors, their Jacobians, noise, outliers, robust weights and losses, and resection.
-- `prior` has priors of tags, of sheets with several tags and of mounts; `motion` links frames.
+- `prior` has the priors on the poses of tags, of sheets with several tags and of cameras on the body (*mounts*);
+  `motion` links frames.
 - `adjustment` minimises the loss; `frames` eliminates the frames' poses, independent or linked by motion, and computes
   their covariances.
 - `candidates` proposes poses from single sightings. `drive` estimates the noise of a motion model (its *spread*), and

@@ -1,8 +1,8 @@
 """Bundle adjustment: the poses of tags, frames and cameras that minimise the robust reprojection error.
 
 A sighting has eight residuals e, pixels, and chi^2 = |e|^2 / sigma^2, see `lmd.adjust.corners`. Levenberg-Marquardt
-steps, with the weights of reweighted least squares, minimise the sum of the Student losses of sightings, and the losses
-of priors and of links of motion.
+steps, with the weights of iteratively reweighted least squares, minimise the sum of the Student losses of sightings,
+and the losses of priors and of links of motion.
 
 The *kept* unknowns are those that remain when the frames are eliminated (`lmd.adjust.frames`): poses of tags, mounts
 except the first, the bias of odometry, and nuisance parameters. With the blocks H_ff, H_kk and H_kf, the step of the
@@ -51,7 +51,7 @@ class System(NamedTuple):
     matrix: FloatArray
     """Matrix on the left side, for the kept unknowns in blocks of six, `(6 kept, 6 kept)`."""
     right: FloatArray
-    """Right side, `(kept, 6)`."""
+    """Right side of the equations, `(kept, 6)`."""
     frames: SeparateFrames | LinkedFrames
     """The eliminated frames."""
 
@@ -81,7 +81,7 @@ class System(NamedTuple):
 
 
 class Adjustment:
-    """Bundle adjustment of sightings whose tags and frames all have a pose.
+    """Bundle adjustment of sightings; every sighting's tag and frame must have an initial pose.
 
     Kept unknowns are in blocks of six: twists of tags, twists of mounts, the bias of odometry, nuisance parameters of
     each camera, and shapes of tags.
@@ -134,7 +134,7 @@ class Adjustment:
         """Linearise at `poses` and eliminate the frames.
 
         Args:
-            poses: poses.
+            poses: poses of tags, frames and mounts.
             floor: standard deviation of corners beyond the detector's own, pixels.
             damping: relative increase of the diagonals of the blocks (Levenberg-Marquardt).
             weight: weight of every sighting and prior; None for robust weights.
@@ -154,8 +154,8 @@ class Adjustment:
     def _part(
         self, some: Sightings, poses: Poses, floor: float, damping: float, weight: float | None, kept: Kept
     ) -> Part:
-        """Add the equations of the kept unknowns for some sightings, and return the equations of the frames of these
-        sightings.
+        """Add the equations that the sightings `some` give for the kept unknowns to `kept`, and return the equations of
+        the frames of these sightings.
         """
         at, variance = Reprojection(some, *poses.of(some)), some.variance(floor)
         trust = student_weight(at.squared / variance) if weight is None else weight
@@ -216,8 +216,8 @@ class Adjustment:
         return self._moved(poses, step, system), step[self.first_lens :], variance[self.first_lens :]
 
     def loss(self, poses: Poses, floor: float, sightings: Sightings | None = None) -> float:
-        """Total loss of sightings, priors and links. If `sightings` are given, they replace the sightings of the
-        adjustment: its detections, but with other camera parameters.
+        """Total loss of sightings, priors and links of motion. If `sightings` are given, they replace the sightings of
+        the adjustment: its detections, but with other camera parameters.
         """
         some = self.sightings if sightings is None else sightings
         return self._loss(squared_errors(some, poses), self._prior_loss(poses), floor)

@@ -36,14 +36,14 @@ class SinglePoses(NamedTuple):
     poses: FloatArray
     """`(N, 2, 4, 4)` poses, the better pose first."""
     odds: FloatArray
-    """`(N,)` log-likelihood ratio of the better to the worse pose."""
+    """`(N,)` logarithm of the likelihood ratio between the better and the worse pose."""
 
 
 def single_poses(sightings: Sightings) -> SinglePoses:
     """Poses of the tag of each sighting, by IPPE in a pinhole camera that is turned towards the tag.
 
     Raises:
-        InputError: corners are not in order.
+        InputError: the corners of a tag are not in order around the tag.
     """
     cv2 = optional("cv2", "estimators")
     axis = sightings.directions.mean(axis=1)
@@ -175,7 +175,9 @@ def place(
 
 
 def placed_tags(some: Sightings, poses: Poses, fewest: int, share: float) -> FloatArray:
-    """Poses of the tags of some sightings with all frames fixed, `(K, 4, 4)`; NaN if not placed, see `place`."""
+    """Poses of tags, estimated from the sightings `some` with all frames fixed, `(K, 4, 4)`; NaN for tags that cannot
+    be placed, see `place`.
+    """
     nowhere = np.full((len(some.ids), 4, 4), np.nan)
     some = some.of(poses.known_frames[some.frame])
     around = Poses(nowhere, poses.frames, poses.mounts)
@@ -185,7 +187,7 @@ def placed_tags(some: Sightings, poses: Poses, fewest: int, share: float) -> Flo
 
 
 def rank(sightings: Sightings, owner: IntArray) -> IntArray:
-    """Rank of each sighting by size among the sightings of its owner, largest first, `(N,)`."""
+    """Rank of each sighting among the sightings of its owner by its size in the image, 0 for the largest, `(N,)`."""
     order = np.lexsort((-sightings.sizes, owner))
     result = np.empty(len(sightings), dtype=np.int64)
     result[order] = rank_within(owner[order])

@@ -131,12 +131,14 @@ class Reprojection:
 
     @cached_property
     def by_size(self) -> FloatArray:
-        """Derivative of the residuals with respect to the logarithm of the tag's edge, `(N, 8, 1)`."""
+        """Derivative of the residuals with respect to the logarithm of the tag's edge length, `(N, 8, 1)`."""
         return np.asarray(self._by_corner @ self._corners[..., None]).reshape(-1, RESIDUALS, 1)
 
 
 def _by_twist(slope: FloatArray, points: FloatArray) -> FloatArray:
-    """Jacobian `(N, 8, 6)` with respect to a twist of the frame of `points` `(N, 4, 3)`, from the Jacobian `slope`."""
+    """Jacobian of the residuals, `(N, 8, 6)`, with respect to a twist of the frame in which `points` `(N, 4, 3)` are
+    given, from the derivatives `slope` with respect to the points.
+    """
     return np.concatenate([cross(slope, points[:, :, None]), -slope], axis=-1).reshape(-1, RESIDUALS, 6)
 
 
@@ -249,7 +251,9 @@ def newton_step(
 
 
 def resected(sightings: Sightings, poses: Poses, floor: float) -> Poses:
-    """Refine the frames of some sightings with tags and mounts fixed (resection); returns all poses."""
+    """Refine the poses of the frames of some sightings while tags and mounts are fixed (resection), and return all
+    poses.
+    """
     seen, owner = np.unique(sightings.frame, return_inverse=True)
     summed, variance, frames = sums_by(owner, len(seen)), sightings.variance(floor), poses.frames.copy()
     for _ in range(RESECTION_STEPS):

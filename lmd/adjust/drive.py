@@ -62,7 +62,7 @@ def spread_motion(joint: Adjustment, poses: Poses, floor: float) -> Motion:
     error, size = links.at(poses.frames[joint.seen]).error, links.size
 
     def evidence(motion: Motion) -> FloatArray:
-        """Terms of the evidence: chi^2 of the links, log |Q| and log |H|, `(3,)`."""
+        """Terms of the evidence for a motion model: chi^2 of the links, log |Q| and log |H|, `(3,)`."""
         tried = joint if motion is joint.prior.motion else with_motion(joint, motion)
         assert tried.links is not None
         squares = tried.links.squares(error)
@@ -102,7 +102,7 @@ def measured_motion(joint: Adjustment, poses: Poses, floor: float) -> Motion:
 
 
 def bridged_gaps(motion: Motion, poses: FloatArray) -> FloatArray:
-    """Spreads of a constant velocity for each length of a gap, see `Motion.gaps`.
+    """Measure the spreads of a constant velocity across gaps of each length, see `Motion.gaps`.
 
     Args:
         motion: motion at a constant velocity, in pieces.
@@ -138,20 +138,22 @@ def bridged_gaps(motion: Motion, poses: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Nodes:
-    """Nodes: pairs of a frame and a part that the frame shows, sorted by part, then by time."""
+    """Nodes: pairs of a frame and a part (a group of tags, see `lmd.survey.groups`) that the frame shows; sorted by
+    part, then by time.
+    """
 
     sightings: Sightings
     """Sightings with nodes in place of frames."""
     frame: IntArray
-    """`(n,)` frame of each node."""
+    """`(n,)` index of each node's frame."""
     part: IntArray
-    """`(n,)` part of each node."""
+    """`(n,)` index of each node's part."""
     motion: Motion
     """Motion between the nodes of each part."""
 
     @classmethod
     def of(cls, sightings: Sightings, part: IntArray, motion: Motion) -> "Nodes":
-        """Nodes of all sightings; `part` is the part of each tag, `(K,)`."""
+        """Make the nodes of all sightings; `part` is the index of each tag's part, `(K,)`."""
         key, node = np.unique(part[sightings.tag] * sightings.frames + sightings.frame, return_inverse=True)
         order = np.argsort(node, kind="stable")
         own, frame = np.divmod(key, sightings.frames)
@@ -159,7 +161,7 @@ class Nodes:
         return cls(some, frame, own, motion.of(frame, own))
 
     def following(self, count: int) -> tuple[IntArray, IntArray]:
-        """Pairs of nodes: each node with each of the next `count` nodes in time."""
+        """Indices of pairs of nodes: each node with each of the next `count` nodes in time."""
         order = np.lexsort((self.part, self.frame))
         ends = [np.stack([order[:-k], order[k:]]) for k in range(1, min(count, len(order) - 1) + 1)]
         first, second = np.hstack([np.empty((2, 0), dtype=np.int64), *ends])

@@ -50,7 +50,7 @@ class Lenses:
     sigmas: tuple[FloatArray, ...]
     """Prior standard deviations of each camera's values, see `Optics.values`, `(P + 2,)`."""
     off: FloatArray
-    """`(C, 6 L)` distance of the cameras' values from the given values, in prior standard deviations."""
+    """`(C, 6 L)` difference between the cameras' values and the given values, in prior standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,9 @@ class Estimate:
     floor: float = FLOOR_PIXELS
     """Standard deviation of corners beyond the detector's own, pixels."""
     inflation: float = 1.0
-    """Factor on the standard deviations of sightings, see `inflation`."""
+    """Factor on the standard deviations of sightings that accounts for errors correlated in time, see the function
+    `inflation`.
+    """
     lenses: Lenses | None = None
     """Nuisance parameters of the cameras; None if cameras are exact."""
 
@@ -116,7 +118,7 @@ class Estimate:
 
     @property
     def adjustment(self) -> Adjustment:
-        """Adjustment of the inliers with nuisance parameters."""
+        """Bundle adjustment of the inliers, with nuisance parameters as unknowns."""
         return Adjustment(self.sightings.of(self.used), self.prior, True, self.inflation)
 
     @cached_property
@@ -166,7 +168,9 @@ class Estimate:
 
     @property
     def sigmas(self) -> FloatArray:
-        """Standard deviation of each tag's place relative to the other tags, in the worst direction, metres, `(K,)`."""
+        """Standard deviation of each tag's position relative to the other tags, in the worst direction, metres,
+        `(K,)`.
+        """
         return worst_sigmas(self.gauge_free_covariances)[:, 0]
 
     @property
@@ -199,7 +203,7 @@ class Estimate:
         return np.asarray((counts >= FEWEST_MISFITS) & (counts > self.sightings.counts(self.used)))
 
     def with_tags(self, chosen: IntArray | BoolArray, tags: FloatArray) -> "Estimate":
-        """Estimate with other poses of the `chosen` tags, `(n, 4, 4)`."""
+        """Estimate in which the `chosen` tags have the poses `tags` `(n, 4, 4)`."""
         every = self.poses.tags.copy()
         every[chosen] = tags
         return replace(self, poses=replace(self.poses, tags=every))
@@ -258,7 +262,7 @@ def _blocks_of_time(found: Estimate) -> list[IntArray]:
 
 
 def _without_links(found: Estimate) -> Estimate:
-    """Estimate without links, of the largest part of the map that images alone connect."""
+    """Estimate of the largest part of the map that images alone connect, without links of motion."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -277,11 +281,11 @@ def _without_links(found: Estimate) -> Estimate:
 
 
 def _off(found: Estimate, frames: IntArray, slope: float, spread: float) -> FloatArray:
-    """Displacement x_b of each known tag relative to the others due to one block, metres, `(n, 3)`.
+    """Displacement x_b that one block of time causes in each known tag relative to the other tags, metres, `(n, 3)`.
 
     Args:
         found: estimate.
-        frames: frames of the block.
+        frames: indices of the frames in the block.
         slope, spread: results of `Adjustment.efficiency` for all sightings.
     """
     used = found.sightings.of(found.used)

@@ -1,6 +1,7 @@
 """Interface of estimators that localise a camera from a recording, and errors of estimators.
 
-Consistency of estimators: normalised estimation errors squared (NEES) and their chi-square intervals.
+The consistency of an estimator is judged by its normalised estimation errors squared (NEES), which should follow a
+chi-square distribution.
 
 Let S be the stated covariance of the body twist (w, v) of the error Xh^-1 X = exp(w, v) of an estimate Xh. The estimate
 is consistent if (w, v)^T S^-1 (w, v) follows the chi-square distribution with 6 degrees of freedom. The diagonal blocks
@@ -64,7 +65,7 @@ class Errors:
 
     @property
     def available(self) -> FloatArray:
-        """Share of the frames with an estimate, `(S,)`."""
+        """Fraction of the frames of each run that have an estimate, `(S,)`."""
         return np.asarray(np.isfinite(self.frobenius).mean(axis=1))
 
 

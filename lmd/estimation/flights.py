@@ -22,13 +22,13 @@ FRAME_BYTES = 1000
 
 
 class TrajectorySource(Protocol):
-    """Source of trajectories."""
+    """Interface of sources of camera trajectories."""
 
     def draw(self, scene: Scene, rng: np.random.Generator) -> Trajectory:
         """Make a trajectory inside the room of `scene`.
 
         Raises:
-            InputError: the room has no such trajectory.
+            InputError: no trajectory of this kind fits into the room.
         """
 
 
@@ -91,7 +91,7 @@ class RandomMotion(Checked):
     duration: Positive
     """Duration of the motion, seconds."""
     pace: Pace
-    """Limits and frame rate."""
+    """Limits of speed and turn rate, and the frame rate."""
 
     def _validate(self) -> None:
         frames = self.duration * self.pace.frame_rate

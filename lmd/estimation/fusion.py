@@ -19,7 +19,7 @@ from lmd.geometry.se3 import seen_by_twist
 
 @dataclass(frozen=True)
 class Uncertainty(Checked):
-    """Uncertainties that an estimator assumes.
+    """Uncertainties that an estimator assumes for its initial estimate and for the measurements.
 
     Raises:
         InputError: a value is not positive.
@@ -54,7 +54,7 @@ class Uncertainty(Checked):
 
 
 class Measurement(Protocol):
-    """Measurement in a frame: d numbers that can be predicted from a pose."""
+    """Interface of measurements in a frame: d numbers that can be predicted from a pose."""
 
     @property
     def value(self) -> FloatArray:

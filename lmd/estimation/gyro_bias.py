@@ -103,7 +103,7 @@ class EquivariantFilter(Uncertainty):
         return np.asarray(turn @ np.diag(squares) @ turn.T)
 
     def corrected(self, state: State, seen: CameraPoints) -> State:
-        """Correct a state with measured positions of landmarks."""
+        """State after the correction with measured positions of landmarks, `seen`."""
         residual, jacobian, noise = self.residual(state.pose, seen)
         jacobian = np.pad(jacobian, ((0, 0), (0, 6)))
         spread = jacobian @ state.covariance @ jacobian.T + noise

@@ -76,7 +76,7 @@ class TagErrors:
 
     @property
     def modes(self) -> FloatArray:
-        """Q, covariance of the corners of a tag for sigma = 1, `(8, 8)`."""
+        """Covariance Q of the eight corner coordinates of a tag for sigma = 1, `(8, 8)`."""
         if not isinstance(self.noise, MeasuredCorners):
             return np.eye(8)
         return np.asarray(np.kron(np.tensordot(self.noise.modes, MODES, axes=1), np.eye(2)))
@@ -108,7 +108,7 @@ def pose_covariances(
     Args:
         cameras, extrinsics: see `lmd.estimation.cramer_rao.pose_information`.
         poses: poses X of the body, `(F, 4, 4)`.
-        deployment: K tags at their places in the map.
+        deployment: K tags with their poses in the map.
         tag: family of the tags, and edge length of the tags for which `deployment` has none.
         seen: mask of the tags in view of each camera, `(C, F, K)`; the corners of these tags must be in front of it.
         errors: errors of the K tags.

@@ -1,7 +1,7 @@
 """Recordings of flights: odometry, and in each frame the positions of the detected landmarks in the camera's frame.
 
 A rig with C cameras is recorded as one camera, in the frame of the body, with C K landmarks: the K landmarks as
-detected by the first camera, then by the second camera, and further on.
+detected by the first camera, then by the second camera, and so on.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -80,9 +80,9 @@ class Flight:
     evaluator: Evaluator
     """Evaluator with the scene and the visibility model."""
     deployment: Deployment
-    """K landmarks."""
+    """Deployment of the K landmarks."""
     trajectory: Trajectory
-    """T frames."""
+    """Trajectory of the camera or of the rig's body, with T frames."""
     rng: np.random.Generator
     """Random generator for the measurements."""
     all_visible: bool = False
@@ -113,7 +113,7 @@ class Look(NamedTuple):
     """A flight as seen by one camera."""
 
     camera: Camera
-    """Intrinsics."""
+    """Camera, with its intrinsics."""
     mounted: FloatArray
     """Pose of the camera in the frame of the body, `(4, 4)`."""
     in_view: BoolArray
@@ -168,7 +168,7 @@ def merged(parts: Sequence[Observation], mounted: FloatArray) -> Observation:
 
 
 class Sensor(Protocol):
-    """Interface of detectors of landmarks in the images of a camera."""
+    """Interface of sensors that detect landmarks in the images of a camera."""
 
     def observed(self, flights: Sequence[Flight], each: Each = map) -> list[Observation]:
         """Observe the landmarks of S flights.

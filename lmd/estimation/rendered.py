@@ -39,8 +39,8 @@ class RenderedDetector(Checked):
     """Real detector on rendered frames, with missed and false detections; a `Sensor`.
 
     The mean shift of the detector is subtracted from the corners, as a calibration would do. The position of a tag
-    follows from its corners. Every detection with the id of a tag is accepted, if a frame has several such detections,
-    the largest one; other ids are ignored.
+    follows from its corners. Every detection with the id of a tag is accepted; if a frame has several detections with
+    one id, only the largest is accepted. Other ids are ignored.
 
     Raises:
         InputError: the tag is a point, the detector states no errors, the noise is not positive, or the shutter time is
@@ -50,7 +50,7 @@ class RenderedDetector(Checked):
     tag: Tag
     """Tag at every landmark; tags hang upright."""
     reader: Detector
-    """Detector of the frames."""
+    """Detector that reads the frames."""
     imaging: Imaging
     """Lens, light and noise."""
     pixel_noise: Positive | None = None
@@ -108,7 +108,7 @@ class Batch(NamedTuple):
     renderer: Renderer
     """Renderer of the camera."""
     reader: Detector
-    """Detector of the frames."""
+    """Detector that reads the frames."""
     frames: Sequence[Frame]
     """Frames to render."""
 

@@ -60,9 +60,9 @@ class PointDetector(Checked):
     def measured(self, points: FloatArray, camera: Camera, rng: np.random.Generator) -> FloatArray:
         """Simulate the measurement of landmarks at y = (x, y, z) in the camera's frame.
 
-        The noise of (x / z, y / z) is the pixel noise over the focal length. The depth f a / w is computed from the
-        apparent edge w >= 1 pixel with its noise. For a distorting lens, the noise is added to the distorted image; for
-        a fisheye, the edge gives the distance instead of z.
+        The noise of (x / z, y / z) is the pixel noise divided by the focal length. The depth f a / w is computed from
+        the apparent edge w >= 1 pixel with its noise. For a distorting lens, the noise is added to the distorted image;
+        for a fisheye, the edge gives the distance instead of z.
 
         Args:
             points: true positions y, metres, `(..., 3)`; the result is arbitrary for z <= 0.
@@ -163,7 +163,8 @@ class TagDetector(Checked):
 
 
 def noisy_detector(tag: Tag, reader: str, pixel_noise: float, missed: float, edge: float) -> Sensor:
-    """Simulated detector: with the noise of a real detector for tags, and with constant noise for points.
+    """Make a simulated detector: if the landmarks are tags, with the noise of a real detector; if they are points, with
+    constant noise.
 
     Args:
         tag: tag at every landmark.

@@ -83,7 +83,9 @@ class Flights:
         return cls(seeds, trajectories, np.stack(start))
 
     def over(self, problem: Problem, all_visible: bool = False) -> list[Flight]:
-        """Flights over the start deployment of `problem`; if it is random, one is drawn for each seed."""
+        """Flights over the start deployment of `problem`; if this deployment is random, a new one is drawn for each
+        seed.
+        """
         flights = []
         for seed, trajectory in zip(self.seeds, self.trajectories, strict=True):
             drawn, rng = problem.draw(np.random.default_rng(seed)), np.random.default_rng([seed, FLIGHTS_STREAM, 1])
@@ -119,13 +121,13 @@ class FlightStudy:
     def figures(self) -> pd.DataFrame:
         """Table with one row for each deployment, estimator and seed.
 
-        Columns: `mean_visible`, `share_visible_<n>`; `mean_error` (Er over the whole flight); `available`, the share of
-        frames with an estimate. `settling_time` (s) is the time after which Er stays below 1 % of its initial value;
+        Columns: `mean_visible`, `share_visible_<n>`; `mean_error` (Er over the whole flight); `available`, the fraction
+        of frames with an estimate. `settling_time` (s) is the time after which Er stays below 1 % of its initial value;
         infinite if there is no such time or a frame has no estimate. `position_error` (m) and `attitude_error` (rad)
-        are medians over the second half of the flight. `within_<n>mm` is the share of frames in the second half with a
-        smaller position error; frames without an estimate count as larger. `nees_joint`, `nees_rotation` and
-        `nees_position` are means over the second half of the normalised errors squared over their degrees of freedom:
-        1 if the stated covariances are right, NaN without any.
+        are medians over the second half of the flight. `within_<n>mm` is the fraction of frames in the second half with
+        a position error below n mm; frames without an estimate count as larger errors. `nees_joint`, `nees_rotation`
+        and `nees_position` are means, over the second half, of the normalised squared errors divided by their degrees
+        of freedom: about 1 if the stated covariances are right, NaN if none are stated.
         """
         rows = []
         for name, outcome in self.outcomes.items():
@@ -302,6 +304,6 @@ def _each_run(reduce: Callable[[FloatArray], Any], values: FloatArray) -> FloatA
 
 
 def _band(values: FloatArray) -> FloatArray:
-    """`QUANTILES` of the finite values; NaN without finite values."""
+    """`QUANTILES` of the finite values in `values`; NaN if no value is finite."""
     finite = values[np.isfinite(values)]
     return np.quantile(finite, QUANTILES) if finite.size else np.full(len(QUANTILES), np.nan)
