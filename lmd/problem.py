@@ -89,8 +89,8 @@ class Problem:
     objective's sampling.
 
     Args:
-        scene: scene, which stays fixed.
-        objective: objective, which is maximised.
+        scene: scene, which is constant.
+        objective: objective whose fitness is maximised.
         start: source of the deployments from which an optimiser may start; the source also fixes the number of
             landmarks K.
         threads: number of worker threads, all processors by default; results do not depend on this number.

@@ -34,7 +34,9 @@ class Dispatched(Protocol[P, R_co]):
         """Call the function that is registered for the class of the first argument; positional arguments only."""
 
     def register(self, kind: type) -> Callable[[F], F]:
-        """Decorator that registers a function for a class; the arguments are those of the dispatched function."""
+        """Decorator that registers a function for a class; the function must have the arguments of the dispatched
+        function.
+        """
 
 
 def dispatched(declaration: Callable[P, R_co]) -> Dispatched[P, R_co]:

@@ -94,8 +94,8 @@ def _called_by(library: Any, found: dict[Any, None]) -> list[Any]:
 
 
 class _Flags(Flags):
-    """Compiler flags that are compared by the options that are set, which is fast; numba compares flags for each array
-    element that is read.
+    """Compiler flags with a fast comparison, which considers only the options that are set; numba compares flags for
+    each array element that is read.
     """
 
     def __eq__(self, other: object) -> bool:

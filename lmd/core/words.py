@@ -13,7 +13,7 @@ CODE_MARKS = re.compile(r"[\\`*<>|&]")
 
 
 def labelled(rows: Mapping[str, str]) -> str:
-    """Lines for a terminal, one for each label, which is followed by its text."""
+    """Text for a terminal with one line for each row: the label, followed by the row's text."""
     width = max(map(len, rows))
     return "\n".join(f"{label:<{width}} {text}" for label, text in rows.items())
 

@@ -61,7 +61,7 @@ def processes(workers: int | None) -> int:
 def _results(
     function: Callable[[Job], Result], jobs: Sequence[Job], workers: int, name: Callable[[Job], str]
 ) -> Iterator[tuple[int, Result]]:
-    """Index and result of each job, in the order in which the jobs finish."""
+    """Yield the index and the result of each job, in the order in which the jobs finish."""
     waiting = deque(range(len(jobs)))
     while waiting:
         in_hand: dict[Future[Result], int] = {}

@@ -8,8 +8,8 @@ consists of
     bound -> settle -> accept (-> undo),
 
 and may be dropped after `bound` or after `settle`. A field that is not a named tuple registers plain Python functions,
-and kernels then run as plain Python (`runner`). Values are quantised probabilities (`PROBABILITY_ONE` stands for 1).
-Sums of integers are exact, so updated values equal recomputed values.
+and kernels then run as plain Python (`runner`). Values are quantised probabilities: integers, of which
+`PROBABILITY_ONE` represents the probability 1. Sums of integers are exact, so updated values equal recomputed values.
 """
 
 from collections.abc import Callable

@@ -1,7 +1,7 @@
 """Moves of landmarks seen by a rig, whose cameras have another position for every orientation of the body.
 
-Landmarks are counted for each orientation of the body: `RigState.shown` is the union over the cameras that see a
-landmark.
+Landmarks are counted for each orientation of the body: `RigState.shown` has, for each landmark, the orientations with
+which at least one camera sees the landmark.
 """
 
 from typing import Any

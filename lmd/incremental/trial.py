@@ -8,9 +8,9 @@ Sets of axes are bit sets. A state has the axes that cover each landmark and, at
 1 and n landmarks. P_n depends on the moving landmark only through the axes that cover n - 1 or n landmarks, so a trial
 tests few axes.
 
-1. `bound_move` ignores that the landmark at the new place hides others or is hidden. Occlusion can only reduce the set
-   of axes from which a landmark is covered, and P_n does not decrease when such a set grows, so the result is an upper
-   bound. At *touched* positions, where another landmark appears, the other landmarks are counted first
+1. `bound_move` ignores that the landmark at the new place hides other landmarks or is hidden. Occlusion can only reduce
+   the set of axes from which a landmark is covered, and P_n does not decrease when such a set grows, so the result is
+   an upper bound. At *touched* positions, where another landmark appears, the other landmarks are counted first
    (`_count_others`).
 2. `finish_move` searches for occlusion around the new place, which touches more positions, and computes P_n at all
    touched positions.

@@ -68,7 +68,7 @@ class SightModel(Protocol):
     @property
     def tabulated(self) -> bool:
         """True if looking up a table of directions (`lmd.sight.directions`) is faster than `in_image`; an optional
-        field, by default False, which is right for an `in_image` of few operations.
+        field, by default False. Use False if `in_image` has few operations.
         """
 
     def unhidden(self) -> "SightModel":
@@ -119,7 +119,7 @@ class Criteria(Protocol):
 class Covering(ABC):
     """Base of criteria without a compiled model of sight; a subclass implements `covered`, see `Criteria`.
 
-    All results are computed from `covered` (`lmd.sight.reference`), which is slower than a compiled model.
+    All results are computed with `covered` (`lmd.sight.reference`); this is slower than a compiled model of sight.
     """
 
     needs_roll = True

@@ -1,8 +1,9 @@
 """Rigs: several cameras fixed to one body, such as a robot.
 
-The body's frame has x forward, y left and z up. With a rig, the positions of a room are positions of the body's origin,
-and an orientation PDF describes the body's x axis. Yaw, pitch and roll of a camera follow ROS and URDF: R = Rz(yaw)
-Ry(pitch) Rx(roll), right-handed about the body's axes. A positive yaw turns to the left, a positive pitch looks *down*.
+The body's frame has x forward, y to the left and z up. With a rig, the positions of a room are positions of the body's
+origin, and an orientation PDF describes the body's x axis. Yaw, pitch and roll of a camera follow ROS and URDF: R =
+Rz(yaw) Ry(pitch) Rx(roll), right-handed about the body's axes. A positive yaw turns to the left, a positive pitch looks
+*down*.
 """
 
 from collections.abc import Iterator, Sequence

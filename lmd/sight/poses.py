@@ -6,7 +6,7 @@
 With a `slack` a pose represents a cell of a wall: an axis counts if it may cover some landmark at most `slack` from the
 cell's centre. A move by delta within the wall changes depth and distance by at most |delta| and leaves n . d unchanged,
 so conditions that are loosened by `slack` hold for the whole cell. Obstacles of the room are then ignored, as a part of
-the cell may be visible beside them. Without slack the decisions equal those of `kernels`.
+the cell may be visible beside them. Without slack the decisions equal the decisions of `kernels`.
 """
 
 import math

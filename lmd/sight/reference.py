@@ -28,7 +28,7 @@ def coverage_caps(scene: Scene, deployment: Deployment, position: FloatArray, ax
     """Mask `(A, K)`: axis a lies in the coverage spherical cap S_k^C(p) of landmark k (Definition 1).
 
     A landmark that the room or a crowd blocks has an empty cap. For a rig, position and axes belong to the body, and
-    the cap is the union over the cameras, each at its own pose.
+    the cap is the union of the caps for the cameras of the rig, each at the camera's own pose.
 
     Args:
         scene: criteria, room and cameras, with at most one crowd state.

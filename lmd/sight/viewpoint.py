@@ -1,8 +1,8 @@
-"""Landmarks seen from one camera position: near, within reach, not blocked by the room, not hidden by others.
+"""Landmarks seen from one camera position: near, within reach, not blocked by the room, not hidden by other landmarks.
 
 Every decision repeats the float64 operations of the reference in their order. Users: `lmd.sight.kernels` counts the
 landmarks, `lmd.objectives.localisation` sums up their information, `lmd.sight.views` tests single orientations, and
-`lmd.sight.poses` tests each landmark without the others.
+`lmd.sight.poses` tests each landmark without the other landmarks.
 
 Landmarks are dropped in stages, the cheapest first:
 

@@ -130,7 +130,7 @@ def upright_bodies(polygon: Any) -> list[Body]:
     """Upright bodies of unlimited height that fill a polygon's holes, and the parts of the convex hull outside the
     polygon.
 
-    Sides on the hull are left out, as no line between two points of the polygon crosses them.
+    Sides on the hull are omitted, as no line between two points of the polygon crosses such a side.
     """
     import shapely
 

@@ -14,7 +14,9 @@ from lmd.space.surface import Surface
 
 
 class Changed:
-    """Base of rooms derived from another room: members are those of that room, unless a subclass has its own."""
+    """Base of rooms derived from another room. Attributes and methods that a subclass does not define are those of the
+    original room.
+    """
 
     def __init__(self, room: Space) -> None:
         self.original = room

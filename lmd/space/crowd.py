@@ -8,7 +8,8 @@ length. The points p + t d, d = q - p, are horizontally inside for |t d_h - e|^2
 axis, so for t between (b -+ sqrt(b^2 - a c)) / a with a = |d_h|^2, b = d_h . e, c = |e|^2 - r^2. The planes of the
 cylinder's lower and upper end limit t further.
 
-The camera is never inside a cylinder: a cylinder closer to the camera than the clearance is left out for that camera.
+The camera is never inside a cylinder: a cylinder closer to the camera than the clearance is ignored for that camera
+position.
 """
 
 import math
@@ -83,7 +84,7 @@ class Crowd(Checked):
     height: Annotated[float | tuple[float, float], number_or_span] = 1.75
     """Height above the floor, metres: a number, or the lowest and the highest value of a uniform distribution."""
     clearance: NotNegative = 0.3
-    """Least distance of a cylinder from the camera, metres; a closer cylinder is left out."""
+    """Least distance of a cylinder from the camera, metres; a cylinder closer to the camera is ignored."""
     states: Count = 20
     """Number S of states."""
     fitness: Annotated[str, partial(choice, options=FITNESS)] = "mean"

@@ -154,7 +154,9 @@ class FloorPlan(Checked):
         return {face.name: face for face in faces}
 
     def _wall(self, name: str, edge: FloatArray, side: float) -> Surface:
-        """Wall over an edge that faces to the right (side 1) or to the left (-1) of the edge."""
+        """Wall over an edge of the floor plan; the wall faces to the right (side 1) or to the left (side -1) of the
+        edge.
+        """
         (normal,), _ = planes(edge[None])
         length = float(np.linalg.norm(edge[1] - edge[0]))
         # As in a cuboid, u points towards higher x, or towards higher y if u is along y.

@@ -137,7 +137,8 @@ LEVEL_NORMAL_Z, STOREY = 0.999, 0.1
 
 
 def doubt_of(mesh: Mesh, undecided: bool) -> str | None:
-    """Evidence that the assumed up axis of a mesh's file (z or y) is wrong; None without evidence.
+    """Sentence with the evidence that the assumed up axis of a mesh's file (z or y) is wrong; None if there is no
+    evidence.
 
     Args:
         mesh: mesh, rotated to z up from the assumed axis `Mesh.up`.

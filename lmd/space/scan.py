@@ -106,7 +106,7 @@ class Scan(Checked):
     @cached_property
     def solids(self) -> Triangles | None:
         """Triangles from which the camera keeps its clearance: all triangles except floor and ceiling; None if there
-        are no others.
+        are no other triangles.
         """
         z, (low, high) = self._corners[..., 2], self.bounds
         level = np.abs(unit_normals(self._corners)[:, 2]) > LEVEL_NORMAL_Z
@@ -160,10 +160,10 @@ class Scan(Checked):
     def carriers(self, positions: FloatArray) -> tuple[Surface, ...]:
         """Surfaces that may carry landmarks, facing the side that is visible from most of `positions` `(P, 3)`.
 
-        Patches that are not visible or have no allowed region are left out.
+        Patches that are not visible or have no allowed region are omitted.
 
         Raises:
-            InputError: a patch listed in `surfaces` would be left out, or no patch remains.
+            InputError: a patch listed in `surfaces` would be omitted, or no patch remains.
         """
         chosen = positions[np.unique(np.linspace(0, len(positions) - 1, WITNESSES).astype(int))]
         carriers = []

@@ -36,8 +36,9 @@ class Relevance(Checked):
     background: NotNegative = 1.0
     """Weight of positions outside all regions."""
     regions: Sequence[Mapping[str, Any]] = ()
-    """Closed boxes `{low: [x, y, z], high: [x, y, z], weight: w}`, metres, world frame; later regions override earlier
-    ones."""
+    """Closed boxes `{low: [x, y, z], high: [x, y, z], weight: w}`, metres, world frame; a later region overrides an
+    earlier region.
+    """
     path: str | None = None
     """CSV file with columns `x,y,z,weight` and a row for every position of the grid; replaces background and regions.
     """

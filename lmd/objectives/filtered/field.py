@@ -198,7 +198,7 @@ undo.register(FilteredField)(exchange_move)
 def filtered_field(
     evaluator: Evaluator, drives: Drives, precision: Precision, n: int, tolerance: Tolerance
 ) -> FilteredField:
-    """Make the field for drives; the positions of the evaluator are those of the frames.
+    """Make the field for drives; the positions of the evaluator must be the positions of the frames.
 
     Args:
         evaluator: evaluator of a single camera at the positions of the frames.

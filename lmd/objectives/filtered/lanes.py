@@ -14,8 +14,8 @@ along all axes has the covariance Q = diag(m^2 h, t^2 h) in any axes, with the d
 the numbers of `lmd.objectives.localisation.information` times `Tolerance.scale`, which contains the noise.
 
 A covariance or an information is 21 numbers: the block of v as xx, xy, xz, yy, yz, zz, the block of v and w row by row,
-and the block of w as that of v. The functions take numbers or arrays; kernels compile the functions that the reference
-calls, so the results are equal bit for bit.
+and the block of w in the order of the block of v. The functions take numbers or arrays; kernels compile the functions
+that the reference calls, so the results are equal bit for bit.
 
 The information of a view is rounded to multiples of `information.QUANTUM`. In a direction that the view leaves
 undetermined, the rounded information is a small number of either sign. Such numbers matter if P is large, so
@@ -188,7 +188,9 @@ class Tolerance(NamedTuple):
     rotation: float
     """Greatest trace of the covariance of the rotation, rad^2; infinite for no limit."""
     scale: float
-    """Information of one unit of the sums: the squared focal length over the squared noise of a corner, pixels."""
+    """Information that belongs to one unit of the sums: the squared focal length divided by the squared noise of a
+    corner, both in pixels.
+    """
     least: float | None
     """Least information of a direction that counts; smaller values are rounding errors. In units of the sums; None if
     the initial estimate is good enough that rounding does not matter.

@@ -38,7 +38,7 @@ from lmd.space.crowd import worst_mean, worst_of
 
 
 class SeenFrames:
-    """Weighted sum of log(1 + tags in view) over the frames, a `Selection`.
+    """Weighted sum of log(1 + number of tags in view) over the frames; a `Selection`.
 
     A further tag gains more in a frame with fewer tags, so chosen tags spread over the drives. The sum is submodular if
     no tag hides another.

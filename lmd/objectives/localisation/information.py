@@ -244,8 +244,8 @@ BODY_WIDTH = 24  # length of a row of `sums`; rows begin at multiples of 64 byte
 
 
 def gain_of(camera: Camera, first: Camera) -> float:
-    """Ratio of the information per pixel of a camera to that of the rig's first camera: the ratio of the squared focal
-    lengths.
+    """Information per pixel of a camera relative to the information per pixel of the rig's first camera: the ratio of
+    the squared focal lengths.
     """
     return float(np.prod(camera.focal_pixels)) / float(np.prod(first.focal_pixels))
 

@@ -9,8 +9,8 @@ views:
 - if landmarks only appear in a view, the view may change if it is not localised and now covers n landmarks.
 - if landmarks appear and disappear, the view may change if it covers n landmarks.
 
-`bound_move` ignores that the landmark at the new place hides others or is hidden; occlusion only reduces information.
-`finish_move` repeats the decisions at the positions with such occlusion.
+`bound_move` ignores that the landmark at the new place hides other landmarks or is hidden; occlusion only reduces
+information. `finish_move` repeats the decisions at the positions with such occlusion.
 
 Camera and rig share this source, which is compiled separately for each; `views` declares the functions that differ.
 """

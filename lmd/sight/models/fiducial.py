@@ -230,8 +230,8 @@ def _through(lens: Lens, widest: float, flat: FiducialSight) -> LensSight:
 
 
 def _pinholes(lens: Lens, widest: float, flat: FiducialSight) -> tuple[FiducialSight, FiducialSight]:
-    """Two pinholes: at each depth, their pitches and areas bound the lens's pitch and area from below and from
-    above.
+    """Two pinhole models: at each depth, pitch and area of the first model are lower bounds for the lens, pitch and
+    area of the second model are upper bounds.
     """
     rates = lens.stretch(widest, power=1)
     shorter = rates.least if min(rates.least, rates.least_area) > 0.0 else 0.0
