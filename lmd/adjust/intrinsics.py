@@ -92,7 +92,7 @@ class Calibrated:
         return {**figures, **shift, "unsure_pixels": self.unsure}
 
     def to_text(self) -> str:
-        """Sentence for a terminal."""
+        """Sentence for a terminal: the estimated intrinsics with their standard deviations."""
         (f_u, f_v, u, v), (f_u0, f_v0, u0, v0) = (intrinsics_of(one)[:4] for one in (self.found, self.given))
         text = f"focal length {f_u:.1f} x {f_v:.1f} pixels (given {f_u0:.1f} x {f_v0:.1f}), "
         text += f"centre {u:.1f} x {v:.1f} ({u0:.1f} x {v0:.1f}); the image is known to {self.unsure:.2g} pixels"
@@ -103,7 +103,7 @@ class Calibrated:
 
 
 def _coefficients(camera: Camera) -> tuple[float, ...]:
-    """Coefficients of the lens; the coefficients of `plumb_bob`, all 0, if none are given."""
+    """Coefficients of the camera's lens; if it has no lens model, those of `plumb_bob`, which are all 0."""
     return camera.distortion or (0.0,) * len(UNDISTORTED)
 
 

@@ -75,7 +75,7 @@ class Links:
     """M links between F frames; each link connects a frame with the next frame."""
 
     size: int
-    """Number b of unknowns of a frame: 6, or 12 with its turn rate and velocity."""
+    """Number b of unknowns of a frame: 6 for its pose, or 12 for its pose, turn rate and velocity."""
     first: IntArray
     """`(M,)` index of the first frame of each link; the second frame has the next index."""
     seconds: FloatArray
@@ -90,7 +90,7 @@ class Links:
     """
 
     def at(self, poses: FloatArray) -> LinkErrors:
-        """Errors of the links, and Jacobians, at poses of the frames, `(F, 4, 4)`."""
+        """Errors of the links and their Jacobians, given the poses of the frames, `(F, 4, 4)`."""
         before, after = poses[self.first], poses[self.first + 1]
         between = inverse(before) @ after
         if self.steps is not None and self.by_bias is not None:
@@ -139,7 +139,9 @@ class Links:
         return np.asarray(solveh_banded(banded, right, lower=True))
 
     def velocities(self, poses: FloatArray) -> FloatArray:
-        """Turn rates and velocities in the body's frame, `(F, 6)`; NaN for frames without links."""
+        """Turn rates, rad/s, and velocities, m/s, of the frames, in the body's frame, `(F, 6)`; NaN for frames without
+        links.
+        """
         rates = self._rates(poses)
         result = np.concatenate([rates[:, :3], (rates[:, None, 3:] @ poses[:, :3, :3])[:, 0]], axis=1)
         result[~np.isin(np.arange(len(poses)), [self.first, self.first + 1])] = np.nan
@@ -186,7 +188,7 @@ class Motion:
     """Motion between the F frames of a drive."""
 
     times: FloatArray
-    """`(F,)` seconds, ascending; NaN for frames without a time."""
+    """`(F,)` times of the frames, seconds, ascending; NaN for frames without a time."""
     spread: tuple[float, float] = STEADY
     """Spread of the motion model: factors on the standard deviations of rotation and of translation, in the units of
     `STEADY` (constant velocity) or `DRIFT` (odometry).
@@ -211,7 +213,7 @@ class Motion:
 
     @classmethod
     def by_odometry(cls, times: FloatArray, odometry: Trajectory) -> "Motion":
-        """Motion by odometry.
+        """Make the motion between frames from a trajectory of odometry.
 
         Raises:
             InputError: odometry covers less than half of the frames.
@@ -235,7 +237,9 @@ class Motion:
         share = (at - own[place]) / (own[place + 1] - own[place])
 
         def at_frames(added: FloatArray) -> FloatArray:
-            """Sums over the steps `(T - 1, 6, 6)` before each frame, `(F, 6, 6)`."""
+            """Sums of `added`, one matrix for each step of the odometry, `(T - 1, 6, 6)`, over all steps before each
+            frame, `(F, 6, 6)`.
+            """
             sums = np.concatenate([0.0 * added[:1], np.cumsum(added, axis=0)])
             return np.asarray(sums[place] + share[:, None, None] * added[place])
 
@@ -257,7 +261,7 @@ class Motion:
 
     @property
     def is_odometry(self) -> bool:
-        """True for odometry, False for a constant velocity."""
+        """True if the motion is given by odometry, False for a nearly constant velocity."""
         return self.path is not None
 
     @property
@@ -278,7 +282,9 @@ class Motion:
         return np.where((seconds > SHORTEST_GAP)[:, None], np.maximum(spreads, measured), spreads)
 
     def relates(self, i: IntArray, j: IntArray) -> BoolArray:
-        """True where the motion constrains the pose of frame j relative to frame i, `(M,)`."""
+        """Mask of the pairs of frames i and j, `(M,)` each, for which the motion constrains their relative pose,
+        `(M,)`.
+        """
         between = np.abs(self.times[j] - self.times[i])
         if self.path is None:
             there = between <= self.longest
@@ -346,7 +352,7 @@ class Motion:
 
 
 def turn_twist(turn: FloatArray) -> FloatArray:
-    """Twists without translation from rotation vectors, `(..., 3)` -> `(..., 6)`."""
+    """Twists without translation, `(..., 6)`, from rotation vectors, `(..., 3)`."""
     return np.concatenate([turn, 0.0 * turn], axis=-1)
 
 

@@ -3,8 +3,8 @@
 *Sheets* hold several tags. The poses of the tags on a sheet are known; the pose of the sheet is not. Tag k has the pose
 R_k on its sheet (x to the right, y up, z out of the sheet) and the pose T_k = B R_k exp(d_k) in the world. B is the
 pose of the sheet, and d_k a twist due to printing and bending. B is eliminated, so sheets are not unknowns of the
-bundle adjustment. With A_k = Ad(R_k^-1) and the information D of d, the tags of a sheet have the joint information D -
-D A (A' D A)^-1 A' D.
+bundle adjustment. With A_k = Ad(R_k^-1) and the information matrix D of the twists d, the tags of a sheet have the
+joint information matrix D - D A (A' D A)^-1 A' D.
 """
 
 from dataclasses import dataclass, field
@@ -45,7 +45,7 @@ class Sheets:
     tag: IntArray
     """`(M,)` indices of the tags in the survey."""
     board: IntArray
-    """`(M,)` index of the sheet of each tag."""
+    """`(M,)` index of the sheet on which each tag is."""
     poses: FloatArray
     """`(M, 4, 4)` poses R_k of the tags on their sheets."""
     information: FloatArray
@@ -181,7 +181,7 @@ class Prior:
 
     @property
     def known(self) -> BoolArray:
-        """True for tags with a prior, `(K,)`."""
+        """Mask of the tags with a prior, `(K,)`."""
         return np.asarray(self.information.any(axis=1))
 
     @property
@@ -191,7 +191,7 @@ class Prior:
 
     @property
     def is_posed(self) -> BoolArray:
-        """True for tags whose orientation is known, `(K,)`."""
+        """Mask of the tags with a prior on their orientation, `(K,)`."""
         return np.asarray(self.information[:, :3].any(axis=1))
 
     def off(self, tags: FloatArray) -> FloatArray:
@@ -206,7 +206,7 @@ class Prior:
 
     def loss(self, poses: Poses) -> float:
         """Sum of the losses of tags, sheets and mounts. The loss is quadratic for exact tags, correlated tags and
-        mounts, and robust for the others.
+        mounts, and robust for all other tags and sheets.
         """
         off, exact = self.off(poses.tags), self.exact
         if self.joint is not None:

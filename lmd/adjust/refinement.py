@@ -119,8 +119,8 @@ def _stepped(
     """Take one joint step with the sightings `used`, `(N,)`; damping grows until the loss does not increase.
 
     Returns:
-        state after the step; step and variances of the nuisance parameters, `(n, 6)` each; next damping. None if no
-        damping is large enough.
+        estimate after the step; step and variances of the nuisance parameters, `(n, 6)` each; damping for the next
+        step. None if no damping is large enough.
     """
 
     def loss(one: Estimate, some: Sightings | None = None) -> float:
@@ -141,7 +141,9 @@ def _stepped(
 
 
 def _after(found: Estimate, step: FloatArray, poses: Poses) -> Estimate:
-    """Estimate after a step `(n, 6)`; the step of the optics is halved until the cameras are valid."""
+    """Estimate after a step `(n, 6)` of the nuisance parameters; the step of the cameras' parameters is halved until
+    the cameras are valid.
+    """
     lenses, some = _lenses_of(found), found.sightings
     cameras = lenses.off.size // 6
     shaped = replace(some, shapes=some.shapes + some.shape_sigmas * step[cameras:])
@@ -194,8 +196,8 @@ def refine(
     Args:
         found: see `with_lenses`.
         keep: True to keep cameras and shapes as they are; their uncertainty still enters the covariance.
-        is_stopped: called before each round with its number and the maximum number of rounds; returns True to stop with
-            the present state.
+        is_stopped: function that is called before each round, with the number of the round and the maximum number of
+            rounds; it returns True to stop with the present estimate.
     """
     for _ in range(PASSES):
         found = found if keep else minimised(found, is_stopped)

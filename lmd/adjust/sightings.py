@@ -87,8 +87,9 @@ class Sightings:
     shape_sigma: float
     """Prior standard deviation of the modes of deformation, metres; 0 if tags are known to be flat squares."""
     size_sigmas: FloatArray
-    """`(K,)` prior standard deviation of the growth of each tag, metres; NaN for the standard deviation of the other
-    modes."""
+    """`(K,)` prior standard deviation of the growth of each tag, metres; NaN if it is that of the other modes,
+    `shape_sigma`.
+    """
     taken: float
     """Number of degrees of freedom that the estimated nuisance parameters take from the residuals."""
 

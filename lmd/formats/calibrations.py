@@ -280,7 +280,7 @@ def camera_info(camera: Camera) -> dict[str, Any]:
 
 @contextmanager
 def _damaged(path: Any) -> Iterator[None]:
-    """Context that turns errors of readers into sentences that name the file."""
+    """Context manager that turns errors of readers into an `InputError` with a sentence that names the file."""
     try:
         yield
     except InputError as error:

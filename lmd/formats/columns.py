@@ -47,7 +47,9 @@ class Quantity(NamedTuple):
     pattern: re.Pattern[str]
     """Pattern of the column's names in files, in small letters; it has the groups `axis` and `unit`."""
     units: Mapping[str, float]
-    """Size of each unit in seconds, metres or radians, by the unit's name; empty for a quantity without a unit."""
+    """Size of each unit in seconds, metres or radians, keyed by the unit's name; empty for a quantity without a
+    unit.
+    """
 
     @classmethod
     def of(cls, name: str, names: str, unit: str = "") -> "Quantity":
@@ -74,7 +76,7 @@ class Layout(NamedTuple):
     name: str
     """Name of the program, as in the argument `columns`; empty if a file or the user names the columns."""
     of: str
-    """Kind of the table, `POSES` or `TAGS`."""
+    """Content of the table: `POSES` or `TAGS`."""
     columns: tuple[str, ...]
     """Names of the columns, with their units."""
     least: int = 0
@@ -95,7 +97,7 @@ class Layout(NamedTuple):
     """True if the program detects tags with OpenCV, whose up of a tag may differ from that of AprilTag."""
 
     def takes(self, width: int) -> bool:
-        """True if a line of the layout may have `width` values."""
+        """True if a line with this layout may have `width` values."""
         return (self.least or len(self.columns)) <= width and (self.more or width <= len(self.columns))
 
 
@@ -119,7 +121,7 @@ class Lines(NamedTuple):
     commas: bool
     """True if commas separate the values; False if blanks do."""
     rows: list[tuple[int, list[str]]]
-    """Values of each line, with the number of the line, from 1."""
+    """For each line, its number in the text, from 1, and its values."""
 
     @property
     def width(self) -> int:

@@ -59,7 +59,7 @@ class SeenTag(NamedTuple):
 
 
 class DetectionsFile(File):
-    """File of detections; the first line may name columns."""
+    """File of detections of an unknown format; its first line may name columns."""
 
     @cached_property
     def data(self) -> Mapping[str, Any]:
@@ -115,7 +115,7 @@ def is_json(file: DetectionsFile) -> bool:
 
 
 def has_rows_of_corners(file: DetectionsFile) -> bool:
-    """True for a table with a row for each corner."""
+    """True for a table with one row for each corner of a tag."""
     return {"corner", "x", "y"} <= set(file.header)
 
 
@@ -124,7 +124,7 @@ class KeyedDetections:
     """Description of the JSON in which a program writes its results; a row of `tables/detections.yaml`."""
 
     tags: str
-    """Key of the list of tags; a mapping with this key is a result."""
+    """Key of the list of tags; a mapping with this key is a result, that is, the detections in one image."""
     number: str
     """Key of a tag's number; -1 marks a target that is not a tag."""
     corners: str
@@ -196,7 +196,7 @@ def read_detections(path: Any, topic: Any = None) -> DetectedTags:
 
     The column `camera` or `topic` names the camera; without this column there is one camera. Further columns are
     ignored. If most detections have counter-clockwise corners, the corners are read in the order of the AprilTag
-    library, from the bottom left. Detections with the opposite sense are left out.
+    library, from the bottom left. Detections whose corners have the opposite sense of rotation are left out.
 
     Raises:
         InputError: the file cannot be read, lacks a column, or a value is not a number.
@@ -265,7 +265,7 @@ def _results(documents: Any, key: str, camera: str = "", depth: int = DEEPEST) -
 
 
 def read_bag(file: File) -> DetectedTags:
-    """Read detections from a bag: from one topic, from a list of topics of several cameras, or from all topics."""
+    """Read detections from a bag: from one topic, from a list of topics, one for each camera, or from all topics."""
     bag, topic, seen, images = Bag(file.path, file.argument), file.asked.get("topic"), list[SeenTag](), []
     found = bag.topics_of(DETECTIONS) if topic is None else [topic] if isinstance(topic, str) else list(topic)
     topics = bag.chosen(topic, DETECTIONS, count=max(len(found), 1))

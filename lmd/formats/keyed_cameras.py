@@ -124,7 +124,7 @@ class KeyedCameras(Keyed):
 
 @dataclass(frozen=True)
 class _Camera:
-    """Entry of a camera, with the entry's key, and the user's settings."""
+    """Entry of one camera in a file, with the entry's key, the description of the format, and the user's settings."""
 
     form: KeyedCameras
     entry: Keys
@@ -141,19 +141,19 @@ class _Camera:
         return find(self.entry, self.path(path))
 
     def numbers(self, path: str, size: int | None = 1) -> tuple[float, ...]:
-        """Numbers at a path."""
+        """Numbers at a path of the entry; `size` is their required number, None for any number."""
         called = path.split("|")[0].rstrip("?").replace("{key}", self.key)
         return vector_at(self.entry, self.path(path), size, called)
 
     def name(self, index: int) -> str:
-        """Name of the camera with an index, from 0."""
+        """Name of the camera, which has the index `index`, from 0, in the file."""
         sides = {name: f"{self._side(name, i) or 0.0:.0f}" for i, name in enumerate(SIDES) if name in self.form.called}
         return self.form.called.format_map(
             {**self.entry, "key": self.key, "index": index, "number": index + 1, **sides}
         )
 
     def calibration(self) -> Calibration:
-        """Calibration of the camera.
+        """Make the calibration of the camera from its entry.
 
         Raises:
             InputError: a key is missing or wrong, the lens model is unknown or ambiguous, or the size is missing.
@@ -310,7 +310,7 @@ def _nearest(model: str, lens: Sequence[float], values: Mapping[str, float], siz
 
 
 def _pose_of(value: Any) -> FloatArray:
-    """Pose from the keys px, py, pz, qx, qy, qz, qw, or from the 16 numbers of its matrix row by row."""
+    """Pose from the keys px, py, pz, qx, qy, qz, qw, or from the 16 numbers of its matrix, row by row."""
     if isinstance(value, Mapping) and "data" not in value:
         return np.asarray(poses_from_rows(np.array([[number_at(value, key) for key in POSE]]))[0])
     return transform_of(numbers_of(value), "matrix")

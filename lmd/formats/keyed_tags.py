@@ -55,7 +55,7 @@ class KeyedTags(Keyed):
     order: str = "xyzw"
     """Order of the components of a quaternion that is a list."""
     unit: float = METRE
-    """Unit of edges in metres."""
+    """Unit of the edge lengths in the file, metres."""
     any_edge: bool = False
     """True if implausible edge lengths are accepted."""
     opencv: bool = False
@@ -77,7 +77,7 @@ class KeyedTags(Keyed):
             raise InputError(f"a row of a tag map has no quantity {unknown[0]!r}, only {', '.join(KNOWN)}.")
 
     def read(self, file: File) -> Found:
-        """Tags of a file.
+        """Read the tags of a file.
 
         Raises:
             InputError: a value is missing or wrong.
@@ -113,7 +113,7 @@ class KeyedTags(Keyed):
         return PlacedTag(number, shifted, turn @ axes_of(list(self.axes)).T, edge, family)
 
     def _value(self, tag: Keys, path: str) -> Any:
-        """Value at a path; `MISSING` for a missing value that is optional."""
+        """Value at a path of a tag's entry; `MISSING` if an optional value is missing."""
         value = find(tag, path.rstrip("?")) if " " not in path else path
         if value is MISSING and not path.endswith("?"):
             raise InputError(f"the key {path.split('|')[0]} is missing.")

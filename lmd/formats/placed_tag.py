@@ -56,7 +56,7 @@ class PlacedTag(NamedTuple):
         number: id of the tag.
         position: position of the centre, `(3,)`, metres.
         axes: rotation matrix from the tag's frame (x right, y up, z out) to the map's frame, `(3, 3)`.
-        edge: edge of the black square, metres; None if the map does not state it.
+        edge: edge length of the black square, metres; None if the map does not state it.
         family: name of the family, see `lmd.scene.families.family_named`; None if the map does not name it.
     """
 

@@ -92,7 +92,7 @@ def read_rows(path: str, **asked: Any) -> Rows:
 
 
 def checked_seconds(source: str, time: FloatArray, unit: float | None, positions: FloatArray | None) -> FloatArray:
-    """Times in seconds.
+    """Convert times to seconds, after a check of their unit.
 
     Args:
         source: the file, for messages.
@@ -293,7 +293,7 @@ class Image(NamedTuple):
 
 
 def images_of(file: File) -> list[Image]:
-    """Images in COLMAP's `images.txt`, by number; empty for any other file.
+    """Images in COLMAP's `images.txt`, in the order of their numbers; empty for any other file.
 
     Raises:
         InputError: a line is not an image.

@@ -89,10 +89,10 @@ class Format(Checked):
 
     | family | it returns |
     | --- | --- |
-    | calibration | `lmd.formats.calibrations.ReadCamera` by name |
+    | calibration | mapping of names to `lmd.formats.calibrations.ReadCamera` |
     | trajectory | `lmd.formats.pose_files.Rows` |
     | tag map | `lmd.formats.placed_tag.Found` |
-    | room | meshes of trimesh by name, z up |
+    | room | mapping of names to meshes of trimesh, z up |
     | floor plan | `lmd.space.wall_lines.ReadPlan` |
     | detections | `lmd.formats.detections.DetectedTags` |
     """

@@ -56,7 +56,7 @@ class TagMap:
 
     @cached_property
     def surfaces(self) -> IntArray:
-        """Index of the surface on which each tag is mounted, `(K,)`; -1 for tags that stand free in the room.
+        """Index of the surface on which each tag is mounted, `(K,)`; -1 for tags that are on no surface.
 
         A tag that was measured slightly in front of a surface is mounted on that surface.
         """
@@ -69,7 +69,8 @@ class TagMap:
 
     @cached_property
     def at(self) -> FloatArray:
-        """Distance of each tag from the left and the lower edge of its surface, `(K, 2)`, metres; NaN for free tags.
+        """Distance of each tag from the left and the lower edge of its surface, `(K, 2)`, metres; NaN for tags on no
+        surface.
 
         Left is as seen by a viewer who faces the surface.
         """
@@ -146,7 +147,7 @@ class TagMap:
 
     @property
     def positions(self) -> FloatArray:
-        """Centres of the tags, `(K, 3)`."""
+        """Centres of the tags, world frame, metres, `(K, 3)`, rounded for files."""
         return rounded_values(self.deployment.places)
 
     @cached_property
@@ -177,8 +178,8 @@ class TagMap:
 
     @property
     def corners(self) -> FloatArray:
-        """Corners of the black squares: top-left, top-right, bottom-right, bottom-left seen from the front, `(K, 4,
-        3)`.
+        """Corners of the black squares, world frame, metres, `(K, 4, 3)`: top left, top right, bottom right, bottom
+        left as seen from the front.
         """
         return rounded_values(corners(self.deployment.places, self.deployment.normals, self.deployment.ups, self.sizes))
 

@@ -196,7 +196,7 @@ def write_csv(path: Path, tags: TagMap) -> None:
 
 
 def write_json(path: Path, tags: TagMap) -> None:
-    """Write `tags.json`."""
+    """Write `tags.json`, the tag map as a JSON document of this project."""
     rows = zip(tags.ids, tags.sizes.tolist(), tags.positions, tags.quaternions, tags.corners, strict=True)
     document = {
         "family": tags.tag.family,

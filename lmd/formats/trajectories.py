@@ -115,7 +115,7 @@ class TrajectoryFile(Checked):
         """Return the trajectory if it is inside a room.
 
         Args:
-            check: check of `lmd.space.space`.
+            check: function that raises `InputError` if the trajectory leaves the room, see `lmd.space.space`.
 
         Raises:
             InputError: the trajectory leaves the room; the message states the distance, and gives advice.

@@ -238,7 +238,7 @@ class File:
     argument: str = "path"
     """Name of the argument that gave the path, for messages."""
     asked: Mapping[str, Any] = field(default_factory=dict)
-    """User's settings for the formats of the family, by name."""
+    """User's settings for the formats of the file's family, keyed by name."""
     largest: float = math.inf
     """Maximum size, bytes; a larger file is refused."""
 

@@ -42,7 +42,7 @@ HELD_OUT_STEP = 5  # every fifth frame is held out
 
 
 class SurveyStage(Enum):
-    """Stages of a survey, in order."""
+    """Stages of a survey, in the order in which they are run."""
 
     PLACING = "placing tags"
     ADJUSTING = "adjusting"
