@@ -213,8 +213,8 @@ def weighted_product(one: FloatArray, other: FloatArray, weight: FloatArray) -> 
 
 
 def sums_by(owner: IntArray, count: int) -> Callable[[FloatArray], FloatArray]:
-    """Make a function that sums values `(N, ...)` of N sightings over the sightings of each of `count` owners, `(count,
-    ...)`.
+    """Make a function that sums values `(N, ...)` of N sightings over the sightings of each of `count` owners,
+    `(count, ...)`.
     """
     from scipy.sparse import csc_array
 

@@ -55,8 +55,8 @@ def in_world(poses: FloatArray, covariances: FloatArray) -> FloatArray:
 
 
 def world_from_twists(poses: FloatArray) -> FloatArray:
-    """Matrices that map right-hand twists of poses to shifts along, and rotations about, the axes of the world, `(n, 6,
-    6)`.
+    """Matrices that map right-hand twists of poses to shifts along, and rotations about, the axes of the world,
+    `(n, 6, 6)`.
     """
     whole = np.zeros((len(poses), 6, 6))
     whole[:, :3, 3:] = whole[:, 3:, :3] = poses[:, :3, :3]

@@ -149,8 +149,8 @@ class Mounts:
 
     @property
     def information(self) -> FloatArray:
-        """Inverse variances of the twist of each unknown mount, that is, of every camera but the first, `(C -
-        1, 6)`.
+        """Inverse variances of the twist of each unknown mount, that is, of every camera but the first,
+        `(C - 1, 6)`.
         """
         return np.tile(np.repeat(self.sigmas, 3) ** -2.0, (len(self.poses) - 1, 1))
 

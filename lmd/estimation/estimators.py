@@ -24,8 +24,8 @@ DEGREES = {"joint": 6, "rotation": 3, "position": 3}
 
 
 def squares(estimates: Sequence[tuple[FloatArray, FloatArray]], true: FloatArray) -> FloatArray:
-    """Normalised squared errors (NEES) in each frame of a run: of the whole pose, of rotation, and of position, `(T,
-    3)`; NaN without an estimate.
+    """Normalised squared errors (NEES) in each frame of a run: of the whole pose, of rotation, and of position,
+    `(T, 3)`; NaN without an estimate.
 
     Args:
         estimates: for each frame, the estimate Xh `(4, 4)` and the covariance of its error as a body twist, `(6, 6)`.

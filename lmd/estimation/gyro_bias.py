@@ -127,8 +127,8 @@ class EquivariantFilter(Uncertainty):
         ])  # fmt: skip
 
     def residual(self, pose: FloatArray, seen: CameraPoints) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Residual for m landmarks, `(3 m,)`, the Jacobian with respect to x, `(3 m, 6)`, and the covariance, `(3 m, 3
-        m)`.
+        """Residual for m landmarks, `(3 m,)`, the Jacobian with respect to x, `(3 m, 6)`, and the covariance,
+        `(3 m, 3 m)`.
         """
         moved = act(pose, seen.value.reshape(-1, 3))
         middle = skew((moved + seen.landmarks) / 2.0)

@@ -198,8 +198,8 @@ def observation(
 
 
 def _places(camera: Camera, edges: FloatArray, found: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Rotation `(M, 3, 3)` from each tag's frame (right, up, normal) to the camera's frame, and centre of the tag `(M,
-    3)`.
+    """Rotation `(M, 3, 3)` from each tag's frame (right, up, normal) to the camera's frame, and centre of the tag
+    `(M, 3)`.
 
     A square has two similar poses (IPPE); the pose with the smaller reprojection error is taken.
     """
@@ -237,7 +237,7 @@ def _covariance(camera: Camera, edges: FloatArray, turns: FloatArray, centres: F
 
 
 def _squares(edges: FloatArray) -> FloatArray:
-    """Corners of squares with edge lengths `edges` `(M,)`, each in its own frame (right, up, normal), metres, `(M, 4,
-    3)`.
+    """Corners of squares with edge lengths `edges` `(M,)`, each in its own frame (right, up, normal), metres,
+    `(M, 4, 3)`.
     """
     return np.pad(CORNERS * edges[:, None, None] / 2.0, ((0, 0), (0, 0), (0, 1)))

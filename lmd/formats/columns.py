@@ -1,8 +1,8 @@
 """Tables of poses and of tags in text files: names and units of columns, and the reader.
 
 A text names its columns in the first line, or in a comment above the values. For other texts the user names the
-columns, or the program that wrote the text, a row of `LAYOUTS`. Otherwise only TUM's format and lines of `ros2 topic
-echo` are read, as their values reveal a wrong reading.
+columns, or the program that wrote the text, a row of `LAYOUTS`. Otherwise only TUM's format and lines of
+`ros2 topic echo` are read, as their values reveal a wrong reading.
 """
 
 import re

@@ -99,8 +99,8 @@ def _blame(sightings: Sightings, poses: Poses, sigmas: FloatArray) -> FloatArray
 
 
 def _proposed(sightings: Sightings, poses: Poses, single: FloatArray) -> tuple[Poses, FloatArray]:
-    """Poses in which each frame has its best pose; and for each frame the best pose that differs from it, `(F,
-    4, 4)`.
+    """Poses in which each frame has its best pose; and for each frame the best pose that differs from it,
+    `(F, 4, 4)`.
     """
     known = np.flatnonzero(poses.known_tags[sightings.tag])
     best, other = np.full((2, sightings.frames, 4, 4), np.nan)

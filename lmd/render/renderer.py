@@ -104,8 +104,8 @@ class Renderer:
         return self.imaging.develop(_assembled(faces_of(self.camera), lights), rng)
 
     def corners(self, pose: FloatArray) -> FloatArray:
-        """Exact image points of the tags' corners, seen from camera poses `(..., 4, 4)`, pixels from the border, `(...,
-        K, 4, 2)`.
+        """Exact image points of the tags' corners, seen from camera poses `(..., 4, 4)`, pixels from the border,
+        `(..., K, 4, 2)`.
 
         Tags outside the image, facing away or occluded are included. NaN as in `lmd.geometry.projection.project`.
         """

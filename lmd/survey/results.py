@@ -73,8 +73,8 @@ def map_columns(survey: Survey) -> dict[str, ArrayLike]:
 
 
 def map_covariance(survey: Survey) -> tuple[IntArray, FloatArray]:
-    """Ids of the tags of `map.csv`, `(n,)`, and the covariance of their twists relative to the other tags, `(6 n, 6
-    n)`.
+    """Ids of the tags of `map.csv`, `(n,)`, and the covariance of their twists relative to the other tags,
+    `(6 n, 6 n)`.
     """
     found = survey.found
     chosen = survey.placed[found.known]
