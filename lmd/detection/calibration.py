@@ -255,7 +255,7 @@ def _searched(
 
 
 def _all_errors(predicted: BoolArray, seen: BoolArray) -> NDArray[np.intp]:
-    """Number of wrong predictions along the last axis."""
+    """Number of wrong predictions, counted along the last axis."""
     return np.asarray((predicted != seen).sum(axis=-1))
 
 
@@ -265,7 +265,7 @@ def _larger_errors(predicted: BoolArray, seen: BoolArray) -> NDArray[np.intp]:
 
 
 def limits_markdown(figures: dict[str, dict[str, float]]) -> str:
-    """Markdown table of each detector's limits, with their accuracy on held-out views."""
+    """Markdown table of the limits of each detector, with their accuracy on held-out views."""
     head = ["detector", "views", "a", "k", "m [px]", "b [degrees]", "margin [px]"]
     head += ["held-out accuracy / precision / recall"]
     head += [f"rooms: P(>= {n}) predicted / detected" for n in range(1, 5)]

@@ -77,7 +77,9 @@ def incidence(pose: FloatArray, centres: FloatArray, normals: FloatArray) -> Flo
 def _stretch(
     camera: Camera, pose: FloatArray, centres: FloatArray, normals: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """|J|_F^2 and |det J| of each tag, pixels^2 / metre^2, `(..., K)` each; NaN for tags that are not imaged."""
+    """Values |J|_F^2 and |det J| of each tag, see `pitch`, pixels^2 / metre^2, `(..., K)` each; NaN for tags that are
+    not imaged.
+    """
     y, n = to_camera(pose, centres), np.asarray(normals @ pose[..., :3, :3])
     if camera.lens is not None:
         angle = np.arctan2(np.hypot(y[..., 0], y[..., 1]), y[..., 2])
@@ -137,13 +139,15 @@ class CornerErrors(Checked):
                 )
 
     def _at(self, pitch: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean and standard deviation of the logarithm of the error, in the shape of `pitch`."""
+        """Mean and standard deviation of the logarithm of the error at each pitch, in the shape of `pitch`."""
         at, known = np.log(pitch), np.log(self.pitch)
         mean, high = (np.interp(at, known, np.log(values)) for values in (self.median, self.high))
         return mean, (high - mean) / NORMAL_QUANTILE_90
 
     def draw(self, pitch: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Draw random corner errors of tags, pixels, `(..., 4, 2)`, for pitches `pitch` `(...)`, pixels per module."""
+        """Draw random corner errors of tags, pixels, `(..., 4, 2)`, for the pitches `pitch`, pixels per module,
+        `(...)`.
+        """
         mean, spread = self._at(pitch)
         error = np.exp(mean + spread * rng.standard_normal(pitch.shape))
         direction = rng.standard_normal((*pitch.shape, 4, 2))

@@ -51,13 +51,13 @@ class Detections:
 
 
 class Detector(Protocol):
-    """Detector of tags in an image."""
+    """Interface of detectors of tags in an image."""
 
     def detect(self, image: UInt8Array) -> Detections:
         """Detect the tags in a grey image `(h, w)`.
 
         Raises:
-            InputError: the image is no grey 8-bit image, or a package is missing.
+            InputError: the image is not a grey 8-bit image, or a package is missing.
         """
 
     @property
@@ -87,7 +87,7 @@ def read_family(name: str, value: Any, table: str, other: str) -> str:
 
 @dataclass(frozen=True)
 class ArucoDetector(Checked):
-    """`cv2.aruco` with corners refined by `CORNER_REFINE_SUBPIX`.
+    """Detector `cv2.aruco` of OpenCV, with corners refined by `CORNER_REFINE_SUBPIX`.
 
     `CORNER_REFINE_APRILTAG` is not used: it counts pixels from the border, so its corners are half a pixel off.
 

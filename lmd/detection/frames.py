@@ -26,7 +26,8 @@ FRAMES_STREAM = 0x646574656374
 
 
 def draw_poses(scene: Scene, count: int, seed: int) -> FloatArray:
-    """Draw camera poses X, `(count, 4, 4)`: reachable positions uniformly, orientations from the PDF.
+    """Draw camera poses X, `(count, 4, 4)`: positions uniformly in the reachable volume, orientations from the
+    orientation PDF.
 
     The poses are independent of the deployment.
     """
@@ -89,7 +90,7 @@ def blur(camera: Camera, depth: FloatArray, imaging: Imaging) -> FloatArray:
 
 
 def overlapping(room: TaggedRoom) -> BoolArray:
-    """Mask of the tags that overlap another tag in their plane, quiet zones included, `(K,)`."""
+    """Mask of the tags that overlap another tag in one plane, quiet zones included, `(K,)`."""
     right = np.cross(room.ups, room.normals)
     offset = room.centres[None] - room.centres[:, None]  # from k to j, (K, K, 3)
     a, b, c = (np.abs((offset * axis[:, None]).sum(axis=-1)) for axis in (right, room.ups, room.normals))

@@ -67,7 +67,7 @@ class Mosaics(Checked):
     """
 
     count: Annotated[int, partial(integer, low=2)] = 6000
-    """Number of views."""
+    """Number of views that are drawn."""
     sampling: ViewRanges = field(default_factory=ViewRanges)
     """Ranges of the views."""
 

@@ -46,8 +46,8 @@ class CameraPrediction:
     name; empty if the model has no criteria.
     """
     taken: BoolArray | None = None
-    """True for frames with an image, `(N,)`; None if all frames have one. A frame without an image has no visible and
-    no whole tags.
+    """Mask of the frames with an image, `(N,)`; None if all frames have one. A frame without an image has no visible
+    and no whole tags.
     """
     people: Sequence[FloatArray] | None = None
     """For each of the N frames, the cylinders of people in the camera's way, `(M, 5)`; None without a crowd."""
@@ -107,7 +107,7 @@ class Prediction:
 
     @cached_property
     def overlapping(self) -> BoolArray:
-        """True for tags that overlap another tag, `(K,)`."""
+        """Mask of the tags that overlap another tag, `(K,)`."""
         return overlapping(self.parts[0].renderer.room)
 
     def by_any(self, which: BoolArray) -> BoolArray:

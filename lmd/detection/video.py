@@ -38,7 +38,7 @@ class Container(NamedTuple):
     """Container format of a video file."""
 
     name: str
-    """Name for messages."""
+    """Name of the format, for messages."""
     demuxers: str
     """FFmpeg's names of the container's demuxers, separated by commas."""
     begins: re.Pattern[bytes]
@@ -237,7 +237,9 @@ class _Index:
 
 @contextmanager
 def _for(container: Container | None, cv2: Any) -> Iterator[None]:
-    """Context in which environment variables of FFmpeg restrict OpenCV to one container and silence it."""
+    """Context manager that sets environment variables of FFmpeg, so that OpenCV reads only one container format and
+    prints nothing.
+    """
     assert container is not None, "Video checks its container"
     options = {
         "OPENCV_FFMPEG_CAPTURE_OPTIONS": f"format_whitelist;{container.demuxers}|protocol_whitelist;file",
@@ -262,7 +264,7 @@ def container_of(head: bytes) -> Container | None:
 
 
 def refusal(head: bytes) -> str:
-    """Reason to refuse a file that begins with `head`: predicate of a sentence about the file."""
+    """Reason why a file that begins with `head` is refused, as the predicate of a sentence about the file."""
     read = ", ".join(dict.fromkeys(kind.name for kind in CONTAINERS))
     if IMAGE.match(head):
         return "is a single image: give a folder of photographs, or a video."

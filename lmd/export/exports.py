@@ -19,7 +19,7 @@ from lmd.space.space import Space
 
 
 def all_formats() -> dict[str, Writer]:
-    """Output formats by name, including formats of other packages."""
+    """Writers of all output formats, keyed by name, including formats of other packages."""
     printed = {
         "plan": Writer("plan.pdf", write_plan, on_paper=True),
         "sheets": Writer("sheets.pdf", write_sheets, on_paper=True),
@@ -28,7 +28,7 @@ def all_formats() -> dict[str, Writer]:
 
 
 def formats_of(tag: Tag) -> tuple[str, ...]:
-    """Formats whose readers support the family of a tag."""
+    """Names of the formats whose readers support the family of a tag."""
     return tuple(name for name, form in all_formats().items() if tag.family in form.families)
 
 

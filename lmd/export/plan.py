@@ -137,7 +137,7 @@ class View:
         return "seen from above" if up > FLAT else "seen from below" if up < -FLAT else "seen from the front"
 
     def place(self, points: FloatArray) -> FloatArray:
-        """Coordinates in this view of world points `(..., 3)`, metres, `(..., 2)`."""
+        """Coordinates in this view, metres, `(..., 2)`, of points in the world frame, `(..., 3)`."""
         return self.surface.from_left_and_below(np.stack(self.surface.coordinates(points), axis=-1))
 
     def corner(self, right: bool, top: bool) -> FloatArray:

@@ -117,7 +117,7 @@ def checked_seconds(source: str, time: FloatArray, unit: float | None, positions
         time = time * unit
         step = float(np.median(np.abs(np.diff(time)))) if len(time) > 1 else 1.0
         if 0.0 < step < FASTEST:
-            raise InputError(f"its times cannot be in the unit of their column: poses would be {step:.2g} s apart.")
+            raise InputError(f"its times contradict the unit in their column name: poses would be {step:.2g} s apart.")
     seconds(source, time, positions)
     return time
 

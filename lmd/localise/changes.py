@@ -101,7 +101,7 @@ class Comparison(NamedTuple):
 
 def displacements(found: Estimate, here: FixedMap) -> tuple[FloatArray, FloatArray]:
     """Displacement of each tag from the map, `(K, 6)`, and covariance of the displacement, `(K, 6, 6)`; NaN for tags
-    that cannot be compared with any others.
+    whose pose in the map cannot be compared with other tags.
     """
     there, *_ = found.adjustment.joint_step(found.poses, found.floor, 0.0, nuisances_off(found))
     twists, count = twists_between(here.poses, there.tags), len(here.ids)
@@ -131,7 +131,7 @@ def displacements(found: Estimate, here: FixedMap) -> tuple[FloatArray, FloatArr
 
 
 def compare(begun: Estimate, here: FixedMap, mounts: Mounts | None, gross: BoolArray, odd: BoolArray) -> Comparison:
-    """Estimate all poses with the map as the prior, except the prior of moved tags, and refine the cameras at the end.
+    """Estimate all poses with the map as the prior, without the prior of moved tags, and refine the cameras at the end.
 
     Args:
         begun: estimate with rough poses; if its `lenses` are not None, cameras are refined.

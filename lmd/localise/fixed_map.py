@@ -37,7 +37,9 @@ class FixedMap:
 
     @cached_property
     def joint(self) -> FloatArray:
-        """Covariance of the twists of all tags, `(6 K, 6 K)`, tag by tag."""
+        """Covariance of the twists of all tags, with six rows for each tag, `(6 K, 6 K)`; block diagonal if tags are
+        independent.
+        """
         return np.diag(self.sigmas.ravel() ** 2) if self.covariance is None else self.covariance
 
     @property

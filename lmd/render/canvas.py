@@ -93,7 +93,7 @@ class Canvas:
 
         Args:
             tag: family and size.
-            number: id.
+            number: id of the tag in its family.
             square: corners of the tag in the order of `lmd.geometry.squares.CORNERS`, camera frame, metres,
                 `(4, 3)`.
             sigma: standard deviation of the blur, pixels.

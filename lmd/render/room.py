@@ -89,7 +89,7 @@ class TaggedRoom:
         lean = np.abs((self.normals * self.ups).sum(axis=1))
         if len(ids) and lean.max() > 1e-3:
             k = int(lean.argmax())
-            raise InputError(f"ups[{k}] must be perpendicular to normals[{k}], their product is {lean[k]:g}.")
+            raise InputError(f"ups[{k}] must be perpendicular to normals[{k}], but their dot product is {lean[k]:g}.")
 
     def among(self, people: FloatArray) -> "TaggedRoom":
         """Room with other people, given as cylinders `(N, 5)`."""

@@ -1,7 +1,7 @@
 """Groups of tags that no image connects, joined by the motion of the body between the frames of the groups.
 
-1. Tags that several images show together form a part. Each other tag is a part by itself, as an id misread in one image
-   would connect distant tags.
+1. Tags that several images show together form a *part*. Each other tag is a part by itself, as an id misread in one
+   image would connect distant tags.
 2. A frame that shows a single tag of a part has two possible poses relative to the part, as two poses of a tag look
    alike (IPPE). For each part the smoothest sequence of these poses is found (Viterbi).
 3. Each part is adjusted by itself, with links of motion between its own frames; this also estimates the noise of the
@@ -56,8 +56,8 @@ def join_groups(sightings: Sightings, poses: Poses, group: IntArray, prior: Prio
 
     Args:
         sightings: sightings of the tags.
-        poses: rough poses; each group that images connect has a world of its own.
-        group: group of each tag, `(K,)`, -1 for none.
+        poses: rough poses; each group that images connect has a world frame of its own.
+        group: index of each tag's group, `(K,)`; -1 for tags without a group.
         prior: prior with a motion.
 
     Returns:
@@ -88,7 +88,7 @@ def join_groups(sightings: Sightings, poses: Poses, group: IntArray, prior: Prio
 
 
 def _parts(sightings: Sightings, poses: Poses, group: IntArray, known: BoolArray) -> IntArray:
-    """Part of each tag, `(K,)`; -1 for tags without sightings.
+    """Index of each tag's part, `(K,)`; -1 for tags without sightings.
 
     A group with a tag of `known` pose, mask `(K,)`, stays one part.
     """
@@ -108,7 +108,9 @@ def _parts(sightings: Sightings, poses: Poses, group: IntArray, known: BoolArray
 
 
 def _adjusted(nodes: Nodes, poses: Poses) -> tuple[Poses, Motion]:
-    """Poses of the parts, each adjusted by itself, and the motion with its spread estimated from the parts."""
+    """Poses of the nodes after each part was adjusted by itself; and the motion model, with its spread estimated from
+    the parts.
+    """
     some, motion = nodes.sightings, nodes.motion
     of_tag = np.full(len(poses.tags), -1)
     of_tag[some.tag] = nodes.part[some.frame]
@@ -131,7 +133,7 @@ def _worlds(nodes: Nodes, poses: FloatArray, motion: Motion) -> tuple[FloatArray
 
     Args:
         nodes: nodes, with the motion between the frames of the nodes.
-        poses: poses of the nodes in the worlds of their parts, `(n, 4, 4)`.
+        poses: poses of the nodes, each in the world frame of its part, `(n, 4, 4)`.
         motion: motion between the frames.
 
     Returns:
@@ -186,7 +188,7 @@ def _spanned(count: int, relations: Sequence[Relation]) -> tuple[FloatArray, Int
 
 
 def _relations(nodes: Nodes, poses: FloatArray, motion: Motion, velocities: FloatArray) -> list[Relation]:
-    """Relations of all pairs of parts with frames near in time, in the order of decreasing agreement."""
+    """Relations of all pairs of parts that have frames near in time; those on which most frames agree come first."""
     pairs = np.stack(nodes.following(FOLLOWING))
     i, j = np.take_along_axis(pairs, np.argsort(nodes.part[pairs], axis=0, kind="stable"), axis=0)
     there = (nodes.part[i] < nodes.part[j]) & motion.relates(nodes.frame[i], nodes.frame[j])

@@ -2,7 +2,7 @@
 
 Corner errors are correlated in consecutive images. In tests on recordings, a map from five frames per second was as
 good as a map from all frames. Keyframes are evenly spaced in time. The selection must not depend on the motion or on
-the number of tags in view. Otherwise blurred or oblique images would have more weight than others, and maps would
+the number of tags in view. Otherwise blurred or oblique images would have more weight than other images, and maps would
 differ by more than their stated errors.
 
 Two further kinds of frames are kept:
@@ -73,7 +73,7 @@ def _evenly(seconds: FloatArray, needed: BoolArray) -> BoolArray:
 
 
 def _at_changes(seconds: FloatArray, shown: list[IntArray]) -> BoolArray:
-    """True for frames close to a moment at which all tags in view change, `(n,)`."""
+    """Mask of the frames that are close to a moment at which all tags in view change, `(n,)`."""
     at = np.array([k for k in range(len(shown) - 1) if not np.intersect1d(shown[k], shown[k + 1]).size], dtype=int)
     moments = np.sort(np.concatenate([seconds[at], seconds[at + 1]]))
     first = np.searchsorted(moments, seconds - SHORTEST_GAP)

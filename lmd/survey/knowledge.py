@@ -110,7 +110,7 @@ class Boards(Checked):
 
 @dataclass(frozen=True)
 class PriorKnowledge:
-    """Knowledge of the user before the survey; None for unknown entries.
+    """Knowledge that the user has before the survey; entries are None if unknown.
 
     Raises:
         InputError: an edge length in `sizes` is not a number above 0.
@@ -186,7 +186,9 @@ class PriorKnowledge:
 
 
 def _among(ids: IntArray, known: IntArray, values: FloatArray) -> FloatArray:
-    """Values `(K, ...)` for the tags `ids`, from the values `(n, ...)` of the `known` tags; NaN for unknown tags."""
+    """Values for the tags `ids`, `(K, ...)`, taken from the `values` `(n, ...)` of the tags with the ids `known`; NaN
+    for other tags.
+    """
     found = np.full((len(ids), *values.shape[1:]), np.nan)
     _, of, own = np.intersect1d(ids, known, return_indices=True)
     found[of] = values[own]

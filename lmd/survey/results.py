@@ -44,8 +44,8 @@ def map_of(survey: Survey) -> Deployment:
 
 
 def measured_of(survey: Survey) -> Deployment | None:
-    """Tags of the plan, in the order of the plan: at the measured poses or, if not placed, at the planned poses. None
-    without a plan.
+    """Deployment with the tags of the plan, in its order; tags that the survey placed have their measured poses, other
+    tags their planned poses. None without a plan.
     """
     if (plan := survey.known.plan) is None:
         return None
@@ -57,8 +57,8 @@ def measured_of(survey: Survey) -> Deployment | None:
 
 
 def map_columns(survey: Survey) -> dict[str, ArrayLike]:
-    """Columns of `map.csv`: tags; standard deviation of the position relative to the other tags, metres; covariances of
-    positions, m^2, and rotations, rad^2, in the world frame.
+    """Columns of `map.csv`: ids, poses and edge lengths of the tags; standard deviation of the position relative to the
+    other tags, metres; covariances of positions, m^2, and rotations, rad^2, in the world frame.
     """
     tags, found, placed = map_of(survey), survey.found, survey.placed
     vectors = np.hstack([tags.places, tags.normals, tags.ups])
@@ -116,7 +116,9 @@ def tag_columns(survey: Survey) -> dict[str, ArrayLike]:
 
 
 def distances_from_plan(survey: Survey) -> FloatArray:
-    """Distance of each tag of the map from its planned place, metres, `(K,)`; NaN for tags without a plan."""
+    """Distance of each tag of the map from its planned position, metres, `(K,)`; NaN for tags that are not in
+    the plan.
+    """
     away = np.linalg.norm((survey.found.poses.tags - survey.known.planned(survey.ids))[:, :3, 3], axis=1)
     return np.where(survey.placed, away, np.nan)
 
@@ -152,7 +154,7 @@ def survey_document(survey: Survey) -> dict[str, Any]:
 
 
 def to_text(survey: Survey) -> str:
-    """Lines for a terminal; those that need attention come last."""
+    """Text for a terminal; lines that need attention come last."""
     figures, found, ids, placed = metrics(survey), survey.found, survey.ids, survey.placed
     expected = placed | survey.loose | np.isin(ids, survey.known.ids)
     lines = {
@@ -186,7 +188,9 @@ def to_text(survey: Survey) -> str:
 
 
 def _troubles(survey: Survey) -> dict[str, str]:
-    """Sentences on faults and on missing photographs, by kind of trouble; empty for kinds that do not occur."""
+    """Sentences on faults and on missing photographs, keyed by kind of trouble; the sentence is empty for kinds that do
+    not occur.
+    """
     ids, found, faults, shown = survey.ids, survey.found, survey.faults, survey.found.sightings.counts() > 0
     unplanned = survey.placed & ~np.isin(ids, survey.known.ids) & (survey.known.plan is not None)
     moved = [(ids[one.tag], one.moved) for one in faults.second_places]

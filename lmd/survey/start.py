@@ -39,12 +39,12 @@ ANCHOR_SIGMA = 1e-4  # prior standard deviation of the first tag of a group, met
 
 
 class Start(NamedTuple):
-    """Initial poses."""
+    """Initial poses for the bundle adjustment."""
 
     poses: Poses
     """Rough poses, with each camera as a body of its own, see `Sightings.with_separate_cameras`."""
     group: IntArray
-    """Group of each tag, `(K,)`; -1 for tags that are not placed. Each group has its own world."""
+    """Group of each tag, `(K,)`; -1 for tags that are not placed. Each group has a world frame of its own."""
     agreed: int
     """Number of sightings that agree with the poses."""
 
@@ -79,7 +79,7 @@ def in_one_world(sightings: Sightings, start: Start, prior: Prior, origin: int |
 
 
 def _check_groups(group: IntArray) -> None:
-    """Raise `InputError` if there is no group."""
+    """Raise `InputError` if no tag has a group."""
     if group.max(initial=-1) < 0:
         raise InputError("detections have no frame with two tags, one of them with an unambiguous pose.", "detections")
 
@@ -110,7 +110,7 @@ class Placing:
 
     Args:
         sightings: sightings of one camera, see `Sightings.with_separate_cameras`.
-        single: poses of the tags by single sightings.
+        single: the two poses of the tag of each sighting, see `SinglePoses`.
         is_linked: True if frames are linked by motion; single sightings are then not trusted.
     """
 

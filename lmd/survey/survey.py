@@ -82,13 +82,13 @@ class Survey:
     found: Estimate
     """Poses and covariances."""
     faults: Faults
-    """Tags that were moved, share their id, or have a wrong size or id."""
+    """Tags that were moved, that share an id, or that have a wrong size; and misread ids."""
     placed: BoolArray
-    """`(K,)` True for tags in the map."""
+    """`(K,)` mask of the tags in the map."""
     loose: BoolArray
-    """`(K,)` True for tags that are not placed because their covariance is too large."""
+    """`(K,)` mask of the tags that are not in the map because their covariance is too large."""
     held_out: HeldOut | None
-    """Held-out frames; None if there are too few frames."""
+    """Check of the map by held-out frames; None if there are too few frames."""
     turns: IntArray
     """`(2, K)` quarter turns of tags relative to the plan, see `lmd.survey.world.turns_of`."""
     joined: IntArray
@@ -200,7 +200,8 @@ def estimate_map(sightings: Sightings, prior: Prior, origin: int | None = None, 
         start: initial poses; None for the poses of `initialise`.
 
     Raises:
-        InputError: no two tags were seen together, `origin` is not placed, or known centres are too few for a world.
+        InputError: no two tags were seen together, the tag `origin` is not placed, or there are too few measured
+            centres to determine a world frame.
     """
     start = initialise(sightings, prior) if start is None else start
     poses, group, prior = in_one_world(sightings, start, prior, origin)
@@ -219,7 +220,9 @@ def _estimate(seen: Observations, prior: Prior, known: PriorKnowledge, start: St
 
 
 def _motion(seen: Observations, known: PriorKnowledge) -> Motion | None:
-    """Motion that links frames from the beginning; None if frames are independent, or if links may be added later."""
+    """Motion model that links frames from the beginning of the survey; None if frames are independent, or if links may
+    be added later.
+    """
     if known.odometry is not None:
         return Motion.by_odometry(seconds_of(seen.detected.times), known.odometry)
     counts = np.bincount(seen.through().frame)
@@ -228,7 +231,7 @@ def _motion(seen: Observations, known: PriorKnowledge) -> Motion | None:
 
 
 def _steady(seen: Observations, known: PriorKnowledge) -> Motion | None:
-    """Motion at a nearly constant velocity; None if the user rules it out, or if no frames are near in time."""
+    """Motion model of a nearly constant velocity; None if the user rules it out, or if no frames are near in time."""
     motion = Motion(seconds_of(seen.detected.times))
     near = np.isfinite(motion.times).all() and motion.follows(np.unique(seen.through().frame)).any()
     return motion if near and known.steady is not False else None

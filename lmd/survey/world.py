@@ -60,7 +60,7 @@ def into_world(
 
     Args:
         sightings: sightings of the tags.
-        poses: poses; each group has a world of its own.
+        poses: poses of tags, frames and mounts; each group has a world frame of its own.
         group: group of each tag, `(K,)`, -1 for tags without a pose.
         prior: prior of the tags. If it holds no tag, the tag `origin` is added to the prior.
         origin: id of the tag whose frame is the world if the prior holds no tag; None for the tag seen most often.
