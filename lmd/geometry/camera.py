@@ -1,4 +1,4 @@
-"""Intrinsics of a camera as on a data sheet, and quantities derived from them; the lens may distort."""
+"""Intrinsics of a camera as given on a data sheet, and quantities derived from them; the lens may have distortion."""
 
 import math
 from dataclasses import dataclass, field
@@ -37,7 +37,9 @@ class FieldOfView(NamedTuple):
 
 
 def pixels(name: str, value: Any) -> float:
-    """Return `value` as a side of an image, a whole number of pixels; raise `InputError` for another value."""
+    """Return `value` if it can be the width or height of an image, a whole number of pixels; otherwise raise
+    `InputError`.
+    """
     return float(integer(name, value, low=1))
 
 
@@ -46,11 +48,12 @@ Distance = Annotated[float, partial(real, above=0.0, infinite=True)]
 
 @dataclass(frozen=True)
 class Camera(Checked):
-    """Intrinsic parameters (Table I of the paper).
+    """Intrinsic parameters of a camera (Table I of the paper).
 
     Raises:
         InputError: a value is out of range, the principal point lies outside the image, or the focus distance is not
-            beyond the focal length; the lens model is unknown, or folds before the nearest border.
+            beyond the focal length; the lens model is unknown, or is injective only up to an angle (its fold) inside
+            the nearest image border.
     """
 
     focal_length: Positive
@@ -70,7 +73,7 @@ class Camera(Checked):
     focus_distance: Distance = math.inf
     """Distance d_s of the plane in focus, mm; may be infinite."""
     distortion: tuple[float, ...] = ()
-    """Coefficients of the lens in OpenCV's order; empty for a pinhole without distortion."""
+    """Distortion coefficients of the lens in OpenCV's order; empty for a pinhole without distortion."""
     distortion_model: str = "plumb_bob"
     """Lens model: `plumb_bob`, `rational_polynomial` or `equidistant`, see `lmd.geometry.lens.Lens`."""
     image_circle: Distance = math.inf
@@ -106,12 +109,12 @@ class Camera(Checked):
 
     @property
     def cameras(self) -> "tuple[Camera, ...]":
-        """Tuple of only this camera, as in the interface of `lmd.scene.rig.Rig`."""
+        """Tuple that contains only this camera; part of the interface that `lmd.scene.rig.Rig` also has."""
         return (self,)
 
     @property
     def extrinsics(self) -> FloatArray:
-        """Identity, `(1, 4, 4)`, as the body's frame of a single camera is the camera's frame."""
+        """Identity matrix, `(1, 4, 4)`, as the body frame of a single camera is the camera frame."""
         return np.eye(4)[None]
 
     @property
@@ -126,7 +129,7 @@ class Camera(Checked):
 
     @property
     def _borders(self) -> FieldOfView:
-        """Distances of the four image borders from the principal point, focal lengths."""
+        """Distances of the four image borders from the principal point, in units of the focal length."""
         u, v = self.principal_point
         width, height = self.pixel_width / self.focal_length, self.pixel_height / self.focal_length
         return FieldOfView(
@@ -150,7 +153,7 @@ class Camera(Checked):
 
     @cached_property
     def widest_angle(self) -> float:
-        """Largest angle from the optical axis in the image, rad."""
+        """Largest angle between the optical axis and a ray that reaches the image, rad."""
         left, right, top, bottom = self._borders
         corner = math.hypot(max(left, right), max(top, bottom))
         if self.lens is None:
@@ -165,7 +168,7 @@ class Camera(Checked):
 
     @property
     def image_distance(self) -> float:
-        """Distance from lens to sensor, f d_s / (d_s - f), mm; f when focused at infinity."""
+        """Distance from the lens to the sensor, f d_s / (d_s - f), mm; f if the camera is focused at infinity."""
         if math.isinf(self.focus_distance):
             return self.focal_length
         return self.focal_length * self.focus_distance / (self.focus_distance - self.focal_length)
@@ -197,9 +200,9 @@ class Camera(Checked):
 
     @property
     def resolution_at_one_metre(self) -> float:
-        """Resolution C^R at a depth of 1 m, pixel/mm; C^R / z at depth z in metres (Eq. C_k^R)."""
+        """Resolution C^R at a depth of 1 m, pixels per mm; it is C^R / z at a depth of z metres (Eq. C_k^R)."""
         return self.image_distance / (MM_PER_M * max(self.pixel_width, self.pixel_height))
 
     def resolution_depth(self, threshold: float) -> float:
-        """Depth in metres at which the resolution falls to `threshold` pixel/mm."""
+        """Depth at which the resolution falls to `threshold` pixels per mm, metres."""
         return self.resolution_at_one_metre / threshold

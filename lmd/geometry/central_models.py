@@ -1,6 +1,6 @@
-"""Central camera models of other programs, converted to a lens of `lmd.geometry.lens`.
+"""Central camera models of other programs, which are approximated by a lens of `lmd.geometry.lens`.
 
-A point (u, v, w) at the distance r has the image (u, v) / d, in units of the model's focal lengths. The models are
+A point (u, v, w) at the distance r is projected to (u, v) / d, in units of the model's focal lengths. The models are
 
 - the double sphere of Usenko, Demmel and Cremers (2018), `ds`: d = alpha sqrt(u^2 + v^2 + s^2) + (1 - alpha) s with
   s = xi r + w.
@@ -8,13 +8,14 @@ A point (u, v, w) at the distance r has the image (u, v) / d, in units of the mo
   d = alpha sqrt(beta (u^2 + v^2) + w^2) + (1 - alpha) w.
 - the unified model of Mei and Rives (2007), `omni` or `MEI`: d = w + xi r, followed by Brown-Conrady distortion.
 
-The other models are pinholes: the image is a polynomial of (x, y) = (u, v) / w, with s = x^2 + y^2 and
-g = 1 + k1 s + k2 s^2 + k3 s^3.
+The other models are pinholes: the projected point is a polynomial of (x, y) = (u, v) / w, with s = x^2 + y^2 and g = 1
++ k1 s + k2 s^2 + k3 s^3.
 
 - `modified_brown_conrady`, of RealSense: the tangential terms are evaluated at (g x, g y) instead of (x, y);
-- `inverse_brown_conrady`, of RealSense: the polynomial maps the image to (x, y).
+- `inverse_brown_conrady`, of RealSense: the polynomial maps the projected point to (x, y).
 
-`nearest_lens` fits a lens to a model by least squares of the image differences, pixels, over the whole image.
+`nearest_lens` fits a lens to a model by least squares of the differences between projected points, pixels, over the
+whole image.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -42,22 +43,22 @@ Model = Callable[[FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatAr
 
 
 class Restated(NamedTuple):
-    """Lens and intrinsics fitted to a model."""
+    """Lens and intrinsics that were fitted to a camera model of another program."""
 
     focal_pixels: tuple[float, float]
     """Focal lengths (f / s_u, f / s_v), pixels."""
     principal_point: tuple[float, float]
-    """Principal point (c_x, c_y), pixels, in the convention of the model."""
+    """Principal point (c_x, c_y), pixels, with the origin that the fitted model uses."""
     model: str
     """Name of the lens model, see `lmd.geometry.lens`."""
     coefficients: tuple[float, ...]
-    """Coefficients of the lens."""
+    """Coefficients of the lens, see `lmd.geometry.lens`."""
     worst: float
-    """Largest image difference from the model, pixels."""
+    """Largest distance between a point projected by the lens and by the fitted model, pixels."""
 
 
 def double_sphere(xi: Any, alpha: Any) -> Model:
-    """Model `ds`."""
+    """Projection of the double sphere model `ds`."""
     xi, alpha = real("xi", xi, above=-1.0), real("alpha", alpha, low=0.0, high=1.0)
     share = alpha / (1.0 - alpha) if alpha <= 0.5 else (1.0 - alpha) / alpha
     least = -(share + xi) / np.sqrt(2.0 * share * xi + xi * xi + 1.0)
@@ -71,7 +72,7 @@ def double_sphere(xi: Any, alpha: Any) -> Model:
 
 
 def extended_unified(alpha: Any, beta: Any) -> Model:
-    """Model `eucm`."""
+    """Projection of the extended unified model `eucm`."""
     alpha, beta = real("alpha", alpha, low=0.0, high=1.0), real("beta", beta, above=0.0)
 
     def image(u: FloatArray, v: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -83,7 +84,7 @@ def extended_unified(alpha: Any, beta: Any) -> Model:
 
 
 def unified(xi: Any, k1: Any = 0.0, k2: Any = 0.0, p1: Any = 0.0, p2: Any = 0.0) -> Model:
-    """Model `omni`, with Brown-Conrady distortion."""
+    """Projection of the unified model `omni`, with Brown-Conrady distortion."""
     xi, *distortion = (real(*of) for of in (("xi", xi), ("k1", k1), ("k2", k2), ("p1", p1), ("p2", p2)))
     lens = BrownConrady._make([*distortion, *(0.0,) * 8])
 
@@ -96,7 +97,7 @@ def unified(xi: Any, k1: Any = 0.0, k2: Any = 0.0, p1: Any = 0.0, p2: Any = 0.0)
 
 
 def modified_brown_conrady(k1: float, k2: float, p1: float, p2: float, k3: float) -> Model:
-    """RealSense's model that computes the tangential terms from the radially distorted point."""
+    """Projection of RealSense's model in which the tangential terms are computed from the radially distorted point."""
 
     def image(u: FloatArray, v: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:
         x, y = _divided(u, v, w, True)
@@ -109,7 +110,9 @@ def modified_brown_conrady(k1: float, k2: float, p1: float, p2: float, k3: float
 
 
 def inverse_brown_conrady(k1: float, k2: float, p1: float, p2: float, k3: float) -> Model:
-    """RealSense's model whose polynomial undistorts an image; NaN where the fixed-point inversion does not converge."""
+    """Projection of RealSense's model whose polynomial undistorts a point; NaN where the fixed-point inversion of the
+    polynomial does not converge.
+    """
 
     def image(u: FloatArray, v: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:
         x, y = a, b = _divided(u, v, w, True)
@@ -124,7 +127,7 @@ def inverse_brown_conrady(k1: float, k2: float, p1: float, p2: float, k3: float)
 
 
 def _tangential(x: FloatArray, y: FloatArray, p1: float, p2: float) -> tuple[FloatArray, FloatArray]:
-    """OpenCV's tangential terms."""
+    """Tangential distortion in x and in y, as in OpenCV."""
     s = x * x + y * y
     return 2.0 * p1 * x * y + p2 * (s + 2.0 * x * x), 2.0 * p2 * x * y + p1 * (s + 2.0 * y * y)
 
@@ -144,16 +147,17 @@ PINHOLE, DISTORTION = ("fx", "fy", "cx", "cy"), ("k1", "k2", "p1", "p2")
 
 
 def restated(name: str, values: Mapping[str, Any], size: Any) -> Restated:
-    """Fit a lens to a model.
+    """Fit a lens to a camera model of another program.
 
     Args:
-        name: one of `MODELS`.
-        values: parameters by name; for `omni` also `DISTORTION`. The origin of pixels is the centre of the first pixel.
+        name: name of the model, one of `MODELS`.
+        values: parameters of the model, keyed by name; for `omni` also `DISTORTION`. The origin of pixel coordinates is
+            the centre of the first pixel.
         size: width and height of the image, pixels.
 
     Raises:
-        InputError: a parameter is not a number, the model has no image near the axis, or all fitted lenses differ from
-            the model by more than `MOST_PIXELS`.
+        InputError: a parameter is not a number, the model projects no point near the optical axis, or all fitted lenses
+            differ from the model by more than `MOST_PIXELS`.
         KeyError: a parameter is missing.
     """
     make, own = MODELS[name]
@@ -163,19 +167,19 @@ def restated(name: str, values: Mapping[str, Any], size: Any) -> Restated:
 
 
 def nearest_lens(model: Model, focal: Any, centre: Any, size: Any, guess: Sequence[float] = ()) -> Restated:
-    """Fit a lens to a model.
+    """Fit a lens to a projection function.
 
     Args:
-        model: function of points that returns their images `(x, y)`, focal lengths; NaN for points without an image.
+        model: function that projects points to `(x, y)`, in focal lengths; NaN for points that have no projection.
         focal: focal lengths (f_x, f_y), pixels.
         centre: principal point (c_x, c_y), pixels from the centre of the first pixel.
         size: width and height of the image, pixels.
-        guess: coefficients of a `BrownConrady` lens that is similar to the model. The fit begins with this lens, with
-            thin prism. Empty to begin with a fisheye.
+        guess: coefficients of a `BrownConrady` lens that is similar to the model. The fit begins with this lens,
+            extended by a thin prism. If empty, the fit begins with a fisheye.
 
     Raises:
-        InputError: the model has no image near the axis, or all fitted lenses differ from the model by more than
-            `MOST_PIXELS`.
+        InputError: the model projects no point near the optical axis, or all fitted lenses differ from the model by
+            more than `MOST_PIXELS`.
     """
     (fx, fy), (cx, cy), size = focal, centre, vector("size", list(size), 2, above=0.0)
     theta = np.linspace(0.0, WIDEST, ANGLES)[:, None]

@@ -1,7 +1,8 @@
 """World and local frames: rotations, the optical axis, the landmark normal.
 
 The world frame has its origin at a floor corner of the room and z up, in metres. A local frame is given by its origin
-and by yaw (alpha), pitch (beta) and roll (gamma) in radians. Angles have any shape `(...)`, vectors `(..., 3)`.
+and by yaw (alpha), pitch (beta) and roll (gamma) in radians. Angles may have any shape `(...)`; vectors then have the
+shape `(..., 3)`.
 
 Source: Lei et al., "Optimization of Directional Landmark Deployment for Visual Observer on SE(3)", Sec. II.
 """
@@ -16,13 +17,13 @@ ZERO_ANGLES = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
 def rotation(yaw: ArrayLike, pitch: ArrayLike, roll: ArrayLike = 0.0) -> FloatArray:
-    """Rotation from the world frame to the local frame, R = R^gamma R^beta R^alpha R_0 (frame equation).
+    """Rotation matrix from the world frame to the local frame, R = R^gamma R^beta R^alpha R_0 (frame equation).
 
     Args:
         yaw, pitch, roll: angles in radians, shapes that broadcast to `(...)`.
 
     Returns:
-        `(..., 3, 3)`; its rows are the local x, y, z axes expressed in the world frame.
+        matrices `(..., 3, 3)`; their rows are the local x, y, z axes expressed in the world frame.
     """
     a, b, g = np.broadcast_arrays(*(np.asarray(v, dtype=np.float64) for v in (yaw, pitch, roll)))
     zero, one = np.zeros_like(a), np.ones_like(a)
@@ -37,13 +38,13 @@ def rotation(yaw: ArrayLike, pitch: ArrayLike, roll: ArrayLike = 0.0) -> FloatAr
 
 
 def roll_pitch_yaw(angles: ArrayLike) -> FloatArray:
-    """Rotation Rz(yaw) Ry(pitch) Rx(roll) of ROS's `setRPY`.
+    """Rotation matrix Rz(yaw) Ry(pitch) Rx(roll), as of ROS's `setRPY`.
 
     Args:
-        angles: radians, `(3,)` or `(T, 3)`.
+        angles: roll, pitch and yaw, radians, `(3,)` or `(T, 3)`.
 
     Returns:
-        `(3, 3)` or `(T, 3, 3)`.
+        matrices `(3, 3)` or `(T, 3, 3)`.
     """
     from scipy.spatial.transform import Rotation  # slow to load
 
@@ -51,13 +52,13 @@ def roll_pitch_yaw(angles: ArrayLike) -> FloatArray:
 
 
 def angles_of(world_to_local_rotation: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Yaw in [-pi, pi], pitch in [-pi/2, pi/2] and roll in [-pi, pi] of a rotation, the inverse of `rotation`.
+    """Yaw in [-pi, pi], pitch in [-pi/2, pi/2] and roll in [-pi, pi] of a rotation matrix; the inverse of `rotation`.
 
     Args:
         world_to_local_rotation: `(..., 3, 3)`.
 
     Returns:
-        radians, shape `(...)` each; the yaw of a vertical optical axis is 0.
+        the three angles, radians, shape `(...)` each; the yaw of a vertical optical axis is 0.
     """
     right, axis = world_to_local_rotation[..., 0, :], world_to_local_rotation[..., 2, :]
     yaw, pitch = (-angle for angle in normal_angles(axis))  # `normal_angles` uses the opposite signs for both angles
@@ -84,11 +85,11 @@ def optical_axis(yaw: ArrayLike, pitch: ArrayLike) -> FloatArray:
 def landmark_normal(yaw: ArrayLike, pitch: ArrayLike) -> FloatArray:
     """Unit normal of a landmark's front face, n = (-sin r cos e, cos r cos e, -sin e) (Eq. n_k).
 
-    Both angles have signs opposite to `optical_axis`, as in the paper.
+    Both angles have the opposite sign to those of `optical_axis`, as in the paper.
 
     Args:
-        yaw: rho, radians, shape `(...)`.
-        pitch: eta, radians, shape `(...)`.
+        yaw: angle rho (r in the formula), radians, shape `(...)`.
+        pitch: angle eta (e in the formula), radians, shape `(...)`.
 
     Returns:
         `(..., 3)` unit vectors in the world frame.

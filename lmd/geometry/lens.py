@@ -1,12 +1,12 @@
 """Distorting lenses: projection, unprojection, and bounds on the local scale.
 
-Images are in focal lengths from the principal point; points and directions `(..., 3)` are in the camera's frame. See
-`lmd.geometry.lens_models` for the formulas.
+Image points are given relative to the principal point, in focal lengths; points and directions `(..., 3)` are in the
+camera frame. See `lmd.geometry.lens_models` for the formulas.
 
 At the angle theta from the optical axis, the local scale of a lens (image length per angle) is `along` in the radial
 direction and `across` in the tangential direction. Tangential distortion and a thin prism change both scales by at most
-`sway`. The lens is injective as long as both scales exceed the sway; the `fold` is the angle up to which
-they do. A model is invalid beyond its fold.
+`sway`. The projection is injective as long as both scales exceed the sway; the `fold` is the angle up to which this
+holds. A model is invalid beyond its fold.
 """
 
 from collections.abc import Callable
@@ -37,16 +37,18 @@ DEGREE, ROUNDED = 5, 1e-9
 
 
 class Profile(NamedTuple):
-    """Image radius and local scales of a lens at angles theta from the optical axis; arrays of equal shape."""
+    """Radius in the image and local scales of a lens at angles theta from the optical axis; all arrays have the shape
+    of theta.
+    """
 
     inner: FloatArray
-    """Lower bound on the distance of the image from the principal point, focal lengths."""
+    """Lower bound on the distance of the projected point from the principal point, focal lengths."""
     along: FloatArray
-    """Radial scale, focal lengths per rad."""
+    """Local scale in the radial direction, focal lengths per rad."""
     across: FloatArray
-    """Tangential scale, focal lengths per rad."""
+    """Local scale in the tangential direction, focal lengths per rad."""
     sway: FloatArray
-    """Largest change of either scale by tangential distortion and prism, focal lengths per rad."""
+    """Largest change of either scale by tangential distortion and thin prism, focal lengths per rad."""
 
     @property
     def least(self) -> FloatArray:
@@ -74,17 +76,18 @@ class Stretch(NamedTuple):
 
 @dataclass(frozen=True)
 class Lens:
-    """Distorting lens.
+    """Lens with distortion.
 
     Raises:
         InputError: the model is unknown, the number of coefficients is wrong, or a coefficient is not finite.
     """
 
     model: str
-    """One of `MODELS`; the first two differ in the number of coefficients only."""
+    """Name of the model, one of `MODELS`; the first two models differ only in the number of coefficients."""
     coefficients: tuple[float, ...]
-    """First 4, 5, 8 or 12 of k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 (OpenCV's order), or all 12 followed by two
-    zeros for the sensor's tilt. For `equidistant`: k1, k2, k3, k4."""
+    """Coefficients in OpenCV's order: the first 4, 5, 8 or 12 of k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, or all
+    12 followed by two zeros for the sensor's tilt. For `equidistant`: k1, k2, k3, k4.
+    """
 
     def __post_init__(self) -> None:
         choice("distortion_model", self.model, MODELS)
@@ -103,27 +106,30 @@ class Lens:
 
     @cached_property
     def model_numbers(self) -> BrownConrady | Equidistant:
-        """Coefficients as a named tuple, whose class selects the functions in kernels."""
+        """Coefficients as a named tuple of the model; its class selects the functions of `lens_models` in compiled
+        code.
+        """
         if self.model == EQUIDISTANT:
             return Equidistant(*self.coefficients)
         return BrownConrady(*self.coefficients, *(0.0,) * (FIRST_TILT - len(self.coefficients)))
 
     def project(self, points: FloatArray) -> FloatArray:
-        """Images of points, `(..., 2)`; points beyond the fold have images, too."""
+        """Project points to the image, `(..., 2)`; points beyond the fold are projected, too."""
         with np.errstate(all="ignore"):
             return np.stack(image_of(self.model_numbers, *np.moveaxis(points, -1, 0)), axis=-1)
 
     def jacobian(self, points: FloatArray) -> FloatArray:
-        """Jacobian of the images with respect to the points, focal lengths per metre, `(..., 2, 3)`."""
+        """Jacobian of the projection with respect to the points, focal lengths per metre, `(..., 2, 3)`."""
         with np.errstate(all="ignore"):
             slopes = slope_of(self.model_numbers, *np.moveaxis(points, -1, 0))
         return np.stack(slopes, axis=-1).reshape(*points.shape[:-1], 2, 3)
 
     def directions(self, image: FloatArray) -> FloatArray:
-        """Unit vectors `(..., 3)` whose images are `image` `(..., 2)`; NaN if there is none within the fold.
+        """Unproject image points `image` `(..., 2)` to unit vectors `(..., 3)`; NaN if no direction within the fold is
+        projected there.
 
-        Newton's method solves for the angle theta, ignoring tangential terms and prism, then refines the direction with
-        all terms.
+        Newton's method first finds the angle theta without the tangential terms and the prism, and then refines the
+        direction with all terms.
         """
         length = np.hypot(image[..., 0], image[..., 1])
         radii, angles = self._radii
@@ -145,12 +151,16 @@ class Lens:
 
     @cached_property
     def _radii(self) -> tuple[FloatArray, FloatArray]:
-        """Image radii without tangential terms and prism, and their angles up to the fold, `(ANGLE_SAMPLES,)` each."""
+        """Sampled radii in the image, without tangential terms and prism, and the angles up to the fold to which they
+        belong, `(ANGLE_SAMPLES,)` each.
+        """
         theta = np.linspace(0.0, self.fold, ANGLE_SAMPLES)
         return self.profile(theta).across * np.sin(theta), theta
 
     def _refined(self, start: FloatArray, image: FloatArray) -> FloatArray:
-        """Refine unit vectors `start` with z > 0 by Newton's method on their intersections with the plane z = 1."""
+        """Refine unit vectors `start`, which have z > 0, by Newton's method on their intersections with the plane z =
+        1.
+        """
         found = start / start[..., 2:]
         for _ in range(NEWTON_STEPS):
             slope, (a, b) = self.jacobian(found), np.moveaxis(image - self.project(found), -1, 0)
@@ -163,7 +173,9 @@ class Lens:
 
     @cached_property
     def fold(self) -> float:
-        """Angle from the optical axis up to which the lens is injective, rad; below pi / 2, or pi for a fisheye."""
+        """Angle from the optical axis up to which the projection is injective, rad; it is below pi / 2, or below pi for
+        a fisheye.
+        """
         theta = np.linspace(0.0, np.pi if self.model == EQUIDISTANT else np.pi / 2.0, ANGLE_SAMPLES)[:-1]
 
         def folds(angle: Any) -> Any:
@@ -174,7 +186,8 @@ class Lens:
         return _border(folds, theta[bad[0] - 1], theta[bad[0]]) if bad.size else float(theta[-1])
 
     def widest(self, reach: float) -> float:
-        """Angle, rad, beyond which all images are at least `reach`, focal lengths, from the principal point.
+        """Angle from the optical axis, rad, beyond which all points are projected at least `reach`, focal lengths, from
+        the principal point.
 
         The angle is at most the fold.
         """
@@ -196,7 +209,7 @@ class Lens:
         return Stretch(-_above(-low), _above(high), -_above(-small), _above(large))
 
     def profile(self, theta: Any) -> Profile:
-        """Image radius and scales at angles theta from the optical axis, rad."""
+        """Radius in the image and local scales at angles theta from the optical axis, rad."""
         lens = self.model_numbers
         if isinstance(lens, Equidistant):
             powers = theta * theta
@@ -218,11 +231,11 @@ class Lens:
 # Cached, as a fit takes milliseconds and is repeated for each tag size.
 @lru_cache(maxsize=64)
 def approximation(lens: Lens, widest: float) -> tuple[tuple[float, ...], float]:
-    """Approximate the image of directions up to the angle `widest`, rad, by a polynomial.
+    """Approximate the projection of directions up to the angle `widest` from the optical axis, rad, by a polynomial.
 
     Returns:
-        coefficients of s(h), where (s(h) x, s(h) y) is the image of a unit vector (x, y, z) and h = 1 - z; bound on the
-        error, focal lengths.
+        coefficients of s(h), where a unit vector (x, y, z) is projected to (s(h) x, s(h) y) with h = 1 - z; upper bound
+        on the error, focal lengths.
     """
     theta = np.linspace(0.0, widest, ANGLE_SAMPLES)
     profile, height, around = lens.profile(theta), 1.0 - np.cos(theta), np.sin(theta)
@@ -233,7 +246,9 @@ def approximation(lens: Lens, widest: float) -> tuple[tuple[float, ...], float]:
 
 @lru_cache(maxsize=64)
 def ceiling(lens: Lens, widest: float) -> tuple[float, ...]:
-    """Coefficients of a polynomial in h = 1 - cos(theta) that bounds the scale for theta <= `widest`, rad."""
+    """Coefficients of a polynomial in h = 1 - cos(theta) that is an upper bound on the local scale for theta <=
+    `widest`, rad.
+    """
     theta = np.linspace(0.0, widest, ANGLE_SAMPLES)
     height, most = 1.0 - np.cos(theta), np.maximum.accumulate(lens.profile(theta).most)
     fit = np.polynomial.polynomial.polyfit(height, most, DEGREE)
@@ -242,7 +257,7 @@ def ceiling(lens: Lens, widest: float) -> tuple[float, ...]:
 
 
 def lens_of(model: str, distortion: Any) -> Lens | None:
-    """Lens of a model with coefficients `distortion`; None for a pinhole (no coefficients, or all zero).
+    """Make the lens of a model with the coefficients `distortion`; None for a pinhole (no coefficients, or only zeros).
 
     Raises:
         InputError: see `Lens`.
@@ -262,5 +277,7 @@ def _border(reached: Callable[[Any], Any], low: float, high: float) -> float:
 
 
 def _above(values: FloatArray) -> float:
-    """Upper bound on a sampled function: maximum of the samples plus the largest difference between neighbours."""
+    """Upper bound on a sampled function: the largest sample plus the largest difference between neighbouring
+    samples.
+    """
     return float(values.max() + np.abs(np.diff(values)).max(initial=0.0))

@@ -1,16 +1,19 @@
-"""Lens models as scalar functions: the image of a point and its derivatives.
+"""Lens models as scalar functions: the projection of a point, and its derivatives.
 
 A model is a named tuple of its coefficients, with OpenCV's names. NumPy code calls the functions with arrays, and
-kernels compile the functions, so that the results of both are bit-identical. Points (u, v, w) are in the camera's
-frame: right, down, along the optical axis. Images are in focal lengths from the principal point.
+compiled code (kernels) contains the same functions, so the results of both are bit-identical. Points (u, v, w) are in
+the camera frame: right, down, along the optical axis. Projected points are given relative to the principal point, in
+focal lengths.
 
-`BrownConrady` images points in front of the camera. With x = u / w, y = v / w and s = x^2 + y^2 at
+`BrownConrady` projects points in front of the camera. With x = u / w, y = v / w and s = x^2 + y^2, the projected point
+is
 
     (x g + 2 p1 x y + p2 (s + 2 x^2) + s1 s + s2 s^2, y g + p1 (s + 2 y^2) + 2 p2 x y + s3 s + s4 s^2),
     g = (1 + k1 s + k2 s^2 + k3 s^3) / (1 + k4 s + k5 s^2 + k6 s^3).
 
-`Equidistant` is a fisheye (Kannala and Brandt, 2006). A point at the angle theta from the axis is imaged at
-t(theta) = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8) from the centre, also behind the camera.
+`Equidistant` is a fisheye (Kannala and Brandt, 2006). A point at the angle theta from the optical axis is projected to
+the distance t(theta) = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8) from the principal point, also if
+it is behind the camera.
 
 Sources: `cv2.projectPoints`, `cv2.fisheye`; `sensor_msgs/distortion_models` for the names.
 """
@@ -33,7 +36,7 @@ A9, A10 = -3.65315727442169155270e-02, 1.62858201153657823623e-02
 
 
 class BrownConrady(NamedTuple):
-    """Pinhole with radial (rational), tangential and thin-prism distortion."""
+    """Pinhole with radial (rational), tangential and thin-prism distortion, of Brown and Conrady."""
 
     k1: float
     k2: float
@@ -50,7 +53,7 @@ class BrownConrady(NamedTuple):
 
 
 class Equidistant(NamedTuple):
-    """Kannala and Brandt's fisheye."""
+    """Fisheye of Kannala and Brandt."""
 
     k1: float
     k2: float
@@ -60,22 +63,26 @@ class Equidistant(NamedTuple):
 
 @dispatched
 def image_of(lens: Any, u: Any, v: Any, w: Any) -> Any:
-    """Image of a point: the coordinate to the right, then the coordinate down."""
+    """Project a point; return the image coordinate to the right, then the coordinate down."""
 
 
 @dispatched
 def slope_of(lens: Any, u: Any, v: Any, w: Any) -> Any:
-    """Jacobian of the image: derivatives by u, v, w of the coordinate to the right, then of the coordinate down."""
+    """Jacobian of the projection: derivatives with respect to u, v, w of the image coordinate to the right, then of the
+    coordinate down.
+    """
 
 
 @dispatched
 def depth_of(lens: Any, u: Any, v: Any, w: Any) -> Any:
-    """Depth that determines focus and apparent size: w for a pinhole, the distance of the point for a fisheye."""
+    """Depth that determines focus and apparent size: the coordinate w for a pinhole, the distance of the point for a
+    fisheye.
+    """
 
 
 @inlined
 def area_per_solid_angle(lens: Any, u: Any, v: Any, w: Any) -> Any:
-    """Image area per solid angle at a point, divided by the cube of the point's distance; 1 / w^3 for a pinhole."""
+    """Image area per solid angle around a point, divided by the cube of the point's distance; 1 / w^3 for a pinhole."""
     xu, xv, xw, yu, yv, yw = slope_of(lens, u, v, w)
     # The cross product of the rows is parallel to the point.
     along = (xv * yw - xw * yv) * u + (xw * yu - xu * yw) * v + (xu * yv - xv * yu) * w
@@ -118,7 +125,8 @@ def _depth_brown_conrady(lens, u, v, w):  # type: ignore[no-untyped-def]
 
 @inlined
 def _polar(r: Any, w: Any) -> Any:
-    """For a point at distance r from the axis and w along the axis: its angle theta in [0, pi], theta / r, r^2 + w^2.
+    """Polar quantities of a point at distance r from the optical axis and w along the axis: its angle theta in [0, pi],
+    theta / r, and r^2 + w^2.
 
     theta = 4 atan(p), or pi - 4 atan(p). The arctangent is a polynomial, as libraries differ in its last bits.
     """

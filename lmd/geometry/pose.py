@@ -1,4 +1,4 @@
-"""Pose of a camera or a rig from the images of known points (PnP), by OpenCV."""
+"""Pose of a camera or a rig, estimated from the image of points with known positions (PnP), by OpenCV."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import combinations
@@ -27,54 +27,54 @@ ROUNDS, GAIN = 10, 1e-9
 
 
 class Solution(NamedTuple):
-    """Pose at a local minimum of the reprojection error."""
+    """Pose at which the reprojection error has a local minimum."""
 
     pose: FloatArray
-    """Pose X, camera or body to world, `(4, 4)`."""
+    """Pose X, camera to world or body to world, `(4, 4)`."""
     square: float
     """Sum of squared reprojection errors, in units of their standard deviations."""
 
 
 class PointImage(NamedTuple):
-    """Image of known points in one camera of a body."""
+    """Image points of known world points in one camera of a body."""
 
     camera: Camera
-    """Intrinsics and lens."""
+    """Intrinsics and lens of the camera."""
     mounted: FloatArray
-    """Pose of the camera in the body's frame, `(4, 4)`."""
+    """Pose of the camera in the body frame, `(4, 4)`."""
     points: FloatArray
-    """Known points, world frame, metres, `(M, 3)`."""
+    """World points with known positions, metres, `(M, 3)`."""
     pixels: FloatArray
-    """Images of the points, pixels from the border, `(M, 2)`."""
+    """Image points of these, pixels from the image border, `(M, 2)`."""
     noise: FloatArray
     """Standard deviation of each image point, pixels, `(M,)`."""
 
     def off(self, pose: FloatArray) -> FloatArray:
-        """Reprojection errors for a pose X of the body, in units of their standard deviations, `(M, 2)`."""
+        """Reprojection errors if the body has the pose X, in units of their standard deviations, `(M, 2)`."""
         return np.asarray((project(self.camera, pose @ self.mounted, self.points) - self.pixels) / self.noise[:, None])
 
     def scaled_slope(self, pose: FloatArray) -> FloatArray:
-        """Jacobian of `off` with respect to a body twist (w, v), `(M, 2, 6)`."""
+        """Jacobian of `off` with respect to a twist (w, v) of the body, `(M, 2, 6)`."""
         slopes = image_slopes(self.camera, self.mounted, to_camera(pose @ self.mounted, self.points))
         return np.asarray(slopes / self.noise[:, None, None])
 
 
 def image_slopes(camera: Camera, mounted: FloatArray, y: FloatArray) -> FloatArray:
-    """Jacobian of the images of points y `(..., 3)` in a camera's frame by a twist (w, v) of its body, `(..., 2, 6)`.
+    """Jacobian of the projection of points with respect to a twist (w, v) of the body, pixels, `(..., 2, 6)`.
 
-    A twist (w, v) of the camera moves y by y x w - v. A twist (w, v) of the body moves a camera with the mount M by the
-    twist Ad_{M^-1} (w, v).
+    A twist (w, v) of the camera moves a point y in the camera frame by y x w - v. A twist (w, v) of the body moves a
+    camera with the mount M by the twist Ad_{M^-1} (w, v).
 
     Args:
         camera: intrinsics and lens.
-        mounted: M, `(4, 4)`.
-        y: metres, in front of the camera.
+        mounted: mount M, the pose of the camera in the body frame, `(4, 4)`.
+        y: points in the camera frame, in front of the camera, metres, `(..., 3)`.
     """
     return np.asarray(slope(camera, y) @ seen_by_twist(y) @ adjoint_matrix(inverse(mounted)))
 
 
 def body_solutions(images: Sequence[PointImage]) -> list[Solution]:
-    """Candidate poses of a body from simultaneous images of its cameras, least error first.
+    """Candidate poses of a body from simultaneous images of its cameras, in ascending order of the error.
 
     The `solutions` of each camera with at least four points are refined by Gauss-Newton on the images of all cameras.
     The list is empty if no camera has four points.
@@ -89,7 +89,7 @@ def body_solutions(images: Sequence[PointImage]) -> list[Solution]:
 
 
 def _best(images: Sequence[PointImage], poses: Iterable[FloatArray]) -> list[Solution]:
-    """Distinct poses with a finite error, least error first."""
+    """Distinct poses with a finite reprojection error, in ascending order of the error."""
     found: list[Solution] = []
     for pose in poses:
         square = float(sum((image.off(pose) ** 2).sum() for image in images))
@@ -99,16 +99,17 @@ def _best(images: Sequence[PointImage], poses: Iterable[FloatArray]) -> list[Sol
 
 
 def solutions(camera: Camera, points: FloatArray, image: FloatArray, noise: ArrayLike = 1.0) -> list[Solution]:
-    """Candidate poses of a camera from an image of points, least error first; empty for fewer than four points.
+    """Candidate poses of a camera from an image of points, in ascending order of the error; empty for fewer than four
+    points.
 
-    Candidates are the poses of SQPnP, for coplanar points the two poses of IPPE, and for four points that are not
-    coplanar up to four poses of P3P for each triple. Candidates are refined by Levenberg-Marquardt, or, for a
-    distorting lens, by Gauss-Newton on the errors in the distorted image.
+    Candidates are the poses that SQPnP finds; for coplanar points also the two poses of IPPE; and for four points that
+    are not coplanar also up to four poses of P3P for each triple of points. Candidates are refined by
+    Levenberg-Marquardt, or, for a distorting lens, by Gauss-Newton on the errors in the distorted image.
 
     Args:
         camera: intrinsics and lens.
-        points: world frame, metres, `(M, 3)`.
-        image: images of the points, pixels from the border, `(M, 2)`.
+        points: points with known positions, world frame, metres, `(M, 3)`.
+        image: image points, pixels from the image border, `(M, 2)`.
         noise: standard deviation of the image points, pixels, `()` or `(M,)`.
     """
     if len(points) < FEWEST_POINTS:
@@ -119,7 +120,7 @@ def solutions(camera: Camera, points: FloatArray, image: FloatArray, noise: Arra
 
 
 def _without_lens(image: PointImage) -> Iterator[FloatArray]:
-    """Poses of a camera without distortion, each a local optimum."""
+    """Poses of a camera without distortion, each a local minimum of the reprojection error."""
     cv2, matrix = optional("cv2", "estimators"), intrinsics(image.camera)
     for start in _candidates(image.points, image.pixels, matrix):
         turn, shift = cv2.solvePnPRefineLM(image.points, image.pixels, matrix, None, *start)
@@ -127,7 +128,9 @@ def _without_lens(image: PointImage) -> Iterator[FloatArray]:
 
 
 def _through_lens(image: PointImage) -> Iterator[FloatArray]:
-    """Poses of a camera with distortion: undistort into a virtual pinhole aimed at the points, solve, and refine."""
+    """Poses of a camera with distortion: the image is undistorted into a virtual pinhole aimed at the points, the pose
+    is solved there, and then refined.
+    """
     cv2 = optional("cv2", "estimators")
     turned, within, rays = straightened(bearings(image.camera, image.pixels))
     if np.count_nonzero(within) < FEWEST_POINTS:
@@ -139,7 +142,9 @@ def _through_lens(image: PointImage) -> Iterator[FloatArray]:
 
 
 def _candidates(world: FloatArray, pixels: FloatArray, matrix: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
-    """Candidate rotation vectors and translations from the world to a pinhole camera, see `solutions`."""
+    """Candidate transforms from the world to a pinhole camera, each a rotation vector and a translation, see
+    `solutions`.
+    """
     cv2 = optional("cv2", "estimators")
     extents = np.linalg.svd(world - world.mean(axis=0), compute_uv=False)
     flat = extents[2] <= FLATNESS * extents[0]
@@ -155,14 +160,14 @@ def _candidates(world: FloatArray, pixels: FloatArray, matrix: FloatArray) -> li
 
 
 def straightened(seen: FloatArray) -> tuple[FloatArray, BoolArray, FloatArray]:
-    """Image of rays in a virtual pinhole whose axis is the mean ray.
+    """Project rays to the image of a virtual pinhole whose axis is the mean ray.
 
     Args:
-        seen: unit vectors in the camera's frame, `(M, 3)`; NaN for missing rays.
+        seen: rays as unit vectors in the camera frame, `(M, 3)`; NaN for missing rays.
 
     Returns:
-        rotation from the camera's frame to the pinhole's frame, `(3, 3)`; mask of the rays within `NEAR_MIDDLE_RAD` of
-        its axis, `(M,)`; images at a focal length of 1, `(M, 2)`.
+        rotation from the camera frame to the pinhole's frame, `(3, 3)`; mask of the rays within `NEAR_MIDDLE_RAD` of
+        the pinhole's axis, `(M,)`; image points for a focal length of 1, `(M, 2)`.
     """
     middle = np.nansum(seen, axis=0)
     axis = middle / max(float(np.linalg.norm(middle)), np.finfo(float).tiny)
@@ -194,12 +199,12 @@ def body_from_corners(
 
     Args:
         cameras: intrinsics.
-        mounted: poses of the cameras in the body's frame, `(C, 4, 4)`.
+        mounted: poses of the cameras in the body frame, `(C, 4, 4)`.
         points: tag corners, world frame, metres, `(M, ..., 3)`.
         images: detected corners of each camera, pixels from the border, `(M, ..., 2)`; NaN for missing corners.
 
     Returns:
-        X of the body, `(4, 4)`; NaN if no camera has four points or there is no solution.
+        pose X of the body, `(4, 4)`; NaN if no camera sees four points or there is no solution.
     """
     shots, world = [], np.reshape(points, (-1, 3))
     for camera, at, image in zip(cameras, mounted, images, strict=True):

@@ -1,4 +1,4 @@
-"""Projection: images of points, rays of pixels, and the blur at a depth.
+"""Projection: world points to image points, pixels to rays, and the defocus blur at a depth.
 
 Image coordinates are pixels from the top-left *border* of the image, u to the right and v down. The centre of the first
 pixel is at (0.5, 0.5) and a `w` x `h` image ends at (w, h). The camera's principal point and AprilTag's corners follow
@@ -28,12 +28,14 @@ def image_size(camera: Camera) -> tuple[int, int]:
 
 
 def to_camera(pose: FloatArray, points: FloatArray) -> FloatArray:
-    """Transform world points s `(..., K, 3)`, metres, to the frames of cameras with poses X: y = R^T (s - p)."""
+    """Transform world points s `(..., K, 3)`, metres, to the frames of cameras with the poses X = [R p; 0 1]: y = R^T
+    (s - p).
+    """
     return np.asarray((points - pose[..., None, :3, 3]) @ pose[..., :3, :3])
 
 
 def project(camera: Camera, pose: FloatArray, points: FloatArray) -> FloatArray:
-    """Image coordinates of points.
+    """Project world points to image points.
 
     Args:
         camera: intrinsics and distortion.
@@ -41,8 +43,8 @@ def project(camera: Camera, pose: FloatArray, points: FloatArray) -> FloatArray:
         points: world frame, metres, `(..., K, 3)`.
 
     Returns:
-        `(..., K, 2)`, pixels from the border, also for points outside the image. NaN for points behind the camera, or,
-        for a distorting lens, beyond the camera's `widest_angle`.
+        image coordinates `(..., K, 2)`, pixels from the border, also for points outside the image. NaN for points
+        behind the camera, or, for a distorting lens, beyond the camera's `widest_angle`.
     """
     seen, matrix = to_camera(pose, points), intrinsics(camera)
     if camera.lens is None:
@@ -54,10 +56,11 @@ def project(camera: Camera, pose: FloatArray, points: FloatArray) -> FloatArray:
 
 
 def slope(camera: Camera, points: FloatArray) -> FloatArray:
-    """Jacobian of the image with respect to points y `(..., 3)` in the camera's frame, pixels/m, `(..., 2, 3)`.
+    """Jacobian of the projection with respect to points y `(..., 3)` in the camera frame, pixels per metre, `(..., 2,
+    3)`.
 
     For a pinhole, d(u, v)/dy = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)]. For a distorting lens, the result
-    is the focal lengths in pixels times the Jacobian of the lens.
+    is the Jacobian of the lens multiplied by the focal lengths in pixels.
     """
     if camera.lens is not None:
         return np.asarray(camera.focal_pixels[:, None] * camera.lens.jacobian(points))
@@ -70,10 +73,10 @@ def slope(camera: Camera, points: FloatArray) -> FloatArray:
 
 
 def bearings(camera: Camera, image: FloatArray) -> FloatArray:
-    """Rays of image points `(..., 2)`, pixels from the border.
+    """Rays that are projected to image points `(..., 2)`, given in pixels from the border.
 
     Returns:
-        unit vectors in the camera's frame, `(..., 3)`; NaN for points beyond the image of the lens.
+        unit vectors in the camera frame, `(..., 3)`; NaN for image points that the lens does not reach.
     """
     rays = (image - np.array(camera.principal_point)) / camera.focal_pixels
     if camera.lens is not None:
@@ -86,9 +89,10 @@ def bearings(camera: Camera, image: FloatArray) -> FloatArray:
 
 
 def depth_in_focus(camera: Camera, points: FloatArray) -> FloatArray:
-    """Depth that determines focus and apparent size of points `(..., 3)`, camera's frame, metres, `(...)`.
+    """Depth that determines focus and apparent size of points `(..., 3)` in the camera frame, metres, `(...)`.
 
-    The depth is z; for a fisheye it is the distance, see `lmd.geometry.lens_models.depth_of`.
+    The depth is the coordinate z; for a fisheye it is the distance of the point, see
+    `lmd.geometry.lens_models.depth_of`.
     """
     if camera.lens is None:
         return points[..., 2]

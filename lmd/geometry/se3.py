@@ -1,8 +1,8 @@
 """Rigid motions: exponential, logarithm and other maps on SE(3) and se(3).
 
-A pose X = [R p; 0 1] maps camera coordinates to world coordinates. The columns of R are the camera's axes (x right,
-y down, z the optical axis) in the world frame, p is the camera's position in metres. A twist (w, v) in body
-coordinates has the angular part first, rad (or rad/s), then the linear part, m (or m/s). Arrays have any leading shape
+A pose X = [R p; 0 1] maps camera coordinates to world coordinates. The columns of R are the camera's axes (x right, y
+down, z the optical axis) in the world frame, p is the camera's position in metres. A twist (w, v) in body coordinates
+has the angular part w first, rad (or rad/s), then the linear part v, m (or m/s). Arrays may have any leading shape
 `(...)`.
 """
 
@@ -30,7 +30,7 @@ def camera_pose(position: ArrayLike, yaw: ArrayLike, pitch: ArrayLike, roll: Arr
     """Pose X of a camera at `position` `(..., 3)`, metres, with yaw, pitch and roll `(...)` as in `frames.rotation`.
 
     Returns:
-        `(..., 4, 4)`.
+        poses `(..., 4, 4)`.
     """
     return pose_of(np.swapaxes(rotation(yaw, pitch, roll), -1, -2), np.asarray(position, dtype=np.float64))
 
@@ -43,13 +43,13 @@ def pose_of(orientation: FloatArray, position: FloatArray) -> FloatArray:
 
 
 def poses_from_rows(rows: FloatArray, lines: Sequence[int] | None = None) -> FloatArray:
-    """Poses `(T, 4, 4)` from rows `(T, 7)` with the columns `ROW`.
+    """Poses `(T, 4, 4)` from rows of a file, `(T, 7)`, with the columns `ROW`: position and quaternion.
 
     Args:
         lines: line of each row in its file, from 1, for messages.
 
     Raises:
-        InputError: a quaternion is not unit.
+        InputError: a quaternion does not have the norm 1.
     """
     from scipy.spatial.transform import Rotation
 
@@ -62,7 +62,7 @@ def poses_from_rows(rows: FloatArray, lines: Sequence[int] | None = None) -> Flo
 
 
 def are_rotations(matrices: FloatArray) -> BoolArray:
-    """Mask of the matrices `(..., 3, 3)` that are rotations within `MATRIX_TOLERANCE`, `(...)`."""
+    """Mask `(...)` of those matrices `(..., 3, 3)` that are rotations within `MATRIX_TOLERANCE`."""
     error = np.abs(np.swapaxes(matrices, -1, -2) @ matrices - np.eye(3)).max(axis=(-1, -2))
     return np.asarray((error <= MATRIX_TOLERANCE) & (np.linalg.det(matrices) > 0.0))
 
@@ -96,13 +96,13 @@ def act(pose: FloatArray, points: FloatArray) -> FloatArray:
         points: `(..., K, 3)`, metres.
 
     Returns:
-        `(..., K, 3)`.
+        transformed points, `(..., K, 3)`.
     """
     return np.asarray(points @ np.swapaxes(pose[..., :3, :3], -1, -2) + pose[..., None, :3, 3])
 
 
 def axis_and_right(pose: FloatArray) -> FloatArray:
-    """Optical axis and image's right, world frame, `(..., 6)`, of camera poses X `(..., 4, 4)`."""
+    """Optical axis and right direction of the image, world frame, `(..., 6)`, for camera poses X `(..., 4, 4)`."""
     return np.concatenate([pose[..., :3, 2], pose[..., :3, 0]], axis=-1)
 
 
@@ -116,10 +116,11 @@ def skew(vector: FloatArray) -> FloatArray:
 
 
 def seen_by_twist(points: FloatArray) -> FloatArray:
-    """Derivative [[y]x  -I] of points y `(..., 3)`, in the frame of X, with respect to a twist: X -> X exp(w, v).
+    """Derivative [[y]x  -I] of points y `(..., 3)` in the frame of a pose X, with respect to a twist (w, v) that
+    changes X to X exp(w, v).
 
     Returns:
-        `(..., 3, 6)`.
+        matrices `(..., 3, 6)`.
     """
     return np.concatenate([skew(points), np.broadcast_to(-np.eye(3), (*points.shape, 3))], axis=-1)
 
@@ -139,7 +140,7 @@ def adjoint(pose: FloatArray, twist: FloatArray) -> FloatArray:
 
 
 def adjoint_matrix(pose: FloatArray) -> FloatArray:
-    """Ad_X = [R 0; [p]x R  R] of poses `(..., 4, 4)`, `(..., 6, 6)`."""
+    """Matrix Ad_X = [R 0; [p]x R  R] of the adjoint map, `(..., 6, 6)`, for poses X `(..., 4, 4)`."""
     return np.swapaxes(adjoint(pose[..., None, :, :], np.eye(6)), -1, -2)
 
 
@@ -152,7 +153,7 @@ def bracket_matrix(twist: FloatArray) -> FloatArray:
 
 
 def left_jacobian(twist: FloatArray) -> FloatArray:
-    """J(u) = integral of Ad_exp(s u) over s from 0 to 1, `(..., 6)` -> `(..., 6, 6)`.
+    """Left Jacobian J(u) = integral of Ad_exp(s u) over s from 0 to 1, of twists u, `(..., 6)` -> `(..., 6, 6)`.
 
     exp(u + d) = exp(J(u) d) exp(u) to first order in d; the right Jacobian is J(-u). The powers of ad_u above the
     fourth follow from ad_u^5 = -2 t^2 ad_u^3 - t^4 ad_u with t = |w|.
@@ -209,7 +210,9 @@ def log(pose: FloatArray) -> FloatArray:
 
 
 def median_pose(poses: FloatArray) -> FloatArray:
-    """Robust mean of poses `(n, 4, 4)`: iterated median of their twists from the current estimate."""
+    """Robust mean of poses `(n, 4, 4)`: the componentwise median of their twists relative to the current estimate,
+    iterated.
+    """
     result = poses[len(poses) // 2]
     for _ in range(MEDIAN_STEPS):
         result = result @ exp(np.median(log(inverse(result) @ poses), axis=0))

@@ -21,24 +21,25 @@ def corners(centres: FloatArray, normals: FloatArray, ups: FloatArray, edge: flo
     """Corners of squares, in the order of `CORNERS`.
 
     Args:
-        centres: `(..., 3)`, world frame, metres.
+        centres: centres of the squares, `(..., 3)`, world frame, metres.
         normals: unit normals of the front faces, `(..., 3)`.
-        ups: unit vectors in the squares' planes to their upper edges, `(..., 3)`; the right vector is up x normal.
-        edge: metres, one number or `(...)`.
+        ups: unit vectors in the squares' planes that point to their upper edges, `(..., 3)`; the right vector is up x
+            normal.
+        edge: edge length, metres, one number or `(...)`.
 
     Returns:
-        `(..., 4, 3)`, world frame, metres.
+        corners `(..., 4, 3)`, world frame, metres.
     """
     axes = np.stack([np.cross(ups, normals), np.broadcast_to(ups, np.shape(normals))], axis=-2)
     return np.asarray(centres[..., None, :] + np.asarray(edge)[..., None, None] / 2.0 * (CORNERS @ axes))
 
 
 def upright(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Right and up vectors of upright tags, seen from the front: unit vectors `(..., 3)`, world frame.
+    """Right and up vectors of upright tags, as seen from the front: unit vectors `(..., 3)` each, world frame.
 
     The up vector is the direction in the tag's plane nearest to +z, or nearest to +y if the normal is within
-    `VERTICAL_TOLERANCE` of vertical. Placed tags are upright, as these can be mounted with a spirit level. Other
-    rotations in the plane gain little, as a square is symmetric under quarter turns.
+    `VERTICAL_TOLERANCE` of vertical. Placed tags are upright, as upright tags can be mounted with a spirit level. Other
+    rotations of a tag in its plane would gain little, as a square is symmetric under quarter turns.
 
     Args:
         normals: unit normals of the front faces, `(..., 3)`.
@@ -55,7 +56,9 @@ def upright(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 @inlined
 def upright_axes(normal: Vector, level: float) -> tuple[Vector, Vector]:
-    """`upright` for one unit normal, for kernels; `level` is the tolerance `VERTICAL_TOLERANCE`."""
+    """Right and up vector of `upright` for a single unit normal, in compiled code; `level` is the tolerance
+    `VERTICAL_TOLERANCE`.
+    """
     nx, ny, nz = normal
     across = nx * nx + ny * ny
     on_wall = across > level * level
@@ -68,6 +71,8 @@ def upright_axes(normal: Vector, level: float) -> tuple[Vector, Vector]:
 
 @inlined
 def upright_sides(half: Any, normal: Vector) -> tuple[Vector, Vector]:
-    """Vectors of length `half` from the centre of an upright tag to the midpoints of its right and its upper edge."""
+    """Vectors of length `half` from the centre of an upright tag to the midpoints of its right edge and of its upper
+    edge.
+    """
     right, up = upright_axes(normal, VERTICAL_TOLERANCE)
     return times3(half, right), times3(half, up)

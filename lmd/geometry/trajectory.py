@@ -11,10 +11,10 @@ from lmd.geometry.se3 import inverse, log
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Poses of a camera at the times of its T frames.
+    """Poses of a camera at the times of T frames.
 
     Raises:
-        InputError: there are fewer than two frames, or times do not increase.
+        InputError: there are fewer than two frames, or the times do not increase.
     """
 
     time: FloatArray
@@ -29,12 +29,16 @@ class Trajectory:
 
     @property
     def twists(self) -> FloatArray:
-        """Body twists U between frames, X_t+1 = X_t exp(h U) with the time step h, `(T - 1, 6)`, rad/s and m/s."""
+        """Body twists U between successive frames, with X_t+1 = X_t exp(h U) for the time step h, `(T - 1, 6)`, rad/s
+        and m/s.
+        """
         return log(inverse(self.poses[:-1]) @ self.poses[1:]) / np.diff(self.time)[:, None]
 
 
 def check_order(time: FloatArray, lines: Sequence[int] | None = None) -> None:
-    """Raise `InputError` if times `(T,)` do not increase; `lines` are their lines in a file, for the message."""
+    """Raise `InputError` if the times `(T,)` do not increase; `lines` are the numbers of their lines in a file, for the
+    message.
+    """
     late = np.flatnonzero(np.diff(time) <= 0.0)
     if late.size:
         before, after = time[late[0] : late[0] + 2].tolist()

@@ -1,4 +1,6 @@
-"""Vectors in kernels: tuples of three numbers (arrays in the NumPy reference); sums are added from left to right."""
+"""Vectors in compiled code: tuples of three numbers (arrays in the NumPy reference). Sums are computed from left to
+right.
+"""
 
 from typing import Any, TypeAlias
 
@@ -40,7 +42,7 @@ def times3(factor: Any, a: Vector) -> Vector:
 
 @inlined
 def in_frame(frame: tuple[Vector, Vector, Vector], a: Vector) -> Vector:
-    """Coordinates of a vector along the three vectors of a frame."""
+    """Coordinates of a vector along the three axes of a frame."""
     return dot3(frame[0], a), dot3(frame[1], a), dot3(frame[2], a)
 
 
@@ -52,46 +54,50 @@ def row3(rows: Any, i: Integer) -> Vector:
 
 @inlined
 def column3(columns: Any, k: Integer) -> Vector:
-    """First vector in column k of an array `(3, N)` or `(6, N)`."""
+    """Vector in the first three rows of column k of an array `(3, N)` or `(6, N)`."""
     return columns[0, k], columns[1, k], columns[2, k]
 
 
 @inlined
 def pair3(columns: Any, k: Integer) -> tuple[Vector, Vector]:
-    """Both vectors in column k of an array `(6, N)`: position and normal of a pose, or optical axis and right."""
+    """Two vectors in column k of an array `(6, N)`: position and normal of a pose, or optical axis and right
+    direction.
+    """
     return (columns[0, k], columns[1, k], columns[2, k]), (columns[3, k], columns[4, k], columns[5, k])
 
 
 @inlined
 def read3(numbers: Any, first: Integer, step: Integer) -> Vector:
-    """Three numbers of an array `(N,)`, `step` entries apart."""
+    """Vector of three numbers in an array `(N,)`, from index `first` on, `step` entries apart."""
     # Sums instead of a factor: an unsigned number times a constant is signed; numba tests signed indices for < 0.
     return numbers[first], numbers[first + step], numbers[first + step + step]
 
 
 @inlined
 def write3(numbers: Any, first: Integer, step: Integer, a: Any) -> None:
-    """Write three numbers into an array `(N,)`, `step` entries apart."""
+    """Write the three numbers of a vector into an array `(N,)`, from index `first` on, `step` entries apart."""
     numbers[first], numbers[first + step], numbers[first + step + step] = a
 
 
 @inlined
 def read6(numbers: Any, first: Integer, step: Integer) -> Any:
-    """Six numbers of an array `(N,)`, `step` entries apart: xx, xy, xz, yy, yz, zz of a symmetric matrix."""
+    """Entries xx, xy, xz, yy, yz, zz of a symmetric matrix in an array `(N,)`, from index `first` on, `step` entries
+    apart.
+    """
     a, b, c = read3(numbers, first, step)
     return a, b, c, *read3(numbers, first + step + step + step, step)
 
 
 @inlined
 def symmetric3(m: Any, a: Vector) -> Vector:
-    """Product of a symmetric matrix, six numbers, and a vector."""
+    """Product of a symmetric matrix, given by six numbers, and a vector."""
     xx, xy, xz, yy, yz, zz = m
     return dot3((xx, xy, xz), a), dot3((xy, yy, yz), a), dot3((xz, yz, zz), a)
 
 
 @inlined
 def adjugate3(m: Any) -> Any:
-    """Adjugate of a symmetric matrix, both six numbers."""
+    """Adjugate of a symmetric matrix; each of the two matrices is given by six numbers."""
     xx, xy, xz, yy, yz, zz = m
     return (
         yy * zz - yz * yz,
@@ -105,6 +111,6 @@ def adjugate3(m: Any) -> Any:
 
 @inlined
 def invariants3(m: Any) -> tuple[Any, Any]:
-    """Sum of the principal minors and determinant of a symmetric matrix, six numbers."""
+    """Sum of the principal minors, and determinant, of a symmetric matrix given by six numbers."""
     n = adjugate3(m)
     return n[0] + n[3] + n[5], dot3((m[0], m[1], m[2]), (n[0], n[1], n[2]))

@@ -1,1 +1,1 @@
-"""Figures of scenes and of optimisation runs; plotting libraries load only when a figure is drawn."""
+"""Figures of scenes and of optimisation runs; plotting libraries are imported only when a figure is drawn."""

@@ -1,4 +1,4 @@
-"""Charts of figures, as PNGs: convergence, optimisers side by side, trade-offs, heat maps, sensitivity."""
+"""Charts of metrics, as PNGs: convergence, optimisers side by side, trade-offs, heat maps, sensitivity."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -25,11 +25,12 @@ LANDMARKS = "number of landmarks K"
 
 
 def save_convergence_figure(path: str | Path, history: Mapping[str, ArrayLike], title: str) -> None:
-    """Write a PNG of 900 x 500 pixels: the best fitness as a step line over evaluations.
+    """Write a PNG of 900 x 500 pixels: the best fitness as a step line against the number of evaluations.
 
     Args:
         path: path of the PNG.
-        history: `evaluations`, `best_fitness` and `wall_time` (seconds since the start) of at least one record.
+        history: columns `evaluations`, `best_fitness` and `wall_time` (seconds since the start), with at least one
+            record.
         title: title of the figure.
     """
     from matplotlib.ticker import MaxNLocator
@@ -53,7 +54,7 @@ def save_convergence_figure(path: str | Path, history: Mapping[str, ArrayLike], 
 
 
 def _duration(seconds: float) -> str:
-    """Format seconds, such as 75.3 as `1 min 15 s`."""
+    """Format a duration in seconds; 75.3 becomes `1 min 15 s`."""
     if seconds < 60.0:
         return f"{seconds:.1f} s"
     minutes, rest = divmod(round(seconds), 60)
@@ -64,16 +65,17 @@ def _duration(seconds: float) -> str:
 def save_comparison_figure(
     path: str | Path, runs: "Sequence[OptimiserRun]", axis: str, headline: Headline, title: str
 ) -> None:
-    """Write a PNG of two panels over evaluations or time, on a logarithmic axis.
+    """Write a PNG of two panels that compare optimisers, against evaluations or time on a logarithmic axis.
 
-    The left panel has the median best fitness of each optimiser, with a band from its worst to its best seed. The right
-    panel has the share of (run, target) pairs reached (`attained`), as in COCO and IOHprofiler.
+    The left panel shows the median over seeds of each optimiser's best fitness, with a band from its worst to its best
+    seed. The right panel shows the share of pairs (run, target) in which the run has reached the target (`attained`),
+    as in COCO and IOHprofiler.
 
     Args:
         path: path of the PNG.
         runs: runs of all optimisers and seeds.
         axis: `evaluations` or `wall_time`.
-        headline: figure that orders the legend, the highest median first.
+        headline: main metric, whose medians order the legend, the highest median first.
         title: title of the figure.
     """
     from lmd.evaluation.comparison import attained, best_at, by_optimiser, curve_targets
@@ -101,35 +103,37 @@ def save_comparison_figure(
 
 
 def _draw_median(axes: Any, at: FloatArray, curves: FloatArray, name: str, number: int) -> None:
-    """Draw the median of fitness curves `(R, N)` over `at` `(N,)`, per cent, and a band from the worst to the best."""
+    """Draw the median of R fitness curves `(R, N)` against `at` `(N,)`, in per cent, and a band from the worst to the
+    best curve.
+    """
     known = np.isfinite(curves).all(axis=0)
     band = np.quantile(100.0 * curves[:, known], (0.0, 0.5, 1.0), axis=0)
     draw_band(axes, at[known], band, f"{name} {band[1, -1]:.1f}%", lw=1.8, **series(number))
 
 
 class Searched(NamedTuple):
-    """A finished job of a sweep."""
+    """Finished job of a sweep, for the figure of its groups."""
 
     history: "Sequence[Record]"
-    """Records of its search."""
+    """Records of the job's search."""
     fitness: float
-    """Fitness on the grid."""
+    """Fitness of the result on the grid."""
     off_grid: float | None
-    """The figure off the grid; None without validation."""
+    """Main metric of the result off the grid; None if it was not validated."""
 
 
 def save_groups_figure(
     path: str | Path, groups: Mapping[tuple[str, ...], Sequence[Searched]], keys: Sequence[str], title: str
 ) -> None:
-    """Write a PNG of two panels about the groups of a sweep; a group has jobs that differ in their seed alone.
+    """Write a PNG of two panels about the groups of a sweep; the jobs of a group differ only in their seed.
 
-    The left panel has the median best fitness of each group over evaluations, with a band from the worst to the best
-    seed. The right panel has the final medians over the values of the last key, with a line for each choice of the
-    other values.
+    The left panel plots the median best fitness of each group against the number of evaluations, with a band from the
+    worst to the best seed. The right panel plots the final median of each group against the value of the last key, with
+    one line for each combination of the other values.
 
     Args:
         path: path of the PNG.
-        groups: the jobs of each group, at least one, by the values of `keys`.
+        groups: jobs of each group, at least one, keyed by the values of `keys`.
         keys: names of the settings that vary.
         title: title of the figure.
     """
@@ -166,7 +170,7 @@ def save_groups_figure(
 
 
 def _labelled(keys: Sequence[str], group: Sequence[str]) -> str:
-    """Values of a group in words, numbers with their keys: `annealing n=2`."""
+    """Label of a group from its values; numbers are preceded by their keys, as in `annealing n=2`."""
     words = zip(keys, group, strict=False)
     return literal(" ".join(f"{key.split('.')[-1]}={value}" if _is_number(value) else value for key, value in words))
 
@@ -176,30 +180,31 @@ def _is_number(text: str) -> bool:
 
 
 class Panel(NamedTuple):
-    """Panel of a trade-off: a figure against the number of landmarks."""
+    """Panel of a trade-off, which plots a metric against the number of landmarks."""
 
     label: str
     """Label of the vertical axis."""
     figure: str
-    """Column of the table of points that is shown: a share off the grid."""
+    """Column of the table of points with the plotted metric: a share off the grid."""
     on_grid: str | None = None
-    """Column of the share on the grid, drawn faintly; None for none."""
+    """Column of the corresponding share on the grid, which is drawn faintly; None for none."""
     wanted: float | None = None
-    """Share that is marked by a line; None for none."""
+    """Share at which a line is drawn; None for none."""
 
 
 def curve_name(edge: float) -> str:
-    """Label of a curve: tags with an edge, metres, or points."""
+    """Label of a curve: the edge length of its tags, metres, or a word for points."""
     return f"tags of {1e3 * edge:g} mm" if edge else "points"
 
 
 def save_tradeoff_figure(path: str | Path, points: "pd.DataFrame", panels: Sequence[Panel], title: str) -> None:
-    """Write a PNG, 550 pixels wide for each panel and 450 high: medians over the seeds, bands from least to greatest.
+    """Write a PNG of a trade-off, 550 pixels wide for each panel and 450 high: medians over the seeds, with bands from
+    the least to the greatest value.
 
     Args:
         path: path of the PNG.
-        points: as for `lmd.evaluation.tradeoff.front`.
-        panels: panels from left to right; their figures are shares.
+        points: table of points, as for `lmd.evaluation.tradeoff.front`.
+        panels: panels from left to right; their metrics are shares.
         title: title of the figure.
     """
     figure, drawn = new_panels((5.5 * len(panels), 4.5), title, 1, len(panels))
@@ -224,8 +229,8 @@ def save_heat_map(path: str | Path, tables: "Mapping[str, pd.DataFrame]", title:
 
     Args:
         path: path of the PNG.
-        tables: shares (fractions; NaN for a cell without a run), by the heading of their panel. The index and the
-            columns are named, and equal in all tables.
+        tables: shares (fractions; NaN for a cell without a run), keyed by the heading of their panel. Index and columns
+            have names, and are equal in all tables.
         title: title of the figure.
         label: label of the shares.
     """
@@ -250,12 +255,12 @@ def save_heat_map(path: str | Path, tables: "Mapping[str, pd.DataFrame]", title:
 def save_landmark_count_figure(
     path: str | Path, ratios: "pd.DataFrame", references: Mapping[str, tuple[int, float]], title: str
 ) -> None:
-    """Write a PNG: the qualified ratio against the number of landmarks K.
+    """Write a PNG: the qualified ratio plotted against the number of landmarks K.
 
     Args:
         ratios: one row per run with the columns `count` (K) and `qualified_ratio` (fraction); a line joins the medians
             of each K.
-        references: points (K, qualified ratio) for comparison, by name.
+        references: points (K, qualified ratio) that are drawn for comparison, keyed by name.
     """
     from matplotlib.ticker import PercentFormatter
 
@@ -277,8 +282,8 @@ def _written(value: object) -> str:
 
 
 def save_sensitivity_figure(path: str | Path, found: "Sensitivity", title: str) -> None:
-    """Write a PNG of 1500 x 500 pixels with the figures under other assumptions, with missed and with lost
-    landmarks.
+    """Write a PNG of 1500 x 500 pixels that shows the shares of localised and covered views under other assumptions,
+    with missed landmarks, and with lost landmarks.
     """
     from lmd.evaluation.sensitivity import SHARE_COLUMNS
 

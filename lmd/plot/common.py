@@ -54,8 +54,8 @@ def size_of(room: Space) -> FloatArray:
 
 
 def spacing_of(room: Space, positions: FloatArray) -> float:
-    """Median distance of positions `(P, 3)` from their nearest neighbours, metres; the room's size for a single
-    position.
+    """Median distance of each of the positions `(P, 3)` from its nearest neighbour, metres; the room's size for a
+    single position.
     """
     some = positions[:: max(1, len(positions) // SPACING_SAMPLE)]
     away = (np.linalg.norm(positions - one, axis=1) for one in some)
@@ -64,12 +64,14 @@ def spacing_of(room: Space, positions: FloatArray) -> float:
 
 
 def ball_scale(room: Space, positions: FloatArray) -> float:
-    """Factor for the diameter of balls at positions: 1, or less if positions are closer than in the paper."""
+    """Factor for the diameter of the balls drawn at positions: 1, or less if the positions are closer together than in
+    the paper.
+    """
     return min(1.0, spacing_of(room, positions) / float(np.linalg.norm(size_of(room))) / 0.046)
 
 
 def logarithmic_ticks(low: float, high: float) -> FloatArray:
-    """A few round numbers for a logarithmic axis from `low` to `high`, also if `low` and `high` are close."""
+    """A few round numbers as ticks of a logarithmic axis from `low` to `high`, even if the two values are close."""
     from matplotlib.ticker import MaxNLocator
 
     decades = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1.0)
@@ -84,18 +86,20 @@ def logarithmic_ticks(low: float, high: float) -> FloatArray:
 
 
 def set_log_ticks(axis: Any, low: float, high: float) -> None:
-    """Put a few round numbers on a logarithmic axis or colour bar from `low` to `high`, and remove minor ticks."""
+    """Set a few round numbers as ticks of a logarithmic axis or colour bar from `low` to `high`, and remove minor
+    ticks.
+    """
     set_ticks(axis, logarithmic_ticks(low, high))
 
 
 def set_ticks(axis: Any, ticks: FloatArray) -> None:
-    """Put ticks with short numbers on an axis or a colour bar, and remove minor ticks."""
+    """Set the ticks of an axis or a colour bar, labelled with short numbers, and remove minor ticks."""
     axis.set_ticks(ticks.tolist(), labels=[f"{tick:g}" for tick in ticks])
     axis.set_ticks([], minor=True)
 
 
 def dress(axes: Any, legend: bool = False, **settings: Any) -> None:
-    """Give axes their labels and limits, a faint grid, and a legend without a frame."""
+    """Set the labels and limits of axes, and add a faint grid and, if wanted, a legend without a frame."""
     axes.set(**settings)
     axes.grid(alpha=0.3)
     if legend:
@@ -103,7 +107,9 @@ def dress(axes: Any, legend: bool = False, **settings: Any) -> None:
 
 
 def draw_band(axes: Any, x: Any, band: Any, label: str | None, mark: str = "", **style: Any) -> None:
-    """Draw a line through the middle values of a band `(3, N)`, and a faint area from its low to its high values."""
+    """Draw a band `(3, N)`, whose rows are low, middle and high values: a line through the middle values, and a faint
+    area from the low to the high values.
+    """
     low, middle, high = band
     axes.fill_between(x, low, high, color=style["color"], alpha=0.2, lw=0)
     axes.plot(x, middle, mark, label=label, **style)
@@ -116,7 +122,7 @@ def draw_arrows(axes: Any, places: FloatArray, ways: FloatArray, **style: Any) -
 
 
 def from_above(axes: Any, **settings: Any) -> None:
-    """Give axes in the plane of a floor equal scales and their labels."""
+    """Set equal scales and the labels for axes in the plane of a floor."""
     axes.set(**{"aspect": "equal", "xlabel": AXIS_LABELS[0], "ylabel": AXIS_LABELS[1], **settings})
 
 
@@ -126,13 +132,15 @@ class Group(NamedTuple):
     label: str
     """Legend entry."""
     colour: str
-    """Colour."""
+    """Colour of the landmarks."""
     chosen: BoolArray
-    """`(K,)` mask of the landmarks in the group."""
+    """Mask `(K,)` of the landmarks that belong to the group."""
 
 
 def landmark_groups(count: int, fixed: int) -> list[Group]:
-    """Nonempty groups of `count` landmarks; the first `fixed` landmarks existed before the optimisation."""
+    """Groups of `count` landmarks, without empty groups; the first `fixed` landmarks existed before the
+    optimisation.
+    """
     hung = np.arange(count) < fixed
     if not fixed:
         return [Group("landmark and its normal", LANDMARK, ~hung)]
@@ -156,9 +164,9 @@ def draw_plan(axes: Any, room: Space, **style: Any) -> None:
 
 
 def draw_tags(axes: Any, deployment: Deployment, groups: Sequence[Group]) -> None:
-    """Draw landmarks from above: arrows along their normals in the colours of groups, and ids before them.
+    """Draw landmarks from above: arrows along their normals in the colours of their groups, and ids in front of them.
 
-    Landmarks above each other share a text.
+    Landmarks that are above each other share one text.
     """
     at, ways = deployment.positions[:, :2], deployment.normals[:, :2]
     ids: dict[tuple[float, ...], list[int]] = {}
@@ -177,28 +185,32 @@ def draw_tags(axes: Any, deployment: Deployment, groups: Sequence[Group]) -> Non
 
 
 def series(number: int) -> dict[str, str]:
-    """Colour and line style of a series in figures of several methods: ten hues, then other dashes."""
+    """Colour and line style of series number `number` in figures of several optimisers: ten hues, which are then
+    repeated with other dashes.
+    """
     return {"color": f"C{number % HUES}", "linestyle": DASHES[number // HUES % len(DASHES)]}
 
 
 def literal(text: object) -> str:
-    """Escape a text from a file for matplotlib, so that `$` begins no formula."""
+    """Escape a text from a file for matplotlib, which would otherwise take `$` for the beginning of a formula."""
     return printable(str(text)).replace("$", r"\$")
 
 
 def wrapped(title: str, inches: float) -> str:
-    """Title in lines that fit into a figure of this width."""
+    """Break a title into lines that fit into a figure `inches` wide."""
     return textwrap.fill(literal(title), int(LETTERS_PER_INCH * inches))
 
 
 def new_panels(inches: tuple[float, float], title: str | None, rows: int, columns: int, **shared: Any) -> Any:
-    """Make a figure as `new_figure` with panels side by side; returns the figure and its panels `(rows, columns)`."""
+    """Make a figure with panels in rows and columns, otherwise like `new_figure`; return the figure and its panels
+    `(rows, columns)`.
+    """
     figure = new_figure(inches, title)
     return figure, figure.subplots(rows, columns, squeeze=False, **shared)
 
 
 def new_figure(inches: tuple[float, float], title: str | None = None) -> Any:
-    """Make a figure of this width and height at 100 dots per inch, with automatic layout."""
+    """Make a figure of the given width and height in inches, at 100 dots per inch, with automatic layout."""
     from matplotlib.figure import Figure  # slow to load
 
     figure = Figure(figsize=inches, dpi=100, layout="constrained", facecolor="white")

@@ -1,4 +1,4 @@
-"""Pictures of detections beside predictions: figures, and frames with the tags outlined."""
+"""Pictures that compare detections with predictions: charts, and frames in which the tags are outlined."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -27,7 +27,8 @@ LEGEND = (
 
 
 def save_calibration_figure(path: str | Path, figures: pd.DataFrame, pitches: pd.DataFrame, title: str) -> None:
-    """Write a PNG: for each deployment P(>= n) as predicted and detected, and below it shares of tags by pitch.
+    """Write a PNG: for each deployment, the share of frames with at least n tags, P(>= n), as predicted and as
+    detected; below it, shares of tags by pitch.
 
     Args:
         path: path of the PNG.
@@ -66,11 +67,12 @@ def save_calibration_figure(path: str | Path, figures: pd.DataFrame, pitches: pd
 
 
 def save_limits_figure(path: str | Path, calibrations: Mapping[str, DetectorCalibration], title: str) -> None:
-    """Write a PNG: for each detector the detected views, by pitch and blur, and their share by size over the limit.
+    """Write a PNG: for each detector, the detected views against pitch and blur, and their share against the ratio of
+    size to limit.
 
     Args:
         path: path of the PNG.
-        calibrations: calibrations by the name of the detector.
+        calibrations: calibrations, keyed by the name of the detector.
         title: title of the figure.
     """
     figure, panels = new_panels((12.0, 0.6 + 4.2 * len(calibrations)), title, len(calibrations), 2)
@@ -102,7 +104,7 @@ def save_limits_figure(path: str | Path, calibrations: Mapping[str, DetectorCali
 
 
 def _middle(rows: pd.DataFrame) -> FloatArray:
-    """Geometric mean of the bounds of classes of pitch, `(B,)`, pixels per module."""
+    """Geometric mean of the two bounds of each class of pitch, `(B,)`, pixels per module."""
     low, high = (rows[name].to_numpy(np.float64) for name in ("pitch_from", "pitch_to"))
     low = np.where(low > 0.0, low, high / 1.5)
     return np.asarray(np.sqrt(low * np.where(np.isfinite(high), high, 1.5 * low)))
@@ -113,9 +115,9 @@ def outlined(image: UInt8Array, expected: FloatArray, predicted: BoolArray, foun
 
     Args:
         image: grey image, `(h, w)`.
-        expected: exact corners, pixels from the border, `(K, 4, 2)`; NaN behind the camera.
+        expected: exact corners of the K tags, pixels from the border, `(K, 4, 2)`; NaN behind the camera.
         predicted: mask of the predicted tags, `(K,)`.
-        found: corners as detected, `(K, 4, 2)`; NaN where not detected.
+        found: detected corners, `(K, 4, 2)`; NaN for tags that were not detected.
     """
     cv2 = optional("cv2", "detection")
     drawn = np.repeat(image[..., None], 3, axis=-1)
@@ -133,7 +135,7 @@ def outlined(image: UInt8Array, expected: FloatArray, predicted: BoolArray, foun
 def save_frame(
     path: str | Path, image: UInt8Array, expected: FloatArray, predicted: BoolArray, found: FloatArray
 ) -> None:
-    """Write the image of `outlined` as a PNG, with a legend."""
+    """Write the image that `outlined` returns as a PNG, with a legend."""
     cv2 = optional("cv2", "detection")
     drawn, scale = outlined(image, expected, predicted, found), _scale(image)
     for i, (colour, text) in enumerate(LEGEND):
@@ -145,5 +147,5 @@ def save_frame(
 
 
 def _scale(image: UInt8Array) -> int:
-    """Factor for the width of lines, 1 for an image 800 pixels wide."""
+    """Factor for line widths; it is 1 for an image 800 pixels wide."""
     return max(1, round(len(image[0]) / 800))

@@ -33,13 +33,13 @@ FAR = 5.0  # a tag is far from its plan if its distance exceeds this many median
 
 
 def save_room_figure(path: str | Path, room: Space, title: str, people: FloatArray | None = None) -> None:
-    """Write a PNG: a room from above, with its walls that carry landmarks and the positions of the camera.
+    """Write a PNG: a room from above, with the walls that may carry landmarks and the positions of the camera.
 
     Args:
         path: path of the PNG.
         room: room.
         title: title of the figure.
-        people: cylinders of all crowd states, `(S, N, 5)`; None without a crowd.
+        people: cylinders of the N people in each of S crowd states, `(S, N, 5)`; None without a crowd.
     """
     import shapely
     from matplotlib.collections import LineCollection, PatchCollection
@@ -76,13 +76,14 @@ def save_room_figure(path: str | Path, room: Space, title: str, people: FloatArr
 
 
 def save_accuracy_figure(path: str | Path, deployments: Mapping[str, tuple[Problem, Deployment]], title: str) -> None:
-    """Write a PNG: top views with the landmarks and the median predicted error as colour, on one scale.
+    """Write a PNG: the room from above for each deployment, with its landmarks, and with the median predicted error as
+    colour on one scale for all.
 
     The median is taken over all orientations and heights at each place of the plan.
 
     Args:
         path: path of the PNG.
-        deployments: deployment and problem of each panel, by the heading of the panel.
+        deployments: problem and deployment of each panel, keyed by the heading of the panel.
         title: title of the figure.
     """
     from matplotlib import colormaps
@@ -114,7 +115,8 @@ def save_accuracy_figure(path: str | Path, deployments: Mapping[str, tuple[Probl
 
 
 def save_survey_figure(path: str | Path, survey: "Survey", room: Space | None, title: str) -> None:
-    """Write a PNG of 1500 x 700 pixels: measured and planned tags from above, and the offset of each tag from its plan.
+    """Write a PNG of 1500 x 700 pixels: measured and planned tags from above, and the offset of each tag from its
+    planned place.
 
     Args:
         path: path of the PNG.
@@ -133,7 +135,9 @@ def save_survey_figure(path: str | Path, survey: "Survey", room: Space | None, t
 
 
 def _draw_above(axes: Any, survey: "Survey", room: Space | None) -> None:
-    """Draw tags from above, arrows from their planned places, ellipses, and ids of unseen tags."""
+    """Draw the tags from above, arrows from their planned to their measured places, uncertainty ellipses, and the ids
+    of unseen tags.
+    """
     from lmd.adjust.gauge import in_world
 
     if room is not None:
@@ -169,14 +173,14 @@ def _draw_above(axes: Any, survey: "Survey", room: Space | None) -> None:
 
 
 def edge_lines(tags: FloatArray, edges: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """x and y of the ends of lines along the middles of tags, `(2, K)` each, metres."""
+    """Coordinates x and y of the ends of horizontal lines through the middles of tags, `(2, K)` each, metres."""
     half = edges[:, None] / 2.0 * tags[:, :2, 0]
     ends = np.stack([tags[:, :2, 3] - half, tags[:, :2, 3] + half])
     return ends[..., 0], ends[..., 1]
 
 
 def ellipse(covariance: FloatArray) -> FloatArray:
-    """Points of the ellipse of a covariance `(2, 2)` around the origin, `(2, N)`."""
+    """Points on the ellipse that a covariance matrix `(2, 2)` describes around the origin, `(2, N)`."""
     values, axes = np.linalg.eigh(covariance)
     angle = np.linspace(0.0, 2.0 * np.pi, ELLIPSE_POINTS)
     circle = np.stack([np.cos(angle), np.sin(angle)])
@@ -184,7 +188,9 @@ def ellipse(covariance: FloatArray) -> FloatArray:
 
 
 def _draw_offsets(axes: Any, survey: "Survey") -> None:
-    """Draw the offsets of tags in their planes with ellipses, and the ids of the tags farthest off."""
+    """Draw the offset of each tag in its own plane, with uncertainty ellipses, and the ids of the tags with the largest
+    offsets.
+    """
     from lmd.survey.results import tag_columns
 
     columns = tag_columns(survey)
@@ -213,7 +219,7 @@ def _draw_offsets(axes: Any, survey: "Survey") -> None:
 
 
 def _draw_sigmas(axes: Any, survey: "Survey") -> None:
-    """Draw the standard deviation of each tag against the number of sightings that place it."""
+    """Draw the standard deviation of each tag's position against the number of sightings that determine it."""
     from lmd.survey.results import tag_columns
 
     columns = tag_columns(survey)
@@ -250,13 +256,15 @@ def save_localised_figure(path: str | Path, result: "Localisation", room: Space 
 
 
 def _ways(result: "Localisation") -> list[tuple[str, str, FloatArray, FloatArray]]:
-    """Name, colour, poses and covariances, of single images and of the smoothed drive."""
+    """For the single images and for the smoothed drive, as far as they exist: a tuple of name, colour, poses and
+    covariances.
+    """
     every = ("single images", SINGLE, result.found), ("smoothed", SMOOTHED, result.smoothed)
     return [(name, colour, one.poses.frames, one.frame_covariances) for name, colour, one in every if one is not None]
 
 
 def _draw_way(axes: Any, result: "Localisation", room: Space | None) -> None:
-    """Draw the tags, the path of the camera with ellipses, and the tags that changed."""
+    """Draw the tags, the path of the camera with uncertainty ellipses, and the tags that have changed."""
     from lmd.adjust.gauge import in_world
 
     if room is not None:
@@ -299,7 +307,7 @@ def _draw_way(axes: Any, result: "Localisation", room: Space | None) -> None:
 
 
 def _draw_deviations(axes: Any, result: "Localisation") -> None:
-    """Draw the standard deviation of the position in its worst direction, by time."""
+    """Draw the standard deviation of the position in its worst direction against time."""
     from lmd.adjust.motion import seconds_of
 
     seconds = seconds_of(result.detected.times)

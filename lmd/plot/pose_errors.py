@@ -1,4 +1,6 @@
-"""Figures of pose errors, as PNGs: over time, over the positions of a room, with several maps, and of single images."""
+"""Figures of pose errors, as PNGs: against time, over the positions of a room, with several maps, and from single
+images.
+"""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,14 +33,14 @@ DECADES = 12  # number of decades shown below the largest error
 def save_error_figure(
     path: str | Path, curves: pd.DataFrame, time: FloatArray, counts: dict[str, IntArray], n: int, title: str
 ) -> None:
-    """Write a PNG: for each estimator the errors over time, below them the landmarks in view.
+    """Write a PNG: the errors of each estimator against time, and below them the number of landmarks in view.
 
     Args:
         path: path of the PNG.
-        curves: result of `FlightStudy.curves`.
+        curves: table of the errors that `FlightStudy.curves` returns.
         time: time of the frames, `(T,)`, seconds.
-        counts: number of landmarks in each frame of one flight, `(T,)`, by deployment.
-        n: number of landmarks that is marked by a dotted line.
+        counts: number of landmarks in each frame of one flight, `(T,)`, keyed by deployment.
+        n: required number of landmarks, marked by a dotted line.
         title: title of the figure.
     """
     estimators, names = list(curves.estimator.unique()), list(counts)
@@ -70,12 +72,13 @@ def save_error_figure(
 
 
 def save_map_figure(path: str | Path, views: pd.DataFrame, title: str) -> None:
-    """Write a PNG of 800 x 500 pixels: for each map, the share of views with a position error below the value on the
-    axis.
+    """Write a PNG of 800 x 500 pixels: for each map, the share of views whose position error is below the value on the
+    horizontal axis.
 
     Args:
         path: path of the PNG.
-        views: rows of `lmd.evaluation.maps.map_errors`; views without an estimate count as infinitely far off.
+        views: rows of `lmd.evaluation.maps.map_errors`; views without an estimate count as views with an infinite
+            error.
         title: title of the figure.
     """
     figure, ((axes,),) = new_panels((8.0, 5.0), title, 1, 1)
@@ -105,18 +108,19 @@ def save_uncertainty_figure(
     law: UncertaintyLaw,
     title: str,
 ) -> None:
-    """Write a PNG of three panels.
+    """Write a PNG of three panels about the uncertainty of the pose from single images.
 
-    From above: the share of views with one pose and the heading with the least share in each cell. The median standard
-    deviation of the position, per axis, of the views with one pose. At the right: that deviation over the mean distance
-    of the tags, with its law.
+    The first panel shows the room from above: the share of views with an unambiguous pose in each cell, and the heading
+    with the least share. The second panel shows, also from above, the median standard deviation of the position per
+    axis, for views with an unambiguous pose. The third panel plots this deviation against the mean distance of the
+    tags, with the fitted law.
 
     Args:
         path: path of the PNG.
         problem: problem with the room.
         deployment: K tags.
         found: uncertainty in all views.
-        law: laws of the uncertainty.
+        law: formulas fitted to the standard deviations.
         title: title of the figure.
     """
     length, width, _ = common.size_of(problem.scene.room)
@@ -137,7 +141,9 @@ def save_uncertainty_figure(
 
 
 def _cells(places: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Bounds of nearly square cells along x and y, and the cell of each place `(V, 2)`, counted along x first."""
+    """Bounds of nearly square cells along x and along y, and the index of the cell of each place `(V, 2)`, counted
+    along x first.
+    """
     low, high = places.min(axis=0), np.maximum(places.max(axis=0), places.min(axis=0) + 1e-3)
     counts = np.maximum(np.rint(CELLS * (high - low) / (high - low).max()).astype(int), 1)
     bounds = [np.linspace(low[i], high[i], counts[i] + 1) for i in range(2)]
@@ -146,7 +152,9 @@ def _cells(places: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
 
 
 def _draw_shares(axes: Any, views: Any, x: FloatArray, y: FloatArray, cell: IntArray) -> None:
-    """Draw the share of views with one pose in each cell, and the heading with the least share as an arrow."""
+    """Draw the share of views with an unambiguous pose in each cell, and the heading with the least share as an
+    arrow.
+    """
     columns, rows = len(x) - 1, len(y) - 1
     share = _shares(cell, views.one, columns * rows)
     mesh = axes.pcolormesh(x, y, share.reshape(rows, columns), cmap=common.COLOUR_MAP)
@@ -164,13 +172,13 @@ def _draw_shares(axes: Any, views: Any, x: FloatArray, y: FloatArray, cell: IntA
 
 
 def _shares(cell: IntArray, hit: Any, count: int) -> FloatArray:
-    """Share of hits in each of `count` cells; NaN in cells with few views."""
+    """Share of the views in each of `count` cells for which `hit` is True; NaN in cells with few views."""
     number, hits = np.bincount(cell, minlength=count), np.bincount(cell, hit.astype(float), count)
     return np.where(number >= LEAST_IN_CELL, hits / np.maximum(number, 1), np.nan)
 
 
 def _draw_errors(axes: Any, views: Any, x: FloatArray, y: FloatArray, cell: IntArray) -> None:
-    """Draw the median standard deviation of the position in each cell, over the views with one pose."""
+    """Draw the median standard deviation of the position in each cell, for the views with an unambiguous pose."""
     from matplotlib import colormaps
     from matplotlib.colors import LogNorm
 
@@ -192,7 +200,7 @@ def _draw_errors(axes: Any, views: Any, x: FloatArray, y: FloatArray, cell: IntA
 
 
 def _draw_law(axes: Any, views: Any, law: UncertaintyLaw) -> None:
-    """Draw the standard deviation of the position over the mean distance of the tags, with its law."""
+    """Plot the standard deviation of the position against the mean distance of the tags, with the fitted law."""
     one = views[views.one]
     for number in NUMBERS:
         some = one[one.tags == number]

@@ -1,4 +1,4 @@
-"""Figures of deployments as in the paper, as PNGs: room, landmarks, and the value of each position."""
+"""Figures of deployments in the style of the paper, as PNGs: room, landmarks, and the value at each position."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -23,14 +23,15 @@ Groups: TypeAlias = Sequence[common.Group]
 
 
 def save_scene_figure(path: str | Path, problem: Problem, deployment: Deployment, title: str) -> None:
-    """Write a PNG of 1500 x 750 pixels: positions coloured by the objective's value, and by qualification.
+    """Write a PNG of 1500 x 750 pixels: the positions are coloured by the objective's value, and a second time by
+    qualification.
 
-    Positions at one height are drawn from above, with the ids of the landmarks.
+    If all positions have one height, the room is drawn from above, with the ids of the landmarks.
 
     Args:
         path: path of the PNG.
         problem: problem whose room is drawn in black, with the reachable area dashed and grey.
-        deployment: landmarks, drawn as red arrows along the normals, or blue arrows if they hung already.
+        deployment: landmarks, drawn as arrows along their normals: blue for fixed landmarks, red for all others.
         title: title of the figure.
     """
     room, objective = problem.scene.room, problem.objective
@@ -55,7 +56,7 @@ def save_scene_figure(path: str | Path, problem: Problem, deployment: Deployment
 def _draw_in_space(
     problem: Problem, values: FloatArray, good: BoolArray, deployment: Deployment, groups: Groups, title: str
 ) -> tuple[Any, Any]:
-    """Figure of two views in perspective, and its colour bar."""
+    """Figure of the room in perspective, drawn twice, and the figure's colour bar."""
     from matplotlib.figure import Figure
 
     room, positions = problem.scene.room, problem.places
@@ -74,7 +75,7 @@ def _draw_in_space(
 def _draw_from_above(
     problem: Problem, values: FloatArray, good: BoolArray, deployment: Deployment, groups: Groups, title: str
 ) -> tuple[Any, Any]:
-    """Figure of two plans, and its colour bar."""
+    """Figure of the room from above, drawn twice, and the figure's colour bar."""
     from matplotlib.collections import PatchCollection
     from matplotlib.patches import Rectangle
 
@@ -96,7 +97,7 @@ def _draw_from_above(
 
 
 def _legends(room: Space, groups: Groups, labels: tuple[str, str]) -> tuple[list[Any], list[Any]]:
-    """Legend entries of the room and the landmarks, and of qualified and unqualified positions."""
+    """Legend entries of the room and the landmarks, and legend entries of qualified and unqualified positions."""
     from matplotlib.lines import Line2D
 
     lines = [
@@ -112,11 +113,11 @@ def _legends(room: Space, groups: Groups, labels: tuple[str, str]) -> tuple[list
 def save_deployments_figure(
     path: str | Path, deployments: Mapping[str, tuple[Problem, Deployment]], title: str
 ) -> None:
-    """Write a PNG of deployments, two in a row, with the qualified positions of each.
+    """Write a PNG that shows several deployments, two in a row, with the qualified positions of each.
 
     Args:
         path: path of the PNG.
-        deployments: deployment and problem of each panel, by the heading of the panel.
+        deployments: problem and deployment of each panel, keyed by the heading of the panel.
         title: title of the figure.
     """
     from matplotlib.figure import Figure
@@ -148,7 +149,7 @@ def save_deployments_figure(
 
 
 def _draw_surroundings(axes: Any, room: Space, deployment: Deployment, groups: Groups) -> None:
-    """Draw everything except the balls: room, reachable area, groups of landmarks and axes."""
+    """Draw the room, the reachable area, the groups of landmarks and the axes, but not the balls at positions."""
     from matplotlib.ticker import MaxNLocator, MultipleLocator
     from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
@@ -180,7 +181,7 @@ def _draw_surroundings(axes: Any, room: Space, deployment: Deployment, groups: G
 
 
 def _arrows(groups: Iterable[common.Group]) -> list[Any]:
-    """Legend entries of groups of landmarks, without repetitions."""
+    """Legend entries of groups of landmarks; each entry occurs once."""
     from matplotlib.lines import Line2D
 
     entries = {group.label: group.colour for group in groups}
@@ -189,7 +190,7 @@ def _arrows(groups: Iterable[common.Group]) -> list[Any]:
 
 
 def _parts(room: Space) -> list[tuple[str, FloatArray, str, Any]]:
-    """Parts of a room to draw: name, edges, colour and style of each."""
+    """Parts of a room that are drawn: name, edge lines, colour and line style of each part."""
     outline = room.outline()
     return [
         (part, outline[part], colour, "--" if dashed else "-")
