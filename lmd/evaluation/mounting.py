@@ -114,7 +114,7 @@ class MountingError(Checked):
             return moved
         apart = problem.scene.footprints.separated(moved[on], fixed=int((on < problem.fixed_count).sum()))
         if apart is None:
-            raise InputError(f"position = {self.position:g} m leaves no free place for some papers.", "position")
+            raise InputError(f"position = {self.position:g} m leaves no free place for some tags.", "position")
         return moved.put(on, apart)
 
 

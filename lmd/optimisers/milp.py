@@ -279,7 +279,7 @@ class Milp(DeploymentSearch):
         solved = outcome.result()
         if solved.status == INFEASIBLE:
             raise InputError(
-                f"{problem.free_count} papers that do not overlap find no place on the lattice with a spacing of "
+                f"{problem.free_count} tags that do not overlap find no place on the lattice with a spacing of "
                 f"{self.spacing:g} m."
             )
         self.proven = {

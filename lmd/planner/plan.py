@@ -109,7 +109,7 @@ class Plan:
         """
         k = self._movable(number)
         if len(self.deployment) == 1:
-            raise InputError("the last tag cannot be deleted.")
+            raise InputError("the only tag of a plan cannot be deleted.")
         return replace(self, deployment=self.deployment[np.flatnonzero(np.arange(len(self.deployment)) != k)])
 
     def toggled(self, number: int) -> "Plan":
@@ -129,7 +129,7 @@ class Plan:
         """
         k = self.index_of(number)
         if number in self.pinned:
-            raise InputError(f"tag {number} is pinned.")
+            raise InputError(f"tag {number} is pinned: unpin it first.")
         return k
 
 
@@ -151,7 +151,7 @@ def _nearest_free(
     fixed = 0 if others is None else len(others)
     apart = footprints.separated(one if others is None else others + one, fixed=fixed)
     if apart is None:
-        raise InputError(f"there is no free place for one more paper of {footprints.papers(one)[0]:.4g} m.")
+        raise InputError(f"there is no free place for a tag of {footprints.papers(one)[0]:.4g} m (with white margin).")
     return apart[fixed:]
 
 

@@ -85,7 +85,7 @@ class TagChoice(BlackBox):
     def deployment(self, genes: FloatArray) -> Deployment:
         deployment = self._hung(checked_genes(genes, self.dim))
         if deployment is None:
-            raise InputError(f"{self.name}: the candidate has no tag, or its papers do not fit.", "genes")
+            raise InputError(f"{self.name}: the candidate hangs no tag, or its tags find no room.", "genes")
         return deployment
 
     def values_of(self, deployment: Deployment) -> FloatArray:

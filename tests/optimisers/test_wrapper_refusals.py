@@ -36,13 +36,13 @@ class Asking(AskTell):
 @pytest.mark.parametrize(
     ("asked", "message"),
     [
-        ([np.nan] * 12, "Asking asked for genes of which 12 of 12 are NaN, after 0 evaluations."),
-        (np.where(np.eye(12) > 0, np.nan, 0.5), "Asking asked for genes of which 12 of 144 are NaN"),
-        (["a"] * 12, "Asking asked for ['a', 'a'"),
-        ([["0.1"] * 12, [None] * 11], "Asking asked for [['0.1'"),
-        (object, "Asking asked for <class 'object'>, not for genes (B, 12)."),
-        ([[0.5] * 11], "Asking asked for genes of shape (1, 11), not (B, 12)."),
-        ([], "Asking asked for genes of shape (1, 0), not (B, 12)."),
+        ([np.nan] * 12, "Asking proposed genes of which 12 of 12 are NaN, after 0 evaluations."),
+        (np.where(np.eye(12) > 0, np.nan, 0.5), "Asking proposed genes of which 12 of 144 are NaN"),
+        (["a"] * 12, "Asking proposed ['a', 'a'"),
+        ([["0.1"] * 12, [None] * 11], "Asking proposed [['0.1'"),
+        (object, "Asking proposed <class 'object'>, not genes (B, 12)."),
+        ([[0.5] * 11], "Asking proposed genes of shape (1, 11), not (B, 12)."),
+        ([], "Asking proposed genes of shape (1, 0), not (B, 12)."),
     ],
 )
 def test_what_is_no_genes_is_refused_at_once_with_the_name_of_what_asked(asked, message):

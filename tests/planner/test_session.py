@@ -147,7 +147,7 @@ def test_pinned_tags_do_not_move_and_fixed_ones_stay_pinned():
     assert planned.plan.pinned == {0, 1}
     planned.pin(4)
     for refused in (lambda: planned.drag(4, 0, np.ones(2)), lambda: planned.delete(4)):
-        with pytest.raises(InputError, match=r"^tag 4 is pinned\.$"):
+        with pytest.raises(InputError, match=r"^tag 4 is pinned: unpin it first\.$"):
             refused()
     planned.pin(4)
     planned.drag(4, 0, np.ones(2))
