@@ -262,13 +262,13 @@ def _of_run(
 def _parts_of(
     directory: Path, argument: str, trust: Trust, groups: Sequence[str], files: Sequence[str] = FILES[:1]
 ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-    """Configuration of an earlier run, and its nodes of `groups`.
+    """Whole configuration of an earlier run, and the nodes of its groups `groups`.
 
     Args:
         directory: folder of the run.
-        argument: key that names the run, for messages.
+        argument: config key that names the run, for error messages.
         trust: names that the user trusts.
-        groups: the groups.
+        groups: config groups whose nodes are returned.
         files: files that the folder must have.
 
     Raises:
@@ -294,8 +294,8 @@ def compared(cfg: DictConfig) -> dict[str, DictConfig]:
     """Configuration for each entry of `deployments`, keyed by the name of the entry; if there is no entry, only the
     configuration of the command line.
 
-    An entry is the name of an option of `conf/deployment`, or a mapping of a name to an option and overrides. On the
-    command line, `deployment.path` applies to entries with files, and `deployment.count` to all other entries.
+    An entry is an option of `conf/deployment`, or a text `NAME: OPTION OVERRIDES` that names it. On the command line,
+    `deployment.path` applies to entries with files, and `deployment.count` to all other entries.
 
     Raises:
         InputError: an entry is refused.

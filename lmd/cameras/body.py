@@ -142,7 +142,7 @@ class Body(Checked):
         return float(self._met(centre, rays).mean())
 
     def _met(self, centre: FloatArray, rays: FloatArray) -> BoolArray:
-        """Mask of the rays that hit a box, `(R,)`."""
+        """Mask `(R,)` of the rays that hit a box of the body."""
         low, high = self.corners
         with np.errstate(divide="ignore", invalid="ignore"):
             ends = np.stack([(low - centre) / rays[:, None], (high - centre) / rays[:, None]])

@@ -90,7 +90,7 @@ def smallest_edge(criteria_of: Callable[[float], Criteria], camera: Camera, dist
 
 
 def _border(holds: Callable[[float], bool], inside: float, outside: float) -> float:
-    """Value nearest to `outside` for which `holds` is True, by bisection from `inside`, where `holds` is True."""
+    """Value nearest to `outside` at which `holds` is True, found by bisection from `inside`, where `holds` is True."""
     while abs(outside - inside) > RELATIVE_TOLERANCE * max(abs(inside), abs(outside)):
         middle = (inside + outside) / 2.0
         inside, outside = (middle, outside) if holds(middle) else (inside, middle)

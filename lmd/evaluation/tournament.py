@@ -35,7 +35,7 @@ HEADER = "evaluations raw_y"
 NOTHING = -1.0
 """Value that is written for a run before its first record."""
 VERSION = "0.4.2"
-"""Version of IOHexperimenter whose format this is."""
+"""Version of IOHexperimenter whose file format is written."""
 
 
 def whole_evaluations(run: OptimiserRun) -> FloatArray:

@@ -52,12 +52,12 @@ class Profile(NamedTuple):
 
     @property
     def least(self) -> FloatArray:
-        """Lower bound on the scale over all directions in the image, focal lengths per rad."""
+        """Lower bound on the local scale over all directions in the image, focal lengths per rad."""
         return np.asarray(np.minimum(self.along, self.across) - self.sway)
 
     @property
     def most(self) -> FloatArray:
-        """Upper bound on the scale over all directions in the image, focal lengths per rad."""
+        """Upper bound on the local scale over all directions in the image, focal lengths per rad."""
         return np.asarray(np.maximum(self.along, self.across) + self.sway)
 
 

@@ -32,7 +32,7 @@ class Solution(NamedTuple):
     pose: FloatArray
     """Pose X, camera to world or body to world, `(4, 4)`."""
     square: float
-    """Sum of squared reprojection errors, in units of their standard deviations."""
+    """Sum of the squared reprojection errors, each divided by its standard deviation."""
 
 
 class PointImage(NamedTuple):

@@ -74,7 +74,9 @@ def nearest_rotations(matrices: FloatArray) -> FloatArray:
 
 
 def rigid_alignment(points: FloatArray, others: FloatArray) -> FloatArray:
-    """Least-squares rigid motion `(4, 4)` that maps points `(N, 3)`, not collinear, to `others` `(N, 3)`."""
+    """Rigid motion `(4, 4)` that maps points `(N, 3)`, which must not be collinear, to `others` `(N, 3)` with the least
+    sum of squared distances.
+    """
     from scipy.spatial.transform import Rotation
 
     here, there = points.mean(axis=0), others.mean(axis=0)

@@ -18,9 +18,9 @@ class Trajectory:
     """
 
     time: FloatArray
-    """Times, seconds, increasing, `(T,)`, T >= 2."""
+    """Times of the frames, seconds, increasing, `(T,)`, T >= 2."""
     poses: FloatArray
-    """Poses X, camera to world, `(T, 4, 4)`."""
+    """Poses X of the camera, camera to world, `(T, 4, 4)`."""
 
     def __post_init__(self) -> None:
         if len(self.time) < 2:

@@ -12,25 +12,25 @@ Vector: TypeAlias = tuple[Any, Any, Any]
 
 @inlined
 def dot3(a: Vector, b: Vector) -> Any:
-    """Inner product."""
+    """Inner product of two vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @inlined
 def cross3(a: Vector, b: Vector) -> Vector:
-    """Cross product a x b."""
+    """Cross product a x b of two vectors."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @inlined
 def plus3(a: Vector, b: Vector) -> Vector:
-    """a + b."""
+    """Sum a + b."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 @inlined
 def minus3(a: Vector, b: Vector) -> Vector:
-    """a - b."""
+    """Difference a - b."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 

@@ -36,7 +36,7 @@ class Result:
     evaluations: float
     """Number of full evaluations spent."""
     seconds: float
-    """Wall time spent, summed over all parts of a resumed run, without compilation."""
+    """Wall time spent, seconds, summed over all parts of a resumed run, without compilation."""
     history: tuple[Record, ...]
     """Records of the best fitness against evaluations and wall time: one for each improvement, and one for the end of
     each batch.

@@ -56,7 +56,7 @@ class PaperEncoding:
         return positions, landmark_normal(yaw, pitch), surface
 
     def encode(self, deployment: Deployment) -> FloatArray:
-        """Genes `(K * genes_per_landmark,)` that decode to `deployment`.
+        """Genes `(K * genes_per_landmark,)` that encode `deployment`.
 
         Raises:
             InputError: a landmark is on no surface that may carry it, or is tilted while the encoding is flush.

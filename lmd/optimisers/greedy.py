@@ -1,4 +1,6 @@
-"""Lazy greedy selection on a submodular surrogate (`selection`), then a local search on the true objective."""
+"""Lazy greedy selection that maximises a submodular surrogate (`selection`), followed by a local search on the true
+objective.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

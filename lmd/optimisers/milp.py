@@ -123,7 +123,7 @@ def _views(problem: Problem) -> FloatArray:
 
 
 def _used(problem: Problem) -> BoolArray:
-    """Mask of the axes with a positive probability; axes of probability 0 only pad words of bits."""
+    """Mask of the axes with a positive probability; axes with probability 0 only fill up words of 64 bits."""
     return np.asarray(problem.evaluator.probability.max(axis=0) > 0.0)
 
 

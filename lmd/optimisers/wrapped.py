@@ -32,7 +32,7 @@ class LibraryOptimiser(Protocol):
     """Interface of a running optimiser of another library, which minimises the loss."""
 
     def ask(self) -> FloatArray | None:
-        """Return the next genes `(B, dim)`, or None when the optimiser has ended by its own rules."""
+        """Return the next genes `(B, dim)`, or None when the optimiser has ended by its own criterion."""
 
     def tell(self, genes: FloatArray, losses: FloatArray) -> None:
         """Tell the optimiser the losses `(B,)` of the genes that it has returned, which were clipped to the unit

@@ -27,7 +27,7 @@ class ActionQueue:
         self._queue: SimpleQueue[Action] = SimpleQueue()
 
     def put(self, action: Action) -> None:
-        """Append an action."""
+        """Append an action to the queue."""
         self._queue.put(action)
 
     def next(self, seconds: float) -> Action | None:

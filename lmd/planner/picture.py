@@ -170,7 +170,7 @@ class RoomPicture:
 
 
 def _squares(count: int) -> IntArray:
-    """Triangles of `count` squares with four corners each, `(2 count, 3)`."""
+    """Triangles of `count` squares with four corners each: indices of corners, `(2 count, 3)`."""
     return np.asarray((4 * np.arange(count)[:, None, None] + TRIANGLES).reshape(-1, 3))
 
 

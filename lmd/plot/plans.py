@@ -239,7 +239,7 @@ MOST_CHANGED = 12  # largest number of changed tags that are named
 
 
 def save_localised_figure(path: str | Path, result: "Localisation", room: Space | None, title: str) -> None:
-    """Write a PNG of 1500 x 700 pixels: a localisation from above, and the standard deviation of the position over
+    """Write a PNG of 1500 x 700 pixels: a localisation from above, and the standard deviation of the position against
     time.
 
     Args:

@@ -144,7 +144,7 @@ def rig_in(frozen: Document, path: Path) -> Rig:
 
 
 def reference_fitness(problem: Problem, deployment: Deployment) -> float:
-    """Fitness of a deployment by the NumPy reference, which shares no kernel with the optimisers."""
+    """Fitness of a deployment, computed by the NumPy reference, which shares no compiled code with the optimisers."""
     fast = problem.fitness_evaluator
     slow = Evaluator(fast.scene, fast.positions, fast.threads, True, fast.states).sized(deployment.edges)
     values: FloatArray = problem.objective.values(slow, deployment.positions[None], deployment.normals[None])[0]
