@@ -29,8 +29,8 @@ COMPARED = ("fitness", "off_grid", "qualified_ratio", "average_coverage_probabil
 
 
 def room_report(cfg: DictConfig, problem: "Problem") -> Report:
-    """Report on the room as it was interpreted, and on the places where people hide landmarks, before anything is
-    computed.
+    """Report with a picture of the room as it was interpreted, and of the people who may hide landmarks; yielded before
+    anything is computed.
     """
     if not cfg.picture:
         return Report()

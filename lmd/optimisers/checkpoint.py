@@ -145,5 +145,5 @@ def _document(path: Path) -> Any:
 
 
 def _described(error: Exception) -> str:
-    """Text of an error about a file; the text may contain parts of the file."""
+    """Text of an error; the text may contain parts of the checkpoint file."""
     return f"{type(error).__name__}: {' '.join(str(error).split())[:MOST_TEXT]}"

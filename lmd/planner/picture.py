@@ -209,8 +209,8 @@ class Captions:
         del self._shown[len(ids) :]
 
     def _show_id(self, k: int, wanted: tuple[str, tuple[float, ...], bool, bool]) -> None:
-        """Update the label of id number k if it differs from `wanted`; there may be hundreds of labels, and each update
-        is sent to all browsers.
+        """Update label k if its content differs from `wanted`; there may be hundreds of labels, and each update is sent
+        to all browsers.
         """
         if k == len(self._ids):
             self._ids.append(self._scene.add_label(f"/ids/{k}", "", anchor="bottom-center", visible=False))
