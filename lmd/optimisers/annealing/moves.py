@@ -20,16 +20,14 @@ from lmd.space.surface import SurfaceArrays
 
 
 class Settings(NamedTuple):
-    """Conditions of the walk, which change from phase to phase. Differences of the objective's values are "in
-    value".
-    """
+    """Conditions of the walk, which change from phase to phase."""
 
     temperature: float
     """Loss in the smoothed objective that is accepted with probability 1/e."""
     width: float
-    """Width of the smooth step that replaces the threshold, in value."""
+    """Width of the smooth step that replaces the threshold, in the unit of the values."""
     margin: float
-    """Distance of the middle of the smooth step above the true threshold, in value."""
+    """Distance of the middle of the smooth step above the true threshold, in the unit of the values."""
     share: float
     """Weight of the value itself, which is added to the smooth step."""
     step: float
@@ -39,7 +37,7 @@ class Settings(NamedTuple):
     join: float
     """Probability of a move to a place near another landmark."""
     near: float
-    """Standard deviation of the distance from that landmark, along u and along v, metres."""
+    """Standard deviation of the distance from this other landmark, along u and along v, metres."""
     together: float
     """Probability that a landmark moves with its n - 1 nearest neighbours, whose offsets from it stay unchanged."""
     exchange: float
@@ -238,11 +236,11 @@ class Stage(Checked):
     temperature: Course
     """Loss in the smoothed objective that is accepted with probability 1/e; the objective is a mean over positions."""
     width: Course
-    """Width of the smooth step that replaces the threshold, in value."""
+    """Width of the smooth step that replaces the threshold, in the unit of the values."""
     step: Course
     """Standard deviation of a local move along u and along v, metres."""
     margin: Finite = 0.0
-    """Distance of the middle of the smooth step above the threshold, in value."""
+    """Distance of the middle of the smooth step above the threshold, in the unit of the values."""
     share: NotNegative = 0.02
     """Weight of the mean value, which is added to the smooth step."""
     jump: Share = 0.1
