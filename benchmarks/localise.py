@@ -33,7 +33,7 @@ from lmd.survey.survey import Survey, survey
 
 def map_of_survey(found: Survey) -> FixedMap:
     """Map of a survey, with its covariance."""
-    ids, covariance = map_covariance(found)
+    ids, _, covariance = map_covariance(found)
     placed = np.searchsorted(found.ids, ids)
     sigmas = np.maximum(np.sqrt(np.diag(covariance)).reshape(-1, 6), LEAST_SIGMA)
     return FixedMap(

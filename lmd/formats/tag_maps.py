@@ -32,6 +32,7 @@ from lmd.space.space import Space
 FILE = "map.npz"
 LARGEST_COVARIANCE = 1 << 30  # maximum size of a file of a covariance, bytes
 LARGEST_MAP = 1 << 22  # maximum number of characters of YAML or JSON; a tag has a few hundred
+SAME_POSITION = 1e-4  # difference of positions from which on two files are of different maps, metres
 EDGE_DIGITS = 12  # number of decimals of an edge, metres; further digits are rounding errors of conversions
 IS_JSON = re.compile(r"(?:\s++|//[^\n]*\n|/\*(?>.*?\*/))*+{", re.DOTALL)  # comments may precede the mapping
 IS_YAML = re.compile(r"%YAML|---|(?!Unnamed: )\s*['\"]?[\w/*:]+['\"]?\s*:(?:\s|$)")
@@ -107,34 +108,39 @@ def _deployment(path: Any, tags: Sequence[PlacedTag], note: str) -> Deployment:
     return deployment.turned(path, axes[:, :, 1])
 
 
-def write_map_covariance(path: Path, ids: IntArray, covariance: FloatArray) -> None:
+def write_map_covariance(path: Path, ids: IntArray, positions: FloatArray, covariance: FloatArray) -> None:
     """Write the joint covariance of the tags' twists, each in the frame of its tag, with rotations before shifts.
 
     Args:
         path: file.
         ids: `(K,)` ids of the tags, ascending.
+        positions: `(K, 3)` positions of the tags, metres; with them a reader refuses the file beside another map.
         covariance: `(6 K, 6 K)`; the upper triangle is written, row by row.
     """
     upper = covariance[np.triu_indices(len(covariance))]
     with path.open("wb") as file:
-        np.savez_compressed(file, ids=ids, upper=upper.astype(np.float32))
+        np.savez_compressed(file, ids=ids, positions=positions, upper=upper.astype(np.float32))
 
 
-def read_map_covariance(path: Any, name: str) -> tuple[IntArray, FloatArray]:
-    """Read the joint covariance of a map: ids `(K,)`, ascending, and covariance `(6 K, 6 K)`.
+def read_map_covariance(path: Any, name: str, tags: Deployment) -> tuple[IntArray, FloatArray]:
+    """Read the joint covariance of the map of `tags`: ids `(K,)`, ascending, and covariance `(6 K, 6 K)`.
 
     Raises:
-        InputError: the file cannot be read, or is not a covariance of a map.
+        InputError: the file cannot be read, is not a covariance of a map, or is of another map than `tags`.
     """
     refused = InputError(f"{name}: {str(path)!r} is not a covariance of a map, as a survey writes it.", name)
     try:
         arrays = arrays_of(path, name, LARGEST_COVARIANCE, most=LARGEST_COVARIANCE) or {}
-        ids, upper = arrays["ids"], arrays["upper"]
+        ids, positions, upper = arrays["ids"], arrays["positions"], arrays["upper"]
     except (KeyError, InputError):
         raise refused from None
     size = 6 * len(ids) if ids.ndim == 1 else 0
     if ids.dtype.kind != "i" or upper.dtype.kind != "f" or not size or upper.shape != (size * (size + 1) // 2,):
         raise refused
+    _, here, there = np.intersect1d(tags.ids, ids, return_indices=True)
+    if positions.shape != (len(ids), 3) or not np.allclose(tags.positions[here], positions[there], atol=SAME_POSITION):
+        text = f"{name}: {str(path)!r} is of another survey than the map beside it: take both files from one survey"
+        raise InputError(f"{text}, or remove {FILE}.", name)
     found = np.zeros((size, size))
     found[np.triu_indices(size)] = upper
     found += np.triu(found, 1).T

@@ -89,7 +89,7 @@ class FixedMap:
             which = f"the map has no edge of tag {ids[np.isnan(edges)][0]}; measure its {tag.square}"
             raise InputError(f"edge must be given, in metres: {which}.", "edge")
         sigmas = np.tile(errors.deviations, (len(ids), 1))
-        if (covariance := _stated_covariance(path, ids, sigmas)) is not None:
+        if (covariance := _stated_covariance(path, deployment[order], sigmas)) is not None:
             sigmas = np.maximum(np.sqrt(np.diag(covariance)).reshape(-1, 6), LEAST_SIGMA)
         return cls(ids, poses, edges, sigmas, covariance, deployment.note)
 
@@ -117,18 +117,18 @@ def surveyed_covariance(path: Any, deployment: Deployment) -> FloatArray | None:
     Raises:
         InputError: the file cannot be read.
     """
-    joint = _stated_covariance(path, deployment.ids, np.zeros((len(deployment), 6)))
+    joint = _stated_covariance(path, deployment, np.zeros((len(deployment), 6)))
     turn = block_diag(*world_from_twists(poses_of(deployment)))
     return None if joint is None else np.asarray(turn @ joint @ turn.T)
 
 
-def _stated_covariance(path: Any, ids: IntArray, sigmas: FloatArray) -> FloatArray | None:
-    """Joint covariance `(6 K, 6 K)` of the tags `ids` `(K,)` of a map, from the file that a survey writes beside it;
+def _stated_covariance(path: Any, tags: Deployment, sigmas: FloatArray) -> FloatArray | None:
+    """Joint covariance `(6 K, 6 K)` of the K tags of a map, from the file that a survey writes beside it;
     None without the file.
 
     Args:
         path: file of the map.
-        ids: ids, `(K,)`.
+        tags: K tags.
         sigmas: standard deviations of the tags that the file lacks, which are independent, `(K, 6)`.
 
     Raises:
@@ -137,7 +137,7 @@ def _stated_covariance(path: Any, ids: IntArray, sigmas: FloatArray) -> FloatArr
     beside = Path(str(path)).with_suffix(Path(FILE).suffix)
     if not beside.exists():
         return None
-    among, covariance = read_map_covariance(beside, "map")
-    _, of, there = np.intersect1d(ids, among, return_indices=True)
-    alone = np.where(np.isin(np.arange(len(ids)), of)[:, None], 0.0, sigmas**2)
-    return np.diag(alone.ravel()) + spread(covariance, there, of, len(ids))
+    among, covariance = read_map_covariance(beside, "map", tags)
+    _, of, there = np.intersect1d(tags.ids, among, return_indices=True)
+    alone = np.where(np.isin(np.arange(len(tags)), of)[:, None], 0.0, sigmas**2)
+    return np.diag(alone.ravel()) + spread(covariance, there, of, len(tags))

@@ -72,14 +72,15 @@ def map_columns(survey: Survey) -> dict[str, ArrayLike]:
     }
 
 
-def map_covariance(survey: Survey) -> tuple[IntArray, FloatArray]:
-    """Ids of the tags of `map.csv`, `(n,)`, and the covariance of their twists relative to the other tags,
-    `(6 n, 6 n)`.
+def map_covariance(survey: Survey) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Ids `(n,)` and positions `(n, 3)` of the tags of `map.csv`, and the covariance of their twists relative to the
+    other tags, `(6 n, 6 n)`.
     """
     found = survey.found
     chosen = survey.placed[found.known]
     rows = np.flatnonzero(np.repeat(chosen, 6))
-    return survey.ids[found.known][chosen], found.gauge_free_covariance[np.ix_(rows, rows)]
+    ids, positions = survey.ids[found.known][chosen], found.poses.tags[found.known][chosen][:, :3, 3]
+    return ids, positions, found.gauge_free_covariance[np.ix_(rows, rows)]
 
 
 def frame_columns(survey: Survey) -> dict[str, ArrayLike]:

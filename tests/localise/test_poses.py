@@ -178,7 +178,8 @@ def test_a_surveyed_map_brings_the_covariance_of_its_tags(tmp_path):
     covariance, errors = half @ half.T, Hanging(0.01, 0.05, 0.01, 0.05)
     file.write_text("id,x,y,z,nx,ny,nz,edge\n5,0,0,1,0,1,0,0.1\n2,1,0,1,0,1,0,0.1\n9,2,0,1,0,1,0,.1\n")
     assert FixedMap.read(file, Tag(0.2), errors).covariance is None
-    write_map_covariance(beside, np.array([2, 5]), covariance)
+    places = np.array([[1.0, 0.0, 1.0], [0.0, 0.0, 1.0]])  # of tags 2 and 5
+    write_map_covariance(beside, np.array([2, 5]), places, covariance)
     known = FixedMap.read(file, Tag(0.2), errors)
     assert known.ids.tolist() == [2, 5, 9]
     np.testing.assert_allclose(known.joint[:12, :12], covariance, rtol=1e-6)
@@ -189,7 +190,10 @@ def test_a_surveyed_map_brings_the_covariance_of_its_tags(tmp_path):
         beside.write_bytes(content)
         with pytest.raises(InputError, match=r"map\.npz' is not a covariance of a map"):
             FixedMap.read(file, Tag(0.2), Hanging())
-    np.savez(beside, ids=np.array([2, 5]), upper=np.full(78, np.nan))
+    write_map_covariance(beside, np.array([2, 5]), places + np.array([0.0, 1e-3, 0.0]), covariance)
+    with pytest.raises(InputError, match=r"map\.npz' is of another survey than the map beside it"):
+        FixedMap.read(file, Tag(0.2), Hanging())
+    np.savez(beside, ids=np.array([2, 5]), positions=places, upper=np.full(78, np.nan))
     with pytest.raises(InputError, match=r"map\.npz' is not a covariance of a map"):
         FixedMap.read(file, Tag(0.2), Hanging())
 
@@ -221,7 +225,7 @@ def test_the_joint_covariance_of_a_map_is_in_the_world_frame_and_in_the_order_of
     shared = 0.5 * np.outer(sigmas.ravel(), sigmas.ravel()) + 0.5 * np.diag(sigmas.ravel() ** 2)
     file = tmp_path / "map.csv"
     assert surveyed_covariance(str(file), deployment) is None
-    write_map_covariance(tmp_path / "map.npz", np.array([5, 9]), shared)
+    write_map_covariance(tmp_path / "map.npz", np.array([5, 9]), np.eye(3)[[2, 0]], shared)
     found = surveyed_covariance(str(file), deployment)
     assert not found[6:12].any()  # tag 2 is not of the survey
     deviations = np.sqrt(np.diag(found)).reshape(3, 6)

@@ -34,7 +34,7 @@ def room(tmp_path_factory):
     named = dict(zip((*COLUMNS, *UP_COLUMNS), vectors.T, strict=True))
     (cwd / "survey").mkdir()
     write_table(cwd / "survey" / "map.csv", {"id": walk.known.ids, **named, "edge": walk.known.edges})
-    write_map_covariance(cwd / "survey" / "map.npz", walk.known.ids, walk.known.joint)
+    write_map_covariance(cwd / "survey" / "map.npz", walk.known.ids, poses[:, :3, 3], walk.known.joint)
     return cwd, walk
 
 
