@@ -61,7 +61,7 @@ PYTEST := $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 test: install-all  ## the test suite, without thorough tests
 	$(PYTEST)
 
-test-thorough: install-all  ## all tests: real services, kills, and property tests with ten times as many examples
+test-thorough: install-all  ## all tests: real services, kills, and property tests with fifteen times as many examples
 	LMD_THOROUGH=all LMD_EXAMPLES=3 $(PYTEST)
 
 quick: install-all  ## the tests that are not slow, for while you work

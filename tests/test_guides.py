@@ -264,6 +264,7 @@ class Bare:
         return getattr(self._whole, name)
 
 
+@pytest.mark.thorough("examples", "lmd/optimisers", "lmd/objectives")
 def test_annealing_does_without_stacks_and_selection_and_greedy_says_what_it_lacks():
     p = problem(tag=Tag(0.2))
     scene = replace(p.scene, visibility=Fiducial(Tag(0.2)))  # compiled for tags, as commands are

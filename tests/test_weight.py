@@ -11,14 +11,14 @@ import weight
 # What the project may weigh. What a change adds it pays by what it takes out; lower a number when you have lowered the
 # amount, and raise none.
 BUDGET = {
-    "files of lmd": 294,
-    "code lines of lmd": 29890,
+    "files of lmd": 292,
+    "code lines of lmd": 28167,
     "files of pipelines": 48,
-    "code lines of pipelines": 3704,
-    "code lines of tests": 21448,
+    "code lines of pipelines": 3395,
+    "code lines of tests": 19991,
     "files of conf": 100,
-    "keys of conf": 383,
-    "words of docs": 40017,
+    "keys of conf": 372,
+    "words of docs": 38898,
     "commands": 12,
 }
 # Docstrings and comments with each phrase, at most. Lower a number when you have lowered the count.

@@ -60,7 +60,7 @@ def filtered(
     if not isinstance(odometry, Odometry):
         raise InputError(f"odometry must be Odometry, got {odometry!r}.", "odometry")
     if scene.crowd is not None:
-        raise InputError("an objective along drives cannot have a crowd: leave visibility.crowd out.")
+        raise InputError("an objective along drives cannot have a crowd: leave the crowd out.")
     count, others = integer("drives", drives, low=1), integer("fresh", fresh, low=0)
     every, length = integer("held_out", held_out, low=2), real("block", block, above=0.0)
     if scene.recorded is not None:

@@ -54,6 +54,7 @@ def tagged(scene, edge):
     return Scene(scene.room, scene.camera, scene.pdf, scene.visibility, Tag(edge))
 
 
+@pytest.mark.thorough("lmd/evaluation", "lmd/objectives/localisation", "lmd/incremental")  # compiled for it alone
 @examples(40)
 @given(
     data=st.data(),

@@ -8,8 +8,11 @@ from support import walks
 from lmd.localise.results import to_text
 from lmd.survey.results import map_of
 
+QUICK = {"moved", "mount turned", "plane", "sizes"}
+THOROUGH = pytest.mark.thorough("lmd/adjust", "lmd/localise")
 
-@pytest.mark.parametrize("name", rooms.NAMES)
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=() if name in QUICK else THOROUGH) for name in rooms.NAMES])
 def test_errors_of_smoothed_poses_are_those_stated(name):
     one = rooms.scenario(name, 8 if name in rooms.RIGS else 7)
     result = one.localised()

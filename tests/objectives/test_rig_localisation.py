@@ -73,7 +73,7 @@ def test_a_rig_of_one_camera_at_the_origin_gets_the_figures_of_the_camera():
     np.testing.assert_array_equal(figures[0][1], figures[1][1])
 
 
-@pytest.mark.parametrize("by_reference", [False, True])
+@pytest.mark.parametrize("by_reference", [False, pytest.param(True, marks=pytest.mark.thorough("lmd/objectives"))])
 def test_what_poses_gain_are_differences_of_log_determinants(by_reference):
     room = paper_room(spacing=3.0)
     scene = paper_scene(room, orientations=pdf.grid_with_ends(4), occlusion="none", thold=0.15)

@@ -43,6 +43,7 @@ def scene(tag):
 
 TAG = Tag(0.1, edges=EDGES, counts=COUNTS)
 OWN = np.repeat(EDGES, COUNTS)
+WALK = pytest.mark.thorough("lmd/optimisers", "lmd/incremental")  # the walk is compiled for one more kind of sight
 
 
 @pytest.fixture(scope="module")
@@ -52,8 +53,7 @@ def problem():
 
 @pytest.mark.parametrize(
     "optimiser",
-    # The walk is compiled for one more kind of sight.
-    [RandomSearch(), *(pytest.param(each, marks=pytest.mark.slow) for each in (Annealing(walkers=1), Greedy()))],
+    [RandomSearch(), *(pytest.param(each, marks=WALK) for each in (Annealing(walkers=1), Greedy()))],
 )
 def test_the_fitness_is_that_of_the_result_and_each_landmark_keeps_its_size(problem, optimiser):
     result = optimiser.run(problem, Budget(40, None))
@@ -64,7 +64,7 @@ def test_the_fitness_is_that_of_the_result_and_each_landmark_keeps_its_size(prob
     np.testing.assert_array_equal(counts, problem.evaluator.counts(replace(result.deployment, edges=None)))
 
 
-@pytest.mark.slow  # the walk for one more kind of sight
+@WALK
 def test_landmarks_of_different_sizes_exchange_their_places(problem):
     rng, surrogate = np.random.default_rng(0), Surrogate(problem, 1)
     start = problem.draw(rng)

@@ -24,7 +24,12 @@ def problem(camera, sampling=None):
     return Problem(scene, Coverage(2, 0.3, sampling), RandomDeployment(12), threads=1)
 
 
-@pytest.mark.parametrize("name", ["annealing", "greedy", "random_search"])
+THOROUGH = pytest.mark.thorough("lmd/incremental", "lmd/optimisers")  # compiled for it alone
+
+
+@pytest.mark.parametrize(
+    "name", [*(pytest.param(each, marks=THOROUGH) for each in ("annealing", "greedy")), "random_search"]
+)
 def test_one_camera_on_a_body_gets_the_deployment_of_that_camera(name):
     one, other = (make(name).run(problem(c), Budget(80)) for c in (CAMERA, Rig((Mount(CAMERA),))))
     np.testing.assert_array_equal(one.deployment.positions, other.deployment.positions)
@@ -32,7 +37,7 @@ def test_one_camera_on_a_body_gets_the_deployment_of_that_camera(name):
     assert one.fitness == other.fitness
 
 
-SAMPLED = pytest.param("annealing", Sampling(2, 4), marks=pytest.mark.thorough("lmd/incremental", "lmd/optimisers"))
+SAMPLED = pytest.param("annealing", Sampling(2, 4), marks=THOROUGH)
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ def test_a_program_of_the_page_runs(program, tmp_path, monkeypatch):
 def test_the_page_counts_the_problems():
     from lmd.suite import names
 
-    assert PAGE.startswith(f"# The suite of problems\n\n{len(names())} frozen problems")
+    assert f"{len(names())} frozen problems" in PAGE
 
 
 def test_the_entry_of_the_page_is_scored(tmp_path):

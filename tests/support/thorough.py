@@ -45,7 +45,7 @@ def changes(revision):
     return done.stdout.split()
 
 
-SHARE = float(os.environ.get("LMD_EXAMPLES", "0.3"))
+SHARE = float(os.environ.get("LMD_EXAMPLES", "0.2"))
 DEFAULT = 100  # number of examples of a test without its own
 
 
