@@ -33,7 +33,11 @@ from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import PROBABILITY_ONE
 
-pytestmark = pytest.mark.long
+# Compiled for it alone.
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.thorough("lmd/evaluation", "lmd/objectives", "lmd/incremental", "lmd/sight"),
+]
 
 SAMPLE = Sample(groups=3, positions=20, divisions=4)
 TAG = Tag(0.1)
@@ -54,7 +58,6 @@ def tagged(scene, edge):
     return Scene(scene.room, scene.camera, scene.pdf, scene.visibility, Tag(edge))
 
 
-@pytest.mark.thorough("lmd/evaluation", "lmd/objectives/localisation", "lmd/incremental")  # compiled for it alone
 @examples(40)
 @given(
     data=st.data(),

@@ -95,7 +95,9 @@ def test_tags_are_chosen_by_the_frames_that_see_them():
 WALK = pytest.mark.thorough("lmd/objectives/filtered", "lmd/optimisers")  # compiled for it alone
 
 
-@pytest.mark.parametrize("optimiser", [pytest.param("greedy", marks=WALK), "gradient_ascent", "ega"])
+@pytest.mark.parametrize(
+    "optimiser", [*(pytest.param(each, marks=WALK) for each in ("greedy", "gradient_ascent")), "ega"]
+)
 def test_optimisers_place_tags_along_drives(optimiser):
     settings = ["objective=filtered", "objective.drives=2", "objective.fresh=0", "deployment.count=8"]
     problem = build_problem(composed("optimise", *settings, "tag.edge=0.2", "room.spacing=2"))

@@ -41,7 +41,8 @@ SAMPLED = pytest.param("annealing", Sampling(2, 4), marks=THOROUGH)
 
 
 @pytest.mark.parametrize(
-    ("name", "sampling"), [("annealing", None), ("greedy", None), ("greedy", Sampling(2, 4)), SAMPLED]
+    ("name", "sampling"),
+    [pytest.param("annealing", None, marks=THOROUGH), ("greedy", None), ("greedy", Sampling(2, 4)), SAMPLED],
 )
 def test_a_rig_is_climbed_and_scored_alike(name, sampling):
     rigged = problem(BACK_TO_BACK, sampling)

@@ -64,7 +64,10 @@ def test_black_boxes_place_what_the_paper_suffices_for(name):
     problem.scene.footprints.check(result.deployment)
 
 
-@pytest.mark.slow  # kernels of the room of the paper for one more kind of sight
+SIGHT = pytest.mark.thorough("pipelines", "lmd/scene", "lmd/sight")  # kernels of one more kind of sight
+
+
+@SIGHT
 def test_a_run_with_sizes_is_evaluated_as_it_was_found(tmp_path):
     settings = ("room.spacing=1.5", "visibility=fiducial", *SIZES, "tracking=none", "validate=false")
     inside("optimise", "optimiser=random_search", "budget.evaluations=20", "deployment.count=[12,6]", *settings,
@@ -79,7 +82,7 @@ def test_a_run_with_sizes_is_evaluated_as_it_was_found(tmp_path):
 FRC = ("room=frc_2025", "camera=ov9281", "pdf=yaw", "tag.edge=0.1", "visibility=fiducial", "objective=localisation")
 
 
-@pytest.mark.slow  # two scenes with obstacles or many positions: some 15 s each
+@SIGHT  # two scenes with obstacles or many positions: some 15 s each
 @pytest.mark.parametrize(
     "scene",
     [

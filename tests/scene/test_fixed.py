@@ -123,9 +123,10 @@ def test_stacks_beside_fixed_landmarks_are_as_many_landmarks_on_one_point(data, 
         np.testing.assert_array_equal(state.units[field.index_of], units)
 
 
+WALK = pytest.mark.thorough("lmd/optimisers", "lmd/objectives/localisation", "lmd/incremental")  # compiled for it alone
 SAMPLED = [
     Coverage(2, 0.5, Sampling(2, 4)),
-    pytest.param(Localisation(tolerance=0.1, sampling=Sampling(2, 4)), marks=pytest.mark.slow),
+    pytest.param(Localisation(tolerance=0.1, sampling=Sampling(2, 4)), marks=WALK),
 ]
 
 

@@ -22,7 +22,8 @@ NAMES = lmd.suite.names()
 RECORDED = [name for name in NAMES if lmd.suite.document(name).best is not None]
 # Three seconds or more by the reference.
 SLOW = {"hall", "robust_platform", "frc_four_cameras", "robust_lab", "rig", "frc_cameras", "lab_localisation_60"}
-SLOW |= {"lab_one_tag", "lab_pose", "lab_localisation"}
+SLOW |= {"lab_one_tag", "lab_pose", "lab_localisation", "lab_qualified", "captured_room", "mixed_sizes"}
+SLOW |= {"localised_against_paper", "localised_against_tags"}
 
 
 def test_there_are_two_sets():

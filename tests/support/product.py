@@ -92,7 +92,7 @@ class Case:
 
 
 # Of the square, one cell for each kind of objective, camera, room and sizes: kernels of moves take longest to compile.
-MOVES = (SQUARE[0], SQUARE[1], SQUARE[2], SQUARE[3], SQUARE[4], SQUARE[9], SQUARE[10])
+MOVES = (SQUARE[0], SQUARE[1], SQUARE[2], SQUARE[3], SQUARE[9], SQUARE[10])
 
 
 def cells(quick=SQUARE):

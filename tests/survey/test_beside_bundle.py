@@ -10,6 +10,7 @@ sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 import bundle  # a script
 
 
+@pytest.mark.thorough("lmd/adjust", "lmd/survey")
 def test_both_find_the_same_map():
     rng = np.random.default_rng(3)
     hung = walks.hung(walks.spaced_tags(16, rng), rng)
