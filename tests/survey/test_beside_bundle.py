@@ -4,6 +4,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 from support import walks
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
