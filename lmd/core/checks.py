@@ -64,7 +64,7 @@ class InputError(ValueError):
 
 @contextmanager
 def argument_of(whole: str) -> Iterator[None]:
-    """Prefix the argument's name in an `InputError` with `whole.`."""
+    """Context manager that prefixes the argument's name with `whole.` in an `InputError` of its block."""
     try:
         yield
     except InputError as error:
@@ -73,7 +73,8 @@ def argument_of(whole: str) -> Iterator[None]:
 
 @contextmanager
 def said_of(source: object, argument: str | None = None, known: Container[str | None] = ()) -> Iterator[None]:
-    """Prefix the message of an `InputError` with the `source` of the input, and replace its argument by `argument`.
+    """Context manager that begins the message of an `InputError` of its block with the `source` of the input, and
+    replaces the error's argument by `argument`.
 
     Errors about an argument in `known` stay unchanged.
     """
@@ -267,7 +268,7 @@ def returned(part: Any, method: str, value: Any, *shape: int | None, truth: bool
     Args:
         part: object of that class.
         method: name of the method.
-        value: its result.
+        value: result of the method.
         shape: lengths that the result must have along its axes; None for any length.
         truth: True for a mask, False for real numbers.
 

@@ -41,7 +41,7 @@ def missing(package: str, extra: str) -> InputError:
 
 
 def missing_of(error: BaseException | None) -> InputError | None:
-    """Result of `missing` if the cause of an error is a missing package of `EXTRAS`, else None."""
+    """The `InputError` that `missing` makes, if the error is caused by a missing package of `EXTRAS`; else None."""
     while error is not None and not isinstance(error, ModuleNotFoundError):
         error = error.__cause__ or error.__context__
     name = getattr(error, "name", None) or ""

@@ -120,7 +120,9 @@ def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def ready_server() -> None:
-    """Prepare a server process from which workers are forked; it imports the project's modules loaded here."""
+    """Prepare a server process from which workers are forked; the server imports those modules of the project that this
+    process has loaded.
+    """
     multiprocessing.set_forkserver_preload([name for name in sys.modules if name.startswith(OWN_PACKAGES)])
 
 

@@ -104,7 +104,10 @@ def _clear_views(scratch: Any) -> None:
 
 @inner
 def view_place(k: Integer, field: Any, scratch: Any) -> None:
-    """Fill `seen`, `REACHED` and `cell` of the scratch for the place tried, at the positions near the place."""
+    """Compute how each position near the place tried sees this place, ignoring other landmarks. Write into the scratch
+    the offset of the place and the bounds on its depth (`seen`), True if some axis may cover the place (`REACHED`), and
+    the cell of the direction tables that contains the direction of the place (`cell`).
+    """
     positions, sight, seen = field.positions, sized(field.cameras.sight, k), scratch.seen
     x, y, z, low, high, sure = seen[X], seen[Y], seen[Z], seen[LOW], seen[HIGH], seen[SURE]
     cell, reached, first, last = scratch.cell[CELL], scratch.flags[REACHED], scratch.lists[FIRST], scratch.lists[LAST]
@@ -121,7 +124,7 @@ def view_place(k: Integer, field: Any, scratch: Any) -> None:
 
 @allocating
 def _block(k: Integer, camera: Any, scratch: Any) -> None:
-    """Clear `REACHED` at the positions from which the room blocks the place tried."""
+    """Set `REACHED` to False at the positions from which the room blocks the place tried."""
     reached, first, last = scratch.flags[REACHED], scratch.lists[FIRST], scratch.lists[LAST]
     ends, sight = new_ends(camera.obstacles, 1), sized(camera.sight, k)
     place, normal = target_of(scratch)
@@ -259,7 +262,9 @@ def _find_pairs(state: Any, k: Integer, role: Any, field: Any, scratch: Any) -> 
 
 @inner
 def _want_blocks(k: Integer, state: Any, scratch: Any) -> None:
-    """Reduce `WANTED` to the few blocks with a position from which landmark k hides another landmark or is hidden."""
+    """Set `WANTED` to True only for the few blocks of positions with a position from which landmark k hides another
+    landmark or is hidden.
+    """
     hiding, hidden, wanted = state.hides[HIDING], state.hides[HIDDEN], scratch.flags[WANTED]
     for b in scratch.lists[BLOCKS][: scratch.numbers[BLOCK_COUNT]]:
         some = np.int16(0)

@@ -136,7 +136,9 @@ class CoverageField(NamedTuple):
     cameras: OneCamera | RigCameras
     """Single camera, or cameras of a rig."""
     counted_once: np.ndarray
-    """`(Q, W)` bit sets of axes on which one landmark is counted that is not in the deployment, see `stacked`."""
+    """`(Q, W)` bit sets of the axes whose counts begin at 1 instead of 0, for fixed landmarks that are not in the
+    deployment, see `stacked`.
+    """
     weights: np.ndarray
     """Quantised probability (an integer) of each axis, `(1, 64 W)` or `(Q, 64 W)`, see `kernels.evaluate_range`."""
     n: int

@@ -138,7 +138,7 @@ def undo(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 def smoothed(target: Any, p: Integer, units: Any, margin: Any, width: float, share: float) -> Any:
     """Contribution of the value `units` at position p to the smoothed fitness.
 
-    The step at the threshold is smoothed over `width`, and `share` of the value itself is added. The contribution
+    The step at the threshold is smoothed over `width`, and `share` times the value itself is added. The contribution
     increases monotonically with `units`, up to (1 + share) times the relevance of the position.
     """
 

@@ -179,7 +179,8 @@ def note_neighbour(state: Any, groups: Any, near: Any, role: Any, place: Any, fi
 
 @inner
 def search(groups: Any, k: Integer, role: Any, field: Any, state: Any, scratch: Any) -> None:
-    """Call `note_neighbour` for all landmarks that landmark k, at a place, may hide or be hidden by.
+    """Call `note_neighbour` for each landmark that landmark k at a place may hide, and for each landmark that may hide
+    landmark k.
 
     Arguments as in `note_neighbour`; `role` selects the old place or the place tried.
     """

@@ -193,8 +193,8 @@ def list_near(scratch: Any, all_of_them: bool) -> Any:
     """Write into `LISTED` the positions near the old place and near the place tried; return the number of these
     positions.
 
-    With `all_of_them` all these positions are listed, else the positions that are touched or have orientations in
-    `ASKED`.
+    With `all_of_them` all these positions are listed, else only the touched positions and the positions with
+    orientations in `ASKED`.
     """
     listed, first, last, count = scratch.lists[LISTED], scratch.lists[FIRST], scratch.lists[LAST], ZERO
     asked, touched = scratch.sets[ASKED], scratch.flags[TOUCHED]

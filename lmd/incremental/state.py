@@ -32,7 +32,7 @@ def new_counts(counted_once: np.ndarray, count: int, n: int) -> Counts:
     """Counts before the first landmark of a deployment is counted.
 
     Args:
-        counted_once: bit sets `(Q, W)` of axes on which one landmark is counted that is not in the deployment.
+        counted_once: bit sets `(Q, W)` of the axes whose counts begin at 1 instead of 0, see `CoverageField`.
         count: number K of landmarks that can be counted.
         n: number of landmarks that must be covered.
     """
@@ -175,7 +175,7 @@ class Scratch(NamedTuple):
     target: np.ndarray
     """`(6,)` position (metres) and unit normal of the place tried."""
     numbers: np.ndarray
-    """`(5,)` int64 numbers, rows `BLOCK_COUNT` to `TOUCHED_COUNT`."""
+    """`(5,)` int64 lengths of the lists, entries `BLOCK_COUNT` to `TOUCHED_COUNT`."""
     units: np.ndarray
     """`(Q,)` quantised P_n with the landmark at the place tried, or upper bounds on P_n."""
     flags: np.ndarray

@@ -17,7 +17,9 @@ from lmd.space.crowd import worst_mean, worst_of
 
 
 class WorstGroups(NamedTuple):
-    """Mean, over the worst of S groups of positions, of the fitness that another target gives; a `Target`."""
+    """Mean of another target's fitness over the worst of S groups of positions; a `Target`. The positions of one crowd
+    state form a group.
+    """
 
     target: Any
     """Target that is applied to all positions; the relevance has an equal sum in each group."""
@@ -26,7 +28,7 @@ class WorstGroups(NamedTuple):
     number: int
     """Number S of groups."""
     worst: int
-    """Number of groups that count as the worst."""
+    """Number of groups over which the mean is taken: the groups with the least fitness."""
 
     @property
     def relevance(self) -> FloatArray:
@@ -108,8 +110,8 @@ def seeks_worst(evaluator: Evaluator) -> bool:
 
 
 def over_states(objective: Objective, values: FloatArray, evaluator: Evaluator, relevance: FloatArray) -> FloatArray:
-    """Fitness `(...)`, over the crowd states if there is a crowd, from values `(..., P)` and weights `(P,)` of the
-    positions of an evaluator.
+    """Fitness `(...)` from the values `(..., P)` and the weights `(P,)` of an evaluator's positions. If `seeks_worst`,
+    it is the mean of the fitness in the worst crowd states, else the fitness over all positions in all states.
     """
     if not seeks_worst(evaluator):
         return objective.fitness(values, relevance)

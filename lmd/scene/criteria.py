@@ -41,7 +41,7 @@ TOLERANCE = 1e-9
 
 
 class SightModel(Protocol):
-    """Interface of a visibility model compiled for one camera, a named tuple."""
+    """Interface of a compiled visibility model: a named tuple of numbers, compiled for one camera."""
 
     @property
     def outer_cosine(self) -> float:
@@ -289,7 +289,8 @@ def pixel_density(sight: Any, offset: Vector, axes: FloatArray, a: Integer) -> A
 def covering(
     sight: Any, left: Any, w: Integer, offset: Vector, frame: Any, depths: Vector, well: Any, axes: FloatArray
 ) -> Any:
-    """Axes from which the landmark is covered, among the axes `left`; both sets are bits of word w.
+    """Axes from which the landmark is covered, among the axes `left`, which are still to be tested; both sets are bits
+    of word w.
 
     Arguments as in `covers_one`, except that `well` is a bit set. All axes of half a word are tested: for a cheap test
     this is faster than iterating over the set bits.

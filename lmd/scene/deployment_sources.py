@@ -26,10 +26,10 @@ class DeploymentSource(Protocol):
         """True if draws are random."""
 
     def draw(self, room: Space, rng: np.random.Generator, tag: Tag = POINT) -> Deployment:
-        """Draw a deployment in `room`; its landmarks have surfaces.
+        """Draw a deployment in `room`; each landmark stores the index of its surface.
 
         Args:
-            room: room whose surfaces allow the centres of landmarks.
+            room: room whose surfaces are already reduced to the places that centres of landmarks may have.
             rng: random generator.
             tag: tag of the landmarks; its sizes are assigned as in `Tag.edges_in_order`.
         """
@@ -124,8 +124,8 @@ class GivenDeployment:
 
 
 def _flush(surfaces: SurfaceArrays, surface: IntArray, at: FloatArray, tag: Tag) -> Deployment:
-    """Landmarks flush with surfaces, given by the index of each landmark's surface, `(K,)`, and the surface
-    coordinates, metres, `(K, 2)`.
+    """Landmarks flush with their surfaces. Each landmark is given by the index `surface` `(K,)` of its surface, and by
+    its coordinates `at` `(K, 2)` on the surface, metres.
     """
     points, normals = surfaces.points(surface, at), surfaces.normal[surface]
     return Deployment(points, normals, surface, edges=tag.edges_in_order(len(surface)))

@@ -132,7 +132,9 @@ def _apriltag_picture(family: str, number: int) -> BoolArray:
 
 @lru_cache
 def _described(family: str) -> Any:
-    """AprilTag library's description of a family: the codes, and the places in the picture of the codes' bits."""
+    """AprilTag library's description of a family: the code of each tag, and the place of each bit of a code in the
+    picture.
+    """
     # No detector is made for the family: its table of codes with errors would take up to 3.2 GB.
     library = optional("pyapriltags", "detection").Detector(families="").libc
     return getattr(library, f"{FAMILIES[family].apriltag}_create")().contents

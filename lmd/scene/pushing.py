@@ -23,10 +23,11 @@ def _is_free(k, a, b, s, surface, at, edge):  # type: ignore[no-untyped-def]
 
 @inner
 def _blocked(k, a, b, s, surface, at, edge, beside):  # type: ignore[no-untyped-def]
-    """Ends of an interval around b. For no q within the interval does footprint k fit at (a, q) on surface s. The
-    interval is empty if the footprint fits at b.
+    """Ends of the interval around b in which footprint k fits nowhere: not at any place (a, q) of surface s with q in
+    the interval. The interval is empty if the footprint fits at (a, b).
 
-    The interval ends a rounding error before the footprints that block it. `beside` `(2, K)` is working memory.
+    The interval is shorter, by a rounding error, than the interval that footprints 0 to k - 1 block. `beside` `(2, K)`
+    is working memory.
     """
     low, high, count, grows = b, b, 0, True
     for j in range(k):

@@ -55,11 +55,11 @@ class Tag(Checked):
         quiet_zone: q, width of the white margin on each side, modules.
         edges: edge lengths of tags of several sizes, metres; None for one size, `edge`. Placed landmarks are assigned
             these lengths cyclically unless `counts` is given.
-        counts: number of placed landmarks with each of `edges`, in order of the landmarks; None for the cyclic
-            assignment.
+        counts: number of placed landmarks for each edge length in `edges`, which are assigned in the order of the
+            landmarks; None for the cyclic assignment.
         paper: total area of paper of the placed landmarks, square metres, for which the number of each size is
             optimised; None if the number of landmarks is given.
-        costs: cost of a tag of each of `edges`, in any unit.
+        costs: cost of a tag for each edge length in `edges`, in any unit.
         budget: total cost of the placed landmarks, instead of `paper`.
 
     Raises:
@@ -154,7 +154,7 @@ class Tag(Checked):
 
     @property
     def square(self) -> str:
-        """Name in texts of the square whose edge length is the edge length of the tag."""
+        """Words for the square whose edge length is the edge length of the tag, for texts."""
         return self.in_family.square
 
     @property

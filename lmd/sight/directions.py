@@ -129,8 +129,8 @@ def fill_tables(
 
     Args:
         sight, axes: as in `tables`.
-        shift: `shifts`, which approximate s by axis, `(3, 64 W)`; `longest`, an upper bound on |s|; and `error`, an
-            upper bound on the distance between s and `shifts`.
+        shift: tuple of three values: `shifts`, the approximation of s for each axis, `(3, 64 W)`; `longest`, an upper
+            bound on |s|; and `error`, an upper bound on the distance between s and `shifts`.
         certain, possible: tables whose first `SIDE * SIDE` rows are filled, `(>= SIDE * SIDE, W)`.
     """
     (centres, rho), (shifts, longest, error) = _cells(), shift
@@ -144,8 +144,8 @@ def fill_tables(
 
 
 def height_index(heights: FloatArray) -> np.ndarray:
-    """Index of the first axis whose height is at least the bottom of each height bin, less a margin, `(HEIGHT_BINS +
-    2,)`.
+    """For each height bin, index of the first axis whose height is at least the bin's lower limit, less a margin,
+    `(HEIGHT_BINS + 2,)`.
 
     Args:
         heights: z coordinates of the axes in ascending order, `(D,)`.

@@ -56,8 +56,8 @@ def sum_weights(before: Any, after: Any, weights: Any, p: Integer, w: Integer) -
 
 @inlined
 def count_set(at_least: WordArray, w: Integer, visible: Any) -> None:
-    """Add one to the counts of a set of orientations of word w; bits of `at_least[j]`, shape `(n, W)`, mark the
-    orientations that were counted more than j times.
+    """Add one to the counts of the orientations in the set `visible`, bits of word w; bits of `at_least[j]`, shape `(n,
+    W)`, mark the orientations that were counted more than j times.
     """
     for j in range(len(at_least) - 1, 0, -1):
         at_least[j, w] |= at_least[j - 1, w] & visible

@@ -21,8 +21,8 @@ from lmd.sight.mounts import camera_at
 def hidden_bits(
     group: Any, m: Integer, w: Integer, left: Any, i: Integer, k: Integer, body: Vector, one: Any, other: Any
 ) -> Any:
-    """Orientations of the body with which landmark i hides landmark k (`hides_from`): the bits, among the bits `left`
-    of word w, that pass the test.
+    """Set of the orientations of the body, as bits of word w, with which landmark i hides landmark k from mount m
+    (`hides_from`). Only the orientations in the set `left`, which are still to be tested, are considered.
     """
     found = ZERO
     while left:
@@ -67,8 +67,8 @@ def hiding_bound(longest: float, apart: float, radius: float, width: float) -> A
 
 @inlined
 def _may_occlude(j: Integer, k: Integer, mine: Any, view: Any) -> Any:
-    """False only if landmark j does not hide landmark k from any camera within the radius. The computation is in
-    float32; the result is True for j = k.
+    """False only if landmark j does not hide landmark k from any camera within the radius around the centre (`radius`
+    of `find_suspects`). The computation is in float32; the result is True for j = k.
 
     If a position is within the radius of the centre, the direction of a landmark at the distance d turns by at most
     asin(radius / d). The landmark hides other landmarks within asin(width / (d - radius)) of its direction. So the sine
@@ -82,8 +82,8 @@ def _may_occlude(j: Integer, k: Integer, mine: Any, view: Any) -> Any:
 
 @inlined
 def find_suspects(k: Integer, view: Any, count: Integer, radius: float, close: Any) -> Any:
-    """Write the landmarks that may hide landmark k as bits into `close` `(blocks,)`; return True if there is such a
-    landmark.
+    """Find the landmarks that may hide landmark k from any camera within `radius` of the centre, and write the set of
+    these landmarks as bits into `close` `(blocks,)`. Return True if there is such a landmark.
     """
     # An upper bound radius / d on the sine of the angle by which the direction of landmark k may turn.
     mine = np.float32(min(radius / math.sqrt(view.squared[k]), 1.0) if view.squared[k] > 0.0 else 1.0)

@@ -240,8 +240,8 @@ def covers_from(group: Any, m: Integer, a: Integer, k: Integer, body: Vector, po
 
 @inlined
 def covered_bits(group: Any, m: Integer, w: Integer, left: Any, k: Integer, body: Vector, pose: Any, frame: Any) -> Any:
-    """Orientations of the body with which mount m covers landmark k (`covers_from`): the bits, among the bits `left` of
-    word w, that pass the test.
+    """Set of the orientations of the body, as bits of word w, with which mount m covers landmark k (`covers_from`).
+    Only the orientations in the set `left`, which are still to be tested, are considered.
     """
     found = ZERO
     while left:
@@ -253,8 +253,8 @@ def covered_bits(group: Any, m: Integer, w: Integer, left: Any, k: Integer, body
 
 @inlined
 def blocked_bits(group: Any, m: Integer, w: Integer, left: Any, k: Integer, p: Integer, ends: Any, row: Integer) -> Any:
-    """Orientations of the body with which the room blocks landmark k from mount m at position p: the bits, among the
-    bits `left` of word w, that pass the test.
+    """Set of the orientations of the body, as bits of word w, with which the room blocks landmark k from mount m at
+    position p. Only the orientations in the set `left`, which are still to be tested, are considered.
 
     `ends` has the points of the landmark in row `row`, see `obstacles.find_ends`.
     """

@@ -59,12 +59,12 @@ class Viewpoint(NamedTuple):
     sure_depth: np.ndarray
     """`(K,)` depth `sure`, up to which a certain axis covers the landmark, metres, see `criteria.from_position`."""
     bottom: np.ndarray
-    """`(K,)` first height bin of `bands`; with tables, the row of the orientations with which the landmark is certainly
-    covered.
+    """`(K,)` without tables, first height bin of the axes that may cover the landmark, see `directions.band_of`; with
+    tables, the row of the table `CERTAIN` that lists the axes that certainly cover the landmark.
     """
     top: np.ndarray
-    """`(K,)` last height bin of `bands`; with tables, the row of the orientations with which the landmark may be
-    covered.
+    """`(K,)` without tables, last height bin of the axes that may cover the landmark; with tables, the row of the table
+    `POSSIBLE` that lists the axes that may cover the landmark.
     """
     reached: np.ndarray
     """`(K,)` True if some orientation may cover the landmark."""
@@ -168,12 +168,13 @@ def gather_near(
     Args:
         part: `first`, `last`, `order` and `positions`: the caller works on the positions `order[first:last]`, in
             blocks of neighbours.
-        many, count: numbers of landmarks near the region and the block of the previous position.
+        many, count: for the previous position, number of landmarks near its region, and number of landmarks near its
+            block.
         poses, indices: all landmarks, `(6, K)` and `(K,)`.
         view: working memory, whose landmarks are updated.
 
     Returns:
-        many, count: numbers of landmarks near the region and the block of this position.
+        many, count: the two numbers for this position.
     """
     first, last, order, positions = part
     if o == first or o % REGION == 0:

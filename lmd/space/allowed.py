@@ -52,7 +52,7 @@ def sizes(pieces: FloatArray) -> FloatArray:
 
 
 def eroded(region: Any, margin: float) -> Any:
-    """Erode a region by a square whose sides are along u and v, with half the edge length `margin`, metres."""
+    """Erode a region by a square with sides along u and v; half the edge length of the square is `margin`, metres."""
     import shapely
 
     if not margin:

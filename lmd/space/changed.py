@@ -141,7 +141,9 @@ class RecordedRoom(Changed):
         return RecordedRoom(self.original, self._positions, self._seconds, half)
 
     def jittered_grid(self, repeats: int, rng: np.random.Generator) -> FloatArray:
-        """Draw `repeats` records of each cell in proportion to their duration, `(repeats P, 3)`."""
+        """Draw positions of `repeats` records in each cell, each record with a probability proportional to its
+        duration, `(repeats P, 3)`.
+        """
         of, total, _ = self._cells
         by_cell = np.argsort(of, kind="stable")
         ends = np.cumsum(self._seconds[by_cell])
@@ -150,11 +152,11 @@ class RecordedRoom(Changed):
         return np.asarray(self._positions[by_cell[np.minimum(drawn, last)]]).reshape(-1, 3)
 
     def sample(self, size: int, rng: np.random.Generator) -> FloatArray:
-        """Draw records in proportion to their duration, `(size, 3)`."""
+        """Draw positions of records, each record with a probability proportional to its duration, `(size, 3)`."""
         return self._positions[rng.choice(len(self._seconds), size, p=self._seconds / self._seconds.sum())]
 
     def sample_evenly(self, size: int, rng: np.random.Generator) -> FloatArray:
-        """Draw one record from each of `size` equal parts of the recorded time, `(size, 3)`."""
+        """Draw the position of one record from each of `size` equal parts of the recorded time, `(size, 3)`."""
         ends = np.cumsum(self._seconds)
         times = (np.arange(size) + rng.random(size)) / size * ends[-1]
         return np.asarray(self._positions[np.searchsorted(ends[:-1], times, side="right")])

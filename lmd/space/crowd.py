@@ -100,7 +100,7 @@ class Crowd(Checked):
         bounded("states, which take 5 kB each", self.states, MOST_STATES, "crowd", "states")
 
     def drawn(self, room: Space, rng: np.random.Generator | None = None) -> "CrowdStates":
-        """Draw the states, with `rng` if given, else from `seed`.
+        """Draw the crowd states with the generator `rng` if it is given, else with a generator made from `seed`.
 
         Raises:
             InputError: there is no room for a cylinder.
@@ -203,9 +203,10 @@ def _draw(crowd: Crowd, room: Space, rng: np.random.Generator) -> FloatArray:
 
 
 def stands(room: Space, cylinders: FloatArray) -> BoolArray:
-    """Mask of the cylinders `(M, 5)` that are in free space of a room, tested in `DIRECTIONS` and at `HEIGHTS`.
+    """Mask of the cylinders `(M, 5)` that are in free space of a room.
 
-    A cylinder taller than the room ends at its ceiling.
+    A cylinder is tested on its axis and in `DIRECTIONS` directions around the axis, at each of `HEIGHTS` (fractions of
+    its height). A cylinder taller than the room ends at the room's ceiling.
     """
     angles = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     ring = np.concatenate([np.zeros((1, 2)), np.stack([np.cos(angles), np.sin(angles)], axis=-1)])

@@ -36,8 +36,8 @@ class FloorPlan(Checked):
     obstacles: Annotated[Sequence[Any], partial(all_made, kind=Obstacle)] = ()
     """`Obstacle`s, or mappings of their arguments; their faces are `obstacle_<i>_<face>`."""
     surfaces: Sequence[str] | None = None
-    """Names of the surfaces that may carry landmarks: walls, `floor` and `ceiling`; None for all. The `faces` of
-    obstacles are added.
+    """Names of the surfaces that may carry landmarks: walls, `floor` and `ceiling`; None for all. Faces listed in
+    `Obstacle.faces` carry landmarks, too.
     """
     keep_out: Annotated[Sequence[Any], partial(all_made, kind=KeepOut)] = ()
     """`KeepOut`s, or mappings of their arguments."""

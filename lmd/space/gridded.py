@@ -129,7 +129,7 @@ class Gridded(Checked, ABC):
     spacing: Any
     positions: str
     kind: ClassVar[str] = "room"
-    """First words of `describe`."""
+    """Kind of the room in words, with which the text of `describe` begins."""
     digits: ClassVar[int] = 6
     """Significant digits of the lengths in `describe`."""
 

@@ -132,7 +132,9 @@ class Space(Protocol):
         """
 
     def passable(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
-        """Mask of the straight paths between reachable points `(..., 3)` that the camera may take, `(...)`."""
+        """Mask `(...)`: True if the camera may move straight from one of the reachable points `starts` `(..., 3)` to
+        its point of `ends`.
+        """
 
     def faces(self) -> tuple[Surface, ...]:
         """Visible faces of the room, with and without landmarks; `allowed` of a face is its visible region."""
@@ -155,7 +157,8 @@ class Space(Protocol):
     def sample_evenly(self, size: int, rng: np.random.Generator) -> FloatArray:
         """Draw positions evenly spread over the reachable volume, `(size, 3)`.
 
-        Means over these positions have the expectation of means over `sample`, and usually smaller errors.
+        A mean over these positions has the expectation of a mean over positions from `sample`, and usually a smaller
+        error.
         """
 
     def outline(self) -> Mapping[str, FloatArray]:

@@ -270,15 +270,21 @@ class SurfaceArrays(NamedTuple):
         return out.reshape(at.shape), piece.reshape(at.shape[:-1])
 
     def allow(self, surface: IntArray, at: FloatArray, tolerance: float = EDGE_TOLERANCE) -> BoolArray:
-        """Mask of `at` `(..., 2)` within `tolerance`, metres, of the allowed regions of surfaces `(...)`, `(...)`."""
+        """Mask `(...)` of the places `at` `(..., 2)` that are at most `tolerance`, metres, from the allowed regions of
+        their surfaces `surface` `(...)`.
+        """
         return np.asarray(np.abs(self.nearest(surface, at)[0] - at).max(axis=-1) <= tolerance)
 
     def spread(self, piece: IntArray, at: FloatArray) -> FloatArray:
-        """Map points `at` `(..., 2)` of the unit square to trapezoids `piece` `(...)`; uniform points stay uniform."""
+        """Map points `at` `(..., 2)` of the unit square to the trapezoids with the indices `piece` `(...)`; uniform
+        points stay uniform.
+        """
         return spread(self.pieces[piece], at)
 
     def gathered(self, piece: IntArray, places: FloatArray) -> FloatArray:
-        """Inverse of `spread`."""
+        """Inverse of `spread`: map `places` `(..., 2)` in the trapezoids with the indices `piece` `(...)` to the unit
+        square.
+        """
         return gathered(self.pieces[piece], places)
 
     def coordinates(self, surface: IntArray, points: FloatArray) -> FloatArray:

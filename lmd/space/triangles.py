@@ -129,7 +129,7 @@ class Triangles(NamedTuple):
     halves: np.ndarray
     """Half the side lengths of the boxes, `(N, 3)`."""
     skip: np.ndarray
-    """Index of the next box that is not inside this one, `(N,)`."""
+    """For each box, index of the first later box that is not inside it, `(N,)`."""
     first: np.ndarray
     """Index of the first triangle in each leaf, `(N,)`."""
     stop: np.ndarray
@@ -168,7 +168,8 @@ class Triangles(NamedTuple):
         return found
 
     def keeps_away(self, starts: FloatArray, ends: FloatArray, clearance: float) -> BoolArray:
-        """Mask of the straight paths between points `(..., 3)` that keep `clearance`, metres, `(...)`.
+        """Mask `(...)` of the straight paths between points `(..., 3)` that stay at least `clearance`, metres, from all
+        triangles.
 
         The function uses sphere tracing with steps of at least `STEP`.
         """

@@ -26,7 +26,7 @@ MOST_SEGMENTS, MOST_MEETINGS, MOST_CROSSINGS = 50_000, 1_000_000, 10_000
 
 
 class Stretch(NamedTuple):
-    """Part of an edge of a plan without landmarks, such as a door."""
+    """Part of an edge of a floor plan that must not carry landmarks, such as a door."""
 
     ring: int
     """Index of the ring: 0 for the outline, 1 for the first hole."""
@@ -204,7 +204,7 @@ def _shared(corners: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
 
 
 def _openings(edge: FloatArray, near: Any, boxes: list[tuple[str, Any]]) -> Iterator[tuple[float, float, str]]:
-    """Start, end and name of each part of an edge that has no wall, or that is at a door or a window."""
+    """Start, end and name of the parts of an edge without a wall, and of its parts at a door or a window."""
     import shapely
 
     line, spans = shapely.LineString(edge), []

@@ -246,7 +246,7 @@ def _write(rows: FloatArray, lane: Integer, p: Any) -> None:
 
 @inner
 def predict_lanes(lanes: Lanes) -> None:
-    """Move each lane to its next frame."""
+    """Predict the covariance of each lane at the lane's next frame from the odometry."""
     rows, moves = lanes.covariance, lanes.moves
     for lane in range(np.uint64(LANES)):
         way = read3(moves, lane, _1)
@@ -255,7 +255,9 @@ def predict_lanes(lanes: Lanes) -> None:
 
 @overridable
 def update_lanes(least: Any, lanes: Lanes, scale: float) -> None:
-    """Add the information of each lane that is `informed`; see `Tolerance`."""
+    """Update the covariance of each `informed` lane with the information of the lane; for `least` and `scale` see
+    `Tolerance`.
+    """
     for lane in range(LANES):
         if lanes.informed[lane]:
             update_beyond_rounding(lanes.covariance, lanes.information, lane, LANES, scale, least, lanes.dense)

@@ -116,8 +116,8 @@ def residual_ratio(tag: Square, least: Number) -> Number:
 
 @overridable
 def camera_residual(least: float | None, tag: Square) -> Number:
-    """Last of the numbers that a tag adds to a camera's view, before `share_of` is applied: the `residual_ratio`, or 0
-    if `least` is None.
+    """Ambiguity term that a tag adds to the sums of a camera's view (the last sum), before `share_of` is applied: the
+    `residual_ratio`, or 0 if `least` is None.
     """
     return residual_ratio(tag, least)
 

@@ -96,7 +96,9 @@ class Localisation(AtLeast):
         return f"{label}, and of seeing {self.n}, weighted" if self.coverage_weight else label
 
     def precision(self, scene: Scene) -> Precision:
-        """Limits that a localised view must satisfy, in the units of the rig's first camera."""
+        """Limits that a localised view must satisfy; for a rig, in units of the first camera's
+        `deviation_per_variance`.
+        """
         camera, noise = scene.cameras[0], self.pixel_noise
         asked = precision(camera, scene.tag, noise, self.tolerance, self.rotation_tolerance, scene.edges)
         if self.n > 1 or self.ambiguity == "ignored" or scene.tag.is_point:

@@ -43,7 +43,7 @@ VIEWS_AT_ONCE = 1 << 16  # greatest number of views in memory, 8 bytes per landm
 def rig_views(
     evaluator: Evaluator, positions: FloatArray, normals: FloatArray, n: int, precision: Precision, keep: bool
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """See `evaluation.localised_views`; the precision is in the units of the first camera."""
+    """See `evaluation.localised_views`; the precision is in units of the first camera's `deviation_per_variance`."""
     size, orientations = len(evaluator.positions), evaluator.axes.shape[1]
     covered, localised = np.zeros((2, len(positions), size), dtype=np.int64)
     kept = np.full((len(positions), size, orientations) if keep else (0, 0, 0), np.inf)
@@ -171,8 +171,8 @@ def located(evaluator: Evaluator, deployment: Deployment, images: RigImages, n: 
 
 
 def body_sums(evaluator: Evaluator, deployment: Deployment, images: RigImages, precision: Precision) -> FloatArray:
-    """Information about the body's pose from all images of each view, in the units of the first camera, `(N,
-    width_of(precision))`.
+    """Fisher information about the body's pose from all images of each view, `(N, width_of(precision))`. It is in the
+    units of `information` for the first camera; other cameras are weighted by `gain_of`.
     """
     scene, (positions, axes, seen) = evaluator.scene, images[3:]
     assert scene.rig is not None

@@ -229,7 +229,7 @@ def _from_position(sight: Any, offset: Vector, normal: Vector, slack: float) -> 
 
 @from_around.register(FiducialSight)
 def _from_around(sight: Any, offset: Vector, normal: Vector, radius: float) -> Any:
-    """Bounds of `criteria.from_around` that use the incidence angle only."""
+    """Version of `criteria.from_around` whose bounds use the incidence angle only."""
     distance, along = math.sqrt(dot3(offset, offset)), radius - dot3(normal, offset)
     nearest, farthest = max(distance - radius, 0.0), distance + radius
     reached = (along >= min(sight.facing * nearest, sight.facing * farthest)) & (along >= 0.0)

@@ -46,7 +46,7 @@ class Limits(Checked):
         """Mask of the views in which the detector finds the tag, for tags wholly in the image; all arrays have one
         shape.
 
-        In views with NaN, the tag is behind the camera and is not found.
+        NaN stands for a view with the tag behind the camera, in which the detector does not find the tag.
 
         Args:
             pitch: pitch, pixels per module.
