@@ -1,5 +1,5 @@
-"""Context of a running application: its package, configuration, command line and folder. Errors end it in one
-sentence.
+"""Context of a running application: its package, configuration, command line and folder. An error ends the application
+with a message of one sentence.
 """
 
 import errno
@@ -35,8 +35,8 @@ WITHOUT_EFFECT = (
 
 
 def lmd_experiment(*, _root_: DictConfig) -> str:
-    """Name of the mlflow experiment for the composed command: `EXPERIMENT`, or a name of the command's own (`lmd
-    compare`).
+    """Name of the mlflow experiment for the composed command: `EXPERIMENT`, or for some commands a name of their own,
+    such as `lmd compare`.
     """
     studies = list(_root_.get("studies") or {})
     # The configuration of a job lacks Hydra's part, and a configuration composed from Python has no job.
@@ -59,7 +59,9 @@ def command_of(pipeline: str) -> str:
 
 
 def flat_settings(cfg: DictConfig, *keys: str) -> dict[str, Any]:
-    """Resolved settings below the given `keys` (by default all settings), such as `{"room.spacing": 0.5, ...}`."""
+    """Resolved settings below the given `keys` of the configuration (by default all settings), such as
+    `{"room.spacing": 0.5, ...}`.
+    """
     resolved: Any = OmegaConf.to_container(cfg, resolve=True)
     return _flat({key: resolved[key] for key in keys or resolved})
 
@@ -115,7 +117,9 @@ def ends_reported() -> Iterator[None]:
 
 @contextmanager
 def doing(step: str) -> Iterator[None]:
-    """Context of a step of the work; the step's name is printed if the step takes longer than `SHOWN_AFTER` seconds."""
+    """Context of one step of a command's work; the step's name is printed if the step takes longer than `SHOWN_AFTER`
+    seconds.
+    """
     shown = threading.Timer(SHOWN_AFTER, print, [f"{step} ..."], {"file": sys.stderr, "flush": True})
     shown.daemon = True
     shown.start()
@@ -150,7 +154,7 @@ def spelled(override: str) -> str:
 
 
 def quoted(path: str | Path) -> str:
-    """Path as the value of an override, in quotes if Hydra needs them."""
+    """Text of the path for use as the value of an override, in quotes if Hydra needs them."""
     escaped = str(path).replace("\\", "\\\\").replace("'", "\\'")
     return str(path) if re.fullmatch(r"[\w./-]*/[\w./-]*", str(path)) else f"'{escaped}'"
 
@@ -169,7 +173,9 @@ def changes_results(key: str) -> bool:
 
 
 def search_path() -> list[str]:
-    """Overrides that add folders to Hydra's search path; all other overrides are to be read with these folders."""
+    """Overrides of this process that add folders to Hydra's search path; options in these folders must be found when
+    the other overrides are read.
+    """
     own = HydraConfig.get().overrides.hydra if HydraConfig.initialized() else []
     return [override for override in own if override.startswith("hydra.searchpath=")]
 

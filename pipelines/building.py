@@ -34,8 +34,8 @@ SAME_EDGE = 1e-6  # maximum difference between edges that count as equal, metres
 
 
 class Parts(NamedTuple):
-    """Arguments of `lmd.problem.Problem`, which have not been checked together: the objective may not fit the
-    landmarks.
+    """Arguments of `lmd.problem.Problem`. It has not been checked that they fit together: the objective may not support
+    the landmarks.
     """
 
     scene: "Scene"
@@ -221,8 +221,8 @@ def refuse_crowd(problem: "Problem", command: str) -> None:
 
 
 def _note_unusual(room: "Space", tag: "Tag", deployment: "Deployment") -> None:
-    """Print notes: the number of tags whose edge length is from their own file, for each length, and the ids of tags
-    with a corner behind a face of the room, where no camera sees the corner.
+    """Print two notes: one on the tags whose edge length comes from the landmark file (the number of tags for each
+    length), and one with the ids of tags that have a corner behind a face of the room, where no camera sees the corner.
     """
     from lmd.core.words import few
     from lmd.geometry.squares import corners

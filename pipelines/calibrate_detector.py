@@ -15,7 +15,7 @@ VIEWS_STREAM = 0x7669657773  # key that separates the random numbers of views fr
 
 
 def calibrate(cfg: DictConfig) -> Study:
-    """Prepare the fit of the limits of each configured detector."""
+    """Prepare the fit of the limits within which each configured detector finds a tag."""
     from lmd.core.checks import integer, real, seed_number
     from lmd.core.optional import optional
     from lmd.detection.tag_views import SurveyedViews

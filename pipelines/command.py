@@ -1,5 +1,5 @@
-"""Command: a function that Hydra calls with a composed configuration. A command stops on a signal, and can run a
-sweep.
+"""Commands of the project. A command is a function that Hydra calls with a composed configuration; it stops on a
+signal, and can run as a sweep.
 """
 
 import atexit

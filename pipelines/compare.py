@@ -30,7 +30,7 @@ BUDGETS = ("1", "2", "3")  # positions in the list of budgets of a suite problem
 
 
 def compare(cfg: DictConfig) -> Study:
-    """Prepare the configured comparison, on one problem or on problems of the suite."""
+    """Prepare the configured comparison of optimisers, on one problem or on problems of the suite."""
     from lmd.core.checks import InputError
 
     entries = cfg.optimisers
@@ -123,7 +123,7 @@ def _over_suite(cfg: DictConfig) -> Study:
 
 
 def _configurations(taken: Mapping[str, Mapping[str, DictConfig]]) -> str:
-    """Table, as text, of the exact configuration that was used for each entry of `optimisers`."""
+    """Text of a table with the exact configuration that was used for each entry of `optimisers`."""
     from lmd.core.words import as_code, markdown_table
 
     flat = {entry: flat_settings(next(iter(configs.values())), "optimiser") for entry, configs in taken.items()}
@@ -135,8 +135,8 @@ def _configurations(taken: Mapping[str, Mapping[str, DictConfig]]) -> str:
 
 
 def problems_of(cfg: DictConfig) -> "Mapping[str, BlackBox]":
-    """Problems that the key `suite` chooses by the name of a set, the name of a problem, or a list of names; problems
-    with several objectives are left out of a set.
+    """Problems that the key `suite` chooses. The key is the name of a set, the name of a problem, or a list of such
+    names; a set is taken without its problems with several objectives.
 
     Raises:
         InputError: there is no such problem, or the configuration also chooses parts of a problem.

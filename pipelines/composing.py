@@ -1,5 +1,5 @@
-"""Configuration of a command: composed by Hydra, and then composed again within the job, with the options that keys of
-the configuration choose.
+"""Configuration of a command. Hydra composes it; within the job it is composed again, with the options that keys of the
+first configuration choose.
 
 When Hydra composes for the first time, `run=DIR`, `suite=NAME`, `survey=DIR`, `map=DIR`, `varies=cameras`, and
 `deployment.path=FILE` without a choice of `deployment`, are ordinary keys. `settled` reads these keys, puts the options
@@ -60,7 +60,7 @@ def compose(command: str, *overrides: str) -> DictConfig:
 
     Args:
         command: name of the command, such as `optimise`.
-        overrides: its overrides, such as `experiment=lab` or `suite=tiny_mean`.
+        overrides: overrides of the command, such as `experiment=lab` or `suite=tiny_mean`.
 
     Raises:
         InputError: a frozen problem or an earlier run is refused.
@@ -107,7 +107,7 @@ def recompose(config_name: str, overrides: Sequence[str], setting: str, entry: s
 
     Args:
         config_name: name of the configuration.
-        overrides: its overrides.
+        overrides: overrides of that configuration.
         setting: key whose value asks for this configuration, for error messages.
         entry: value of the key `setting`.
 
@@ -135,7 +135,7 @@ def _without_hydra(composed: DictConfig) -> DictConfig:
 
 
 def _final(cfg: DictConfig) -> DictConfig:
-    """Read-only copy of the configuration, without keys that have no meaning beside the values of other keys."""
+    """Read-only copy of the configuration, without keys that the values of other keys make meaningless."""
     left_out = ("cameras", "body") if cfg.get("varies") == "tags" else ()
     final = OmegaConf.masked_copy(cfg, [str(key) for key in cfg if key not in left_out])
     OmegaConf.set_readonly(final, True)
@@ -262,7 +262,7 @@ def _of_run(
 def _parts_of(
     directory: Path, argument: str, trust: Trust, groups: Sequence[str], files: Sequence[str] = FILES[:1]
 ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-    """Whole configuration of an earlier run, and the nodes of its groups `groups`.
+    """Whole configuration of an earlier run, and separately the nodes of the config groups `groups` in it.
 
     Args:
         directory: folder of the run.
@@ -284,7 +284,7 @@ def _parts_of(
 
 
 def count_of(run: str | Path) -> int:
-    """Number of landmarks of the run in a folder."""
+    """Number of landmarks of the run whose folder is `run`."""
     from lmd.core.tables import read_table
 
     return len(read_table(Path(run) / FILES[1], name="run").lines)

@@ -1,4 +1,6 @@
-"""Contenders of a comparison: runs of an optimiser with a seed on a problem, each with a folder for the result."""
+"""Contenders of a comparison. A contender is a run of one optimiser with one seed on one problem, and has a folder for
+its result.
+"""
 
 import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -59,7 +61,7 @@ class Contender:
 
     @property
     def parts(self) -> tuple[Any, ...]:
-        """Settings that determine the result of the run, by which a stored result is found again."""
+        """Settings that determine the result of the run; a stored result is found again by these settings."""
         if not self.problem:
             return flat_settings(self.cfg, *SAME_WHEN_RESUMED, "budget", "validate"), self.seed
         from lmd.suite import document
@@ -90,7 +92,7 @@ def contend(
         jobs: the runs to be compared.
         report: function that makes the report from the results of the finished runs.
         log: function that records a finished run as a child of the tracked run.
-        about: arguments `about` or `problem` of `Study`.
+        about: further arguments of `Study`, namely `about` or `problem`.
     """
     from lmd.core.checks import file_path
 
@@ -132,7 +134,7 @@ def _done(directory: Path, folder: str, job: Contender) -> "tuple[str, Optimiser
 
 
 def _searched(job: Contender) -> dict[str, Any]:
-    """Do a run on one thread; return its metrics, and the texts of its files, as a document."""
+    """Do a run on one thread; return a document with the metrics of the run and the texts of the run's files."""
     from lmd.core.tables import write_table
     from lmd.evaluation.tradeoff import SAMPLE
     from lmd.evaluation.validation import Sample, headline_off_grid, validation_metrics

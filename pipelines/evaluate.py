@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def evaluate(cfg: DictConfig) -> Study:
-    """Prepare the configured studies of the configured deployments."""
+    """Prepare the studies that `studies` lists, for the deployments of the configuration."""
     from lmd.core.checks import InputError, seed_number
 
     seed_number(cfg.seed)

@@ -18,9 +18,10 @@ if TYPE_CHECKING:
 
 
 def build_export(cfg: DictConfig, key: str, tag: "Tag") -> "Export":
-    """Build the export of the formats that a configuration lists at `key`.
+    """Build the export of the landmarks in all formats that a configuration lists at `key`.
 
-    The value null means all formats; formats that cannot be printed for these tags are left out, and named in a note.
+    The value null at `key` means all formats; formats that cannot be printed for these tags are then left out, and
+    named in a note.
 
     Raises:
         InputError: a format is unknown, or cannot hold the tags.

@@ -1,5 +1,5 @@
-"""Landmarks that the config groups `deployment` and `tag` describe: fixed landmarks, numbers of landmarks, and tag
-sizes.
+"""Landmarks that the config groups `deployment` and `tag` describe: the fixed landmarks, the number of landmarks, and
+the sizes of the tags.
 """
 
 import re
@@ -48,21 +48,20 @@ def fixed_of(node: DictConfig, family: str | None) -> "Deployment | None":
 
 
 def table_in(node: DictConfig) -> dict[str, Any]:
-    """Arguments for tables of landmarks that a group `deployment` passes to `read_deployment`; only those that are
-    given.
-    """
+    """Arguments that describe a table of landmarks, for `read_deployment`: those that the group `deployment` gives."""
     return {key: plain(node[key]) for key in TABLE if node.get(key) is not None}
 
 
 def others_of(node: DictConfig, fixed: "Deployment | None") -> tuple[int | None, DictConfig]:
-    """Total number of landmarks, including fixed landmarks, and the config node of the source of the landmarks that are
-    not fixed.
+    """Return two things: the total number of landmarks, including fixed landmarks; and the config node that describes
+    the source of all other landmarks.
 
     The number is None if no landmark is fixed or no count is given. A file may also contain the fixed landmarks, so the
     number of landmarks in a file is checked after the fixed landmarks are added.
 
     Raises:
-        InputError: the count is additional to fixed landmarks but none is fixed, or it leaves no landmark to place.
+        InputError: the count is given as a number in addition to the fixed landmarks, but no landmark is fixed; or the
+            count leaves no landmark to place.
     """
     from lmd.core.checks import InputError, integer
 

@@ -31,7 +31,7 @@ def note(text: str) -> None:
 
 @contextmanager
 def keyed(group: str = "", /, **keys: str) -> Iterator[None]:
-    """Context in which an `InputError` about an argument names the config key of this argument instead.
+    """Context in which the message of an `InputError` names the config key of an argument instead of the argument.
 
     Args:
         group: key of the node whose keys are the arguments; empty for top-level keys.
@@ -74,7 +74,8 @@ def instantiate(node: Any, **extra: Any) -> Any:
 
 
 def _refusal(error: Exception, extra: Mapping[str, Any]) -> str:
-    """Message in place of Hydra's error about a node: it states the fault, and the arguments or names that exist.
+    """Message that replaces Hydra's error about a node: it states the fault, and lists the allowed arguments or the
+    existing names.
 
     Args:
         error: Hydra's error.
@@ -110,7 +111,7 @@ def plain(node: Any) -> Any:
 
 
 def settings_of(cfg: DictConfig, key: str) -> DictConfig:
-    """Config node at a key, after a check that the value there is a node and not the name of an option.
+    """Return the config node at a key, after a check that the value at the key is a node and not the name of an option.
 
     Raises:
         InputError: the value at the key is not a node.

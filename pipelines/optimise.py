@@ -87,7 +87,7 @@ def _accuracy(cfg: DictConfig, problem: "Problem", found: "Result") -> Mapping[s
 
 
 def _checkpoint_of(cfg: DictConfig, optimiser: "Optimiser", problem: "Problem") -> "Checkpoint":
-    """Make the checkpoint of a run; if the run resumes an earlier run, from the earlier run's checkpoint.
+    """Make the checkpoint of a run; if the run resumes an earlier run, it continues from the earlier run's checkpoint.
 
     Raises:
         InputError: the run to resume has other settings, or cannot be read.
@@ -146,7 +146,7 @@ def _how_to_go_on() -> str:
 
 
 def build_camera_problem(cfg: DictConfig) -> "tuple[CameraProblem, dict[Camera, Any]]":
-    """Build the problem of placing cameras; return it together with the calibration of each kind of camera.
+    """Build the problem of placing cameras; return the problem, and the calibration of each kind of camera.
 
     Raises:
         InputError: the parts of the problem do not fit together.

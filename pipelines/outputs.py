@@ -44,7 +44,9 @@ class RunDirectory(HydraCallback):
     """
 
     def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Check the disk, lock the directories, and arrange the removal of an empty directory."""
+        """Check the disk, lock the run's directory and the resumed directory, and arrange that a directory without
+        results is removed.
+        """
         directory, resume = Path(config.hydra.run.dir).resolve(), config.get("resume")
         resumed = directory if resume is None else Path(str(resume)).resolve()
         self._check(directory)
@@ -68,8 +70,8 @@ class RunDirectory(HydraCallback):
 
     @staticmethod
     def _check(directory: Path) -> None:
-        """Exit if no files can be written to a directory or, while it does not exist, to the nearest existing folder
-        above it.
+        """Exit the process if no files can be written to a directory. If the directory does not exist yet, the nearest
+        existing folder above it is checked.
         """
         directory = directory.resolve()
         there = next(place for place in (directory, *directory.parents) if place.exists())
@@ -90,7 +92,7 @@ def held(directory: Path, wait: bool = True) -> Iterator[int | None]:
 
     Args:
         directory: the directory.
-        wait: True to wait until the other process releases the lock.
+        wait: True to wait until another process that holds the lock releases it.
 
     Raises:
         OSError: the file of the lock cannot be written.
@@ -132,8 +134,8 @@ def all_or_none(directory: Path, write: Callable[[Path], object]) -> list[Path]:
 
 
 def write_all(directory: Path, writers: Mapping[str, Callable[[Path], object]]) -> list[Path]:
-    """Write several files to a directory, either all of them or none; `writers` has a function for each file name, see
-    `all_or_none`.
+    """Write several files to a directory, either all of them or none (`all_or_none`); `writers` maps each file name to
+    a function that writes the file.
     """
 
     def fill(folder: Path) -> None:
@@ -162,7 +164,7 @@ def space_reserved(directory: Path) -> Iterator[None]:
 
 
 def read_history(path: Path) -> "list[Record]":
-    """Read the best fitness over a run from the file of its history."""
+    """Read the history of a run, its best fitness against evaluations and time, from a file."""
     from lmd.core.tables import read_numbers
     from lmd.optimisers.ledger import Record, columns_of
 

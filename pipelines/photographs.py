@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
 
 def detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector", tag: "Tag") -> "DetectedTags":
-    """Get the detections of tags that belong to the family of `tag`; duplicates of images are left out.
+    """Get the detections of tags that belong to the family of `tag`; if an image occurs more than once, only one copy
+    of it is used.
 
     Raises:
         InputError: photographs and detections are both given or both missing, or a file cannot be read or holds another
@@ -56,7 +57,7 @@ def detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector",
 
 
 def with_camera_of_bag(cfg: DictConfig) -> DictConfig:
-    """Configuration that includes the camera calibration in the bag `photographs`, if no other calibration is given."""
+    """Configuration, extended by the camera calibration from the bag `photographs` if no other calibration is given."""
     from lmd.formats.bags import CAMERA_INFO, Bag, is_bag
 
     if cfg.photographs is None or "path" not in cfg.camera or cfg.camera.path is not None or cfg.camera.get("rig"):

@@ -1,4 +1,5 @@
-"""Points of a trade-off between the number and size of landmarks: parallel searches, with results stored on disk.
+"""Points of a trade-off between the number and the size of landmarks. A point is a number of landmarks, an edge length
+and a seed; the searches at the points run in parallel, and their results are stored on disk.
 
 A *ladder* is the series of points with one edge length and one seed, in which only the number of landmarks varies.
 """
@@ -57,28 +58,28 @@ class Ladder:
         return build_problem(self.point(count), "counts")
 
     def anew(self, count: int) -> "Found":
-        """Result of the search with `count` landmarks that begins from the configured start."""
+        """Result of the search that places `count` landmarks and begins from the configured start."""
         from lmd.evaluation.tradeoff import ANEW
 
         return self._search(count, self.problem(count), ANEW)
 
     def improved(self, known: "Mapping[int, Found]", chosen: Iterable[int]) -> "dict[int, Found]":
-        """Results of searches that begin from the results for neighbouring numbers of landmarks, keyed by the number;
-        see `lmd.evaluation.tradeoff.improved`.
+        """Results of new searches, keyed by the number of landmarks. Each search begins from the result for a
+        neighbouring number; see `lmd.evaluation.tradeoff.improved`.
         """
         from lmd.evaluation.tradeoff import improved
 
         return improved(known, chosen, self.problem, self._search)
 
     def figures(self, count: int, found: "Found") -> dict[str, float]:
-        """Metrics of the result `found` with `count` landmarks, on the grid and off it."""
+        """Metrics of the deployment in `found`, which has `count` landmarks, on the grid and off it."""
         from lmd.evaluation.tradeoff import SAMPLE
 
         score = partial(figures_of, self.problem(count), found.deployment, self.seed)
         return self._kept(count, f"figures of {SAMPLE}", found.deployment, score)  # type: ignore[no-any-return]
 
     def _search(self, count: int, problem: "Problem", way: str) -> "Found":
-        """Search from the start of the given problem, with the budget of one point."""
+        """Search from the start of the given problem, with the budget of one point of the trade-off."""
         from lmd.evaluation.tradeoff import Found
         from lmd.scene.deployment import Deployment
         from lmd.scene.deployment_sources import GivenDeployment
@@ -149,8 +150,8 @@ class Points:
         self._figures |= dict(self._done("scored", scored))
 
     def _done(self, what: str, jobs: Mapping[Any, Callable[[], Any]]) -> Iterator[tuple[Any, Any]]:
-        """Do jobs in processes; yield the key and the result of each job, in the order of completion. A key is the
-        index of a ladder followed by one or more numbers of landmarks.
+        """Do jobs in several processes; yield the key and the result of each job, in the order of completion. The key
+        of a job is the index of a ladder followed by one or more numbers of landmarks.
         """
         results = in_processes(_do, list(jobs.items()), self._workers, lambda job: self.name(*job[0]))
         for i, (key, result) in enumerate(results, 1):
@@ -158,7 +159,7 @@ class Points:
             yield key, result
 
     def name(self, number: int, *counts: int) -> str:
-        """Name for messages of one point, or of several points that belong to one ladder."""
+        """Name, used in messages, of one point or of several points that belong to one ladder."""
         ladder, size = self.ladders[number], f" edge={self.ladders[number].edge}" if self.ladders[number].edge else ""
         return f"K={','.join(map(str, counts))}{size} seed={ladder.seed}"
 

@@ -29,8 +29,8 @@ tqdm.set_lock(threading.RLock())  # tqdm's own lock has a semaphore, which a pro
 
 
 def bar(total: int | None, unit: str, initial: int = 0) -> "tqdm[Any]":
-    """Make a progress bar: updated in place on a terminal, or written as a line every `LOG_SECONDS` if the output is a
-    file.
+    """Make a progress bar. On a terminal the bar is updated in place; in a file, a new line is written every
+    `LOG_SECONDS`.
     """
     interval = 0.1 if sys.stderr.isatty() else LOG_SECONDS
     return tqdm(total=total, initial=initial, unit=f" {unit}", mininterval=interval, leave=False)
@@ -81,7 +81,7 @@ class Progress:
         self.saved = time.monotonic()
 
     def _curve(self, ledger: Ledger) -> list[tuple[int, float, float]]:
-        """Points of the curve of the best fitness, up to the part of the budget that is spent."""
+        """Points of the curve of the best fitness, up to the step that corresponds to the spent part of the budget."""
         spent = ledger.seconds if self.budget.evaluations is None else ledger.evaluations
         return curve(ledger.history, self.budget, spent + ROUNDING)
 
@@ -129,10 +129,10 @@ class Stages:
 
     @property
     def doing(self) -> str:
-        """Name of the present stage."""
+        """Name of the present stage of the survey."""
         return "reading photographs or detections" if self._stage is None else self._stage.value
 
     @property
     def has_map(self) -> bool:
-        """True if there is a map that is worth writing."""
+        """True if the survey has reached a map that is worth writing."""
         return self._stage is not None and self._stage.has_map

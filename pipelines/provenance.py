@@ -1,5 +1,5 @@
-"""Provenance of a run: its parameters, command, version of the code, and contents of files. Results are stored under a
-digest of these.
+"""Provenance of a run: its parameters, its command, the version of the code, and the contents of the files that it
+reads. Results are stored under a digest of the provenance.
 """
 
 import getpass
@@ -63,9 +63,7 @@ def _version() -> dict[str, str]:
 
 
 def repeating(tags: Mapping[str, str]) -> str:
-    """Text in Markdown with the command in a run's `source_tags`, and the commit at which the command repeats the
-    run.
-    """
+    """Text in Markdown on how to repeat a run: the command and the commit in the run's `source_tags`."""
     from lmd.core.words import as_code
 
     commit = tags.get("mlflow.source.git.commit", "")[:9]
@@ -84,8 +82,8 @@ def write_sources(directory: Path) -> None:
 
 @cache
 def _packages() -> str:
-    """List of the installed packages, one line `name==version` each, from the names of their metadata files, which
-    takes a few milliseconds.
+    """List of the installed packages, one line `name==version` for each. Names and versions are read from the names of
+    the packages' metadata folders, which takes a few milliseconds.
     """
     found = {name for folder in filter(os.path.isdir, sys.path) for name in os.listdir(folder)}
     names = (name.removesuffix(".dist-info").replace("-", "==", 1) for name in found if name.endswith(".dist-info"))
@@ -141,7 +139,7 @@ def contents_of(settings: Any) -> dict[str, str]:
 
 
 def texts_in(settings: Any) -> Iterator[str]:
-    """All texts in settings that are nested in any way."""
+    """All strings in `settings`, which may be nested in any way."""
     if isinstance(settings, str):
         yield settings
     elif isinstance(settings, Mapping | list | tuple):

@@ -1,4 +1,4 @@
-"""Report on the stored sweeps: `python -m pipelines.report [tracking.uri=...]`."""
+"""Report that compares the stored sweeps with the paper: `python -m pipelines.report [tracking.uri=...]`."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING

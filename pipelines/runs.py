@@ -87,7 +87,7 @@ def going_on(run: "pd.Series") -> str:
 def hand_in_below(folder: Path, uri: str) -> None:
     """Send all journals below a folder to a store; exit with 1 if a journal could not be sent.
 
-    The journal of a run with another store is sent only if the command line gives `tracking.uri`.
+    The journal of a run that was recorded in another store is sent only if the command line gives `tracking.uri`.
 
     Raises:
         InputError: there is no such folder.

@@ -1,4 +1,6 @@
-"""Score of a deployment. Landmarks and metrics are written first, then everything that can be computed again."""
+"""Score of a deployment. Landmarks and metrics are written first, and then all outputs that can be computed again from
+these.
+"""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -29,8 +31,8 @@ COMPARED = ("fitness", "off_grid", "qualified_ratio", "average_coverage_probabil
 
 
 def room_report(cfg: DictConfig, problem: "Problem") -> Report:
-    """Report with a picture of the room as it was interpreted, and of the people who may hide landmarks; yielded before
-    anything is computed.
+    """Report with a picture of the room as the program interprets its file, and of the people who may hide landmarks.
+    The report is made before anything is computed.
     """
     if not cfg.picture:
         return Report()
@@ -64,7 +66,7 @@ def scored(
         history: records of the best fitness during the run; no curve is drawn for a single evaluation.
         subject: subject of the run, one word.
         summary: more entries of metrics.json; `stopped` = "interrupted" means that the run was cut short.
-        further: function that computes more entries of metrics.json, which takes seconds.
+        further: function that computes more entries of metrics.json; the computation takes seconds.
         export: tag maps, plans and sheets to write; None for none.
         in_haste: True to leave out outputs that take seconds: validation, pictures, exports and `further` entries.
 
@@ -123,8 +125,8 @@ def scored(
 
 
 def score(cfg: DictConfig, own: Mapping[str, DictConfig]) -> Study:
-    """Prepare the score of deployments, and the configured studies: losses, sensitivity, tags as measured, tags as
-    mounted.
+    """Prepare the score of deployments, and those studies that are configured: of the loss of tags, of sensitivity, of
+    tags with measured poses, and of tags with mounting errors.
 
     Args:
         cfg: configuration of the command.
@@ -161,7 +163,7 @@ def score(cfg: DictConfig, own: Mapping[str, DictConfig]) -> Study:
 
 
 class _Subject(NamedTuple):
-    """Deployment to be scored, as planned and as measured."""
+    """Deployment to be scored, with the planned and with the measured poses of its tags."""
 
     problem: "Problem"
     plan: "Deployment"
@@ -224,8 +226,8 @@ def _studies(cfg: DictConfig, subject: _Subject) -> Iterator[Studied]:
     """Conduct the studies of a deployment, one after the other.
 
     Yields:
-        name of a study, which is empty if its metrics belong to the deployment itself; files, metrics and text of the
-        study.
+        name of a study, which is empty if the metrics belong to the deployment itself; the study's files; its metrics;
+        its text.
     """
     from lmd.core.checks import InputError
 

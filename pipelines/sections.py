@@ -123,17 +123,19 @@ def _of_row(jobs: pd.DataFrame, name: str) -> pd.DataFrame:
 
 
 def _of_pair(jobs: pd.DataFrame, n: int, thold_p: float) -> pd.DataFrame:
-    """Runs with the given values of n and thold_p."""
+    """Those runs in `jobs` that have the given values of n and thold_p."""
     return jobs[(jobs[PAIR].astype(float) == [n, thold_p]).all(axis=1)]
 
 
 def _typical(jobs: pd.DataFrame) -> str:
-    """Id of the run with the median qualified ratio; if two runs are in the middle, of the run with the lower ratio."""
+    """Id of the run with the median qualified ratio; if two runs are in the middle, the id of the run with the lower
+    ratio.
+    """
     return str(jobs[RATIO].sort_values(kind="stable").index[(len(jobs) - 1) // 2])
 
 
 def _beside(printed: Any, jobs: pd.DataFrame) -> list[str]:
-    """Cells of a table row, per cent: values printed in the paper beside medians of the runs."""
+    """Cells of a table row, each with a value printed in the paper beside the median of the runs, per cent."""
     cells = [f"{len(jobs)}"]
     for index in INDICES:
         paper, values = getattr(printed, index), jobs[f"metrics.{index}"]

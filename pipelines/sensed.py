@@ -22,7 +22,9 @@ Own = Mapping[str, DictConfig]
 
 
 def observe(cfg: DictConfig, own: Own) -> Study:
-    """Study of flights: a flying camera is localised by each deployment, with equal flights for all deployments."""
+    """Study of flights: a flying camera is localised by the landmarks of each deployment; all deployments have equal
+    flights.
+    """
     from lmd.estimation.study import Flights
 
     seeds = seeds_of(cfg)
@@ -74,7 +76,9 @@ def _any_tag(cfg: DictConfig) -> DictConfig:
 
 
 def in_batches(workers: int | None, function: Callable[[Any], Any], jobs: Sequence[Any]) -> Iterator[Any]:
-    """Apply a function to jobs in several processes, and return the results; see `lmd.estimation.recording.Each`."""
+    """Apply a function to each job in several processes, and return the results in the order of the jobs; see
+    `lmd.estimation.recording.Each`.
+    """
     from lmd.core.workers import in_processes
 
     from .progress import bar
@@ -146,8 +150,8 @@ def rendered(cfg: DictConfig, count: int) -> "Rendered":
 
 
 def _frames(study: "DetectionStudy", count: int, seed: int) -> dict[str, Callable[[Path], object]]:
-    """Functions that draw the first frames of each deployment and camera, with the detections of the first detector,
-    keyed by file name.
+    """Functions, keyed by file name, each of which draws one frame with the detections of the first detector; the first
+    `count` frames of each deployment and camera are drawn.
     """
     import numpy as np
 

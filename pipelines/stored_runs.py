@@ -83,7 +83,9 @@ class Source:
         return jobs
 
     def optimiser_runs(self, jobs: pd.DataFrame) -> list[OptimiserRun]:
-        """Results and histories of optimiser runs; a run whose files are missing is left out, with a note."""
+        """Results and histories of the optimiser runs in `jobs`; a run whose files are missing is left out, with a
+        note.
+        """
         found = []
         for run_id, job in jobs.iterrows():
             try:

@@ -52,8 +52,8 @@ def accuracy(cfg: DictConfig, own: Own) -> Study:
 
 
 def bound(cfg: DictConfig, own: Own) -> Study:
-    """Study of bounds: compute upper bounds on the results of all deployments of a problem, and the fraction of the
-    bounds that a greedy choice reaches.
+    """Study of bounds: compute upper bounds on the fitness that any deployment can have in a problem, and the fraction
+    of such a bound that a greedy choice reaches.
     """
     from lmd.core.checks import real
     from lmd.evaluation.bounds import (

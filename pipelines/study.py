@@ -1,4 +1,6 @@
-"""Execution of studies, common to all commands: tracking, complete writing, printing, stopping and resuming."""
+"""Execution of studies, common to all commands: runs are tracked, stopped and resumed, and reports are printed and
+written to files, each file completely or not at all.
+"""
 
 import sys
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
@@ -49,7 +51,9 @@ class Report:
     lines: Mapping[str, str] = field(default_factory=dict)
     """Lines, keyed by label, that are printed at the end of the terminal's text."""
     is_whole: bool = False
-    """True if the results are complete with this report: a signal that comes later only leaves out further reports."""
+    """True if the results are complete with this report. A signal that comes later does not make the run incomplete; it
+    only leaves out further reports.
+    """
     is_extra: bool = False
     """True for a report that may be lost: files that do not fit on the disk are left out, and a signal may interrupt
     the writing.
@@ -64,7 +68,9 @@ class Report:
 
 @dataclass(frozen=True)
 class Study:
-    """Study with checked settings and built objects, ready to be conducted."""
+    """Study that is ready to be conducted: its settings are checked, and its objects (problem, optimiser and others)
+    are built.
+    """
 
     subject: str
     """Subject of the run, one word."""
@@ -73,7 +79,7 @@ class Study:
     about: str = ""
     """Description of the run; by default the title of its problem."""
     problem: "Problem | None" = None
-    """Problem that the study is about; None for a study without a problem."""
+    """Problem that is studied; None for a study without a problem."""
     earlier: tuple[str | None, Path] = (None, Path())
     """Id of the tracked run that this study continues (None if nothing is continued or tracked), and the folder of that
     run.
@@ -146,8 +152,8 @@ def conduct(cfg: DictConfig, study: Study) -> float | None:
 
 
 def _written(directory: Path, report: Report) -> tuple[list[Path], list[str]]:
-    """Write the files of a report; return the paths of the files, and a text about each file that does not fit on the
-    disk.
+    """Write the files of a report; return the paths of the written files, and texts about the files that do not fit on
+    the disk.
     """
     writers = {name: _writer(name, content) for name, content in report.files.items()}
     files, failed = list[Path](), list[str]()
@@ -231,7 +237,7 @@ def title_of(problem: "Problem", subject: str) -> str:
 
 
 def dataset_of(cfg: DictConfig, problem: "Problem") -> tuple[str, str]:
-    """Name and digest of a problem; mlflow filters runs by these, which it calls a dataset.
+    """Name and digest of a problem. mlflow calls this pair a dataset, and can filter runs by it.
 
     Equal problems have equal digests, whichever options compose them. A frozen problem of the suite has its own name
     and digest.
@@ -249,7 +255,9 @@ def dataset_of(cfg: DictConfig, problem: "Problem") -> tuple[str, str]:
 
 
 def derived(problem: "Problem") -> dict[str, Any]:
-    """Parameters of a run that the configuration does not state: the numbers of landmarks."""
+    """Parameters of a run that follow from the problem, as the configuration does not state them: the numbers of
+    landmarks.
+    """
     counts = problem.scene.tag.counts
     return {"deployment.count": problem.count, **({} if counts is None else {"tag.counts": list(counts)})}
 

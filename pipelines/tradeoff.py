@@ -1,5 +1,5 @@
-"""Trade off the number and size of landmarks: `python -m pipelines.tradeoff counts=[20,40,60] edges=[0.1,0.15]
-[overrides]`.
+"""Trade off the objective against the number and size of landmarks: `python -m pipelines.tradeoff counts=[20,40,60]
+edges=[0.1,0.15] [overrides]`.
 
 The trade-off is one run and not a sweep, as the search at each point also starts from the results of neighbouring
 points. Searches run in parallel, and results are stored on disk.
@@ -120,7 +120,9 @@ def _listed(name: str, value: Any) -> list[Any]:
 
 
 def _report(cfg: DictConfig, table: "pd.DataFrame", problem: "Problem", figure: str, wanted: float | None) -> Report:
-    """Report on the table of points: curves, and the least number of landmarks that reaches the value `wanted`."""
+    """Report on the table of points: curves of the metrics, and the least number of landmarks with which the metric
+    `figure` reaches the value `wanted`.
+    """
     from lmd.evaluation.maps import percent_text
     from lmd.evaluation.tradeoff import fewest, front
     from lmd.evaluation.validation import headline_off_grid

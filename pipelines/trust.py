@@ -1,4 +1,5 @@
-"""Checks of the code that configurations of other origin name, as Hydra would import and call every `_target_`.
+"""Checks of configurations of other origin: they may only name code that is trusted, as Hydra would import and call
+every `_target_`.
 
 A configuration is of other origin if it is neither part of this project nor on the command line. Examples are the
 configuration of `run=DIR`, configurations in a tracking store, and the overrides of a resumed run. Such a configuration
@@ -132,8 +133,8 @@ class Trust:
                 raise InputError(f"{place} is imported, not defined, by what you trust ({PAGE}).")
 
     def _texts_of(self, group: str) -> list[str]:
-        """Texts of the files of a config group, and of the files of commands, which contain nodes that belong to no
-        group.
+        """Contents of the files of a config group, and of the configuration files of commands, in which some nodes
+        belong to no group.
         """
         files = (file for at in self.folders for file in (*(at / group).rglob("*.yaml"), *at.glob("*.yaml")))
         return [file.read_text(encoding="utf-8", errors="replace") for file in files]
@@ -163,7 +164,9 @@ def read_yaml(file: Path, source: str) -> dict[Any, Any]:
 
 
 def _place(found: Any, key: str, name: str) -> Any:
-    """Value to which the interpolation `${name}` in the value at `key` refers; None if there is no such value."""
+    """Value to which an interpolation `${name}` refers if it occurs in the value at `key`; None if there is no such
+    value.
+    """
     up = len(name) - len(name.lstrip("."))
     for word in [*(key.split(".")[:-up] if up else []), *re.findall(r"\w+", name)]:
         entries = dict(enumerate(found)) if isinstance(found, list) else found if isinstance(found, Mapping) else {}

@@ -1,4 +1,6 @@
-"""Base classes of optimisers: the interface that pipelines use, and the loop of optimisers that ask and tell."""
+"""Base classes of optimisers: the interface that pipelines use, and the loop of optimisers that ask for fitness of
+candidates (`ask`) and are told it (`tell`).
+"""
 
 import math
 import sys
@@ -42,8 +44,8 @@ class Result:
     each batch.
     """
     stopped: str
-    """Reason for the end: `budget` if the budget is used up, `interrupted` by the callback, `proven` if the result is
-    proved optimal.
+    """Reason why the run ended: `budget` if the budget is used up, `interrupted` if the callback stopped the run,
+    `proven` if the result is proved optimal.
     """
     rig: Rig | None = None
     """Best cameras found, if cameras are placed and the deployment is given; otherwise None."""
@@ -100,7 +102,9 @@ class Optimiser(ABC):
             raise InputError(f"{type(self).__name__} places landmarks, not cameras; use a black box.")
 
     def figures(self) -> Mapping[str, float]:
-        """Further metrics of this optimiser, which are recorded beside the fitness; none by default."""
+        """Further metrics that this optimiser reports about its run; they are recorded beside the fitness. None by
+        default.
+        """
         return {}
 
     @abstractmethod
@@ -165,7 +169,7 @@ class AskTell(Optimiser):
     """
 
     start_size = 1
-    """Number of starting candidates that the optimiser can use."""
+    """Largest number of starting candidates that the optimiser can use."""
     flush = True
     """True if landmarks lie flat on their surface; a caller may set it before `run`."""
     dim: int
@@ -346,7 +350,7 @@ class DeploymentSearch(Optimiser):
 
         Args:
             problem: problem of the run.
-            evaluations: full evaluations spent in the whole run.
+            evaluations: number of full evaluations spent in the whole run.
             deployment: deployment to be evaluated; None if it cannot be the best.
             began: time at which the run would have begun without a pause, see `clock`.
         """

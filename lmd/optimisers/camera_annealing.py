@@ -33,10 +33,11 @@ class CameraAnnealing(Optimiser):
 
     Args:
         temperature: first and last temperature, in units of the energy. The energy, which is maximised, is the fitness
-            plus a small multiple of the mean value over positions.
+            plus `mean_share` times the mean of the objective's value over positions.
         step: first and last standard deviation of the random step of a gene.
         jump: first and last fraction of moves that draw all genes of a camera anew.
-        mean_share: weight of the mean value in the energy. The mean value has a slope where the fitness is constant.
+        mean_share: small weight of the mean value in the energy. The mean value changes even where the fitness is
+            constant, and so guides the search.
         seed: see `Optimiser`.
 
     Raises:
@@ -112,7 +113,7 @@ class CameraAnnealing(Optimiser):
         return None if self.best is None else _cameras(problem).rig(self.best.reshape(-1))
 
     def _note(self, fitness: FloatArray) -> None:
-        """Record the `fitness` `(C,)` after each of a sweep's C moves, each of which costs 1/C evaluations."""
+        """Record the `fitness` `(C,)` after each of the C moves of a sweep; a move costs 1/C of an evaluation."""
         ledger, spent, last = self.ledger, self.ledger.evaluations, len(fitness) - 1
         for move, reached in enumerate(fitness.tolist()):
             if reached > ledger.best_fitness and move < last:

@@ -29,7 +29,7 @@ MOST_TEXT = 200  # greatest number of characters shown of an error of another li
 
 @dataclass
 class Checkpoint:
-    """Run that can be stopped and resumed: its optimiser and settings."""
+    """Content of a checkpoint: the optimiser and the settings of a run that can be stopped and resumed."""
 
     optimiser: Optimiser
     """Optimiser, which holds the whole state of the run."""

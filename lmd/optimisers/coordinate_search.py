@@ -18,7 +18,7 @@ class CoordinateSearch(AskTell):
     to `step`.
 
     Args:
-        step: first step of each gene (genes span 1).
+        step: first step of each gene; the range of a gene is [0, 1].
         least: step below which a gene is no longer moved.
         encoding: see `AskTell`.
         seed: see `Optimiser`.

@@ -1,4 +1,4 @@
-"""Encodings (the paper's W), which convert deployments to genes in the unit box and back.
+"""Encodings (W in the paper), which convert deployments to genes in the unit box, and genes to deployments.
 
 A black-box optimiser varies genes in [0, 1]; an encoding maps the genes to landmarks. All genes of a landmark are
 adjacent.
@@ -26,8 +26,8 @@ KINDS = ("wall", "paper")
 class PaperEncoding:
     """Encoding printed in the paper, with five genes for a landmark: x, y, z, yaw rho, pitch eta.
 
-    The point is projected to the nearest surface that may carry landmarks. With `flush` the landmark has the normal of
-    the surface, and the genes of the two angles have no effect, though they are part of the chromosome.
+    The point (x, y, z) is projected to the nearest surface that may carry landmarks. With `flush` the landmark has the
+    normal of the surface, and the genes of the two angles have no effect, though they are part of the chromosome.
     """
 
     genes_per_landmark = 5
@@ -43,8 +43,8 @@ class PaperEncoding:
         self.planes_tell = room.blockers() is None and not np.triu(alike, 1).any()
 
     def decode(self, genes: FloatArray) -> tuple[FloatArray, FloatArray, np.ndarray]:
-        """Positions and normals `(B, K, 3)` and surfaces `(B, K)` that the genes `(B, K * genes_per_landmark)` in [0,
-        1] encode.
+        """Decode the genes `(B, K * genes_per_landmark)`, in [0, 1], of B deployments; return positions and normals,
+        `(B, K, 3)` each, and indices of surfaces, `(B, K)`.
         """
         g = genes.reshape(len(genes), genes.shape[1] // 5, 5)
         points = self.low + g[..., :3] * self.size
@@ -72,8 +72,8 @@ class PaperEncoding:
         return np.clip(np.hstack([(points - self.low) / self.size, angles]), 0.0, 1.0).reshape(-1)
 
     def _distance(self, points: FloatArray) -> FloatArray:
-        """Distance of points `(..., 3)` from each of W surfaces, `(..., W)`, metres; the distance from the surface's
-        plane if the planes suffice.
+        """Distance of points `(..., 3)` from each of W surfaces, `(..., W)`, metres. If the planes of the surfaces
+        suffice to find the nearest surface, the distance is measured to the plane.
         """
         s, depth = self.surfaces, np.abs(self.surfaces.heights(points))
         if self.planes_tell:
@@ -85,8 +85,8 @@ class PaperEncoding:
 
 
 class WallEncoding:
-    """Encoding with two genes for a landmark: its coordinate along all surfaces, laid side by side, and its height on
-    the surface.
+    """Encoding with two genes for a landmark: its horizontal coordinate along all surfaces, which are laid side by
+    side, and its height on its surface.
 
     Each piece of a surface where landmarks may hang gets an interval of the first gene in proportion to its area, so
     uniform genes give places that are uniform over these pieces. Without `flush`, two more genes turn the normal by up

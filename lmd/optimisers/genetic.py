@@ -15,7 +15,8 @@ def filled_up(start: FloatArray, size: int, rng: np.random.Generator) -> FloatAr
 
 
 def recombination_range(shortest: float, longest: float) -> tuple[float, float]:
-    """Check and return Y_min and Y_max, the shortest and longest run of exchanged genes as fractions of the chromosome.
+    """Check and return Y_min and Y_max, the least and the greatest length of a run of exchanged genes, as fractions of
+    the chromosome's length.
 
     Raises:
         InputError: not 0 <= shortest <= longest <= 1.
@@ -52,7 +53,8 @@ def reset(rng: np.random.Generator, genes: FloatArray, probability: float) -> Fl
 
 
 class EGA(AskTell):
-    """Elimination genetic algorithm, the nine-tuple (W, Fit, pop_0, M, Q, Y_min, Y_max, Psi, T).
+    """Elimination genetic algorithm, which the paper defines by the nine-tuple (W, Fit, pop_0, M, Q, Y_min, Y_max, Psi,
+    T).
 
     In each generation the best chromosome survives unchanged, so the best fitness never falls. The Q worst chromosomes
     are replaced by random chromosomes. The others form the recombinant pool, exchange a run of genes and mutate. Fit is
@@ -64,7 +66,7 @@ class EGA(AskTell):
         population: number M of chromosomes.
         eliminated: number Q of chromosomes that are replaced in each generation, with Q + 1 <= M.
         recombination_min, recombination_max: Y_min and Y_max, the shortest and longest run of genes exchanged, as
-            fractions of the chromosome; the paper has 100 and 300 of 450 genes.
+            fractions of the chromosome; the paper uses 100 and 300 genes of 450.
         mutation_probability: probability Psi that a gene of a recombined chromosome mutates.
         partner: `pool` pairs the chromosomes of the pool at random, and each pair exchanges a run of genes; `survivor`
             gives each chromosome a run of the survivor's genes.
@@ -146,7 +148,7 @@ class SGA(AskTell):
         recombination_min, recombination_max: shortest and longest run of exchanged genes, as fractions of the
             chromosome.
         mutation_probability: probability that a gene is replaced by a random value.
-        survivors: number of best chromosomes that take the place of the worst children; 0 as in the paper.
+        survivors: number of best chromosomes of the old population that replace the worst children; 0 as in the paper.
         encoding: see `AskTell`.
         seed: see `Optimiser`.
 

@@ -26,8 +26,7 @@ class Stopped(KeyboardInterrupt):
 
 
 class Stop:
-    """State of this process towards SIGINT, SIGTERM and SIGHUP; the current `with` block decides the effect of a
-    signal.
+    """Handling of SIGINT, SIGTERM and SIGHUP in this process; the current `with` block decides the effect of a signal.
 
     Outside all blocks a signal ends the process immediately, as it has no results yet. Within `raising`, the first
     signal raises `Stopped`, and later signals are ignored while the process cleans up. Within `deferred`, the first

@@ -74,11 +74,12 @@ class Annealing(DeploymentSearch):
         stacked: conditions of the stage that moves stacks. `stacked`, `single`, `sampled`, `given` and `chosen` are
             each a `Stage`, or a mapping of the fields that differ from the default stage.
         single: conditions of the stage that moves single landmarks after the stacks are separated.
-        sampled: conditions in place of `single` for an objective with a sampling; they keep the walk from overfitting
-            its samples.
+        sampled: conditions that replace `single` for an objective with a sampling (module docstring); they keep the
+            walk from overfitting its samples.
         given: conditions of the only stage if the start is given. The temperature is higher than in `single`, as the
             start may be bad, and the objective is as smooth as in `sampled`.
-        chosen: conditions in place of `given` after a greedy start, which is used for objectives without stacks.
+        chosen: conditions that replace `given` after a greedy start; a run starts greedily if the objective allows no
+            stacks.
         stacked_share: share of the budget spent on stacks.
         climb_share: share of the budget spent on the ascent, for an objective with a sampling.
         walkers: number of groups of landmarks that are moved at the same time, see `Surrogate`.
@@ -151,7 +152,8 @@ class Annealing(DeploymentSearch):
         return self._spend(problem, budget, callback, step, lambda: self.spent / count)
 
     def _begin(self, problem: Problem, stack: int, limit: float, stop: Callable[[], bool]) -> int:
-        """Draw the start, as stacks if the budget suffices, and return its cost, counted in moved landmarks.
+        """Draw the start of the run, as stacks if the budget suffices. Return the cost of the start, as the number of
+        landmarks that could be moved instead.
 
         Args:
             stop: function that returns True when the time limit is reached.
@@ -181,7 +183,7 @@ class Annealing(DeploymentSearch):
 
     def _walk(self, problem: Problem, surrogate: Surrogate, used: float, left: float) -> tuple[int, Deployment | None]:
         """Do one phase of the walk (a number of moves under constant conditions); return the number of moved landmarks,
-        and the resulting deployment, or None if this deployment cannot be the best.
+        and the deployment after the phase, or None if that deployment cannot be the best.
 
         Args:
             problem: the problem.
@@ -211,8 +213,8 @@ class Annealing(DeploymentSearch):
         return moves * each + count, self.walked
 
     def _climb(self, problem: Problem, used: float, left: float) -> tuple[int, Deployment | None]:
-        """Do some steps of the gradient ascent. Arguments and result are as in `_walk`, but `left` counts to the end of
-        the run.
+        """Do some steps of the gradient ascent. Arguments and result are as in `_walk`, except that `left` is the
+        number of landmarks that may still be moved before the run ends.
         """
         count, each = problem.count, PLACES_TRIED * problem.free_count
         steps = int(min(ASCENT_STEPS, (left - count) / each))
@@ -244,8 +246,8 @@ class Annealing(DeploymentSearch):
         return Conditions(False, size, done, stage.settings(done, near * size))
 
     def _climb_share(self, problem: Problem) -> float:
-        """Fraction of the budget for the gradient ascent; 0 for an objective without a sampling, as the ascent would
-        overfit the grid.
+        """Fraction of the budget for the gradient ascent; 0 for an objective that is evaluated on the grid instead of
+        on random samples of poses, as the ascent would overfit the grid.
         """
         return 0.0 if problem.objective.sampling is None else self.climb_share
 
@@ -256,8 +258,8 @@ class Annealing(DeploymentSearch):
         return self.best
 
     def _mean(self, problem: Problem) -> Deployment:
-        """Deployment with the mean places of a walk on samples; while growing footprints push landmarks apart, with the
-        last places.
+        """Deployment that results from a walk on random samples: each landmark is at the mean of its places in the
+        walk, or, while growing footprints still push landmarks apart, at its last place.
         """
         if problem.objective.sampling is None or self.angles is not None:
             return self.here
@@ -265,8 +267,8 @@ class Annealing(DeploymentSearch):
         return self.mean_places.add(self.here)
 
     def _separated(self, problem: Problem, stack: int, size: float) -> Deployment:
-        """Separate the landmarks of each stack so that footprints of `size` times their true size do not overlap;
-        landmarks in no stack keep their place in the start.
+        """Separate the landmarks of each stack so that footprints of `size` times their true size do not overlap; a
+        landmark that belongs to no stack keeps its place in the start.
         """
         assert self.angles is not None, "there are stacks"
         distance = STACK_SPREAD * size * problem.scene.spacing

@@ -2,12 +2,13 @@
 sampling.
 
 A walk on samples does not reach a local optimum, as the gain of a small step of one landmark is smaller than the
-sampling error. In the ascent each sample serves all landmarks, and steps average over samples.
+sampling error. In the ascent each sample is used for the slopes of all landmarks, and a step averages the slopes over
+samples.
 
 The slope of the smoothed objective (`walk`) along u and v of a landmark's surface is a central difference (f(x + d) -
 f(x - d)) / 2 d. The values f are exact on the sample, occlusion included. So any objective with a field (an incremental
-evaluator, `lmd.incremental.field`) can be maximised. The step d is a few millimetres. Neighbours are just far enough
-apart not to hide each other; a larger d would smooth the edge at which occlusion begins and push neighbours further
+evaluator, `lmd.incremental.field`) can be maximised. The step d is a few millimetres. Neighbouring landmarks are just
+far enough apart not to hide each other; a larger d would smooth the onset of occlusion and push these landmarks further
 apart. The steps follow Adam (Kingma and Ba, 2015): steps are smaller where samples disagree about the direction.
 """
 
@@ -42,7 +43,7 @@ def slopes(
     """Write the slope of the smoothed objective along u and v into `out` `(K, 2)`, for landmarks from `first` on.
 
     Args:
-        first: number of fixed landmarks.
+        first: index of the first landmark that is not fixed.
         field: incremental evaluator of the objective.
         state: state of the field with the landmarks at their places; it is not changed.
         scratch: working memory of the field.
@@ -82,7 +83,9 @@ def slopes(
 
 
 def moved_along(problem: Problem, here: Deployment, surfaces: SurfaceArrays, away: FloatArray) -> Deployment:
-    """Move the landmarks of `here` by `away` `(K, 2)` along u and v, metres, and push overlapping footprints apart."""
+    """Move the K landmarks of `here` by `away` `(K, 2)`, metres, along u and v of their surfaces, and push overlapping
+    footprints apart.
+    """
     at = surfaces.coordinates(here.surfaces, here.positions) + away
     moved = Deployment(surfaces.points(here.surfaces, at), here.normals, here.surfaces)
     return problem.separated(problem.complete(problem.free(moved))) or here

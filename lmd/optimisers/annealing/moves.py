@@ -20,10 +20,10 @@ from lmd.space.surface import SurfaceArrays
 
 
 class Settings(NamedTuple):
-    """Conditions of the walk, which change from phase to phase."""
+    """Conditions of one phase of the walk, in which they are constant."""
 
     temperature: float
-    """Loss in the smoothed objective that is accepted with probability 1/e."""
+    """Temperature: the loss in the smoothed objective that is accepted with probability 1/e."""
     width: float
     """Width of the smooth step that replaces the threshold, in the unit of the values."""
     margin: float
@@ -37,7 +37,7 @@ class Settings(NamedTuple):
     join: float
     """Probability of a move to a place near another landmark."""
     near: float
-    """Standard deviation of the distance from this other landmark, along u and along v, metres."""
+    """Standard deviation of the distance between the new place and that other landmark, along u and along v, metres."""
     together: float
     """Probability that a landmark moves with its n - 1 nearest neighbours, whose offsets from it stay unchanged."""
     exchange: float
@@ -45,7 +45,8 @@ class Settings(NamedTuple):
 
 
 class FootprintArrays(NamedTuple):
-    """Squares that K landmarks cover on their surfaces, in arrays for S sizes, W surfaces and T trapezoids.
+    """Footprints, the squares that K landmarks cover on their surfaces, and the trapezoids where these may be, in
+    arrays for S sizes of landmarks, W surfaces and T trapezoids.
 
     A move is not tried if footprints would overlap, or if a landmark would leave the places where it may hang.
     """
@@ -260,7 +261,8 @@ class Stage(Checked):
 
         Args:
             progress: completed fraction of the stage, clipped to [0, 1].
-            near: standard deviation of the distance from the landmark near which a move ends, metres.
+            near: standard deviation of the distance between the new place and the other landmark, for moves near
+                another landmark, metres.
         """
         progress = max(0.0, min(progress, 1.0))
         now = {name: getattr(self, name) for name in CONSTANTS}
@@ -281,7 +283,8 @@ CHOSEN_STAGE = replace(GIVEN_STAGE, temperature=(5e-5, 2e-6), jump=0.1, join=0.1
 
 
 def changed(name: str, default: Stage, given: Stage | Mapping[str, Any]) -> Stage:
-    """Return the stage `given`; if it is a mapping, the stage `default` with the conditions in the mapping replaced.
+    """Return the stage `given`; if `given` is a mapping, return the stage `default` with those conditions replaced that
+    the mapping contains.
 
     Raises:
         InputError: a value is out of range, or a key of the mapping is not the name of a condition.

@@ -40,7 +40,7 @@ NOWHERE = Places(np.empty((6, 0)), np.empty(0, dtype=np.int64))
 
 @dataclass(frozen=True)
 class Conditions:
-    """Conditions of one phase of the walk: the surrogate, and the settings of the moves."""
+    """Conditions of one phase of the walk: those that define the surrogate, and the settings of the moves."""
 
     in_stacks: bool
     """True if each moved landmark is a stack."""
@@ -53,7 +53,7 @@ class Conditions:
 
 
 class Surrogate:
-    """Problem in the form of arrays for the walk, and the walks on it.
+    """Surrogate of a problem in the form of arrays, and the walks on this surrogate.
 
     Walks run in parallel. Each walk moves its own landmarks while all other landmarks keep their places; then the moves
     of all walks are combined. The room is divided between walks by slices across a random direction, as distant
@@ -75,7 +75,9 @@ class Surrogate:
         self._walkers: list[Walker]
 
     def _lay_out(self, evaluator: Evaluator, relevance: FloatArray) -> None:
-        """Order positions, orientations and relevance in memory as the walk needs them."""
+        """Arrange the evaluator's positions and orientations, and the relevance of the positions, in memory as the walk
+        needs them.
+        """
         objective = self._problem.objective
         self._true = field_of(objective, evaluator)
         self._target = target_of(objective, self._true, evaluator, relevance)
@@ -124,11 +126,11 @@ class Surrogate:
         return self._together(), first.places.deployment() if found else None
 
     def _prepare(self, here: Deployment, best: Deployment, conditions: Conditions, rng: np.random.Generator) -> Places:
-        """Prepare the walks, and return the places at which they begin; `NOWHERE` if the walks are already at these
-        places.
+        """Prepare the walks, and return the places of the landmarks at the beginning; `NOWHERE` if the walks are
+        already at these places.
 
-        The size of samples grows with the square of the completed fraction of the stage. Early moves need only a rough
-        estimate, late moves are smaller than the error of a small sample.
+        The size of samples grows with the square of the completed fraction of the stage: for early moves a rough
+        estimate of the fitness suffices, but the gains of late moves are smaller than the error of a small sample.
         """
         in_stacks, size = conditions.in_stacks, conditions.size
         redrawn = self._problem.resampled(LARGEST * conditions.done**2, rng)
@@ -163,7 +165,9 @@ class Surrogate:
         return 0 if in_stacks else self._problem.fixed_count
 
     def _shared_out(self, count: int, in_stacks: bool) -> tuple[int, int]:
-        """Number of landmarks, out of `count`, that can move in one joint move, and number of walks."""
+        """Largest number of landmarks that one move moves together, and number of simultaneous walks, for `count`
+        landmarks or stacks.
+        """
         movable = count - self._first_movable(in_stacks)
         together = 1 if in_stacks else max(1, min(self.stack, movable))
         return together, max(1, min(self._most_walkers, movable // together))
@@ -200,7 +204,7 @@ class Surrogate:
         return [np.sort(part) for part in np.array_split(across, number)]
 
     def _together(self) -> Deployment:
-        """Combine the moves of all walks."""
+        """Deployment that combines the moves of all walks: each walk contributes the places of its own landmarks."""
         known = placed(self._walkers[0].state)
         poses, surfaces = known.poses.copy(), known.surfaces.copy()
         for walker in self._walkers[1:]:
@@ -217,8 +221,8 @@ def count_stacks(problem: Problem, stack: int) -> int:
 
 
 def pulled_apart(problem: Problem, stacks: Deployment, angles: FloatArray, stack: int, distance: float) -> Deployment:
-    """Separate the landmarks of stacks: put them on a circle around the place of their stack, with neighbours
-    `distance` metres apart.
+    """Separate the landmarks of each stack: put them on a circle around the place of the stack, so that neighbours on
+    the circle are `distance` metres apart.
 
     Args:
         problem: problem with the surfaces.
@@ -256,7 +260,9 @@ class MeanPlaces:
         self._places = np.zeros(len(start))
 
     def add(self, here: Deployment) -> Deployment:
-        """Add the deployment `here` to the mean; return the mean as a deployment on the surfaces of `here`."""
+        """Add the places of the deployment `here` to the mean; return the mean places as a deployment on the surfaces
+        of `here`.
+        """
         away = here.positions - self._mean
         jumped = (here.surfaces != self._surfaces) | (np.linalg.norm(away, axis=1) > RESTART_M)
         self._places = np.where(jumped, 1.0, self._places + 1.0)

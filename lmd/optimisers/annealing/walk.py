@@ -70,7 +70,7 @@ class Walker(NamedTuple):
 
 
 class Known(NamedTuple):
-    """Smoothed objective of the walk's present deployment, for Q positions."""
+    """Values of the smoothed objective for the walk's present deployment, at Q positions."""
 
     total: float
     """Smoothed fitness, the combination of `terms`, see `combined`."""
@@ -84,7 +84,9 @@ class Known(NamedTuple):
 
 @inner
 def _sum_values(units: IntArray, known: Known, target: Any, settings: Settings) -> float:
-    """Return the smoothed fitness for the quantised values `units`, and write the contributions to `known.tried`."""
+    """Return the smoothed fitness for the quantised values `units`, and write the contribution of each position to
+    `known.tried`.
+    """
     accepted, terms, tried = known.units, known.terms, known.tried
     total = 0.0
     for p in range(len(units)):
@@ -151,13 +153,14 @@ def walk(
     moves: int, places: Places, walker: Walker, field: Any, target: Any, room: tuple[SurfaceArrays, FootprintArrays],
     settings: Settings, rng: np.random.Generator,
 ) -> None:  # fmt: skip
-    """Move landmarks, `moves` in all, starting from `places`; afterwards the walker's state is that of the last
-    deployment.
+    """Make moves, beginning at `places`, until `moves` landmarks have been moved; afterwards the walker's state is the
+    state of the last deployment.
 
     Args:
         moves: total number of moved landmarks; moves that are proposed but not tried count.
         places: poses and surfaces at the beginning of the walk; if empty, the walk begins with the walker's `state`.
-        walker: memory of the walk, with at least n layers of working memory, and two for an exchange.
+        walker: memory of the walk. Its `scratches` have at least as many layers as one move moves landmarks: n, and at
+            least two if landmarks exchange places.
         field: incremental evaluator of the values at positions, a `Field`.
         target: functions that compute the fitness from the values, a `Target`.
         room: surfaces of the room, and footprints of all landmarks.

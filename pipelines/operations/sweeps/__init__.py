@@ -1,3 +1,3 @@
-"""Sweeps: each job runs in its own process; one parent run and a table cover all jobs; an interrupted sweep can
-continue.
+"""Sweeps. Each job of a sweep runs in its own process; one tracked parent run and one table cover all jobs; an
+interrupted sweep can be continued.
 """

@@ -13,7 +13,7 @@ from ...outputs import JOB_VARIABLE, read_document, write_document
 
 @dataclass(frozen=True)
 class Sweep:
-    """Record of a sweep, the content of `sweep.json`."""
+    """Record of a sweep; `sweep.json` in the sweep's folder holds it."""
 
     name: str
     """Name of the sweep: the name of its experiment, or else the varied keys."""
@@ -27,7 +27,7 @@ class Sweep:
 
 @dataclass(frozen=True)
 class Job:
-    """Record of a job of a sweep, the content of `job.json`."""
+    """Record of a job of a sweep; `job.json` in the job's folder holds it."""
 
     sweep: str
     """Name of the sweep."""
@@ -44,7 +44,7 @@ class Job:
     value: float | None = None
     """Value of the job's task for Hydra's sweeper; None before the job has finished."""
     reason: str = ""
-    """Reason why the job did not finish; empty if there is none."""
+    """Reason why the job did not finish; empty if there is no reason."""
     seconds: float = 0.0
     """Wall time of the job, including all earlier attempts that it continues, seconds."""
     round: int = 0
@@ -52,11 +52,13 @@ class Job:
 
     @property
     def label(self) -> str:
-        """Text of the overrides in which the job differs from the other jobs."""
+        """Text with those overrides in which the job differs from the other jobs of its sweep."""
         return " ".join(f"{key}={value}" for key, value in self.varied.items()) or " ".join(self.overrides)
 
     def tags(self, name: str) -> dict[str, str]:
-        """Tags for the tracked run of the job: they name the sweep, and `name`, the folder of the job."""
+        """Tags for the tracked run of the job; they contain the name of the sweep and `name`, the name of the job's
+        folder.
+        """
         from ..tracking import PARENT_TAG
 
         return {"sweep": self.sweep, "job": name} | ({PARENT_TAG: self.parent} if self.parent else {})

@@ -41,8 +41,9 @@ def short_name(subject: str, overrides: Sequence[str], given: Sequence[str] = ()
 
 
 def in_name(overrides: Sequence[str], *left_out: str) -> str:
-    """Overrides in the form used in names: `n=4`, `s1` for the seed, and only the file's name for a path. Left out are
-    overrides that change no result, and overrides with one of the values `left_out`.
+    """Text of the overrides in the form used in names: `n=4` for `objective.n=4`, `s1` for the seed 1, and for a path
+    only the name of the file. Overrides that change no result, and overrides with one of the values `left_out`, are
+    omitted.
     """
     words = []
     for key, text in map(key_and_value, overrides):
@@ -59,14 +60,16 @@ def slug(text: str) -> str:
 
 
 def _settings(root: DictConfig) -> Any:
-    """Resolved configuration without Hydra's own part, and without keys that have no effect on results."""
+    """Resolved configuration as plain data, without the node `hydra`, and without keys that do not affect results."""
     task = OmegaConf.masked_copy(root, [str(key) for key in root if key != "hydra"])
     resolved: Any = OmegaConf.to_container(task, resolve=True)
     return {key: value for key, value in resolved.items() if changes_results(key)}
 
 
 def swept(root: DictConfig) -> list[str]:
-    """Overrides of a sweep: first the overrides stored with its experiment, then the overrides of the command line."""
+    """Overrides of a sweep: first the overrides stored with the sweep's experiment, then the overrides of the command
+    line.
+    """
     stored = root.hydra.sweeper.get("params") or {}
     return [*(f"{key}={value}" for key, value in stored.items()), *root.hydra.overrides.task]
 

@@ -1,5 +1,4 @@
-"""Imports for a sweep's fork server, which loads this module before the first job; no other process imports this
-module.
+"""Modules that a sweep's fork server imports before the first job; only the fork server imports this module.
 
 The imports take longer than a small job. The server itself runs no job, so that jobs share no state.
 """

@@ -57,8 +57,8 @@ def write_jobs(path: Path, sweep: Sweep, found: list[Outcome]) -> None:
 
 
 def best_group(sweep: Sweep, found: list[Outcome]) -> dict[str, float]:
-    """Best value and median over the seeds of each metric, for the group of jobs with the highest median fitness; empty
-    if the jobs have different problems.
+    """Metrics of the group of jobs with the highest median fitness: the best value and the median, over the seeds, of
+    each metric. Empty if the jobs have different problems.
     """
     known = [members for members in _groups(sweep, found).values() if _values(members, "fitness")]
     if not known or any(map(_is_of_problem, grouping_keys(sweep))):
@@ -88,9 +88,9 @@ def draw_groups(path: Path, sweep: Sweep, found: list[Outcome]) -> list[Path]:
 
 
 def by_group(sweep: Sweep, found: list[Outcome]) -> str:
-    """Table in Markdown with the best value and the median of each metric, a row for each group of jobs. If two keys
-    vary, a table of medians comes first: a column for each value of the first grouping key, and a row for each value of
-    the other key.
+    """Table in Markdown: one row for each group of jobs, with the best value and the median of each metric over the
+    group. If two keys vary, another table comes first: it has the medians, with a column for each value of the first
+    grouping key and a row for each value of the second.
     """
     from lmd.core.words import escaped, markdown_table
 
@@ -129,7 +129,7 @@ def _is_of_problem(key: str) -> bool:
 
 
 def _groups(sweep: Sweep, found: list[Outcome]) -> dict[Group, list[Outcome]]:
-    """Outcomes of the jobs, grouped by the values of the grouping keys."""
+    """Outcomes of the jobs, grouped by the values of the keys that `grouping_keys` returns."""
     groups = dict[Group, list[Outcome]]()
     for each in found:
         groups.setdefault(tuple(each.job.varied.get(key, "") for key in grouping_keys(sweep)), []).append(each)

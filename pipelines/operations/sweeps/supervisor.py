@@ -30,7 +30,7 @@ LOST = "its process was killed, and the sweep with it"
 
 
 def run(cfg: DictConfig, pipeline: Callable[[DictConfig], float | None]) -> float | None:
-    """Run a pipeline; if it is a job of a sweep that `SweepRecord` began, in a process of its own, otherwise in this
+    """Run a pipeline: in a new process if the pipeline is a job of a sweep that `SweepRecord` began, otherwise in this
     process.
 
     The process of a job writes the outcome to the job's folder, and stops when the sweep has ended.
@@ -102,7 +102,7 @@ def _supervise(cfg: DictConfig) -> float | None:
 
 
 def _job() -> Job:
-    """Record of the present job, made from Hydra's part of the job's configuration."""
+    """Record of the present job, made from the node `hydra` of the job's configuration."""
     context = HydraConfig.get()
     sweep = SweepFolder(context.sweep.dir).load()
     assert sweep is not None, "SweepRecord has written it before any job began"

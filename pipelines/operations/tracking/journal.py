@@ -65,8 +65,8 @@ class Journal:
         return next((str(entry["uri"]) for entry in reversed(self.entries) if {"run_id", "uri"} <= entry.keys()), None)
 
     def add(self, entry: Entry) -> None:
-        """Add an entry; if the disk is full, the entry is written later, together with the next entry for which there
-        is space.
+        """Add an entry to the journal. If the disk is full, the entry is written later, as soon as an entry is added
+        while there is space on the disk.
         """
         self.entries.append(entry)
         with suppress(OSError):
@@ -96,8 +96,8 @@ class Journal:
 
 
 def hand_in(journal: Journal, uri: str) -> str:
-    """Send the journal that an ended run has left, and remove the file; entries that are already in the store are not
-    duplicated.
+    """Send the journal that an ended run has left, and remove the journal's file; entries that the store already has
+    are not duplicated.
 
     Returns:
         one-line text about the outcome.

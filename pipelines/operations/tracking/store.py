@@ -99,7 +99,7 @@ class Store:
         return stop.postponed() if self.is_local else nullcontext()
 
     def create(self, name: str, params: Mapping[str, str], tags: Mapping[str, str], ago: float) -> str:
-        """Create a run that began `ago` seconds ago, and return the run's id, which is also the end of its name."""
+        """Create a run that began `ago` seconds ago, and return the run's id; the name of the run ends with this id."""
         from mlflow.entities import Param
 
         # Tags are set when the run is created, as a kill could otherwise leave a run without tags.
@@ -168,7 +168,7 @@ class Store:
 
 
 def _prepared(client: "MlflowClient", name: str, artifacts: str | None = None) -> str:
-    """Id of the experiment `name`, which is created if it does not exist.
+    """Id of the mlflow experiment `name`, which is created if it does not exist.
 
     Args:
         artifacts: address for the files of a new experiment; None for the default of the store.
@@ -204,7 +204,7 @@ def _id_of(client: "MlflowClient", uri: str, name: str) -> str:
 
 
 def is_of_store(error: Exception) -> bool:
-    """True if an error means that the tracking store cannot be used."""
+    """True if an error means that the tracking store does not work."""
     from mlflow.exceptions import MlflowException
     from sqlalchemy.exc import SQLAlchemyError
 
@@ -246,8 +246,8 @@ class MlflowReader(Store):
     def runs(self) -> "pd.DataFrame":
         """All runs, the oldest first, indexed by their ids.
 
-        Columns: `name`, `status`, `started` (UTC) and one for each key of any run: `params.<key>` and `tags.<key>`
-        (text), `metrics.<key>` (last value); NaN where a run lacks the key.
+        The columns are `name`, `status` and `started` (UTC), and one column for each key that any run has:
+        `params.<key>` and `tags.<key>` (text), `metrics.<key>` (last value); NaN where a run lacks the key.
         """
         import pandas as pd
 

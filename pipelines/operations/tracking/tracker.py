@@ -56,9 +56,10 @@ class NoTracker:
         """Delete the record of the run that was started."""
 
     def settle(self, run: RunStart, status: str, reason: str = "", files: Sequence[Path] = ()) -> None:
-        """Settle the records of runs that have the tags of `run` and whose processes have ended. Runs that are RUNNING,
-        or that were marked because their process was gone, get the `status`. Only the newest run is kept, and gets the
-        files. If there is no such run, one is recorded unless the status is FINISHED.
+        """Settle the records of runs that have the tags of `run` and whose processes have ended. Records whose status
+        is RUNNING, or that were marked as failed because their process was gone, get the `status` and the `reason`.
+        Only the record of the newest run is kept, and gets the `files`. If no run has these tags, `run` is recorded
+        unless the status is FINISHED.
 
         Raises:
             InputError: the store cannot be used.
@@ -77,7 +78,7 @@ class NoTracker:
         """End the run as FINISHED, KILLED or FAILED, with the reason as a tag."""
 
     def describe(self) -> str:
-        """One-line text that says where the run is recorded."""
+        """One-line text that names the place where the run is recorded."""
         return "not tracked (tracking=none)"
 
     def views(self, params: Sequence[str]) -> list[str]:

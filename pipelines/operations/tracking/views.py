@@ -57,7 +57,7 @@ def share(client: "MlflowClient", experiment_id: str, view: str, name: str = VIE
 
 
 def link(address: str, experiment_id: str, view: str = VIEW, mode: str = "TABLE") -> str:
-    """Address of the page of an experiment with a shared view; the address selects mlflow's page of training runs.
+    """Address of mlflow's page of training runs that shows an experiment in a shared view.
 
     Args:
         address: address of the server.
