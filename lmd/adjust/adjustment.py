@@ -1,12 +1,13 @@
 """Bundle adjustment: the poses of tags, frames and cameras that minimise the robust reprojection error.
 
 A sighting has eight residuals e, pixels, and chi^2 = |e|^2 / sigma^2, see `lmd.adjust.corners`. Levenberg-Marquardt
-steps, with the weights of iteratively reweighted least squares, minimise the sum of the Student losses of sightings,
-and the losses of priors and of links of motion.
+steps, with the weights of iteratively reweighted least squares, minimise the sum of the losses of sightings (Student's,
+see `lmd.adjust.corners`), of priors, and of links of motion (`lmd.adjust.motion`).
 
 The *kept* unknowns are those that remain when the frames are eliminated (`lmd.adjust.frames`): poses of tags, mounts
-except the first, the bias of odometry, and nuisance parameters. With the blocks H_ff, H_kk and H_kf, the step of the
-kept unknowns solves
+except the first, the bias of odometry, and nuisance parameters. Let H_ff, H_kk and H_kf be the blocks of the normal
+matrix, and g_f and g_k those of the right side, for frames (f) and kept unknowns (k). The step d_k of the kept unknowns
+solves
 
     (H_kk - H_kf H_ff^-1 H_fk) d_k = g_k - H_kf H_ff^-1 g_f.
 
@@ -49,7 +50,7 @@ class System(NamedTuple):
     """Normal equations at one linearisation, after the elimination of the frames."""
 
     matrix: FloatArray
-    """Matrix on the left side, for the kept unknowns in blocks of six, `(6 kept, 6 kept)`."""
+    """Matrix on the left side, `(6 kept, 6 kept)`; `kept` is the number of blocks of six kept unknowns."""
     right: FloatArray
     """Right side of the equations, `(kept, 6)`."""
     frames: SeparateFrames | LinkedFrames
@@ -135,7 +136,7 @@ class Adjustment:
 
         Args:
             poses: poses of tags, frames and mounts.
-            floor: standard deviation of corners beyond the detector's own, pixels.
+            floor: standard deviation of corners in addition to the detector's own, pixels.
             damping: relative increase of the diagonals of the blocks (Levenberg-Marquardt).
             weight: weight of every sighting and prior; None for robust weights.
         """
@@ -200,8 +201,8 @@ class Adjustment:
         """Take one step of all unknowns, nuisance parameters included, in units of their prior standard deviations.
 
         Args:
-            poses, floor: best poses, and best standard deviation of corners beyond the detector's own, for the present
-                nuisance parameters.
+            poses, floor: best poses, and best standard deviation of corners in addition to the detector's own, for the
+                present nuisance parameters.
             damping: relative increase of the diagonals of the blocks (Levenberg-Marquardt).
             off: distance of the nuisance parameters from their prior means, `(n, 6)`.
 
@@ -233,7 +234,7 @@ class Adjustment:
 
         Args:
             poses: initial poses.
-            floor: initial standard deviation of corners beyond the detector's own, pixels.
+            floor: initial standard deviation of corners in addition to the detector's own, pixels.
             steps: maximum number of steps.
             most: upper limit of the estimated floor, pixels; None for the initial floor.
 
@@ -272,7 +273,7 @@ class Adjustment:
         return efficiency(squared_errors(self.sightings, poses) / self.sightings.variance(floor) / self.share)
 
     def frame_covariances(self, poses: Poses, floor: float) -> FloatArray:
-        """Marginal covariance of the right-hand twist of each frame of `seen`, `(F, 6, 6)`.
+        """Marginal covariance of the right-hand twist of each frame with sightings, `(F, 6, 6)`.
 
         With the covariance C of the kept unknowns, it is H_ff^-1 + H_ff^-1 H_fk C H_kf H_ff^-1. The factor `inflation`
         enlarges C, and H_ff^-1 if frames are linked; without links it does not, as the errors in one frame are

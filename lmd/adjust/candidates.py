@@ -119,8 +119,8 @@ class Candidates:
         return np.asarray(order[rank_within(owner[order]) < count])
 
     def proposals(self, single: FloatArray) -> tuple[FloatArray, IntArray]:
-        """Poses that the largest sightings of each owner propose, `(P, 4, 4)`, after Gauss-Newton steps with robust
-        losses of decreasing scale; and the owner of each pose, `(P,)`.
+        """Poses that each owner's sightings propose, those that are largest in the image, `(P, 4, 4)`, after
+        Gauss-Newton steps with robust losses of decreasing scale; and the owner of each pose, `(P,)`.
 
         Args:
             single: two poses of the tag of each sighting in its camera, `(N, 2, 4, 4)`.
@@ -154,8 +154,8 @@ def place(
         single: two poses of the tag of each sighting in its camera, `(N, 2, 4, 4)`.
         poses: present poses.
         by_frame: True to place frames, False to place tags.
-        fewest: minimum number of sightings that must agree.
-        share: minimum fraction of the sightings that must agree.
+        fewest: minimum number of a frame's or tag's sightings that must agree with its pose.
+        share: minimum fraction of these sightings that must agree.
 
     Returns:
         indices `(m,)` and poses `(m, 4, 4)` of the frames or tags that are placed.

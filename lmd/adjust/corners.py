@@ -176,8 +176,8 @@ def student_loss(square: FloatArray, residuals: int = RESIDUALS) -> float:
 
 
 def floor_of(error: FloatArray, noise: FloatArray, most: float) -> float:
-    """Find, by bisection, the floor (standard deviation of corners beyond the detector's own), pixels, at which the
-    squared errors have their expected mean.
+    """Find, by bisection, the floor (standard deviation of corners in addition to the detector's own), pixels, at which
+    the squared errors have their expected mean.
 
     Args:
         error: squared errors |e|^2 of sightings, scaled up for the degrees of freedom of the fit, pixels^2, `(N,)`.
@@ -239,12 +239,13 @@ def newton_step(
     summed: Callable[[FloatArray], FloatArray],
     damping: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Gauss-Newton steps `(n, m)`, and normal matrices `(n, m, m)`, of n owners of sightings.
+    """Gauss-Newton steps `(n, m)`, and normal matrices `(n, m, m)`, of the poses of n owners (frames or tags) of
+    sightings.
 
     Args:
         jacobian, error, weight: values of each sighting, `(N, r, m)`, `(N, r)` and `(N,)`.
         summed: sum over the sightings of each owner, see `sums_by`.
-        damping: added to the matrices, `(m, m)`.
+        damping: matrix that is added to each normal matrix, `(m, m)`.
     """
     matrix = summed(weighted_product(jacobian, jacobian, weight)) + damping
     return -solved(matrix, summed(weighted_product(jacobian, error[..., None], weight)[..., 0])), matrix

@@ -53,7 +53,7 @@ def with_motion(joint: Adjustment, motion: Motion) -> Adjustment:
 
 
 def spread_motion(joint: Adjustment, poses: Poses, floor: float) -> Motion:
-    """Motion model of an adjustment, with the spread of maximum evidence."""
+    """Motion model of an adjustment, with the noise level (spread) that maximises the evidence."""
     motion, links = joint.prior.motion, joint.links
     assert motion is not None
     assert links is not None
@@ -87,7 +87,8 @@ def spread_motion(joint: Adjustment, poses: Poses, floor: float) -> Motion:
 
 
 def measured_motion(joint: Adjustment, poses: Poses, floor: float) -> Motion:
-    """Motion model of an adjustment, with the spread of maximum evidence and the measured errors across gaps.
+    """Motion model of an adjustment, with the noise level (spread) that maximises the evidence. For a constant
+    velocity, the model also gets the measured errors across gaps between frames.
 
     Raises:
         InputError: odometry contradicts the images.
@@ -170,7 +171,7 @@ class Nodes:
 
 def smoothest(nodes: Nodes, poses: Poses) -> Poses:
     """Poses of the nodes, each in the world frame of its part: the smoothest sequence among the rough poses of the
-    frames and the poses that the largest sightings propose.
+    frames and the poses that the sightings largest in the image propose.
     """
     some, motion, placed = nodes.sightings, nodes.motion, poses.frames[nodes.frame]
     order = np.lexsort((-some.sizes, some.frame))

@@ -48,9 +48,11 @@ class Lenses:
     optics: tuple[Optics, ...]
     """Refined optics of the cameras."""
     sigmas: tuple[FloatArray, ...]
-    """Prior standard deviations of each camera's values, see `Optics.values`, `(P + 2,)`."""
+    """Prior standard deviations of each camera's P intrinsics and two shifts, see `Optics.values`, `(P + 2,)` each."""
     off: FloatArray
-    """`(C, 6 L)` difference between the cameras' values and the given values, in prior standard deviations."""
+    """Differences between the refined and the given values of each camera, in prior standard deviations, `(C, 6 L)`;
+    the values fill L blocks of six.
+    """
 
 
 @dataclass(frozen=True)
@@ -74,7 +76,7 @@ class Estimate:
     belong to the map.
     """
     floor: float = FLOOR_PIXELS
-    """Standard deviation of corners beyond the detector's own, pixels."""
+    """Standard deviation of corners in addition to the detector's own, pixels."""
     inflation: float = 1.0
     """Factor on the standard deviations of sightings that accounts for errors correlated in time, see the function
     `inflation`.
@@ -154,7 +156,7 @@ class Estimate:
 
     @cached_property
     def gauge_free_covariance(self) -> FloatArray:
-        """Covariance of the twists of all `known` tags relative to the other tags, see `gauge_free`, `(6 n, 6 n)`."""
+        """Covariance of the twists of the n `known` tags relative to the other tags, see `gauge_free`, `(6 n, 6 n)`."""
         rows = rows_of(np.flatnonzero(self.known))
         left = gauge_free(self.poses.tags[self.known])
         return np.asarray(left @ self.covariance[np.ix_(rows, rows)] @ left.T)

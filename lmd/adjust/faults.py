@@ -101,8 +101,8 @@ def _change(first: IntArray, second: IntArray) -> int | None:
 
 
 def with_best_edges(seen: Observations, begun: Callable[[Observations], tuple[Begun, int]]) -> tuple[Begun, BoolArray]:
-    """Call `begun` with the stated edge lengths and with those of `odd_sizes`, and return the result with which more
-    sightings agree; and mask of the tags whose edge length differs from the stated one, `(K,)`.
+    """Call `begun` with the stated edge lengths and with those of `odd_sizes`. Returns: the result with which more
+    sightings agree; the mask of the tags whose edge length in this result differs from the stated one, `(K,)`.
 
     Args:
         seen: detections.
@@ -176,7 +176,7 @@ def with_sizes(found: Estimate, odd: BoolArray, others: float, tried: bool) -> t
         found: estimate with the stated sizes.
         odd: mask of the tags whose stated size is known to be wrong, `(K,)`.
         others: prior standard deviation of the size of the other tags, see `Sightings.size_sigmas`.
-        tried: True if the stated size of further tags may be wrong.
+        tried: True to test the stated sizes of all other tags as well.
     """
     for _ in range(ROUNDS if tried else 0):
         found, changed = resized(found, odd, np.ones_like(odd))

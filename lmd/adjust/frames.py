@@ -62,7 +62,9 @@ class SeparateFrames:
             right[part.rows] -= (wide @ solved(lower, part.gradient).ravel()).reshape(-1, 6)
 
     def steps(self, pull: FloatArray) -> FloatArray:
-        """Twists `(F, 6)` that solve H_ff x = g_f - pull, for `pull` `(F, 6)`."""
+        """Twists x of the frames, `(F, 6)`, that solve H_ff x = g_f - pull; `pull` `(F, 6)` is H_fk times the step of
+        the kept unknowns.
+        """
         return solved(self.block, self.gradient - pull)
 
     def covariances(self, reach: FloatArray, share: float) -> FloatArray:
@@ -178,7 +180,7 @@ class LinkedFrames:
         return np.asarray(dtbtrs(self.factor, right, uplo="L")[0])
 
     def _inverse_blocks(self) -> FloatArray:
-        """Diagonal blocks of H_ff^-1, `(F, size, size)`.
+        """Diagonal blocks of H_ff^-1, `(F, size, size)`, with the number `size` of unknowns of a frame.
 
         With the blocks L_k and M_k of the Cholesky factor in column k, block k of the inverse is Z_k = L_k^-T (I +
         M_k^T Z_k+1 M_k) L_k^-1.

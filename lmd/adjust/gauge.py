@@ -20,7 +20,7 @@ def rows_of(tags: IntArray) -> IntArray:
 
 
 def diagonal_blocks(covariance: FloatArray, size: int = 6) -> FloatArray:
-    """Blocks of a size on the diagonal of a matrix, `(n, size, size)`."""
+    """Blocks `(size, size)` on the diagonal of a matrix, `(n, size, size)`."""
     count = len(covariance) // size
     each = np.arange(count)
     return np.asarray(covariance.reshape(count, size, count, size)[each, :, each])
@@ -101,7 +101,9 @@ def align_tags(here: FloatArray, there: FloatArray) -> FloatArray | None:
         return None
 
     def squares(motion: FloatArray) -> FloatArray:
-        """Squared distances of centres and normals after a motion, relative to their scales, `(K,)`."""
+        """Squared difference of each tag's two poses after a motion, `(K,)`: the squared distance of the centres plus
+        the squared angle between the normals, each relative to its scale.
+        """
         moved = motion @ here
         away = np.linalg.norm(moved[:, :3, 3] - there[:, :3, 3], axis=1) / PLACE_SCALE
         return np.asarray(away**2 + (angle_between_normals(moved, there) / NORMAL_SCALE) ** 2)

@@ -84,7 +84,7 @@ class Calibrated:
         return float(np.sqrt(np.median(square)))
 
     def document(self) -> dict[str, Any]:
-        """Entries for a JSON file; principal points are pixels from the image's border."""
+        """Entries for a JSON file; principal points are in pixels from the outer corner of the top left pixel."""
         rows = {"given": intrinsics_of(self.given), "found": intrinsics_of(self.found), "sigma": self.sigma}
         names = {"focal_pixels": slice(2), "principal_point": slice(2, 4), "distortion": slice(4, None)}
         figures = {row: {name: values[part].tolist() for name, part in names.items()} for row, values in rows.items()}

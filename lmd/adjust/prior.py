@@ -40,7 +40,7 @@ class Kept:
 
 @dataclass(frozen=True)
 class Sheets:
-    """M tags of a survey that are on sheets."""
+    """Those M of the K tags of a survey that are on sheets."""
 
     tag: IntArray
     """`(M,)` indices of the tags in the survey."""
@@ -70,8 +70,8 @@ class Sheets:
         return one, other
 
     def fitted(self, tags: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Twists d_k `(M, 6)`, and their chi^2 `(M,)`, for tags with the poses `tags` `(K, 4, 4)`; each sheet has the
-        pose that fits its tags best.
+        """Twists d_k from the tags' known poses on their sheets to the poses `tags` `(K, 4, 4)`, `(M, 6)`, and chi^2 of
+        each twist, `(M,)`. Each sheet is placed where it fits its tags best.
 
         Each tag proposes a pose of its sheet; the fit starts with the proposal on which the tags of the sheet agree
         best.
@@ -117,7 +117,7 @@ class Sheets:
 
 @dataclass(frozen=True)
 class Hanging(Checked):
-    """Standard deviations of the poses at which tags hang from their expected poses, along the axes of each tag.
+    """Standard deviations of the difference between the true and the expected pose of a tag, along the axes of the tag.
 
     Raises:
         InputError: a standard deviation is not positive.

@@ -3,8 +3,8 @@
 All nuisance parameters have priors, so that the covariance of the poses accounts for them.
 
 - *Intrinsics* theta: a corner p that is detected at x has the residual e = pi(p, theta) - x, where pi is the
-projection.
-  The derivative of e with respect to theta is d pi(p, theta) / d theta. Each step recomputes the directions.
+  projection. The derivative of e with respect to theta is d pi(p, theta) / d theta. Each step recomputes the directions
+  of the corners with the present intrinsics.
 - *Shifts*: blur and exposure move all edges in the images of a camera inward or outward by s_1 + s_2 (2 / pitch)^2
   pixels. The pitch is the number of pixels per module of the tag. The shift adds to the detector's measured shift, and
   makes tags look smaller or larger.
@@ -209,8 +209,8 @@ def refine(
 
 
 def edge_doubts(found: Estimate) -> list[str]:
-    """Sentence that doubts the edge length of the tags, if another edge length of all tags explains the images and the
-    known poses better; else an empty list.
+    """List with one sentence that doubts the edge length of the tags, if another edge length of all tags explains the
+    images and the known poses better; else an empty list.
 
     The common growth of all tags is estimated as one more unknown. Larger edges move corners outward in proportion to
     the size of a tag in the image; a shift does not depend on the size.

@@ -67,7 +67,7 @@ class Sightings:
     tag: IntArray
     """`(N,)` index of the tag of each sighting."""
     image: FloatArray
-    """Corners as detected, `(N, 4, 2)`, pixels from the image's border."""
+    """Corners as detected, `(N, 4, 2)`, pixels from the outer corner of the top left pixel."""
     directions: FloatArray
     """`(N, 4, 3)` directions b of the corners, unit vectors in the camera's frame."""
     tangents: FloatArray
@@ -80,15 +80,15 @@ class Sightings:
     """`(N,)` standard deviation of a coordinate of a corner according to the detector, pixels."""
     lens: FloatArray
     """`(N, 8, 6 L)` derivatives of e with respect to the camera's nuisance parameters, in units of their prior standard
-    deviations, see `lmd.adjust.refinement`; L = 0 without nuisances.
+    deviations, see `lmd.adjust.refinement`; the parameters fill L blocks of six, L = 0 without nuisance parameters.
     """
     shapes: FloatArray
     """`(K, 6)` deformations of the tags along `SHAPES`, metres."""
     shape_sigma: float
     """Prior standard deviation of the modes of deformation, metres; 0 if tags are known to be flat squares."""
     size_sigmas: FloatArray
-    """`(K,)` prior standard deviation of the growth of each tag, metres; NaN if it is that of the other modes,
-    `shape_sigma`.
+    """`(K,)` prior standard deviation of the growth of each tag, metres; NaN for tags whose growth has the standard
+    deviation `shape_sigma` of the other modes.
     """
     taken: float
     """Number of degrees of freedom that the estimated nuisance parameters take from the residuals."""

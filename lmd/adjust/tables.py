@@ -32,7 +32,9 @@ def pose_rows(poses: FloatArray) -> FloatArray:
 
 
 def pose_columns(poses: FloatArray) -> dict[str, ArrayLike]:
-    """Columns `ROW` for poses `(n, 4, 4)`; empty cells for tags or frames without a pose."""
+    """Columns of positions and quaternions, with the names `ROW`, for poses `(n, 4, 4)`; empty cells for tags or frames
+    without a pose.
+    """
     return dict(zip(ROW, pose_rows(poses).T, strict=True))
 
 
@@ -45,8 +47,8 @@ def covariance_columns(poses: FloatArray, covariances: FloatArray) -> dict[str, 
 
 
 def quantiles(name: str, values: FloatArray) -> dict[str, float]:
-    """Median and 90 % quantile of the values that are not NaN, keyed by `name` with a suffix; empty if there is
-    none.
+    """Median and 90 % quantile of the values that are not NaN, keyed by `name` with a suffix; empty if all values are
+    NaN.
     """
     known = values[np.isfinite(values)]
     return {f"{name}/{share}": float(np.quantile(known, share / 100.0)) for share in (50, 90)} if known.size else {}
@@ -89,7 +91,7 @@ def lines_of(
     found: Estimate, detected: DetectedTags, sizes: Mapping[int, float], doubts: Sequence[str]
 ) -> dict[str, str]:
     """Lines for a terminal, keyed by label: the estimate, the entries of `document_of`, and the sentences `doubts` on
-    contradictions to the images.
+    values that contradict the images.
     """
     lines, cameras = {}, found.calibrated
     if found.used.any():

@@ -128,8 +128,9 @@ def predicted_in_frames(limits: Limits, renderer: Renderer, poses: FloatArray) -
 
 
 def frame_scores(predicted: BoolArray, seen: Matches) -> dict[str, float]:
-    """Scores of predictions for N frames: number of `frames`, `precision`, `recall`, the fractions P(>= n) of frames
-    with at least n predicted or detected tags, `predicted_<n>` and `detected_<n>`, and `agreement_2`.
+    """Scores of predictions for N frames: number of `frames`; `precision`; `recall`; `predicted_<n>` and
+    `detected_<n>`, the fractions P(>= n) of frames with at least n predicted or detected tags; `agreement_2`, the
+    fraction of frames in which prediction and detection agree on whether at least two tags are found.
 
     Args:
         predicted: mask of the tags that are predicted as detected, `(N, K)`.

@@ -123,8 +123,9 @@ class CornerErrors(Checked):
     high: tuple[float, ...]
     """90 % quantile of the error at these pitches, pixels, `(B,)`."""
     inward: tuple[float, ...] = ()
-    """Mean shift of a tag's edges towards its centre at these pitches, pixels, `(B,)`; included in the error; zeros if
-    empty."""
+    """Mean shift of a tag's edges towards its centre at these pitches, pixels, `(B,)`; the error includes this shift.
+    An empty tuple means no shift.
+    """
     inward_spread: NotNegative = 0.0
     """Standard deviation of the shift `inward` over blurs and exposures, pixels; for one camera and one light the shift
     is constant.
@@ -211,7 +212,8 @@ class MeasuredCorners:
     incidence: tuple[float, ...]
     """Incidence angles, rad, ascending, `(I,)`; `oblique` is interpolated linearly between these angles."""
     oblique: tuple[float, ...]
-    """Ratio of the noise's variance at these incidence angles to its variance at the pitch over all angles, `(I,)`."""
+    """Variance of the noise at these incidence angles, divided by its variance over all angles at equal pitch, `(I,)`.
+    """
     modes: tuple[float, ...]
     """Variances of the three modes of a tag's noise, divided by their mean. The modes are errors that are equal at all
     corners; errors that are linear in the corner's position on the tag; and errors with opposite signs on the two

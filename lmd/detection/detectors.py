@@ -37,7 +37,9 @@ class Detections:
     ids: NDArray[np.int64]
     """Ids of the tags within their family, `(M,)`; an id may occur several times."""
     corners: FloatArray
-    """Corners, pixels from the border, in the order of `lmd.detection.detectors`, `(M, 4, 2)`."""
+    """Corners, pixels from the outer corner of the image's top left pixel, in the order top left, top right, bottom
+    right, bottom left of the tag, `(M, 4, 2)`.
+    """
 
     def __post_init__(self) -> None:
         ids, corners = np.asarray(self.ids, dtype=np.int64), np.asarray(self.corners, dtype=np.float64)
@@ -89,7 +91,8 @@ def read_family(name: str, value: Any, table: str, other: str) -> str:
 class ArucoDetector(Checked):
     """Detector `cv2.aruco` of OpenCV, with corners refined by `CORNER_REFINE_SUBPIX`.
 
-    `CORNER_REFINE_APRILTAG` is not used: it counts pixels from the border, so its corners are half a pixel off.
+    `CORNER_REFINE_APRILTAG` is not used: it counts pixels from the outer corner of the first pixel instead of its
+    centre, so its corners are half a pixel off.
 
     Raises:
         InputError: OpenCV lacks the family, or the preset is unknown.
@@ -184,7 +187,7 @@ class Matches:
     detected: BoolArray
     """True for tags detected with their id within the corner tolerance, `(..., K)`."""
     corners: FloatArray
-    """Detected corners, pixels from the border, `(..., K, 4, 2)`; NaN for tags not detected."""
+    """Detected corners, in the convention of `Detections`, `(..., K, 4, 2)`; NaN for tags not detected."""
     false: IntArray
     """Number of detections whose id and corners match no tag of the room, `(...)`."""
 
@@ -237,11 +240,11 @@ def precision_recall(
     predicted: BoolArray, detected: BoolArray, axis: int | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """Precision and recall: fraction of predicted tags that are detected, and fraction of detected tags that are
-    predicted. NaN if no tag is predicted, or detected.
+    predicted. The precision is NaN if no tag is predicted, the recall if no tag is detected.
 
     Args:
         predicted, detected: masks of the K tags that are predicted and detected in N frames, `(N, K)` each.
-        axis: None over all frames and tags, 0 for each tag `(K,)`, 1 for each frame `(N,)`.
+        axis: None for one value over all frames and tags, 0 for a value for each tag `(K,)`, 1 for each frame `(N,)`.
     """
     both = (predicted & detected).sum(axis=axis)
     with np.errstate(invalid="ignore"):

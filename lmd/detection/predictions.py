@@ -207,7 +207,8 @@ def _by_class(prediction: Prediction, seen: Matches, name: str, values: FloatArr
 
 
 def by_tag(prediction: Prediction, seen: Matches) -> pd.DataFrame:
-    """Table of tags: `id`, `overlapping`, numbers of frames `predicted` and `detected`, `precision`, `recall`.
+    """Table with a row for each tag. Columns: `id`, `overlapping`; `predicted` and `detected`, numbers of frames;
+    `precision`; `recall`.
 
     In a frame of a rig, a tag counts as predicted (or detected) if it is predicted (or detected) for any camera.
     """

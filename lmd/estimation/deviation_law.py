@@ -88,7 +88,7 @@ BY_NUMBER = {"photonvision"}  # rules with one value of a for a single tag and o
 
 
 def fit_power(distance: FloatArray, tags: IntArray, deviation: FloatArray) -> PowerLaw:
-    """Fit a power law to standard deviations at mean distances [m] and numbers of tags, `(V,)` each.
+    """Fit a power law to the standard deviations of V views with mean distances [m] and numbers of tags, `(V,)` each.
 
     The exponent of a variable that is nearly constant over the views is 0.
     """
@@ -142,8 +142,8 @@ def fit_rule(shape: str, distance: FloatArray, tags: IntArray, deviation: FloatA
 
 
 def ratio_quantiles(deviation: FloatArray, predicted: FloatArray) -> dict[str, float]:
-    """Quantiles `LEVELS` of the ratio deviation / predicted over the views, and `factor_90`: 90 % of the ratios are
-    within this factor of 1.
+    """Quantiles, at the probabilities `LEVELS`, of the ratio deviation / predicted over the views, and `factor_90`: 90
+    % of the ratios are within this factor of 1.
     """
     ratio = deviation / predicted
     found = {

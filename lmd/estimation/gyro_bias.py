@@ -1,6 +1,7 @@
 """Equivariant Kalman filter that estimates the pose and the bias of a gyro.
 
-The state is a pose T and a constant bias b of the measured body twist w, whose angular part the gyro measures:
+The state is a pose T and a constant bias b of the measured body twist w, whose angular part the gyro measures, with the
+noise n of w and white noise `walk`:
 
     T' = T (w - b - n),    b' = walk,    y_i = T^-1 C_i + noise.
 

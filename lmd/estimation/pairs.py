@@ -1,4 +1,4 @@
-"""Paired comparison of deployments: the errors of localisation on equal flights over each deployment."""
+"""Paired comparison of deployments: the errors of localisation on equal flights with each deployment."""
 
 import numpy as np
 import pandas as pd

@@ -83,8 +83,12 @@ class TagErrors:
 
 
 def _covariances(information: FloatArray, errors: FloatArray, shifts: FloatArray) -> FloatArray:
-    """Covariances H^-1 N H^-1, `(n, 6, 6)`. `information` is H, `errors` the first plus the last sum of N, `(n, 6, 6)`
-    each; `shifts` are the vectors g and beta h_c, `(n, 1 + C, 6)`.
+    """Covariances H^-1 N H^-1 of n poses, `(n, 6, 6)`, with the symbols of the module's docstring.
+
+    Args:
+        information: matrices H, `(n, 6, 6)`.
+        errors: terms of N due to the noise of corners and to errors of the map (its first and last sum), `(n, 6, 6)`.
+        shifts: terms of N due to shifts: the vector g, and beta h_c for each of C cameras, `(n, 1 + C, 6)`.
     """
     fixed = determines_pose(information)
     found = np.full(information.shape, np.inf)
@@ -153,8 +157,8 @@ def pose_covariances(
 
 
 def _by_map(by_map: FloatArray, shown: BoolArray, errors: TagErrors) -> FloatArray:
-    """Last sum of N in each frame, `(F, 6, 6)`, from the matrices B, `(P, 6, 6)`, of the P tags that the mask `shown`
-    `(F, K)` has in view.
+    """Term of N due to errors of the map (the sum of B_t P_tu B_u^T) in each frame, `(F, 6, 6)`, from the matrices B
+    `(P, 6, 6)` of the P pairs of a frame and a tag in view, which the mask `shown` `(F, K)` marks.
     """
     frames, (frame, which) = len(shown), np.nonzero(shown)
     back = np.swapaxes(by_map, 1, 2)

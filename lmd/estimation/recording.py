@@ -23,8 +23,8 @@ from lmd.sight.views import visible_to_each
 
 @dataclass(frozen=True)
 class Odometry(Checked):
-    """Odometry: twists between frames with independent normal errors and with a biased gyro; poses that are integrated
-    from the twists drift.
+    """Model of odometry: it measures twists between frames with independent normal errors and a biased gyro, so that
+    poses that are integrated from the twists drift.
 
     The bias of the gyro adds to the measured turn rates. The bias at the first frame is normally distributed, and then
     follows a random walk.

@@ -1,4 +1,4 @@
-"""Study of localisation: equal flights over several deployments, and tables of the localisation errors."""
+"""Study of localisation: equal flights with each of several deployments, and tables of the localisation errors."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -83,7 +83,7 @@ class Flights:
         return cls(seeds, trajectories, np.stack(start))
 
     def over(self, problem: Problem, all_visible: bool = False) -> list[Flight]:
-        """Flights over the start deployment of `problem`; if this deployment is random, a new one is drawn for each
+        """Flights with the start deployment of `problem`; if this deployment is random, a new one is drawn for each
         seed.
         """
         flights = []
@@ -95,7 +95,7 @@ class Flights:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Results of S flights over one deployment."""
+    """Results of S flights with one deployment."""
 
     counts: IntArray
     """Number of detected landmarks in each frame, `(S, T)`."""
@@ -221,14 +221,15 @@ def conduct(
     odometry: Odometry | None = None,
     each: Each = map,
 ) -> FlightStudy:
-    """Simulate flights over each deployment, and let each estimator localise the camera.
+    """Simulate flights with each deployment, and let each estimator localise the camera.
 
     Args:
         problems: problem of each deployment, keyed by the deployment's name; all share one scene.
         flights: flights to localise, equal for all deployments.
         detectors: simulated detectors, with noise and missed detections, keyed by the name of the deployment.
         estimators: estimators, keyed by name.
-        all_visible: True to repeat flights over each deployment with all landmarks in view, as `<name> all visible`.
+        all_visible: True to repeat the flights with all landmarks in view; the results have the name `<name> all
+            visible`, with the name of the deployment.
         odometry: errors of the twists; None for exact twists.
         each: function that maps a slow function over jobs, possibly in parallel, see `lmd.estimation.recording.Each`.
 

@@ -111,8 +111,8 @@ class Export(Checked):
         """Functions that write the tags, each to the path of a file, keyed by the name of the file.
 
         Raises:
-            InputError: there are formats, and the tag is a point, the family lacks an id, or a format cannot hold the
-                tags.
+            InputError: `formats` is not empty, but the tag is a point, the family lacks an id, or a format cannot hold
+                the tags.
         """
         if not self.formats:
             return {}

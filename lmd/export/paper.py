@@ -141,8 +141,8 @@ class Layout(NamedTuple):
     """Arrangement of tags on sheets, separated by straight cuts; lengths in mm. A tag with its white margin is called a
     *paper*.
 
-    page: width and height of a sheet. columns, rows: numbers of papers on a sheet. left, top: upper left corner of the
-    block of all papers. pitch: distance of rows.
+    page: width and height of a sheet. columns, rows: numbers of columns and of rows of papers on a sheet. left, top:
+    upper left corner of the block of all papers. pitch: vertical distance from one row of papers to the next.
     """
 
     page: tuple[float, float]
@@ -193,8 +193,8 @@ def _fullest(tag: Tag, paper: str) -> Layout:
 
 
 def _pitch(tag: Tag) -> float:
-    """Distance of rows, mm; it includes space for the label above a tag if the label does not fit into the tag's
-    margin.
+    """Vertical distance from one row of tags to the next, mm; it includes space for the label above a tag if the label
+    does not fit into the tag's margin.
     """
     return MM_PER_M * tag.paper_edge + (0.0 if label_size(tag) else LABEL + 2.0 * LABEL_GAP)
 

@@ -1,8 +1,8 @@
 """Tables of poses and of tags in text files: names and units of columns, and the reader.
 
-A text names its columns in the first line, or in a comment above the values. For other texts the user names the
-columns, or the program that wrote the text, a row of `LAYOUTS`. Otherwise only TUM's format and lines of
-`ros2 topic echo` are read, as their values reveal a wrong reading.
+A text names its columns in the first line, or in a comment above the values. For other texts the user names either the
+columns, or the program that wrote the text (a row of `LAYOUTS`). Otherwise only TUM's format and lines of `ros2 topic
+echo` are read, as their values would show wrong columns.
 """
 
 import re
@@ -94,7 +94,8 @@ class Layout(NamedTuple):
     axes: Sequence[str] | None = None
     """Directions of x, y and z of a tag's frame, see `lmd.formats.placed_tag.axes_of`."""
     opencv: bool = False
-    """True if the program detects tags with OpenCV, whose up of a tag may differ from that of AprilTag."""
+    """True if the program detects tags with OpenCV, in which the upward direction of a tag may differ from AprilTag's.
+    """
 
     def takes(self, width: int) -> bool:
         """True if a line with this layout may have `width` values."""

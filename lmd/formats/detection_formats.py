@@ -84,7 +84,7 @@ class DetectionsFile(File):
 
     @cached_property
     def header(self) -> list[str]:
-        """Columns that the first line names."""
+        """Names of the columns, from the first line."""
         return [column.strip().strip('"') for column in self.first.split(",")]
 
     @cached_property
@@ -187,7 +187,8 @@ class KeyedDetections:
 
 
 def read_detections(path: Any, topic: Any = None) -> DetectedTags:
-    """Read detections from JSON of a program, a bag, or a table with the columns `time,id,x0,y0,...,x3,y3`.
+    """Read detections from the JSON of a program such as PhotonVision, from a bag, or from a table with the columns
+    `time,id,x0,y0,...,x3,y3`.
 
     The corners of a table are clockwise from the top left in OpenCV's pixels.
 
@@ -265,7 +266,7 @@ def _results(documents: Any, key: str, camera: str = "", depth: int = DEEPEST) -
 
 
 def read_bag(file: File) -> DetectedTags:
-    """Read detections from a bag: from one topic, from a list of topics, one for each camera, or from all topics."""
+    """Read detections from a bag: from one topic, from a list of topics (one for each camera), or from all topics."""
     bag, topic, seen, images = Bag(file.path, file.argument), file.asked.get("topic"), list[SeenTag](), []
     found = bag.topics_of(DETECTIONS) if topic is None else [topic] if isinstance(topic, str) else list(topic)
     topics = bag.chosen(topic, DETECTIONS, count=max(len(found), 1))

@@ -63,10 +63,10 @@ MOST_CAMERAS = 64  # maximum number of different cameras among the images of a f
 class KeyedCameras(Keyed):
     """Description of a format: the keys under which a file holds its cameras.
 
-    Quantities of a camera: `width` and `height`, or `size`; `matrix`, nine numbers row by row, or `columns`, column by
-    column, or the names of `QUANTITIES`; `lens`, a list of coefficients. `body` is the pose of the camera's optical
-    frame on the body, `body_inverse` its inverse, `step` the pose of the previous camera in this camera's optical
-    frame.
+    A camera has these quantities: `width` and `height`, or `size`; `matrix` (nine numbers, row by row), `columns` (nine
+    numbers, column by column), or the names of `QUANTITIES`; and `lens`, a list of coefficients. `body` is the pose of
+    the camera's optical frame on the body, `body_inverse` its inverse, `step` the pose of the previous camera in this
+    camera's optical frame.
     """
 
     called: str = ""
@@ -239,7 +239,9 @@ class _Camera:
         return model if model != "unsaid" else "plumb_bob" if asked is None else lens_model(asked, LENS_MODELS)
 
     def _quantities(self, names: Sequence[str]) -> dict[str, float]:
-        """Quantities of the camera, keyed by name; `names` are those of the quantities in the lists at `values`."""
+        """Quantities of the camera, keyed by name; `names` are the names of the quantities in the lists at the paths
+        `values`.
+        """
         found: dict[str, float] = {}
         pairs = [(ours, theirs or ours) for ours, _, theirs in (name.partition("=") for name in names)]
         for path in map(self.path, self.form.values):

@@ -43,11 +43,11 @@ KNOWN = ("id", "position", "corners", "edge", "family", *TURNS)
 class KeyedTags(Keyed):
     """Description of a format: the keys under which a file holds its tags.
 
-    Quantities of a tag: `id`, a number or a name such as `tag36h11:7`; `edge`; `family`; the `position`; the rotation
-    as `quaternion`, as `rpy` (roll, pitch, yaw), or as `yaw` (rad) or `yaw_degrees` about the vertical; position and
-    rotation as `transform`, 16 numbers row by row, or as `pose`, x, y, z, qx, qy, qz, qw; edge and pose as four
-    `corners`, clockwise from the top left. The first rotation that the entry has is taken. A path with spaces stands
-    for several paths, one for each number; a position of two numbers is on the floor.
+    A tag has these quantities: `id`, a number or a name such as `tag36h11:7`; `edge`; `family`; the `position`; the
+    rotation as `quaternion`, as `rpy` (roll, pitch, yaw), or as `yaw` (rad) or `yaw_degrees` about the vertical;
+    position and rotation as `transform`, 16 numbers row by row, or as `pose`, x, y, z, qx, qy, qz, qw; edge and pose as
+    four `corners`, clockwise from the top left. The first rotation that the entry has is taken. A path with spaces
+    stands for several paths, one for each number; a position of two numbers is on the floor.
     """
 
     axes: Sequence[str] = RIGHT_UP_OUT

@@ -151,7 +151,7 @@ def mappings(name: str, value: Any) -> list[Keys]:
 
 
 def _kind(value: Any) -> str:
-    """Short text of a value, which may be a deep tree, for a message."""
+    """Short description of a value, which may be a deep tree, for a message."""
     if isinstance(value, Mapping | list | tuple):
         return "a mapping" if isinstance(value, Mapping) else "a list"
     return "nothing" if value is None else repr(value)[:80]

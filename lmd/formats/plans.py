@@ -200,8 +200,8 @@ class Reading(Checked):
     tolerance: Positive = 0.1
     """Maximum distance of a wall from the contour in the file, metres."""
     speck: NotNegative = 0.2
-    """Length below which a group of cells in an occupancy grid that are not free counts as free, metres; it applies to
-    both sides of the group's bounding box.
+    """Size of specks in an occupancy grid, metres: a group of cells that are not free counts as free if both sides of
+    its bounding box are shorter than this.
     """
     passage: NotNegative = 0.3
     """Minimum width of parts of an occupancy grid's free region, metres; narrower parts are left out."""
@@ -212,7 +212,9 @@ class Reading(Checked):
     gap: NotNegative = 1.3
     """Maximum width of the gaps between walls of a drawing, such as doors, that are treated as closed, metres."""
     least_width: NotNegative = 0.4
-    """Minimum free width of walls that carry landmarks by default, metres."""
+    """Walls whose longest part without doors and windows is shorter than this carry no landmarks unless the user names
+    them, metres.
+    """
 
 
 def read_plan_room(

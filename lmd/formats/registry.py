@@ -1,9 +1,9 @@
 """Registry of file formats for reading and writing, including formats of other packages and of the user.
 
-A format is a `Format`, or a row of YAML, see `described`. A package adds formats with an entry point of the group
-`lmd.formats`: a `Format` or a row, or a list of these. A user adds rows in YAML files, in folders that the environment
-variable `LMD_FORMATS` lists; commands add the folder `file_formats` of each folder on `hydra.searchpath`. Added formats
-are tried before the formats of `lmd`.
+A format is a `Format`, or a row of YAML, see `described`. The formats of one kind of files, such as tag maps, are a
+*family*. A package adds formats with an entry point of the group `lmd.formats`: a `Format` or a row, or a list of
+these. A user adds rows in YAML files, in folders that the environment variable `LMD_FORMATS` lists; commands add the
+folder `file_formats` of each folder on `hydra.searchpath`. Added formats are tried before the formats of `lmd`.
 """
 
 import os
@@ -123,7 +123,7 @@ def ends(*suffixes: str) -> Callable[[File], bool]:
 
 
 def anything(_: File) -> bool:
-    """Return True for every file; the test of a family's last format."""
+    """Accept every file: the test of the format that is tried last among the formats of one kind."""
     return True
 
 
@@ -182,12 +182,13 @@ def described(row: Mapping[str, Any], family: str, advice: str = "") -> Format:
     """Make a format from a row of a table.
 
     A row has `name`, and `row` for the documentation. The keys `marks`, `text`, `when` and `any` are tests; a file is
-    of the format if it passes all tests that the row has. `marks` are paths that lead to a value, which a regular
-    expression after a `=` must match, or, after a `!`, to none. `text` is a regular expression that matches in the
-    text, `when` a call that returns True. A row without tests describes a format that is only written. `refuse` is the
-    reason for a refusal. In it `{keys}` stands for the keys of the file, `{known}` for the names of the formats that
-    are read, and `{advice}` for the family's advice. `writes` has the fields of a `Writer` and its `name` in `formats`.
-    `read` is a call that reads a file; without `read`, the other keys are the fields of the family's class in `KEYED`.
+    of the format if it passes all tests that the row has. Each of `marks` is a path that must lead to a value; a
+    regular expression after a `=` must match this value. A path after a `!` must lead to no value. `text` is a regular
+    expression that matches in the text, `when` a call that returns True. A row without tests describes a format that is
+    only written. `refuse` is the reason for a refusal. In it `{keys}` stands for the keys of the file, `{known}` for
+    the names of the formats that are read, and `{advice}` for the family's advice. `writes` has the fields of a
+    `Writer` and its `name` in `formats`. `read` is a call that reads a file; without `read`, the other keys are the
+    fields of the family's class in `KEYED`.
 
     Raises:
         InputError: the row lacks its name, or has an unknown key or value.

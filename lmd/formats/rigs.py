@@ -106,7 +106,7 @@ def rig_of(mounts: Any, camera: Camera | None = None) -> Rig:
             `read_chain`, with `names`, `image_size` and `distortion_model` if needed; its other keys are arguments of
             `Mount` for the pose of the first camera on the body, which by default is at the body's origin and looks
             along the body's x axis.
-        camera: camera for mounts without a camera of their own.
+        camera: default camera, for the mounts that state none.
 
     Raises:
         InputError: `mounts` is neither a list nor a mapping with a `path`, or a value is refused.
@@ -142,7 +142,7 @@ def read_mounts(path: Any) -> Any:
 
 
 def brings_cameras(mounts: Any) -> bool:
-    """Return True if every mount for `rig_of` has its own camera."""
+    """Return True if every mount in `mounts`, an argument of `rig_of`, states its camera."""
     if _is_chain(mounts):
         return True
     own = [isinstance(m, Mapping) and m.get("camera") is not None for m in (mounts if isinstance(mounts, list) else ())]

@@ -152,7 +152,7 @@ class TagMap:
 
     @cached_property
     def turns(self) -> "Rotation":
-        """Rotation from the frame of each tag (x right, y up, z towards the viewer) to the world."""
+        """Rotation from the frame of each tag (x right, y up, z towards the viewer) to the world, `(K, 3, 3)`."""
         from scipy.spatial.transform import Rotation
 
         up, normal = self.deployment.ups, self.deployment.normals
@@ -160,8 +160,8 @@ class TagMap:
 
     @property
     def roll_pitch_yaw(self) -> FloatArray:
-        """Rotations `turns` as roll, pitch and yaw of ROS's `setRPY`, `(K, 3)`, rad, for frames whose up is that of
-        OpenCV's tag pictures.
+        """Rotations `turns` as roll, pitch and yaw of ROS's `setRPY`, `(K, 3)`, rad, for frames of tags whose upward
+        direction is that of OpenCV's tag pictures.
         """
         from scipy.spatial.transform import Rotation
 

@@ -61,8 +61,8 @@ def write_aruco(path: Path, tags: TagMap) -> None:
     """Write `tags.aruco.yaml`, the marker map of the ArUco library.
 
     Corners are in the order in which the library finds them, clockwise from the top left of the tag's own picture. The
-    library reads the code of an AprilTag from the top left, so a tag's up is that of AprilTag. A family that only
-    OpenCV supports has OpenCV's name. Lines are indented as by OpenCV's `FileStorage`, which reads no other
+    library reads the code of an AprilTag from the top left, so a tag's upward direction is that of AprilTag. A family
+    that only OpenCV supports has OpenCV's name. Lines are indented as by OpenCV's `FileStorage`, which reads no other
     indentation.
 
     Source: ArUco 3, `MarkerMap::saveToFile`, `Dictionary` and `DictionaryBased::touulong`.
@@ -106,7 +106,7 @@ def write_rtabmap(path: Path, tags: TagMap) -> None:
     """Write `tags.rtabmap.txt`, the value of the parameter `Marker/Priors`.
 
     The value is `id x y z roll pitch yaw` for each tag, with `|` between tags. RTAB-Map detects tags with OpenCV, so a
-    tag's up is that of OpenCV. The edge length is another parameter, `Marker/Length`.
+    tag's upward direction is that of OpenCV. The edge length is another parameter, `Marker/Length`.
 
     Source: introlab/rtabmap, `Parameters` and `MarkerDetector::detect`.
     """

@@ -68,8 +68,8 @@ def read_deployment(
 
     Args:
         name: name of the argument that gave the path, for messages.
-        family: family of the tags, which the file must not contradict, and on which the up of OpenCV's tags depends;
-            None for points.
+        family: family of the tags, which the file must not contradict, and on which the upward direction of a tag in
+            OpenCV depends; None for points.
         axes: directions of the axes of a tag's frame for a file that does not define this frame, such as a table, see
             `lmd.formats.placed_tag.axes_of`.
         columns: for a text that does not name its columns, names of the columns, or name of the program that wrote it.

@@ -83,7 +83,7 @@ def entries(tree: Any, path: str, around: Keys | None = None, key: str = "") -> 
 
 
 def _anywhere(tree: Any, wanted: str, name: str = "", levels: int = LEVELS) -> Iterator[tuple[str, Keys]]:
-    """Mappings at any depth that have a wanted key, each after its name, the keys above it joined by `/`; long lists
+    """Mappings at any depth that have a wanted key, each after its name (the keys above it, joined by `/`); long lists
     are not searched.
     """
     if isinstance(tree, Mapping) and wanted in tree:
@@ -99,8 +99,8 @@ def plain(text: str) -> str:
 
 
 def numbers_of(value: Any, nested: int = NESTED) -> list[Any]:
-    """Numbers in a value: a number, a text of numbers, a matrix with `data`, or lists of these; other values are
-    unchanged.
+    """Numbers in a value: a number, a text of numbers, a mapping with the key `data`, or lists of these; other values
+    are unchanged.
     """
     if isinstance(value, Mapping) and "data" in value and nested:
         return numbers_of(value["data"], nested - 1)

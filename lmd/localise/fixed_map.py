@@ -75,7 +75,7 @@ class FixedMap:
         Args:
             path: file of the map.
             tag: family of the tags, and edge length of the tags without one in the file.
-            errors: standard deviations of tags without a covariance.
+            errors: standard deviations of the poses of tags without a covariance.
             table: `axes` and `columns` of `lmd.formats.tag_maps.read_deployment`.
 
         Raises:

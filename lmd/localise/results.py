@@ -47,7 +47,7 @@ def frame_columns(result: Localisation, found: Estimate) -> dict[str, ArrayLike]
 
 
 def tum_text(result: Localisation, found: Estimate) -> str:
-    """Poses of frames with a time in TUM's format, seconds."""
+    """Text in TUM's format with the poses of all frames that have a time, seconds."""
     rows = np.column_stack([seconds_of(result.detected.times), pose_rows(found.poses.frames)])
     lines = [f"{time:.7f} " + " ".join(f"{x:.9f}" for x in row) for time, *row in rows[np.isfinite(rows).all(axis=1)]]
     return "\n".join([TUM, *lines, ""])
@@ -56,9 +56,9 @@ def tum_text(result: Localisation, found: Estimate) -> str:
 def change_columns(result: Localisation) -> dict[str, ArrayLike]:
     """Columns of `changes.csv`: tags that were moved or are new, with their present poses.
 
-    Positions are metres, quaternions rotate the frame of the tag (x right, y up, z out) to the map, and covariances are
-    those of `poses.csv`. `moved_right`, `moved_up` and `moved_out` are metres along the axes of the tag's pose in the
-    map.
+    Positions are metres, quaternions rotate the frame of the tag (x right, y up, z out) to the map, and covariances
+    have the form of those in `poses.csv`. `moved_right`, `moved_up` and `moved_out` are metres along the axes of the
+    tag's pose in the map.
     """
     every = result.changes
     poses = np.array([one.pose for one in every]).reshape(-1, 4, 4)
@@ -77,7 +77,7 @@ def change_columns(result: Localisation) -> dict[str, ArrayLike]:
 
 
 def _sentence(change: Change) -> str:
-    """Sentence on a change."""
+    """Sentence for the user on a moved or new tag."""
     known = f"known to {1e3 * worst_sigmas(change.covariance[None])[0, 0]:.2g} mm by {change.images} images."
     if change.kind == "new":
         return f"tag {change.tag} is new, at ({', '.join(f'{x:.3f}' for x in change.pose[:3, 3])}), {known}"

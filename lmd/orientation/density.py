@@ -229,7 +229,7 @@ def independence_test(samples: Samples, significance: float, rng: np.random.Gene
     """Pearson's chi-squared test of the contingency table of yaw and pitch bins, with a Monte Carlo p value.
 
     Bins are categories, so the seam of the yaw needs no special treatment, and nonlinear dependence is detected. Bins
-    have equal numbers of samples. The p value is the share of random tables with equal margins whose statistic is at
+    have equal numbers of samples. The p value is the fraction of random tables with equal margins whose statistic is at
     least the statistic of the data, so the p value is valid for few samples, too. The test assumes independent samples,
     which random intervals provide. For samples closer in time than the correlation time, it would reject too often.
 

@@ -7,7 +7,7 @@
 3. Each part is adjusted by itself, with links of motion between its own frames; this also estimates the noise of the
    motion model (its *spread*).
 4. Two frames of different parts that are near in time give a relation, the relative pose of the parts. Parts are joined
-   by relations, those on which most frames agree first (maximum spanning tree).
+   by relations, in the order of decreasing numbers of frames that agree (maximum spanning tree).
 """
 
 from collections.abc import Sequence
@@ -61,7 +61,8 @@ def join_groups(sightings: Sightings, poses: Poses, group: IntArray, prior: Prio
         prior: prior with a motion.
 
     Returns:
-        rough poses, the remaining groups, and the prior with the estimated spread of the motion.
+        rough poses; the index of each tag's group after joining, `(K,)`; the prior with the estimated spread of the
+        motion.
     """
     assert prior.motion is not None
     parts = _parts(sightings, poses, group, prior.known)

@@ -7,7 +7,7 @@ differ by more than their stated errors.
 
 Two further kinds of frames are kept:
 
-- a frame that alone shows a tag, or alone shows two tags together, as it connects the map.
+- a frame that is the only one to show a tag, or to show two tags together, as it connects the map.
 - frames close to a moment at which all tags in view change, as only motion connects the tags before and after.
 
 Frames without times are all kept.
@@ -60,8 +60,8 @@ def _informative(seconds: FloatArray, shown: list[IntArray]) -> BoolArray:
 
 
 def _evenly(seconds: FloatArray, needed: BoolArray) -> BoolArray:
-    """Mask of the keyframes: the `needed` frames, and as few others as keep neighbouring keyframes at most `LONGEST`
-    apart where there are frames between them.
+    """Mask of the keyframes: the `needed` frames, and the fewest others with which neighbouring keyframes are at most
+    `LONGEST` seconds apart, wherever there are frames between them.
     """
     kept, since = np.ones(len(seconds), dtype=bool), np.nan
     for k, following in enumerate(np.append(seconds[1:], np.inf)):

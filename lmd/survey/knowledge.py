@@ -39,7 +39,7 @@ class MeasuredPoints:
     ids: IntArray
     """`(n,)` ids of the tags."""
     places: FloatArray
-    """`(n, 3)` centres, metres."""
+    """`(n, 3)` centres of the tags, metres."""
 
     def __post_init__(self) -> None:
         if len(self.ids) < FEWEST_POINTS:

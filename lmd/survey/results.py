@@ -97,8 +97,8 @@ def frame_columns(survey: Survey) -> dict[str, ArrayLike]:
 def tag_columns(survey: Survey) -> dict[str, ArrayLike]:
     """Columns of the table of all tags: state, numbers of sightings, and displacement from the planned pose.
 
-    For `sigma` see `Estimate.sigmas`; `right`, `up` and `out` are metres in the tag's frame, `tilt_x`, `tilt_y` and
-    `turn` rad about its axes.
+    The displacement has the columns `right`, `up` and `out`, metres in the tag's frame, and `tilt_x`, `tilt_y` and
+    `turn`, rad about the axes of this frame. For `sigma` see `Estimate.sigmas`.
     """
     found, some, placed = survey.found, survey.found.sightings, survey.placed
     seen = some.counts()

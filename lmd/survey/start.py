@@ -224,7 +224,7 @@ class Placing:
         Args:
             index: indices of sightings.
             by_frame: True to place frames, False to place tags.
-            fewest: minimum number of sightings that must agree.
+            fewest: minimum number of a frame's or tag's sightings that must agree with its pose.
 
         Returns:
             True if a frame or tag that had no pose was placed.

@@ -97,7 +97,8 @@ def into_world(
 
 
 def turns_of(tags: FloatArray, group: IntArray, prior: Prior, in_order: bool) -> IntArray:
-    """Quarter turns about their normals by which tags differ from their prior poses, clockwise as seen by the viewer.
+    """Quarter turns about their normals by which tags differ from their prior poses, clockwise for a viewer in front of
+    the tag.
 
     A turn that most tags share is attributed to the order of the corners, unless the order of the corners is known.
     Exactly known tags are assumed to hang as in the prior.
@@ -106,7 +107,7 @@ def turns_of(tags: FloatArray, group: IntArray, prior: Prior, in_order: bool) ->
         tags: rough poses, `(K, 4, 4)`.
         group: group of each tag, `(K,)`, -1 for tags that are not placed.
         prior: prior of the tags.
-        in_order: True if corners are known to begin at the top left.
+        in_order: True if the corners of detections are known to begin at the tag's top left.
 
     Returns:
         two rows, `(2, K)`: turns by which the corners of detections are renumbered, and turns by which tags hang
