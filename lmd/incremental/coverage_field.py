@@ -38,7 +38,7 @@ CAMERA_BYTES = 3 / 8
 
 
 class OneCamera(NamedTuple):
-    """A single camera at Q positions with all orientations."""
+    """Data of a single camera for Q positions and all orientations of the PDF."""
 
     sight: Any
     """Compiled model of sight."""
@@ -84,7 +84,7 @@ class OneCamera(NamedTuple):
 
 
 class RigCameras(NamedTuple):
-    """The cameras of a rig at Q positions of the rig's body with all orientations."""
+    """Data of a rig's cameras for Q positions of the rig's body and all orientations of the PDF."""
 
     groups: tuple[MountGroup, ...]
     """Mounts, grouped by kind of camera; row q G + g of `MountGroup.obstacles` belongs to the camera at offset g of

@@ -143,8 +143,8 @@ class State(NamedTuple):
     reachable: np.ndarray
     """`(K, Q)` True if some axis covers the landmark from the position, occlusion ignored."""
     hides: np.ndarray
-    """`(2, K, Q)` int16 numbers of occlusions, rows `HIDDEN` and `HIDING`, for positions at most the horizon away from
-    the landmark.
+    """`(2, K, Q)` int16: for each landmark and position, number of landmarks that hide the landmark (row `HIDDEN`), and
+    number of landmarks that it hides (row `HIDING`); only for positions at most the horizon away from the landmark.
     """
 
 
@@ -199,9 +199,11 @@ class Scratch(NamedTuple):
     changes: np.ndarray
     """`(2, K, Q)` int8 changes of `State.hides` by the move, for the `pairs`."""
     hides: np.ndarray
-    """`(2, Q)` int16 numbers of occlusions for the place tried, rows `HIDDEN` and `HIDING`."""
+    """`(2, Q)` int16: for each position, number of landmarks that hide the moving landmark at the place tried (row
+    `HIDDEN`), and number of landmarks that it hides there (row `HIDING`).
+    """
     seen: np.ndarray
-    """`(6, Q)` place tried as seen from each position, rows `X` to `SURE`."""
+    """`(6, Q)` offset of the place tried from each position, and bounds on its depth, rows `X` to `SURE`."""
     cell: np.ndarray
     """`(2, Q)` int32 for each position: the cell of the direction tables that contains the direction of the place
     tried, and its row of `POSSIBLE` (`EMPTY_ROW` if the place is out of reach).
@@ -222,7 +224,9 @@ class GroupScratch(NamedTuple):
     pairs: np.ndarray
     """`(2, K C Q)` uint32 pairs of a landmark that may hide the place tried, and a centre: `LANDMARK`, `POSITION`."""
     seen: np.ndarray
-    """`(6, Q)` place tried as seen from the centre of cameras that was evaluated last, rows `X` to `SURE`."""
+    """`(6, Q)` offset of the place tried from the cameras' centre that was evaluated last, for each position, and
+    bounds on its depth, rows `X` to `SURE`.
+    """
     lists: np.ndarray
     """`(2, Q + 1)` uint64 lists: rows of the direction tables, and positions that need the exact test."""
     reached: np.ndarray

@@ -85,7 +85,7 @@ class Selection(Protocol):
 
     @property
     def label(self) -> str:
-        """Name of the quantity in displays."""
+        """Name, in displays, of the quantity that the gains add up to."""
 
     def gains(self, poses: Deployment) -> FloatArray:
         """Gain of each pose, `(N,)`; the gain of a pose does not increase when further landmarks are chosen."""
@@ -121,7 +121,7 @@ class Objective(Protocol):
 
     @property
     def value_label(self) -> str:
-        """Meaning of the value, for the legend of a plot."""
+        """Meaning of a position's value in a few words, for the legend of a plot."""
 
     @property
     def threshold(self) -> float:
@@ -134,7 +134,7 @@ class Objective(Protocol):
         """Value of each position of `evaluator` in [0, 1], `(B, P)`, for B deployments `(B, K, 3)`."""
 
     def qualified(self, values: FloatArray) -> BoolArray:
-        """Mask of the qualified positions, shape of `values`."""
+        """Mask, shape of `values`, of the qualified positions: those whose value reaches the threshold."""
 
     def fitness(self, values: FloatArray, relevance: FloatArray) -> FloatArray:
         """Fitness in [0, 1] that optimisers maximise, `(...)`, from values `(..., P)` and weights of the positions,

@@ -110,8 +110,9 @@ def seeks_worst(evaluator: Evaluator) -> bool:
 
 
 def over_states(objective: Objective, values: FloatArray, evaluator: Evaluator, relevance: FloatArray) -> FloatArray:
-    """Fitness `(...)` from the values `(..., P)` and the weights `(P,)` of an evaluator's positions. If `seeks_worst`,
-    it is the mean of the fitness in the worst crowd states, else the fitness over all positions in all states.
+    """Fitness `(...)` from the values `(..., P)` and the weights `(P,)` of an evaluator's positions. The fitness is
+    computed from all positions in all crowd states; if `seeks_worst`, it is computed for each state, and the mean over
+    the worst states is returned.
     """
     if not seeks_worst(evaluator):
         return objective.fitness(values, relevance)

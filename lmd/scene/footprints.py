@@ -105,8 +105,8 @@ class Footprints:
         return SurfaceArrays.of(self.hanging.surfaces())
 
     def surfaces_of(self, paper: float) -> SurfaceArrays:
-        """Surfaces with the allowed centres of footprints with the edge length `paper`, metres, in coordinates of
-        `hanging`.
+        """Surfaces with the allowed centres of footprints with the edge length `paper`, metres; coordinates are those
+        of the surfaces of `hanging`.
 
         Raises:
             InputError: a surface is narrower than a footprint.

@@ -99,7 +99,7 @@ class OrientationPdf:
     @cached_property
     def by_axis_and_roll(self) -> Orientations:
         """Orientations with distinct pairs of optical axis and image's right. At a pitch of +-90 degrees, different
-        yaws have one optical axis but different rights, so they are not merged.
+        yaws have one optical axis but different rights, so the orientations are not merged.
         """
         return self._distinct(6)
 

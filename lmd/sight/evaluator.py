@@ -125,7 +125,7 @@ class Evaluator:
         return isinstance(self.views, ReferenceViews)
 
     def scene_at(self, p: int) -> Scene:
-        """The scene reduced to the crowd state of position p, for an evaluator by reference."""
+        """The scene reduced to the crowd state of position p, for an evaluation by the NumPy reference."""
         return self.views.scene_at(p) if isinstance(self.views, ReferenceViews) else self.scene
 
     @property

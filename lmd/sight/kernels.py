@@ -5,9 +5,9 @@ reorders nor fuses operations. The speed comes from skipped work and from loops 
 
 1. `viewpoint` drops landmarks that no axis covers: about 60 % in the paper's room.
 2. Only axes in a band of heights around the landmark need the exact test (`directions.height_index`).
-3. For a model with a long test, sets of axes are bit sets. The tables of `directions` list the axes that certainly
-   cover a landmark and the axes that possibly cover it. Possible axes are tested only where the certain axes cover
-   fewer than n landmarks.
+3. For a model with an expensive test, sets of axes are bit sets. The tables of `directions` list the axes that
+   certainly cover a landmark and the axes that possibly cover it. Possible axes are tested only where the certain axes
+   cover fewer than n landmarks.
 4. Probabilities are sums of integers (`PROBABILITY_ONE`), exact in any order.
 
 Kernels release the GIL and work on a range of positions, so threads can share a batch. The result does not depend on
@@ -81,7 +81,7 @@ def evaluate_range(
         obstacles: bodies of the room seen from the positions, see `obstacles`.
         axes: optical axis and image's right, `(6, D)`, sorted by the height of the optical axis and padded to D = 64 W.
         bands: result of `directions.height_index` for these axes.
-        tables: result of `directions.tables` for a model with a long test, else None.
+        tables: result of `directions.tables` for a model with an expensive test, else None.
         weights: quantised probability of each axis, `(1, D)` for all positions or `(P, D)` for each.
         n: number of landmarks that must be covered.
         units: receives quantised P_n, `(B, P)` int64.

@@ -192,8 +192,8 @@ def split_by_certainty(
     Args:
         asked: orientations to split, bits of word w.
         words: number of words W.
-        x, y, z: offset of the landmark from the centre, metres.
-        most, start, sure: results of `bounds_from`.
+        offset: offset of the landmark from the centre, metres.
+        bounds: `most`, `start` and `sure` of `bounds_from`.
         row: result of `table_row`.
 
     Returns:

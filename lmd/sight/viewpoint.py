@@ -262,7 +262,9 @@ def is_shown(k: Integer, view: Viewpoint, count: Integer, p: Integer, sight: Any
 
 @inlined
 def list_shown(view: Viewpoint, count: Integer, p: Integer, sight: Any, room: Any) -> Any:
-    """List the landmarks that pass `is_shown` in `view.shown`, and return their number."""
+    """Write the indices of the landmarks that pass `is_shown` into `view.shown`, and return the number of these
+    landmarks.
+    """
     shown, found = view.shown, np.uint64(0)
     for k in range(count):
         if is_shown(k, view, count, p, sight, room):

@@ -152,7 +152,7 @@ def upright_bodies(polygon: Any) -> list[Body]:
 
 
 def _tips(edge: FloatArray, solid: Any) -> tuple[FloatArray, FloatArray]:
-    """Lines through the vertices of a convex piece between two edges shared with other pieces.
+    """Lines through those vertices of a convex piece at which both edges are shared with other pieces.
 
     The lines cut off tips that would protrude into the room, as pieces overlap. Returns normals and offsets.
     """

@@ -206,7 +206,7 @@ def stands(room: Space, cylinders: FloatArray) -> BoolArray:
     """Mask of the cylinders `(M, 5)` that are in free space of a room.
 
     A cylinder is tested on its axis and in `DIRECTIONS` directions around the axis, at each of `HEIGHTS` (fractions of
-    its height). A cylinder taller than the room ends at the room's ceiling.
+    the cylinder's height). A cylinder taller than the room ends at the room's ceiling.
     """
     angles = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     ring = np.concatenate([np.zeros((1, 2)), np.stack([np.cos(angles), np.sin(angles)], axis=-1)])

@@ -185,10 +185,11 @@ STEPS_TO_NODES = 2
 
 @dataclass(frozen=True)
 class Interior:
-    """Free space of a mesh as a graph of grid nodes, with edges along clear lines.
+    """Free space of a mesh as a graph: the nodes are points of a grid, and an edge joins two neighbouring nodes if no
+    triangle crosses the line between them.
 
-    Nodes are above a triangle, as there usually is no floor outside the walls. The room is the connected
-    component with the largest volume; the insides of furniture and walls are other components.
+    Only points of the grid above a triangle are nodes, as there usually is no floor outside the walls. The room is the
+    connected component with the largest volume; the insides of furniture and walls are other components.
     """
 
     triangles: Triangles
@@ -212,7 +213,7 @@ class Interior:
 
     @cached_property
     def nodes(self) -> tuple[FloatArray, BoolArray]:
-        """All nodes, metres, `(N, 3)`, and the mask of the nodes in the room, `(N,)`."""
+        """Positions of all nodes, metres, `(N, 3)`, and the mask of the nodes in the room, `(N,)`."""
         from scipy.sparse import coo_array
         from scipy.sparse.csgraph import connected_components
 

@@ -193,7 +193,7 @@ def surface_near(surfaces: Sequence[Surface], positions: FloatArray, normals: Fl
 
 
 def free_of(face: Surface, region: Any, margin: float, band: Sequence[float] | None, taken: Sequence[Any]) -> Any:
-    """Allowed region of a face in its coordinates, possibly empty.
+    """Allowed region of a face, in the face's coordinates (a, b), possibly empty.
 
     Args:
         face: surface.
@@ -230,7 +230,7 @@ class SurfaceArrays(NamedTuple):
     first: np.ndarray
     """Rows `first[w]` to `first[w + 1] - 1` of `pieces` are the trapezoids of surface w, `(W + 1,)`."""
     of_piece: np.ndarray
-    """Surface of each trapezoid, `(T,)`."""
+    """Index of the surface of each trapezoid, `(T,)`."""
     shares: np.ndarray
     """Cumulative areas of the trapezoids as fractions of the total area, for drawing random trapezoids, `(T,)`."""
 

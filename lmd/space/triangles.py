@@ -129,7 +129,7 @@ class Triangles(NamedTuple):
     halves: np.ndarray
     """Half the side lengths of the boxes, `(N, 3)`."""
     skip: np.ndarray
-    """For each box, index of the first later box that is not inside it, `(N,)`."""
+    """For each box, index of the first later box that is not inside this box, `(N,)`."""
     first: np.ndarray
     """Index of the first triangle in each leaf, `(N,)`."""
     stop: np.ndarray

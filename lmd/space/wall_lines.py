@@ -204,7 +204,7 @@ def _shared(corners: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
 
 
 def _openings(edge: FloatArray, near: Any, boxes: list[tuple[str, Any]]) -> Iterator[tuple[float, float, str]]:
-    """Start, end and name of the parts of an edge without a wall, and of its parts at a door or a window."""
+    """Start, end and name of the parts of an edge without a wall, and of the parts at a door or a window."""
     import shapely
 
     line, spans = shapely.LineString(edge), []

@@ -55,7 +55,7 @@ def frame_information(
     Args:
         evaluator: scene and visibility.
         deployment: K landmarks.
-        asked: edge lengths of the landmarks, and weight of their corners.
+        asked: edge lengths of the landmarks, and weight of each corner in the information.
         n: least number of landmarks in view; the information of a frame with fewer landmarks is not used.
         drives: drives with the F frames.
     """

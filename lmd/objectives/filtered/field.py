@@ -122,7 +122,7 @@ class FilteredField(NamedTuple):
     obstacles: Any
     """Obstacles of the room seen from the frames."""
     precision: Precision
-    """Edge lengths of the landmarks, and weight of their corners."""
+    """Edge lengths of the landmarks, and weight of each corner in the information."""
     n: int
     """Least number of landmarks in view; the information of a frame with fewer landmarks is not used."""
     tolerance: Tolerance
@@ -203,7 +203,7 @@ def filtered_field(
     Args:
         evaluator: evaluator of a single camera at the positions of the frames.
         drives: the drives.
-        precision: edge lengths of the landmarks, and weight of their corners.
+        precision: edge lengths of the landmarks, and weight of each corner in the information.
         n: least number of landmarks in view; the information of a frame with fewer landmarks is not used.
         tolerance: limits of the covariance up to which a pose counts as known.
     """

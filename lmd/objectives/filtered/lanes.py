@@ -162,13 +162,13 @@ def update_beyond_rounding(
 
 @inlined
 def position_variance(p: Any) -> Number:
-    """Trace of the block of v, m^2."""
+    """Variance of the position, m^2: the trace of the block of v in a covariance of 21 numbers."""
     return p[0] + p[3] + p[5]
 
 
 @inlined
 def rotation_variance(p: Any) -> Number:
-    """Trace of the block of w, rad^2."""
+    """Variance of the rotation, rad^2: the trace of the block of w in a covariance of 21 numbers."""
     return p[15] + p[18] + p[20]
 
 
@@ -224,7 +224,7 @@ def lanes() -> Lanes:
 
 @inlined
 def column(rows: FloatArray, lane: Integer) -> tuple[Any, ...]:
-    """Read the 21 numbers of a lane."""
+    """Read the 21 numbers of a lane from `rows`, a covariance or an information for each lane."""
     return (
         rows[lane], rows[lane + _1], rows[lane + _2], rows[lane + _3], rows[lane + _4], rows[lane + _5],
         rows[lane + _6], rows[lane + _7], rows[lane + _8], rows[lane + _9], rows[lane + _10], rows[lane + _11],

@@ -141,7 +141,7 @@ class Filtered(AtLeast):
         return f"filtered position known to {1e3 * self.tolerance:g} mm"
 
     def asked(self, scene: Scene) -> Precision:
-        """Edge lengths of the tags and weight of their corners, as in localisation."""
+        """Edge lengths of the tags, and weight of each corner in the information, as in localisation."""
         camera, limits = scene.cameras[0], (self.tolerance, self.rotation_tolerance)
         return precision(camera, scene.tag, self.pixel_noise, *limits, scene.edges)
 

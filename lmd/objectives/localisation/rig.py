@@ -144,7 +144,7 @@ class RigImages(NamedTuple):
 
 
 def images_of(evaluator: Evaluator, deployment: Deployment, here: slice = slice(None)) -> RigImages:
-    """Images that a rig takes of a deployment at the positions `here` of an evaluator."""
+    """Images that a rig takes of a deployment at the positions of an evaluator that have the indices `here`."""
     places, axes = evaluator.positions[here], evaluator.scene.orientations.axes
     weights = evaluator.weights if len(evaluator.weights) == 1 else evaluator.weights[here]
     weights = np.broadcast_to(weights[:, : len(axes)], (len(places), len(axes)))
@@ -171,8 +171,8 @@ def located(evaluator: Evaluator, deployment: Deployment, images: RigImages, n: 
 
 
 def body_sums(evaluator: Evaluator, deployment: Deployment, images: RigImages, precision: Precision) -> FloatArray:
-    """Fisher information about the body's pose from all images of each view, `(N, width_of(precision))`. It is in the
-    units of `information` for the first camera; other cameras are weighted by `gain_of`.
+    """Fisher information about the body's pose from all images of each view, `(N, width_of(precision))`. The
+    information is in the units of `information` for the first camera; other cameras are weighted by `gain_of`.
     """
     scene, (positions, axes, seen) = evaluator.scene, images[3:]
     assert scene.rig is not None

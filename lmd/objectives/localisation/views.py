@@ -64,7 +64,9 @@ class CameraViews(NamedTuple):
     """Views of a single camera."""
 
     lists: WordArray
-    """`(4, BITS)` lists of numbers of the views, rows `ORIENTATION`, `NUMBER`, `WHOSE` and `TAKEN`."""
+    """`(4, BITS)` lists of indices: orientation of each view (row `ORIENTATION`), view of each orientation (`NUMBER`),
+    view of each listed pair (`WHOSE`); row `TAKEN` has the set of the orientations and the number of pairs.
+    """
     rows: FloatArray
     """`(WIDTH BITS,)` sums of the landmarks' information in each view."""
     met: np.ndarray
