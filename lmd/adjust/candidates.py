@@ -187,7 +187,9 @@ def placed_tags(some: Sightings, poses: Poses, fewest: int, share: float) -> Flo
 
 
 def rank(sightings: Sightings, owner: IntArray) -> IntArray:
-    """Rank of each sighting among the sightings of its owner by its size in the image, 0 for the largest, `(N,)`."""
+    """Rank of each sighting by its size in the image among the sightings of its owner (its frame or tag), 0 for the
+    largest, `(N,)`.
+    """
     order = np.lexsort((-sightings.sizes, owner))
     result = np.empty(len(sightings), dtype=np.int64)
     result[order] = rank_within(owner[order])

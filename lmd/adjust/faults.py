@@ -58,7 +58,7 @@ class SecondPlace(NamedTuple):
 
 
 class Faults(NamedTuple):
-    """Faults of tags in a map."""
+    """Faults of tags in a map: moved tags, shared ids, wrong sizes, misread ids."""
 
     second_places: list[SecondPlace]
     """Second poses of tags that were moved or whose id two tags share."""

@@ -29,9 +29,9 @@ class Part(NamedTuple):
     gradient: FloatArray
     """Right side g_f of the frames, `(f, 6)`."""
     panel: FloatArray
-    """H_fk for the r kept blocks `rows`, `(f, 6, r, 6)`."""
+    """H_fk for those r blocks of kept unknowns on which the sightings of these frames depend, `(f, 6, r, 6)`."""
     rows: IntArray
-    """Indices of the kept blocks, `(r,)`."""
+    """Indices of these r blocks, `(r,)`."""
 
     def reached(self, kept: FloatArray) -> FloatArray:
         """Product H_fk x, `(f, 6, ...)`, for values x of all kept unknowns, `(kept, 6, ...)`."""

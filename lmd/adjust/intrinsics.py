@@ -59,7 +59,8 @@ class Calibrated:
     shift: float
     """Shift of corners inward in the camera's images, pixels."""
     covariance: FloatArray
-    """`(P + n, P + n)` covariance of the P values `intrinsics_of(found)`, followed by n shifts."""
+    """`(P + n, P + n)` covariance of the P values `intrinsics_of(found)`, followed by n shift parameters of the camera.
+    """
 
     @property
     def sigma(self) -> FloatArray:

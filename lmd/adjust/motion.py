@@ -266,7 +266,7 @@ class Motion:
 
     @property
     def longest(self) -> float:
-        """Longest gap that a constant velocity bridges, seconds."""
+        """Longest gap between frames that a link of constant velocity may bridge, seconds."""
         if self.gaps is None:
             return float(min((12.0 * np.square((MOST_TURN, MOST_PLACE)) / np.square(self.spread)) ** (1 / 3)))
         off = self.gaps[:, 1:] * np.sqrt(self.gaps[:, :1] ** 3 / 12.0)
@@ -274,7 +274,9 @@ class Motion:
         return float(max(self.gaps[good, 0], default=SHORTEST_GAP))
 
     def _spreads(self, seconds: FloatArray) -> FloatArray:
-        """Spreads of rotation and of translation, `(M, 2)`, for a constant velocity across gaps of `seconds` `(M,)`."""
+        """Spreads (noise levels) of rotation and of translation, `(M, 2)`, for a constant velocity across gaps with the
+        durations `seconds` `(M,)`.
+        """
         spreads = np.broadcast_to(self.spread, (len(seconds), 2))
         if self.gaps is None or not len(self.gaps):
             return spreads

@@ -166,7 +166,9 @@ class Prior:
     tags: FloatArray
     """Expected poses of tags, `(K, 4, 4)`; arbitrary where `information` is 0."""
     information: FloatArray
-    """Inverse variances of rotations about the axes of each tag and of shifts along them, `(K, 6)`; 0 if unknown."""
+    """Inverse variances of rotations about the axes of each tag and of shifts along them, `(K, 6)`; 0 for unknown
+    rotations and shifts.
+    """
     sheets: Sheets | None = None
     """Tags that were printed on common sheets; all these tags are placed."""
     mounts: Mounts | None = None

@@ -86,7 +86,7 @@ def nuisances_off(found: Estimate) -> FloatArray:
 
 
 def minimised(found: Estimate, is_stopped: Callable[[int, int], bool] = _never) -> Estimate:
-    """Take joint steps of all unknowns until a step is small."""
+    """Estimate after joint steps of all unknowns, which end when a step is small."""
     now, damping, cameras = found, 0.0, _lenses_of(found).off.size // 6
     for done in range(MOST_ROUNDS):
         some, squares = now.sightings, now.squares

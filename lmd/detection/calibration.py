@@ -65,7 +65,7 @@ class DetectorCalibration:
     views: TagViews
     """Views to which the limits are fitted."""
     fit: Fit
-    """Limits and scores."""
+    """Fitted limits and their scores."""
     rooms: dict[str, float]
     """Scores of predictions in rendered rooms, see `frame_scores`; may be empty."""
     photographs: int = 0

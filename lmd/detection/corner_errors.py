@@ -119,7 +119,7 @@ class CornerErrors(Checked):
     pitch: tuple[float, ...]
     """Pitch: pixels per module along the most foreshortened direction, ascending, `(B,)`."""
     median: tuple[float, ...]
-    """Median of the error at these pitches, pixels, `(B,)`."""
+    """Median of the error (root mean square over the four corners) at these pitches, pixels, `(B,)`."""
     high: tuple[float, ...]
     """90 % quantile of the error at these pitches, pixels, `(B,)`."""
     inward: tuple[float, ...] = ()

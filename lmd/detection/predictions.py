@@ -131,7 +131,8 @@ def figures(prediction: Prediction, seen: Matches) -> dict[str, float]:
       `overrated_overlapping`: whole tags that overlap another tag.
     - `false_a_frame`: false detections per frame.
     - `corner_median`, `corner_90`: quantiles of the corner error, pixels.
-    - `pose_share`: fraction of frames with a pose. Further metrics are quantiles of the pose errors, metres and rad.
+    - `pose_share`: fraction of frames whose detections determine a pose. Further metrics are quantiles of the pose
+      errors, metres and rad.
     """
     part = prediction.parts[0]
     row: dict[str, float] = {"frames": len(prediction.poses), "tags": part.visible.shape[1]}
@@ -162,7 +163,9 @@ def figures(prediction: Prediction, seen: Matches) -> dict[str, float]:
 
 
 def _quantiles(name: str, values: FloatArray) -> dict[str, float]:
-    """`QUANTILES` of the finite values, keyed by `name` with a suffix; NaN if no value is finite."""
+    """Quantiles of the finite values, at the probabilities `QUANTILES`, keyed by `name` with a suffix; NaN if no value
+    is finite.
+    """
     known = values[np.isfinite(values)]
     return {f"{name}_{key}": float(np.quantile(known, q)) if known.size else np.nan for key, q in QUANTILES.items()}
 

@@ -124,8 +124,8 @@ class Video(Checked):
 
     @cached_property
     def _index(self) -> "_Index":
-        """Index of all frames. The whole video is read for it, as the header may state no number of frames or a wrong
-        one.
+        """Index of all frames. To build it the whole video is read, as the header may state no number of frames or a
+        wrong one.
         """
         cv2, video = optional("cv2", "detection"), self._opened()
         try:

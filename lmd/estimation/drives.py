@@ -50,7 +50,7 @@ def filtered(
         block: length of a drive of a recording, seconds.
         held_out: every `held_out`-th drive of a recording is kept for the validation, at least 2.
         start_position, start_attitude: see `Drives`.
-        settings: arguments of `Filtered`.
+        settings: further arguments of `Filtered`.
 
     Raises:
         InputError: a value is out of range, or the recording gives no drive.

@@ -51,8 +51,8 @@ class Errors:
     """Errors of S runs of T frames; NaN in frames without an estimate."""
 
     frobenius: FloatArray
-    """Squared Frobenius norm Er = |X - Xh|_F^2 of the pose error, which adds square metres and pure numbers,
-    `(S, T)`.
+    """Squared Frobenius norm Er = |X - Xh|_F^2 of the pose error, a sum of square metres (translation) and pure numbers
+    (rotation), `(S, T)`.
     """
     position: FloatArray
     """Position error |p - ph|, metres, `(S, T)`."""

@@ -61,7 +61,7 @@ class Pace(Checked):
         Args:
             waypoints: `(N, 5)`, metres and radians, each different from the previous one; yaw changes by the smaller
                 angle.
-            duration: time at which the trajectory ends at the latest, seconds.
+            duration: maximum duration of the trajectory, which is cut off there, seconds.
         """
         path = waypoints.copy()
         path[:, 3] = np.unwrap(path[:, 3])

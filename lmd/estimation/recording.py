@@ -99,7 +99,7 @@ class Flight:
         return self.trajectory.poses
 
     def looks(self) -> "list[Look]":
-        """The flight as seen by each camera."""
+        """The flight as seen by each camera: one `Look` per camera."""
         scene = self.evaluator.scene
         if self.all_visible:
             seen = np.ones((len(scene.cameras), len(self.poses), len(self.deployment)), dtype=np.bool_)
@@ -133,14 +133,17 @@ class Observation(NamedTuple):
     seen: BoolArray
     """Mask of the detected landmarks, `(T, K)`."""
     points: FloatArray
-    """Measured positions in the camera's frame, metres, `(T, K, 3)`; arbitrary for landmarks that are not seen."""
+    """Measured positions of the landmarks in the camera's frame, metres, `(T, K, 3)`; arbitrary for landmarks that are
+    not seen.
+    """
     noise: FloatArray
     """Standard deviation of the image coordinates of each detection, as estimators assume it, pixels, `(M,)`."""
     covariance: FloatArray
     """Covariance of the measured position for one pixel of noise, m^2, `(M, 3, 3)`."""
     corners: FloatArray | None = None
-    """Detected corners of tags, pixels from the border, in the order of `lmd.geometry.squares.CORNERS`, `(M, 4, 2)`;
-    None for points."""
+    """Detected corners of tags, pixels from the outer corner of the image's top left pixel, in the order of
+    `lmd.geometry.squares.CORNERS`, `(M, 4, 2)`; None for points.
+    """
 
 
 def merged(parts: Sequence[Observation], mounted: FloatArray) -> Observation:
@@ -207,7 +210,7 @@ class Recording:
     seen: BoolArray
     """Mask of the detected landmarks, `(S, T, K)`."""
     points: FloatArray
-    """Measured positions in the camera's frame, metres, `(S, T, K, 3)`."""
+    """Measured positions of the landmarks in the camera's frame, metres, `(S, T, K, 3)`."""
     noise: FloatArray
     """See `Observation`, `(M,)`."""
     covariance: FloatArray

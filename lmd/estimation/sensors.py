@@ -188,7 +188,7 @@ def observation(
         camera: intrinsics and lens.
         edges: edge lengths of the tags, metres, `(K,)`.
         seen: mask of the detected tags, `(T, K)`.
-        found: detected corners, pixels from the border, `(M, 4, 2)`.
+        found: detected corners, pixels from the outer corner of the image's top left pixel, `(M, 4, 2)`.
         noise: standard deviation of the corners, pixels, `(M,)`.
     """
     points = np.zeros((*seen.shape, 3))

@@ -100,7 +100,7 @@ class Outcome:
     counts: IntArray
     """Number of detected landmarks in each frame, `(S, T)`."""
     shares: Mapping[int, FloatArray]
-    """Fraction of each flight's duration with at least n detected landmarks, `(S,)`, keyed by n."""
+    """Fraction of each flight's duration in which at least n landmarks are detected, `(S,)`, keyed by n."""
     errors: Mapping[str, Errors]
     """Errors of each estimator, keyed by its name."""
 
@@ -188,7 +188,7 @@ class FlightStudy:
 
     @staticmethod
     def medians(figures: pd.DataFrame) -> dict[str, float]:
-        """Medians of the columns of `figures` over the seeds, as far as they are finite, keyed by
+        """Medians of the columns of `figures` over the seeds, without the medians that are not finite, keyed by
         `<column>/<deployment>/<estimator>`.
         """
         medians = {}
@@ -305,6 +305,6 @@ def _each_run(reduce: Callable[[FloatArray], Any], values: FloatArray) -> FloatA
 
 
 def _band(values: FloatArray) -> FloatArray:
-    """`QUANTILES` of the finite values in `values`; NaN if no value is finite."""
+    """Quantiles of the finite values in `values`, at the probabilities `QUANTILES`; NaN if no value is finite."""
     finite = values[np.isfinite(values)]
     return np.quantile(finite, QUANTILES) if finite.size else np.full(len(QUANTILES), np.nan)

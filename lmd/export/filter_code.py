@@ -2,8 +2,9 @@
 
 WPILib's pose estimators receive the standard deviations of a measurement's x [m], y [m] and heading [rad] by
 `setVisionMeasurementStdDevs`, or with each `addVisionMeasurement`. PhotonVision has no such setting: its examples pass
-constants in the robot's code, and AdvantageKit's template scales a baseline by d^2 / n. The written code has these
-constants. Limelight publishes standard deviations (`stddevs`) and accepts none.
+constants in the robot's code, and AdvantageKit's template scales a baseline by d^2 / n. The code that is written here
+has the constants of these examples and of this template. Limelight publishes standard deviations (`stddevs`) and
+accepts none.
 """
 
 from collections.abc import Mapping

@@ -101,8 +101,8 @@ ARROW = 6.3  # length of the arrows of the axes
 
 
 def scale_of(room: Space, width: float, height: float, scales: tuple[int, ...]) -> int:
-    """First of `scales` (1 : scale) at which the floor plan fits into `width` x `height`, mm; the last one if it fits
-    at none.
+    """First of `scales` (1 : scale) at which the floor plan fits into `width` x `height`, mm; the last of `scales` if
+    the plan fits at none.
     """
     low, high = room.bounds()
     across, up = (1000.0 * (high - low)[:2]).tolist()

@@ -56,7 +56,7 @@ class Table(NamedTuple):
         return int((height - 2.0 * MARGIN - HEAD) // ROW) - len(self.head)
 
     def pages(self, rows: int, height: float) -> int:
-        """Number of pages that `rows` rows need at the page height `height`, mm."""
+        """Number of pages that a table with `rows` rows needs on pages of the height `height`, mm."""
         return max(1, math.ceil(rows / self.fitting(height)))
 
 

@@ -189,7 +189,7 @@ class Bag:
 
         Args:
             topic: topic; messages must have a header.
-            first, last: times of recording of the first and the last message, ns; None for all.
+            first, last: times of recording of the first and the last message to read, ns; None for all messages.
 
         Raises:
             InputError: the bag is damaged, or its definition of the messages' type differs.

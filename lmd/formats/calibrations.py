@@ -1,7 +1,7 @@
 """Cameras from calibration files; `tables/calibration.yaml` lists the formats.
 
-All readers return pixel coordinates that count from the centre of the first pixel. `lmd` itself counts from the image's
-border: its principal point is larger by 0.5, all other values are equal.
+All readers return pixel coordinates that count from the centre of the first pixel. `lmd` itself counts from the outer
+corner of this pixel: its principal point is larger by 0.5, all other values are equal.
 """
 
 import math

@@ -1,10 +1,10 @@
-"""Files of detections: tables, bags, and JSON of PhotonVision and Limelight; and files that list all images, also those
-without tags.
+"""Files of detections: tables, bags, and JSON of PhotonVision and Limelight; and files that list all images, including
+images without tags.
 
 PhotonVision's corners are counter-clockwise from the tag's bottom left. The AprilTag pipeline counts pixels from the
-border of the image, as AprilTag 3 does. (Its ArUco pipeline counts from the centre of the first pixel, but files do not
-name the pipeline.) Limelight documents neither the order of the corners nor the origin of pixel coordinates. The
-corners are assumed to have the order and the origin of AprilTag 3.
+outer corner of the image's top left pixel, as AprilTag 3 does. (Its ArUco pipeline counts from the centre of the first
+pixel, but files do not name the pipeline.) Limelight documents neither the order of the corners nor the origin of pixel
+coordinates. The corners are assumed to have the order and the origin of AprilTag 3.
 
 Sources: `PhotonPipelineResult`, `PhotonTrackedTarget` and `TrackedTarget` (PhotonVision/photonvision); "JSON Results
 Specification" of Limelight.
@@ -53,7 +53,7 @@ class SeenTag(NamedTuple):
     number: int
     """Number of the tag."""
     corners: Sequence[Sequence[float]]
-    """Four corners in the order of the file, pixels from the border of the image, (x, y)."""
+    """Four corners (x, y) in the order of the file, pixels from the outer corner of the image's top left pixel."""
     family: str = ""
     """Tag family as the program names it; empty if the program names none."""
 
@@ -94,8 +94,8 @@ class DetectionsFile(File):
         return [" or ".join(TIMES)] * (not set(TIMES) & set(self.header)) + lacks
 
     def refused(self, reason: str) -> InputError:
-        """Make an error about a file that is not a table of detections; `LACKS` in the reason stands for the missing
-        columns.
+        """Make an error about a file that is not a table of detections; the word `LACKS` in the reason is replaced by
+        the names of the missing columns.
         """
         lacks = f"lacks {few(self.lacks, MOST_LACKING)} in its first line, {self.first.strip()[:SHOWN]!r}"
         lacks = lacks if self.first else "is empty"

@@ -21,8 +21,8 @@ class DetectedTags:
         frame: index of the frame of each detection, `(N,)`.
         camera: index of the camera of each detection, `(N,)`.
         ids: numbers of the tags, `(N,)`.
-        corners: corners in the image, pixels from the border, in the order top left, top right, bottom right, bottom
-            left of the tag, `(N, 4, 2)`.
+        corners: corners in the image, pixels from the outer corner of its top left pixel, in the order top left, top
+            right, bottom right, bottom left of the tag, `(N, 4, 2)`.
         blurred: for the frames whose detections were left out because of blur, the blur, pixels, keyed by the name of
             the frame.
         copies: for the images whose detections were left out as copies, the name of the original image, keyed by the
@@ -107,7 +107,7 @@ class DetectedTags:
         return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 
     def renumbered(self, ids: IntArray, quarters: IntArray) -> "DetectedTags":
-        """Detections with renumbered corners of the tags `ids` `(K,)`, which are ascending.
+        """All detections, with renumbered corners for the tags `ids` `(K,)`, ascending.
 
         Args:
             quarters: index that corner 0 of each tag gets, `(K,)`.

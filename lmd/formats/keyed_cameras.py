@@ -81,11 +81,12 @@ class KeyedCameras(Keyed):
     model: Sequence[str] = ()
     """Paths in the entry of the words that, joined by `_`, are the name of the lens model."""
     models: Mapping[str, str] = field(default_factory=lambda: LENS_MODELS)
-    """Lens model, a key of `COEFFICIENTS`, for each pattern of the words in small letters; empty for an unknown model.
-    The names of the quantities in the lists at `values` follow after a colon, as `ours` or `ours=theirs`.
+    """Lens model, a key of `COEFFICIENTS`, keyed by a pattern that the words at `model` match, in small letters; an
+    empty value stands for an unknown model. The names of the quantities in the lists at `values` follow after a colon,
+    as `ours` or `ours=theirs`.
     """
     origin: float = 0.0
-    """Coordinate that the file's pixel coordinates give the centre of the first pixel."""
+    """Coordinate of the centre of the first pixel in the pixel coordinates of the file, such as 0 or 0.5."""
     loose: bool = False
     """True if keys are compared in small letters and without `_`; this applies to the outermost keys of an entry."""
     distinct: bool = False

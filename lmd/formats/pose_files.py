@@ -46,7 +46,7 @@ class Rows:
         frame: frame of the orientations, `optical` or `body`; None if the file does not define it.
         angles: True if orientations are given by angles of a camera; with a mount, they are the angles of the body's x
             axis.
-        notes: omissions and assumptions for the user, sentences without a full stop.
+        notes: sentences for the user on omitted rows and on assumptions, without full stops.
     """
 
     path: str
@@ -155,7 +155,7 @@ def given_times(count: int, what: str, times: str | None, rate: float | None) ->
 
 def steep(sines: FloatArray, path: object) -> str:
     """Question to the user if nearly all views look up or down, as happens if body poses are read as camera poses; else
-    empty.
+    an empty text.
 
     Args:
         sines: sine of the pitch of each view, `(T,)`.

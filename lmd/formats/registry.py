@@ -100,7 +100,8 @@ class Format(Checked):
     """Reason for the refusal, with advice on a supported format, without the full stop; may be a function of a `File`.
     """
     row: str = ""
-    """Row of the documentation's table, with ` | ` between cells; the row names arguments, as in `name=cam1`.
+    """Row of the documentation's table of formats, with ` | ` between cells; the row names arguments of the reader, as
+    in `name=cam1`.
 
     The text has one line for each kind of file; it is empty for a format that shares the row of another format.
     """

@@ -27,7 +27,7 @@ def read_mount(path: Any, name: str | None = None) -> FloatArray:
     """Read the pose of a camera on its body, from the camera's optical frame to the body's frame, `(4, 4)`.
 
     Args:
-        path: a calibration with `T_cam_imu` (Kalibr), `T_imu_cam` (OpenVINS) or `T_SC` (OKVIS) in each camera, with
+        path: a calibration with `T_cam_imu` (Kalibr), `T_imu_cam` (OpenVINS) or `T_SC` (OKVIS) for each camera, with
             `T_BS` (EuRoC), or with a list `T_imu_cam` (Basalt).
         name: name of the camera, such as `cam0`, if there are several.
 
@@ -52,7 +52,7 @@ def read_chain(path: Any, names: Any = None, **shared: Any) -> dict[str, FloatAr
     first camera's optical frame, `(4, 4)`.
 
     Args:
-        path: a file as in `read_mount`; a file of Kalibr with `T_cn_cnm1` in each camera but the first.
+        path: a file as in `read_mount`; or a file of Kalibr with `T_cn_cnm1` for each camera but the first.
         names: names of the cameras to return, in this order; None for all cameras.
         shared: arguments `image_size` and `distortion_model`, which are common to all cameras, see `read_calibration`.
 

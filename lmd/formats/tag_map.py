@@ -114,7 +114,7 @@ class TagMap:
 
     @cached_property
     def names(self) -> list[str]:
-        """Name of each surface of the room, as in files and in the planner."""
+        """Name of each surface of the room, as written in files and shown in the planner."""
         return [surface.name for surface in self.room.surfaces()]
 
     def place_of(self, k: int) -> str:

@@ -276,7 +276,7 @@ class File:
 
     @property
     def first(self) -> str:
-        """First of `lines`; empty if there are none."""
+        """First of `lines`; an empty text if there are no lines."""
         return self.lines[0] if self.lines else ""
 
     @property

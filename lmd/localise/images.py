@@ -55,9 +55,9 @@ class RoughPoses(NamedTuple):
 def rough_poses(sightings: Sightings, poses: Poses, sigmas: FloatArray) -> RoughPoses:
     """Find rough poses of the frames, and tags that contradict the other tags.
 
-    Each sighting that does not fit the pose of its image counts as one vote against its tag; in an image without a
-    majority, each sighting counts as half a vote. The tags with the largest fraction of votes against them are ignored,
-    and the images are localised again.
+    Each sighting that does not fit the pose of its image counts as one vote against its tag; in an image in which at
+    most half of the sightings fit, each sighting counts as half a vote. The tags with the largest fraction of votes
+    against them are ignored, and the images are localised again.
 
     Args:
         sightings: all sightings.

@@ -209,7 +209,7 @@ def _with_all_tags(begun: Estimate, rough: RoughPoses, both: FloatArray) -> Esti
 
 
 def _refused(found: Estimate, states: NDArray[np.object_]) -> tuple[Estimate, NDArray[np.object_]]:
-    """Estimate without the frames in which most sightings do not fit, and the outcomes of all frames."""
+    """Estimate without the poses of frames in which most sightings do not fit; and the outcomes of all frames."""
     some = found.sightings
     of_map = found.poses.known_tags[some.tag]
     seen, used = (np.bincount(some.frame[which], minlength=some.frames) for which in (of_map, found.used))

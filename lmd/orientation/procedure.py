@@ -85,7 +85,7 @@ class Marginal:
         return edges, np.asarray(counts / (len(self.samples) * np.diff(edges)))
 
     def summary(self) -> dict[str, Any]:
-        """Data for JSON: the chosen density, the candidates, and the histogram."""
+        """Data for JSON: the chosen density, all candidate densities, and the histogram."""
         edges, heights = self.histogram
         return {
             "family": self.density.family,

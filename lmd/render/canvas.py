@@ -33,8 +33,8 @@ class Canvas:
     """Light on a pinhole image, in grey levels stored as float32.
 
     Args:
-        matrix: intrinsic matrix K, from the camera's frame to homogeneous image coordinates that count from the border,
-            `(3, 3)`.
+        matrix: intrinsic matrix K, from the camera's frame to homogeneous image coordinates that count from the outer
+            corner of the top left pixel, `(3, 3)`.
         size: width and height, pixels.
         imaging: grey levels and sampling.
     """
@@ -156,7 +156,8 @@ class Canvas:
     def _warp(
         self, picture: Any, homography: FloatArray, window: tuple[int, int, int, int], samples: int, border: int
     ) -> Any:
-        """Warp `picture` by a homography that maps texels to pixels; texels and pixels count from the border.
+        """Warp `picture` by a homography that maps texels to pixels; texels and pixels count from the outer corner of
+        the first texel or pixel.
 
         The result covers `window` with `samples` per pixel along each axis.
         """
@@ -175,7 +176,7 @@ class Canvas:
         return np.asarray(self.cv2.GaussianBlur(light, (kernel, kernel), sigma, borderType=border))
 
     def _fill(self, image: Any, outline: FloatArray, value: float) -> None:
-        """Fill a convex outline `(m, 2)`, pixels from the image's border."""
+        """Fill a convex outline `(m, 2)`, pixels from the outer corner of the top left pixel."""
         if len(outline) >= 3:
             points = np.rint((outline - 0.5) * 2**SHIFT).astype(np.int32)
             self.cv2.fillConvexPoly(image, points, (value,) * 4, lineType=self.cv2.LINE_8, shift=SHIFT)
@@ -221,7 +222,7 @@ MOST_REPEATS = 3
 
 @lru_cache(maxsize=2)
 def covering(amplitude: float, seed: int, length: float) -> Float32Array:
-    """Tile a `pattern` over a square, up to `MOST_REPEATS` periods, `(T, T)`.
+    """Tile a `pattern` over a square, with at most `MOST_REPEATS` periods along an edge, `(T, T)`.
 
     Args:
         amplitude: standard deviation, grey levels.

@@ -51,7 +51,7 @@ class Face(NamedTuple):
     turn: FloatArray
     """Rotation from the camera's frame to the pinhole's frame, `(3, 3)`."""
     matrix: FloatArray
-    """Intrinsic matrix K of the pinhole, pixels from the border, `(3, 3)`."""
+    """Intrinsic matrix K of the pinhole, pixels from the outer corner of the top left pixel, `(3, 3)`."""
     size: tuple[int, int]
     """Width and height, pixels."""
     at: tuple[Float32Array, Float32Array] | None
@@ -104,8 +104,8 @@ class Renderer:
         return self.imaging.develop(_assembled(faces_of(self.camera), lights), rng)
 
     def corners(self, pose: FloatArray) -> FloatArray:
-        """Exact image points of the tags' corners, seen from camera poses `(..., 4, 4)`, pixels from the border,
-        `(..., K, 4, 2)`.
+        """Exact image points of the tags' corners, seen from camera poses `(..., 4, 4)`, pixels from the outer corner
+        of the image's top left pixel, `(..., K, 4, 2)`.
 
         Tags outside the image, facing away or occluded are included. NaN as in `lmd.geometry.projection.project`.
         """

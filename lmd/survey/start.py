@@ -3,13 +3,14 @@
 A single tag has two poses in front of a camera that look alike (IPPE). A group of tags begins with the frame that shows
 the most tags whose pose is beyond doubt. Then two steps alternate: frames that show two or more placed tags are placed,
 and tags that placed frames show are placed. The sightings of a frame or tag propose poses. The likeliest is refined,
-and is accepted if enough sightings agree. When no frame or tag can be placed this way, the likeliest single sighting
-places a tag or frame. At the end all tags and frames with large errors are tried again. Placed tags and frames are
-adjusted as their number grows. Tags that no frame connects with the group begin another group, in a world of its own.
+and is accepted if enough sightings agree with it. When no frame or tag can be placed this way, the likeliest single
+sighting places a tag or frame. At the end all tags and frames with large errors are tried again. Placed tags and frames
+are adjusted as their number grows. Tags that no frame connects with the group begin another group, in a world of its
+own.
 
-With a plan, initialisation starts with the tags at their planned poses, and is accepted if nearly all sightings agree.
-As detectors may number the corners from another corner, initialisation with a plan is tried with each of the four
-quarter turns of all planned tags.
+With a plan, initialisation starts with the tags at their planned poses, and is accepted if nearly all sightings agree
+with the poses. As detectors may number the corners from another corner, initialisation with a plan is tried with each
+of the four quarter turns of all planned tags.
 """
 
 from typing import NamedTuple
@@ -185,7 +186,7 @@ class Placing:
         return False
 
     def waiting(self, by_frame: bool) -> IntArray:
-        """Sightings that could place a frame or a tag.
+        """Sightings from which a frame or a tag could be placed.
 
         If `by_frame`, these are sightings of placed tags in frames that are not placed; otherwise sightings of tags
         that are not placed, in placed frames.

@@ -238,8 +238,8 @@ def _steady(seen: Observations, known: PriorKnowledge) -> Motion | None:
 
 
 def _placed(found: Estimate, known: PriorKnowledge) -> tuple[BoolArray, BoolArray]:
-    """Mask of the tags of the map, `(K,)`, and mask of the tags that are left out of the map only because their
-    covariance is too large, `(K,)`.
+    """Mask of the placed tags, which are in the map, `(K,)`; and mask of the tags that are left out of the map only
+    because their covariance is too large, `(K,)`.
 
     Raises:
         InputError: no tag is placed.
