@@ -10,8 +10,8 @@ if TYPE_CHECKING:
 
 
 class Study(Protocol):
-    """Result of a study of a deployment: without a tag, with tags as mounted or as measured, or under other
-    assumptions.
+    """Result of a study of a deployment. The study evaluates the deployment without some tags, with mounting errors,
+    with measured poses of the tags, or under other assumptions.
     """
 
     @property

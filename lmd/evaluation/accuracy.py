@@ -1,9 +1,9 @@
 """Predicted accuracy of the position from one image, for every view of a deployment and any objective.
 
 The prediction is the standard deviation of the camera's position, computed by `lmd.objectives.localisation`. The
-prediction is infinite for views that cover fewer than n landmarks, or a single tag for which two camera poses fit the
-image about equally well. All results are for poses off the grid: positions are random, and orientations are drawn from
-the PDF's continuous distribution.
+prediction is infinite for views that cover fewer than n landmarks, and for views of a single tag if two camera poses
+fit the image about equally well. All results are for poses off the grid: positions are random, and orientations are
+drawn from the PDF's continuous distribution.
 """
 
 from dataclasses import replace
@@ -56,8 +56,8 @@ def _share_name(tolerance: float) -> str:
 
 
 def accuracy_metrics(problem: Problem, deployment: Deployment, seed: int, sample: Sample = SAMPLE) -> dict[str, float]:
-    """Mean of P_n, shares of views localised to each of `TOLERANCES`, and median and 90 % quantile over the views of
-    the predicted error, metres.
+    """Metrics of accuracy: the mean of P_n; for each of `TOLERANCES`, the fraction of the views whose predicted error
+    is within it; and the median and the 90 % quantile of the predicted error over the views, metres.
 
     Views without a finite error count as infinite; infinite quantiles are left out.
 
@@ -86,8 +86,8 @@ def accuracy_metrics(problem: Problem, deployment: Deployment, seed: int, sample
 
 
 def save_accuracy_map(path: str | Path, problem: Problem, deployment: Deployment) -> None:
-    """Write a CSV with a row for each grid position: `x,y,z`, the shares of localised views, and the median predicted
-    error, metres.
+    """Write a CSV with a row for each grid position. Its columns are `x,y,z`, the fraction of localised views for each
+    of `TOLERANCES`, and the median predicted error, metres.
 
     An infinite median is an empty cell.
     """
@@ -119,7 +119,9 @@ def plan_of_errors(problem: Problem, deployment: Deployment) -> "pd.DataFrame":
 
 
 def _medians(errors: FloatArray, weight: FloatArray) -> FloatArray:
-    """Weighted median of each row of `errors` `(P, V)`, `(P,)`; the weights `(1, V)` or `(P, V)` of a row sum to 1."""
+    """Weighted median of each row of `errors` `(P, V)`; the result has the shape `(P,)`. The weights, `(1, V)` or `(P,
+    V)`, have the sum 1 in each row.
+    """
     order = np.argsort(errors, axis=1)
     ordered = np.take_along_axis(np.broadcast_to(weight, errors.shape), order, axis=1)
     middle = (np.cumsum(ordered, axis=1) >= 0.5).argmax(axis=1)[:, None]

@@ -46,18 +46,18 @@ Verdicts = Callable[[Scene, Deployment, FloatArray, Camera], dict[str, BoolArray
 @dataclass(frozen=True)
 class Audit:
     """Audit of N frames of a survey and the K tags of its map. Arrays have a column for each pair of a camera and a
-    tag: for C cameras, C K columns, ordered by camera.
+    tag. With C cameras these are C K columns: those of the first camera come first.
     """
 
     prediction: Prediction
-    """Visible tags in each frame as the visibility model predicts them."""
+    """Tags that are visible in each frame according to the visibility model."""
     seen: Matches
     """Detections in each frame; a detection is false if no tag of the map hangs at its pose."""
 
     @cached_property
     def expected(self) -> FloatArray:
-        """Probability that each tag is detected, `(N, C K)`, estimated from all tags with about the same pitch; 0 for
-        tags that are not predicted.
+        """Probability that each tag is detected in each frame, `(N, C K)`, estimated from all tags with about the same
+        apparent size (pitch); 0 for tags that are not predicted.
         """
         visible, detected = self.prediction.visible, self.seen.detected
         place = np.searchsorted(PITCHES, self.prediction.pitch, side="right") - 1
@@ -72,9 +72,9 @@ class Audit:
         """Table with a row for each tag: the columns of `by_tag`, and the columns `confirmed`, `expected` and
         `stands_out`.
 
-        `confirmed` is the number of images in which the tag was predicted and detected. `expected` is this number as
-        expected from all tags that appear with about the same pitch. `stands_out` is true if `confirmed` is far below
-        `expected`.
+        `confirmed` is the number of images in which the tag was predicted and detected. `expected` is the expected
+        value of this number, estimated from all tags that appear with about the same pitch. `stands_out` is true if
+        `confirmed` is far below `expected`.
         """
         chance, cameras = self.expected, len(self.prediction.parts)
         confirmed, expected, variance = (
@@ -147,7 +147,8 @@ def audited(survey: Survey, scene: Scene, verdicts: Verdicts) -> Audit:
     Args:
         survey: survey made with the scene's cameras; their mounts are taken from the survey.
         scene: room, cameras and visibility model.
-        verdicts: function that returns the criteria that a tag meets, see `lmd.evaluation.verdicts`.
+        verdicts: function that returns, for each criterion of the visibility model, the tags that meet it, see
+            `lmd.evaluation.verdicts`.
 
     Raises:
         InputError: the scene's tag is a point.
@@ -167,9 +168,9 @@ def audited(survey: Survey, scene: Scene, verdicts: Verdicts) -> Audit:
 
 def in_the_open(survey: Survey, scene: Scene) -> tuple[Survey, Scene]:
     """Replace an unknown room by an empty room around all tags and cameras, in which only other tags can hide a tag;
-    return survey and scene in its frame.
+    return the survey and the scene in the frame of the empty room.
 
-    The z axis is the mean up vector of the tags, as tags hang upright in the visibility model.
+    The z axis of this frame is the mean up vector of the tags, as tags hang upright in the visibility model.
     """
     found = survey.found
     tags = found.poses.tags[survey.placed]
@@ -186,7 +187,7 @@ def in_the_open(survey: Survey, scene: Scene) -> tuple[Survey, Scene]:
 
 
 def detections_of_map(survey: Survey) -> list[Matches]:
-    """Detections of the map's tags in the frames that the map includes, for each camera.
+    """For each camera, the detections of the map's tags in those frames whose poses the map contains.
 
     A detection counts as a sighting of the tag if the RMS reprojection error of its corners is at most
     `CORNER_TOLERANCE`, even if the map treats the detection as an outlier.
@@ -243,8 +244,8 @@ def view_columns(survey: Survey, cameras: Sequence[Camera], tag: Tag, room: Spac
 def _in_images(
     renderer: Renderer, poses: FloatArray, taken: BoolArray, room: Space | None
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """Pairs of an image and a tag in view: their indices, `(M,)` each, and the values of their columns from `u` to
-    `circle`, `(M, 8)`.
+    """M pairs of an image and a tag in view: indices of the images and of the tags, `(M,)` each, and the values of the
+    columns `u` to `circle` of `in_view.csv`, `(M, 8)`.
 
     Args:
         renderer: renderer of one camera and the tags.

@@ -1,4 +1,5 @@
-"""Upper bounds on the fitness of any deployment, from a concave relaxation and its dual.
+"""Upper bounds on the fitness of any deployment, from a concave relaxation of the problem and the dual of this
+relaxation.
 
 Let x_j be the number of landmarks with pose j (any flush pose on the walls; sum_j x_j = K), A_jpa = 1 if a landmark
 with pose j covers axis a from position p without occlusion, else 0, c_pa = sum_j x_j A_jpa, w_a the probability of an
@@ -37,8 +38,8 @@ occlusion. So for *any* set S the best K poses of a grid, each taken once, reach
     f(S) + the sum of the K largest gains at S        (Nemhauser, Wolsey and Fisher 1978),
 
 where S is the greedy choice or empty, whichever gives the lower bound. The greedy choice always reaches 1 - 1/e of the
-best value; the bound gives the share for this problem. A landmark adds nothing to the views from which it is hidden,
-and more landmarks never lower f, so the bound also holds with occlusion.
+best value; the bound shows the fraction that it reaches at least in this problem. A landmark adds nothing to the views
+from which it is hidden, and more landmarks never lower f, so the bound also holds with occlusion.
 
 This bound is valid only for poses of the grid, and for the surrogate f instead of the objective itself.
 
@@ -89,8 +90,8 @@ class Search(Checked):
     iterations: Count = 200
     """Largest number of steps of the search for multipliers."""
     tolerance: Positive = 1e-3
-    """The search for multipliers stops when its bound is this close to the best value found on the grid, as a
-    fraction.
+    """The search for multipliers stops when its bound exceeds the best value found on the grid by at most this number;
+    both are fractions in [0, 1].
     """
     limit: TimeLimit = field(default_factory=TimeLimit)
     """Time limit; the fraction `MULTIPLIERS_SHARE` of it is for the multipliers, and the rest for the search on the
@@ -184,7 +185,7 @@ def affordable(problem: Problem, count: int, search: Search) -> Search:
 
 
 def _at_most_coverage(problem: Problem) -> Coverage | Localisation:
-    """Return the objective, after a check that its values are at most P_n."""
+    """Return the objective of the problem, after a check that its values never exceed P_n."""
     if not isinstance(problem.objective, Coverage | Localisation):
         raise InputError(
             f"there is no upper bound for the objective {type(problem.objective).__name__}, only for Coverage and "
@@ -195,16 +196,16 @@ def _at_most_coverage(problem: Problem) -> Coverage | Localisation:
 
 
 class Kind(NamedTuple):
-    """Free landmarks that all have one size."""
+    """Group of free landmarks that all have one size."""
 
     evaluator: Evaluator
-    """Evaluator of a scene whose tags all have that size."""
+    """Evaluator of a scene in which all tags have the size of the group."""
     cells: Cells
     """Cells of the walls where the landmarks may hang."""
     poses: Deployment
     """Landmarks at the centres of the cells, with their edge lengths."""
     number: int
-    """Number of free landmarks of that size."""
+    """Number of free landmarks in the group."""
 
 
 def _free_sizes(problem: Problem, count: int) -> FloatArray:
@@ -272,7 +273,7 @@ class SelectionBound:
 
     @property
     def share(self) -> float:
-        """Lower bound on the ratio of the greedy choice's value to the best choice's value."""
+        """Lower bound on the ratio between the value of the greedy choice and the value of the best choice."""
         return self.greedy / self.grid if self.grid > 0.0 else 1.0
 
 

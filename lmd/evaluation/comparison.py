@@ -84,11 +84,15 @@ def by_optimiser(runs: Sequence[OptimiserRun], key: str) -> dict[str, list[Optim
 def compared(runs: Sequence[OptimiserRun], key: str, reference: str | None = None) -> Comparison:
     """Compare optimisers by the metric `key`; runs of two optimisers with equal seeds form pairs.
 
-    The columns of the table are `optimiser`, `runs`; for the metric `key` its median, the bounds `<key>_low` and
-    `<key>_high` of the median's bootstrap interval, `<key>_min` and `<key>_max`. `rank` is the mean rank over the seeds
-    that all optimisers have run, and `evaluations_to_<i>` the expected running time to target i. Further columns are
-    the medians of all other metrics and of the wall time in `seconds`, and the effect size `a12` and the `p_value` of a
-    comparison with the reference.
+    The table has these columns:
+
+    - `optimiser`, `runs`: name of the optimiser, and number of its runs;
+    - `<key>`: median of the metric over the runs; `<key>_min` and `<key>_max`: its least and greatest value;
+    - `<key>_low` and `<key>_high`: bounds of the median's bootstrap interval;
+    - `rank`: mean rank over the seeds that all optimisers have run;
+    - a column for each other metric, and `seconds` for the wall time: medians over the runs;
+    - `evaluations_to_<i>`: expected running time to target i, see `Comparison.targets`;
+    - `a12`, `p_value`: effect size, and P-value of the test, in the comparison with the reference.
 
     Args:
         runs: runs of all optimisers.
@@ -128,7 +132,9 @@ def compared(runs: Sequence[OptimiserRun], key: str, reference: str | None = Non
 
 
 def _against(figures: pd.DataFrame, reference: str) -> tuple[pd.Series, str]:
-    """P-value of each column tested against the column `reference`, and a sentence that names the test."""
+    """P-values of the tests of each column of `figures` (an optimiser) against the column `reference`, and a sentence
+    that names the test.
+    """
     others = [name for name in figures if name != reference]
     pairs = [figures[[name, reference]].dropna().to_numpy() for name in others]
     p_values = holm(np.array([wilcoxon(pair[:, 0], pair[:, 1]) for pair in pairs]))
@@ -143,7 +149,7 @@ def _against(figures: pd.DataFrame, reference: str) -> tuple[pd.Series, str]:
 
 
 def _all_against_all(complete: pd.DataFrame, reference: str) -> tuple[pd.DataFrame, str]:
-    """P-value of each pair of columns, and a sentence that names the test."""
+    """P-values of the tests of each pair of columns of `complete` (optimisers), and a sentence that names the test."""
     names, values = list(complete), complete.to_numpy()
     test = (
         f"p: Nemenyi's test against {as_code(reference)} on the mean ranks over the {len(values)} seeds that all have "
@@ -156,7 +162,7 @@ def _all_against_all(complete: pd.DataFrame, reference: str) -> tuple[pd.DataFra
 
 
 def attainable(least: Callable[[int], float], seeds: int) -> str:
-    """Sentence that states the least P-value that can be reached with a number of seeds.
+    """Sentence that states the least P-value that a test can reach with the given number of seeds.
 
     Args:
         least: function that returns the least corrected P-value of the test for a number of seeds, which is reached if
@@ -172,8 +178,8 @@ def attainable(least: Callable[[int], float], seeds: int) -> str:
 
 
 def comparison_markdown(comparison: Comparison, headline: Headline) -> str:
-    """Table of a comparison in Markdown, in the unit of the objective's main metric (headline), followed by the name of
-    the test; unknown values are blank.
+    """Markdown of a comparison: a table whose values have the unit of the objective's main metric (headline), and below
+    it the name of the test; unknown values are blank.
     """
     key, table = headline.key, comparison.table
     has_off_grid = "off_grid" in table

@@ -107,8 +107,8 @@ def look(job: Frames) -> dict[str, Matches]:
 
 
 def sightings(subjects: Mapping[str, Rendered], seed: int, each: Each) -> dict[str, dict[str, Matches]]:
-    """Detect the tags of all subjects; return the detections, keyed by the name of the subject and then by the name of
-    the detector.
+    """Detect the tags in the rendered images of all subjects (deployments with their predictions); return the
+    detections, keyed by the name of the subject and then by the name of the detector.
 
     Args:
         subjects: subjects, keyed by name.
@@ -145,8 +145,8 @@ class DetectionStudy:
 
     @cached_property
     def tables(self) -> "dict[str, pd.DataFrame]":
-        """Tables of the metrics, of classes of pitch, and of single tags; the columns `NAMES` come first in each
-        table.
+        """Three tables: of the metrics, of the tags in classes of pitch, and of the single tags. In each table the
+        columns `NAMES` come first.
         """
         import pandas as pd
 

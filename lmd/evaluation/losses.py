@@ -66,15 +66,17 @@ class Losses:
 
     @property
     def harmful(self) -> dict[int, float]:
-        """Harmful landmarks: gain of fitness when a landmark that lowers the fitness is removed, keyed by id, the
-        largest gain first.
+        """Gain of fitness when a harmful landmark, which lowers the fitness, is removed. The gains are keyed by the id
+        of the landmark, with the largest gain first.
         """
         gained = np.diagonal(self.without) - self.fitness
         worst = np.argsort(-gained, kind="stable")
         return {int(self.ids[i]): float(gained[i]) for i in worst if gained[i] > FITNESS_ROUNDING}
 
     def metrics(self) -> dict[str, float]:
-        """Least and mean fitness after the loss of one landmark, and after the loss of two landmarks."""
+        """Metrics: the least and the mean fitness after the loss of one landmark, and the least and the mean fitness
+        after the loss of two landmarks.
+        """
         one, two = np.diagonal(self.without), self.without[np.triu_indices(len(self.ids), 1)]
         return {
             f"fitness_without_{name}_{kind}": float(figure(left))
@@ -100,7 +102,9 @@ class Losses:
 
 
 def _listed(tags: Iterable[tuple[int, float]]) -> str:
-    """Text that lists the ids of the first tags, each with its fraction in per cent; `none` if there is no tag."""
+    """Text that lists the ids of the first `TAGS_LISTED` tags, each with its fraction in per cent; `none` if there is
+    no tag.
+    """
     return ", ".join(f"{number} ({100.0 * each:.2f})" for number, each in islice(tags, TAGS_LISTED)) or "none"
 
 

@@ -1,4 +1,4 @@
-"""Pose errors due to an inaccurate map, in which the poses of tags differ from their true poses.
+"""Pose errors of a camera or a rig due to an inaccurate map, in which the poses of tags differ from their true poses.
 
 The pose of the camera is estimated from one image by PnP (`lmd.geometry.pose`); the pose of a rig is estimated from the
 images of all its cameras. A map that is displaced as a whole by a rigid motion T displaces the pose by T; independent
@@ -90,7 +90,7 @@ def map_errors(
 
 
 def named_figures(*tables: pd.DataFrame) -> dict[str, float]:
-    """Finite values of tables, keyed by names such as `fitness/5` for the row `fitness` and the column `5 %`."""
+    """Finite values of the given tables, keyed by names such as `fitness/5` for the row `fitness` and the column `5 %`."""
     return {
         f"{row}/{column}".replace(" %", ""): float(value)
         for table in tables
@@ -101,7 +101,7 @@ def named_figures(*tables: pd.DataFrame) -> dict[str, float]:
 
 
 def percent_text(figures: pd.DataFrame) -> str:
-    """Text for a terminal of a table of shares, in per cent; the names of metrics are replaced by their labels."""
+    """Table of shares as text for a terminal, in per cent; the names of metrics are replaced by their labels."""
     named = figures.rename(index=_label, columns=_label)
     return named.to_string(float_format=lambda value: f"{100.0 * value:.2f}", na_rep="-")
 
@@ -111,8 +111,8 @@ def _label(name: object) -> str:
 
 
 def figures_text(columns: Mapping[Any, Mapping[Any, float]]) -> str:
-    """Text of metrics for a terminal, in columns side by side, with labels and units; `columns` holds the values by
-    heading and name.
+    """Table of metrics as text for a terminal, with labels and units. `columns` has, for each heading of a column, the
+    values keyed by the name of the metric.
     """
     return pd.DataFrame({name: labelled_figures(figures) for name, figures in columns.items()}).to_string(na_rep="-")
 
@@ -120,9 +120,9 @@ def figures_text(columns: Mapping[Any, Mapping[Any, float]]) -> str:
 def error_quantiles(views: pd.DataFrame) -> pd.DataFrame:
     """Quantiles of the columns of `map_errors`; the rows are named `position_<name>` and `attitude_<name>`.
 
-    The columns are the quantiles `5 %`, `50 %` and `95 %` over the views with an estimate, and for positions
-    `within_<n>mm`, the share of all views with an error of at most n mm; a view without an estimate is not within any
-    limit.
+    The columns `5 %`, `50 %` and `95 %` are quantiles over the views with an estimate. For positions there are also
+    columns `within_<n>mm`, the fraction of all views with an error of at most n mm; a view without an estimate counts
+    as outside every limit.
     """
     rows: dict[str, dict[str, float]] = {}
     for name in views.columns[views.columns.str.startswith(("position_", "attitude_"))]:

@@ -70,8 +70,8 @@ class MountingError(Checked):
         return not (self.position or self.turn or self.tilt)
 
     def covariances(self, problem: Problem, plan: Deployment) -> FloatArray:
-        """Covariances of position (metres) and rotation (rad) of the tags of a plan, world frame, `(K, 6, 6)`; zeros
-        for fixed tags.
+        """Covariance of the mounting error of each tag of a plan, `(K, 6, 6)`, of the position (metres) and the
+        rotation (rad), world frame; zeros for fixed tags.
         """
         right, up = upright(plan.normals)
         axes = np.stack([right, up, plan.normals], axis=-1)
@@ -133,8 +133,8 @@ class Mounted:
     draws: pd.DataFrame
     """Metrics as in `planned`, with a row for each draw."""
     views: pd.DataFrame
-    """Errors of the estimated pose with the map of the tags as `planned` and as `mounted`, see `map_errors`; column
-    `draw` has the number of the draw.
+    """Errors of the poses that are estimated with two maps: `planned` has the planned poses of the tags, `mounted` the
+    poses after mounting. See `map_errors`; column `draw` has the number of the draw.
     """
 
     @property
@@ -176,7 +176,7 @@ def mounted(problem: Problem, plan: Deployment, error: MountingError, seed: int,
         problem: problem with the scene and the objective.
         plan: K landmarks with their surfaces.
         error: distribution of the mounting errors.
-        seed: seed of the draws, of the random positions, and of the views.
+        seed: seed of the mounting errors, of the random positions, and of the views.
         sample: random positions off the grid, shared by all draws.
 
     Raises:
@@ -196,13 +196,13 @@ def mounted(problem: Problem, plan: Deployment, error: MountingError, seed: int,
 
 
 def _figures(problem: Problem, deployments: list[Deployment], seed: int, sample: Sample) -> pd.DataFrame:
-    """Metrics on the grid and off it, with a row for each deployment of K landmarks."""
+    """Table of the metrics on the grid and off it, with a row for each deployment of K landmarks."""
     on_grid = pd.DataFrame([problem.metrics(each) for each in deployments])
     return pd.concat([on_grid, off_grid_figures(problem, deployments, seed, sample)], axis=1)
 
 
 def off_grid_figures(problem: Problem, deployments: list[Deployment], seed: int, sample: Sample) -> pd.DataFrame:
-    """Shares of the objective (`Objective.shares`) off the grid, with a row for each deployment of K landmarks.
+    """Table of the objective's shares (`Objective.shares`) off the grid, with a row for each deployment of K landmarks.
 
     The shares are means over one sample of random positions; an objective that validates itself computes its own
     shares.
@@ -266,7 +266,9 @@ class Measured:
     names `grid_free_...`.
     """
     views: pd.DataFrame
-    """Errors of the estimated pose with the map of the tags as `planned` and as `measured`, see `map_errors`."""
+    """Errors of the poses that are estimated with two maps: `planned` has the planned poses of the tags, `measured` the
+    measured poses. See `map_errors`.
+    """
 
     @property
     def tables(self) -> dict[str, pd.DataFrame]:

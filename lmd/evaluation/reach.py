@@ -1,7 +1,7 @@
 """Range of distances at which a camera detects a single tag, and the error of the camera pose from that tag.
 
-The tag hangs upright in the middle of the image and is turned about the vertical by the incidence angle. A tag is
-called "read" if it meets all criteria of the visibility model.
+The tag hangs upright in the middle of the image and is turned about the vertical by the incidence angle. A tag that
+meets all criteria of the visibility model is called "read", as it can be detected.
 """
 
 import math
@@ -42,7 +42,9 @@ class Reach:
 
 
 def _hung(distance: float, incidence: float) -> tuple[FloatArray, FloatArray]:
-    """Position and normal, `(1, 3)` each, of a tag in front of a camera that is at the origin and looks along y."""
+    """Position and normal, `(1, 3)` each, of a tag at a distance, metres, and an incidence angle, rad, in front of a
+    camera that is at the origin and looks along y.
+    """
     return np.array([[0.0, distance, 0.0]]), np.array([[math.sin(incidence), -math.cos(incidence), 0.0]])
 
 
@@ -104,7 +106,7 @@ def pose_bounds(
 
     Args:
         camera: the camera.
-        tag: tag with the edge length.
+        tag: the tag, which has an edge length.
         distances: D distances of the camera from the tag, metres.
         incidence: incidence angle, rad.
         pixel_noise: standard deviation of a detected corner, pixels.
@@ -143,8 +145,8 @@ class Reading(Checked):
 
 
 def reach_text(camera: Camera, tag: Tag, criteria: Fiducial, reading: Reading) -> str:
-    """Text of several tables: for each size of a tag its range and its pose errors, and the smallest tag that is
-    read.
+    """Text of several tables: for each size of the tag, its range and the errors of the pose from it; and the edge
+    length of the smallest tag that is read.
     """
     tags = [tag.of_size(edge) for edge in tag.sizes]
     lines = [
@@ -160,7 +162,9 @@ def reach_text(camera: Camera, tag: Tag, criteria: Fiducial, reading: Reading) -
 
 
 def _reads(camera: Camera, tag: Tag, criteria: Fiducial, reading: Reading) -> list[list[str]]:
-    """Table with a row for each angle: the range of a tag, and the pose error at each distance within the range."""
+    """Table with a row for each incidence angle: the range of a tag, and the pose error at each distance within the
+    range.
+    """
     rows = [["incidence", "read from", "to", *(f"alone at {distance:g} m" for distance in reading.distance)]]
     for angle in reading.incidence:
         found = reach(criteria, camera, math.radians(angle))
@@ -182,8 +186,8 @@ def _error(position: float, attitude: float) -> str:
 
 
 def _edges(camera: Camera, tag: Tag, criteria: Fiducial, reading: Reading) -> list[list[str]]:
-    """Table of the edge length of the smallest tag that is read, with a row for each angle and a column for each
-    distance.
+    """Table of the edge length of the smallest tag that is read, with a row for each incidence angle and a column for
+    each distance.
     """
 
     def of(edge: float) -> Fiducial:

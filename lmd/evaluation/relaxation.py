@@ -1,4 +1,5 @@
-"""Concave relaxation F of an objective, the multipliers that bound F, and the largest gain of a landmark on the walls.
+"""Concave relaxation F of an objective, the search for multipliers that give an upper bound on F, and a bound on the
+largest gain of a landmark on the walls.
 
 An interrupted search still gives a valid bound. `lmd.evaluation.bounds` defines the symbols and derives the bound.
 """
@@ -71,7 +72,9 @@ class Dual(NamedTuple):
     """Multipliers y, `(P, D)` for P positions and D axes."""
 
     def bound(self, count: int, gain: float) -> float:
-        """Upper bound for `count` free landmarks if none has a gain above `gain`; at most 1."""
+        """Upper bound on the fitness with `count` free landmarks, if no landmark has a gain above `gain`; the bound is
+        at most 1.
+        """
         return min(self.constant + count * gain, 1.0)
 
 
@@ -97,11 +100,13 @@ class Relaxation:
 
     @cached_property
     def fixed_coverage(self) -> FloatArray | float:
-        """Number b of fixed landmarks that cover each axis from each position, `(P, D)`; 0 without fixed landmarks."""
+        """Number b of fixed landmarks that are covered with each axis from each position, `(P, D)`; 0 without fixed
+        landmarks.
+        """
         return 0.0 if self.fixed is None else covered_amounts(self.evaluator, self.fixed, np.ones(len(self.fixed)))
 
     def value(self, added: FloatArray) -> float:
-        """Value of F if free landmarks cover each axis `added` = c - b times, `(P, D)`."""
+        """Value of F if `added` = c - b, `(P, D)`, free landmarks are covered from each position with each axis."""
         seen = averaged(np.minimum((added + self.fixed_coverage) / self.n, 1.0), self.weights)
         return float(self.shares @ np.minimum(seen / self.threshold, 1.0))
 

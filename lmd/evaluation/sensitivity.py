@@ -45,8 +45,8 @@ from lmd.sight.kernels import PROBABILITY_ONE
 
 @dataclass(frozen=True)
 class RigMoments:
-    """Moments of a rig's evaluator (a moment is a position with an orientation of the rig), and the conditions under
-    which the rig is localised.
+    """Moments of a rig, and the conditions under which the rig is localised. A moment is a position of the rig's
+    evaluator with an orientation.
     """
 
     evaluator: Evaluator
@@ -93,8 +93,8 @@ class RigMoments:
         return np.array([self.decided(self.moments, seen & (draw >= p)) @ self.share for p in probabilities])
 
     def lost(self) -> FloatArray:
-        """Means of L and P_n if landmarks i and j are lost, but still hide others, `(2, K, K)`; only landmark i is lost
-        in entries on the diagonal.
+        """Means of L and P_n if landmarks i and j are lost (not detected, though they still hide other landmarks), `(2,
+        K, K)`; only landmark i is lost in entries on the diagonal.
         """
         seen, share = self.moments.seen, self.share
         shown = np.asarray(seen.any(axis=0))  # (N, K)
@@ -151,7 +151,9 @@ class Variant:
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """Shares of localised and of covered views under other assumptions, as fractions in [0, 1]."""
+    """Shares of localised and of covered views, fractions in [0, 1], if assumptions have other values than in the
+    problem.
+    """
 
     assumptions: pd.DataFrame
     """Table with the columns `assumption,factor,value,localised_share,covered_share,note`; the shares are NaN in rows
@@ -162,10 +164,12 @@ class Sensitivity:
     landmark is missed.
     """
     tags: pd.DataFrame
-    """Table with the columns `id,localised_loss,covered_loss`: decrease of both shares if this landmark is lost."""
+    """Table with the columns `id,localised_loss,covered_loss`: decrease of the two shares (localised, covered) if this
+    landmark is lost.
+    """
     lost: pd.DataFrame
-    """Table with the columns `lost,share,mean,worst,worst_ids`: decrease of each share if one landmark or a pair is
-    lost.
+    """Table with the columns `lost,share,mean,worst,worst_ids`: mean and greatest decrease of each share if one
+    landmark (`lost` = 1) or a pair of landmarks (`lost` = 2) is lost.
     """
     cameras: pd.DataFrame | None = None
     """Table with the columns `camera,localised_share,covered_share,localised_loss,covered_loss`, a row for each camera
@@ -205,7 +209,8 @@ class Sensitivity:
 
 
 def sensitivity(problem: Problem, deployment: Deployment, seed: int, sample: Sample = SAMPLE) -> Sensitivity:
-    """Measure the metrics of a deployment under other assumptions. Results do not depend on the number of threads.
+    """Measure the metrics of a deployment with other values of the assumptions. Results do not depend on the number of
+    threads.
 
     Args:
         problem: problem with the scene; assumptions come from its objective, or from the default `Localisation`.
@@ -232,7 +237,7 @@ def sensitivity(problem: Problem, deployment: Deployment, seed: int, sample: Sam
 
 
 def _cameras(failed: FloatArray, whole: FloatArray) -> pd.DataFrame:
-    """Make the table `Sensitivity.cameras` from the shares without each camera, `(C, 2)`, and with all cameras,
+    """Make the table `Sensitivity.cameras` from the shares if each of C cameras fails, `(C, 2)`, and with all cameras,
     `(2,)`.
     """
     table = pd.DataFrame(failed, columns=SHARE_COLUMNS).rename_axis("camera").reset_index()
@@ -316,7 +321,7 @@ def missed_shares(field: LocalisationField, deployment: Deployment, rng: np.rand
 
     L is estimated by one draw for every landmark in every view. All probabilities share the draw, so that a landmark
     missed at one probability is missed at all greater probabilities. The mean of P_n is exact, as the number of
-    detected landmarks is binomial. Missed landmarks still hide others.
+    detected landmarks is binomial. Missed landmarks still hide other landmarks.
 
     Args:
         field: incremental evaluator with positions and orientations.

@@ -83,7 +83,9 @@ def write_iohprofiler(folder: Path, runs: Sequence[OptimiserRun], problem: str, 
 
 @dataclass(frozen=True)
 class Tournament:
-    """Medians of a metric over seeds for each problem and optimiser, and the tests of these medians."""
+    """Comparison of optimisers over several problems: the median of a metric over the seeds for each problem and
+    optimiser, and the tests of these medians.
+    """
 
     values: pd.DataFrame
     """Medians, with a row for each problem and a column for each optimiser, ordered by mean rank; NaN if there is no

@@ -1,11 +1,11 @@
-"""Trade-off between a metric and the number or size of landmarks. Searches also start from the best deployments for
-neighbouring numbers.
+"""Trade-off between a metric and the number or size of landmarks. Searches also start from the best deployments with
+neighbouring numbers of landmarks.
 
 The deployment for K landmarks is the best result of three searches. The first search begins from the start of the
 problem. The second begins from the deployment for the next smaller number, after adding landmarks with the largest
 gain. The third begins from the deployment for the next larger number, after removing landmarks with the least loss.
 
-All tags of a deployment have one size.
+In such a deployment all tags have one size.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -81,8 +81,8 @@ def improved(
     problem_of: Callable[[int], Problem],
     search: Callable[[int, Problem, str], Found],
 ) -> dict[int, Found]:
-    """Search again for chosen numbers of landmarks, starting from the deployments for neighbouring numbers; keep the
-    better deployment.
+    """Search again for each chosen number of landmarks, starting from the deployments for neighbouring numbers; keep
+    the best deployment for each number.
 
     Args:
         known: results, keyed by the number of landmarks; adjacent numbers are neighbours.
@@ -102,7 +102,8 @@ def improved(
 
 
 def front(points: pd.DataFrame, figures: list[str]) -> pd.DataFrame:
-    """Medians over the seeds of the metrics `figures`, and the least and greatest value of the first metric.
+    """For each edge length and number of landmarks: the median over the seeds of each metric in `figures`, and the
+    least and greatest value of the first metric.
 
     Args:
         points: table with a row for each `edge`, `count` and `seed`.

@@ -4,10 +4,10 @@ Rotation errors are small angles about the axes of a level body that has the hea
 forward axis, pitch about its left axis, yaw about the vertical. These angles are also defined for a camera that looks
 straight up.
 
-A view is of one of three kinds, named by the number of poses that fit its image: `one`, `two`, or `none` if the view
-shows no tag. The kind is `two` if the view shows a single tag, and the second, mirrored solution of PnP fits better
-than the true pose with a probability above 1 % (`lmd.objectives.localisation.ambiguity`). The standard deviations then
-refer to the true pose.
+There are three kinds of views, named by the number of camera poses that fit the image: `one`, `two`, or `none` if the
+view shows no tag. The kind is `two` if the view shows a single tag, and the second, mirrored solution of PnP fits
+better than the true pose with a probability above 1 % (`lmd.objectives.localisation.ambiguity`). The standard
+deviations then refer to the true pose.
 """
 
 from dataclasses import dataclass, replace
@@ -57,8 +57,8 @@ class UncertaintyStudy(Checked):
     possible, otherwise the table of that detector, or `objective` if the detector's corner errors are unknown.
     """
     shift: NotNegative | None = None
-    """Standard deviation, pixels, of a shift of tag edges (outwards or inwards) that all tags of an image share; None
-    for the detector's `CornerErrors.inward_spread`, which is 0 for `objective`.
+    """Standard deviation, pixels, of a shift of the tags' edges, outwards or inwards, that is common to all tags in an
+    image; None for the detector's `CornerErrors.inward_spread`, which is 0 for `objective`.
     """
     weights: Annotated[str, partial(choice, options=WEIGHTS)] = "equal"
     """Weights of the corners in the pose solver, see `lmd.estimation.pose_covariance`."""
@@ -128,8 +128,8 @@ class Uncertainty:
     """Text about the source of the corner errors."""
 
     def metrics(self) -> dict[str, float]:
-        """Shares of the views of each kind, and medians and 90 % quantiles of the standard deviations over the views of
-        kind `one`.
+        """Metrics: the fraction of views of each kind; and the median and the 90 % quantile, over the views of kind
+        `one`, of each standard deviation.
         """
         found = {f"share_{kind}": float((self.views.pose == kind).mean()) for kind in (ONE, TWO, NONE)}
         some = self.views[self.views.pose == ONE]
@@ -193,8 +193,8 @@ def uncertainty(
 
 
 def level_deviations(covariances: FloatArray, yaw: FloatArray) -> FloatArray:
-    """Standard deviations `SDS`, `(V, 6)`, from covariances of (p, r) in the world frame, `(V, 6, 6)`; NaN where a
-    covariance is infinite.
+    """Convert covariances of (p, r) in the world frame, `(V, 6, 6)`, to the standard deviations `SDS` of V views, `(V,
+    6)`; NaN where a covariance is infinite.
 
     Args:
         covariances: m^2 and rad^2; infinite if there is no pose.

@@ -1,4 +1,6 @@
-"""Standard deviations of a pose against distance and number of tags: a table, and fitted formulas ("laws")."""
+"""Dependence of the standard deviations of a pose on the distance and the number of tags: a table, and fitted formulas
+("laws").
+"""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -37,8 +39,8 @@ class UncertaintyLaw:
     laws: Mapping[str, Law]
     """Fitted formula for each standard deviation in `QUANTITIES`."""
     rules: Mapping[str, Mapping[str, Rule]]
-    """Rules that are commonly used instead of the law, keyed by name, fitted to each standard deviation in
-    `QUANTITIES`.
+    """Simpler formulas ("rules") that are commonly used instead of the law, keyed by name; each is fitted to each
+    standard deviation in `QUANTITIES`.
     """
     errors: "pd.DataFrame"
     """Table with the columns `quantity` and `rule` (`law`, `one law`, and `RULES`), and the quantiles of
@@ -55,7 +57,7 @@ class UncertaintyLaw:
     """
 
     def document(self) -> dict[str, Any]:
-        """Laws, rules and their errors as a document for JSON."""
+        """The laws, the rules, and the errors of both, as a document for JSON."""
         errors = {
             quantity: {row["rule"]: {k: v for k, v in row.items() if k not in ("quantity", "rule")} for row in rows}
             for quantity, rows in ((q, self.errors[self.errors.quantity == q].to_dict("records")) for q in QUANTITIES)

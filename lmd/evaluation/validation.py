@@ -12,7 +12,8 @@ qualified ratio on that grid is biased upwards. Three metrics do not depend on t
 Like `qualified_ratio`, these metrics weigh all positions equally, without the relevance.
 
 With a crowd, each group has newly drawn crowd states, as many as the problem has, and equal positions in all states;
-the finer grid has the states of the problem. The main metric (headline) is also given for the worst states of a group.
+the finer grid has the states of the problem. The main metric (headline) is also computed for the worst crowd states of
+a group.
 
 For a recording, the metrics are computed at the recorded poses: at the poses used for the optimisation, and at the
 held-out poses.
@@ -137,7 +138,7 @@ def describe_validation(problem: Problem, figures: Mapping[str, float]) -> dict[
 
 
 def _mean_and_error(shares: FloatArray | BoolArray) -> tuple[float, float]:
-    """Mean of values `(groups, positions)` of a sample, and the standard error of the mean."""
+    """Mean of the values `(groups, positions)` at the positions of a sample, and the standard error of the mean."""
     means = shares.mean(axis=1)
     return float(means.mean()), float(means.std(ddof=1) / np.sqrt(len(means)))
 
@@ -263,8 +264,8 @@ def exact_values(problem: Problem, deployment: Deployment, records: "Records") -
 
 
 def _share_and_error(values: FloatArray, records: "Records") -> tuple[float, float | None]:
-    """Mean of the values over time, and its standard error from the residuals of blocks of time; the error is None for
-    a single block.
+    """Mean of the values over the recorded time, and the standard error of the mean, computed from the residuals of
+    blocks of time; the error is None for a single block.
     """
     seconds, good = records.seconds, records.seconds * values
     share = good.sum() / seconds.sum()

@@ -1,4 +1,5 @@
-"""Verdicts of a visibility model: the criteria that landmarks meet in single poses, and on average over random poses.
+"""Verdicts of a visibility model: for each of its criteria, the landmarks that meet it in a given pose, and the share
+of landmarks that meet it in random poses.
 
 A landmark is covered if it meets every criterion at the same time. Two metrics describe a criterion: the share of
 landmarks that meet it, and the share of landmarks that would be covered if this criterion were dropped.
@@ -91,8 +92,8 @@ class Causes:
         return {"covered": self.covered} | met | {f"covered_without_{name}": x for name, x in self.without.items()}
 
     def to_text(self) -> str:
-        """Text for a terminal: a row for each criterion, in descending order of the share of sightings that the
-        criterion excludes.
+        """Text for a terminal: a row for each criterion. The first row has the criterion that alone excludes the
+        largest share of sightings.
         """
         rows = [("criterion", "met by", "covered without it", "limit")]
         for name in sorted(self.without, key=lambda name: -self.without[name]):

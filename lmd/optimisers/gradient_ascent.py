@@ -104,7 +104,7 @@ class GradientAscent(DeploymentSearch):
         return self._spend(problem, budget, callback, step, lambda: self.spent / count)
 
     def _trial(self, problem: Problem, climb: "_Climb") -> Deployment:
-        """Try a step, or begin the next ascent; return the deployment to be evaluated."""
+        """Try a step of the present ascent, or begin the next ascent; return the deployment to be evaluated."""
         width = self.widths[self.stage]
         if self.direction is None:
             self.direction = climb.direction(self.step, width)
@@ -157,13 +157,16 @@ class GradientAscent(DeploymentSearch):
 
 
 def _movable(problem: Problem, start: Deployment) -> Deployment:
-    """Return the start with its free landmarks on the surfaces where they may move, flush if they have a size."""
+    """Return the deployment `start` with its free landmarks on surfaces where they may move; landmarks with a size are
+    made flush.
+    """
     footprints = problem.scene.footprints
     return problem.complete(problem.free(start).movable(footprints.room, flush=footprints.edge > 0.0))
 
 
 class _Climb:
-    """State of one ascent: the present deployment, in the field (the incremental evaluator) of the objective.
+    """State of one ascent: the present deployment, and the state of the objective's field (the incremental evaluator)
+    for this deployment.
 
     Args:
         problem: problem with an incremental objective.

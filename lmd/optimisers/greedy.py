@@ -30,8 +30,8 @@ class Greedy(Annealing):
     """Greedy selection from a grid of poses on the walls; the rest of the budget refines the result by annealing at a
     low temperature.
 
-    The footprints of chosen poses do not overlap. To evaluate the gain of a pose costs as much of the budget as to move
-    a landmark.
+    The footprints of chosen poses do not overlap. Evaluating the gain of one pose costs as much of the budget as moving
+    one landmark.
 
     Args:
         spacing: spacing of the grid, metres; enlarged if the budget does not suffice.
@@ -71,7 +71,7 @@ class GreedyDeployment(Checked):
         objective: objective that has a surrogate for greedy choice (`selection`).
         spacing: spacing of the grid of poses, metres.
         threads: worker threads, all processors by default; the result does not depend on the number.
-        fixed: landmarks that exist already, with their surfaces; the selection adds the other landmarks.
+        fixed: landmarks that exist already, with their surfaces; the selection adds landmarks up to `count`.
 
     Raises:
         InputError: a value is out of range.

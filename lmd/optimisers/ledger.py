@@ -1,4 +1,4 @@
-"""Budget of a run, and its ledger, which records spent evaluations and time, and the best fitness."""
+"""Budget of a run, and the run's ledger, which records the spent evaluations and time, and the best fitness."""
 
 import math
 from bisect import bisect_left, bisect_right
@@ -16,7 +16,7 @@ ROUNDING = 1e-6  # evaluations are sums of parts 1/K
 
 @dataclass(frozen=True)
 class Budget(Checked):
-    """Limits of a run, in evaluations and in time.
+    """Limits on the number of evaluations and on the time of a run.
 
     Raises:
         InputError: a limit is not positive, or no limit is given.
@@ -94,7 +94,9 @@ class Ledger:
         return improved[-1] if improved else None
 
     def state(self) -> dict[str, Any]:
-        """Return the history as arrays `(N,)`, for a checkpoint; the other attributes follow from the history."""
+        """Return the N records of the history as arrays `(N,)`, one for each field of `Record`, for a checkpoint; the
+        other attributes of the ledger follow from the history.
+        """
         return {f.name: np.array([getattr(r, f.name) for r in self.history], dtype=float) for f in fields(Record)}
 
     @classmethod

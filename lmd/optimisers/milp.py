@@ -1,5 +1,5 @@
-"""Best choice of poses from a lattice, with a proof of optimality, by a mixed-integer linear program for the solver
-HiGHS.
+"""Best choice of landmark poses from a lattice, with a proof of optimality. A mixed-integer linear program is solved by
+the solver HiGHS.
 
 Let `x_j` be the number of landmarks at pose j of the lattice, `A_jpa` = 1 if a landmark at pose j covers axis a from
 position p without occlusion, else 0, `w_a` the probability of an axis and `r_p` the relevance of a position. Then
@@ -93,7 +93,7 @@ def per_pose(problem: Problem) -> int:
 def placed(problem: Problem, poses: Deployment, taken: IntArray) -> Deployment:
     """Make the deployment with `taken` `(J,)` landmarks at the J poses; fixed landmarks come first.
 
-    Points that share a pose are separated; tags are ordered as the problem's sizes.
+    Landmarks that are points and share a pose are separated; tags are put in the order of the problem's sizes.
     """
     if poses.has_own_edges:
         sizes, own = problem.free_sizes, poses.edges_of(problem.scene.tag)
@@ -110,7 +110,9 @@ def placed(problem: Problem, poses: Deployment, taken: IntArray) -> Deployment:
 
 
 def _seen(problem: Problem, landmarks: Deployment) -> NDArray[np.int8]:
-    """Number of landmarks that cover each view (a position with an axis) without occlusion, limited to n, `(P, A)`."""
+    """Number of the `landmarks` that each view (a position with an axis) covers without occlusion, limited to n, `(P,
+    A)`.
+    """
     counts = covered_amounts(problem.evaluator, landmarks, np.ones(len(landmarks)))
     return np.minimum(counts[:, _used(problem)], problem.objective.n).astype(np.int8)
 
@@ -123,7 +125,9 @@ def _views(problem: Problem) -> FloatArray:
 
 
 def _used(problem: Problem) -> BoolArray:
-    """Mask of the axes with a positive probability; axes with probability 0 only fill up words of 64 bits."""
+    """Mask of the axes with a positive probability. Axes with probability 0 exist only because axes are stored in words
+    of 64 bits, which they fill up.
+    """
     return np.asarray(problem.evaluator.probability.max(axis=0) > 0.0)
 
 
@@ -134,25 +138,28 @@ class Program:
     """
 
     covers: csr_array
-    """Matrix `(R, J)` with 1 if a landmark at the pose covers the views of the row."""
+    """Matrix `(R, J)` with 1 if the views of the row see a landmark at the pose, else 0."""
     counted: IntArray
-    """Number of fixed landmarks that cover the views of each row, `(R,)`."""
+    """Number of fixed landmarks that the views of each row see, `(R,)`."""
     weights: csr_array
-    """Matrix `(P, R)` with the probability of the views of each row, at the position of the row."""
+    """Matrix `(P, R)` with the total probability of the views of each row in the line of the row's position; other
+    entries are 0.
+    """
     overlaps: coo_array
     """Matrix `(C, J)` with 1 at both poses of each of C pairs whose footprints overlap."""
     sizes: csr_array
-    """Matrix `(S, J)` with 1 if the pose is for tags of the size."""
+    """Matrix `(S, J)` with 1 if the pose is a pose for tags of the size, else 0."""
     counts: IntArray
     """Number of landmarks of each size, `(S,)`."""
     relevance: FloatArray
     """Relevance of each position, `(P,)`."""
     n: int
-    """Number n of landmarks that must cover a view."""
+    """Number n of landmarks that a view must see to count as covered."""
     threshold: float
-    """Threshold thold_p: probability of covered views from which on a position is qualified."""
+    """Threshold thold_p: a position is qualified if the total probability of its covered views is at least this number.
+    """
     copies: int
-    """Largest number of landmarks at a pose."""
+    """Largest number of landmarks that may share a pose, see `per_pose`."""
 
     @classmethod
     def of(cls, problem: Problem, poses: Deployment) -> "Program":
@@ -218,10 +225,11 @@ POLL_SECONDS = 0.2  # seconds between two calls of the callback while the solver
 
 
 class Milp(DeploymentSearch):
-    """Best deployment on a lattice of poses, with an upper bound for all deployments on this lattice.
+    """Optimiser that finds the best deployment on a lattice of poses, and an upper bound on the fitness of all
+    deployments on this lattice.
 
-    The start is the result until the solver finds a better deployment. To compute the views that a pose covers costs as
-    much of the budget as to move one landmark; the solver costs only time. The solver cannot be resumed: a resumed run
+    The start is the result until the solver finds a better deployment. Computing the views that see a pose costs as
+    much of the budget as moving one landmark; the solver costs only time. The solver cannot be resumed: a resumed run
     starts over.
 
     Args:
@@ -240,8 +248,8 @@ class Milp(DeploymentSearch):
         self.proven: dict[str, float] = {}
 
     def figures(self) -> dict[str, float]:
-        """Upper bound, value of the solver's choice without occlusion, and difference between the bound and the
-        result.
+        """Metrics: the upper bound, the value of the solver's choice without occlusion, and the difference between the
+        bound and the fitness of the result.
         """
         return self.proven
 

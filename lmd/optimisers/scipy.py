@@ -1,5 +1,5 @@
-"""Adapter that makes a global optimiser of SciPy an `AskTell` optimiser. SciPy's functions call the objective, so each
-runs in a thread of its own.
+"""Adapter that makes a global optimiser of SciPy an `AskTell` optimiser. SciPy's optimisers are functions that call the
+objective, so such a function runs in a thread of its own.
 """
 
 import inspect

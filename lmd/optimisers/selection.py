@@ -45,11 +45,13 @@ class Tags:
     """Tag that applies to poses without an edge length of their own."""
 
     def prices(self, poses: Deployment) -> FloatArray:
-        """Price by which the gain of each pose is divided, `(N,)`."""
+        """Price of a landmark at each of N poses, by which the gain of the pose is divided, `(N,)`."""
         return np.ones(len(poses))
 
     def none_left(self, poses: Deployment, chosen: Sequence[int]) -> BoolArray:
-        """Mask `(N,)` of the poses for whose size no landmark remains once the poses `chosen` are taken."""
+        """Mask `(N,)` of those poses that can no longer be chosen: once the poses `chosen` are taken, no landmark of
+        their size remains.
+        """
         sizes, of = np.unique(poses.edges_of(self.tag), return_inverse=True)
         left = (self.sizes == sizes[:, None]).sum(axis=1) - np.bincount(of[list(chosen)], minlength=len(sizes))
         return np.asarray((left <= 0)[of])
@@ -93,7 +95,8 @@ def select(
         poses: N candidate poses.
         stock: supply of landmarks; a number for landmarks that are points.
         footprints: footprints of the tags; None for landmarks that are points.
-        allowance: largest number of gains to evaluate; fewer poses are chosen if the allowance does not suffice.
+        allowance: largest number of gains that may be evaluated; fewer poses are chosen if this number does not
+            suffice.
         fixed: landmarks that are chosen before the first of the poses.
         stop: function that is called from time to time, and returns True to end the choice early.
 
@@ -140,7 +143,8 @@ def add_each(selection: Selection, fixed: Deployment | None) -> None:
 
 
 def candidates(footprints: Footprints, edges: FloatArray, spacing: float) -> Deployment:
-    """Candidate poses of a grid where tags may hang, for each size in `edges` `(K,)`, metres, see `Deployment.edges`.
+    """Candidate poses on a grid of the places where tags may hang, for each different edge length in `edges` `(K,)`,
+    metres, see `Deployment.edges`.
 
     The poses have edge lengths of their own if any of `edges` is not NaN.
     """
@@ -187,7 +191,7 @@ def greedy_start(
 
 
 def _in_place(problem: Problem, start: Deployment, found: Deployment) -> Deployment:
-    """Replace the first free landmarks of each size in `start` by the landmarks `found`."""
+    """Copy of `start` in which the landmarks `found` replace the first free landmarks of their size."""
     new = found.edges_of(problem.scene.tag)
     for edge in np.unique(new):
         these = np.flatnonzero(new == edge)
@@ -199,7 +203,8 @@ def _in_place(problem: Problem, start: Deployment, found: Deployment) -> Deploym
 def composition(
     scene: Scene, objective: Objective, threads: int | None = None, fixed: Deployment | None = None
 ) -> tuple[int, ...]:
-    """Choose the number of tags of each edge length by greedy selection, comparing the gains divided by the prices.
+    """Choose the number of tags of each edge length by greedy selection; candidates are compared by their gain divided
+    by their price.
 
     Args:
         scene: scene whose tag has several edge lengths, and a limit on the area of paper or on the cost.
@@ -227,8 +232,8 @@ def composition(
 
 
 def stock_of_sizes(tag: Tag, footprints: Footprints, limit: float) -> Stock:
-    """Supply of tags of any edge length of `tag`, with a limit on the cost if the tag has a budget, else on the area of
-    paper, square metres.
+    """Supply of tags with any of the edge lengths of `tag`. The limit is on the total cost if the tag has a budget,
+    else on the total area of paper, square metres.
     """
     if tag.budget is None:
         return Limited(limit, lambda poses: footprints.papers(poses) ** 2)

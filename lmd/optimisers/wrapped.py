@@ -157,6 +157,6 @@ def _set_global_state(state: tuple[Any, Any]) -> None:
 
 
 def _global_state_of(seed: int) -> tuple[Any, Any]:
-    """State of the global random generators after they are seeded with `seed`."""
+    """State that the global random generators have after they are seeded with `seed`."""
     legacy = np.random.RandomState(seed % 2**32)
     return random.Random(seed).getstate(), legacy.get_state()
