@@ -326,7 +326,7 @@ def _fields(part: Any) -> dict[str, Any]:
 
 
 def _finite(value: Any) -> Any:
-    """Replace infinite numbers in a value by None, such as an infinite focus distance, and arrays by their shape."""
+    """In a value, replace infinite numbers, such as an infinite focus distance, by None, and arrays by their shape."""
     if isinstance(value, np.ndarray):
         return f"array of shape {value.shape}"
     if isinstance(value, Mapping):

@@ -38,7 +38,9 @@ def escaped(text: object) -> str:
 
 
 def as_code(text: object) -> str:
-    """Text as inline code in Markdown: in backticks, or in HTML tags and `escaped` if it has special characters."""
+    """Text as inline code in Markdown: in backticks; a text with special characters is `escaped` and put in HTML tags
+    instead.
+    """
     plain = str(text)
     is_plain = plain.isprintable() and plain == plain.strip() != "" and not CODE_MARKS.search(plain)
     return f"`{plain}`" if is_plain else f"<code>{escaped(plain)}</code>"

@@ -150,7 +150,9 @@ def contribution(target: Any, p: Integer, units: Integer) -> Any:
 
 @overridable
 def placed(state: Any) -> Any:
-    """Part of a state with `poses` and `surfaces`: the state itself, unless its class registers another function."""
+    """Part of a state that has `poses` and `surfaces`: the state itself, unless the state's class registers another
+    function.
+    """
     return state
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Headline:
-    """Label, unit and format in displays of a figure (a metric), such as the main figure of an objective.
+    """Label, unit and format with which displays show a figure (a metric), such as the main figure of an objective.
 
     Args:
         key: name of the figure in mappings of figures.

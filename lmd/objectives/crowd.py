@@ -168,7 +168,9 @@ def describe_crowd(objective: Objective, figures: Mapping[str, float], evaluator
 
 
 def worst_share(shares: FloatArray, evaluator: Evaluator) -> FloatArray:
-    """Mean of `shares` `(P,)`, values in [0, 1], over the crowd states that have the lowest means."""
+    """Mean of `shares` `(P,)`, values in [0, 1], over the worst crowd states, which are the states with the lowest
+    means of `shares`.
+    """
     count = len(_states(evaluator)[0])
     return worst_mean(shares.reshape(count, -1).mean(axis=-1), _worst_count(evaluator, count))
 

@@ -248,7 +248,8 @@ def _open_yaws(divisions: int) -> FloatArray:
 
 
 def grid_with_ends(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
-    """PDF uniform over the angles, on a grid that includes both ends (`grid_325` for 12 divisions).
+    """PDF uniform over the angles, on a grid that includes both ends of the range of each angle (`grid_325` for 12
+    divisions).
 
     The paper's tables use this grid: all printed maxima are multiples of 1/325. The PDF is uniform over the angles, not
     over the sphere: each pole has 25 orientations, and each direction with a yaw of +-pi has two.

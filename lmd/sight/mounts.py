@@ -50,7 +50,7 @@ class MountGroup(NamedTuple):
     centres: np.ndarray
     """`(C, 3)` offsets of the centres from the body's origin, world frame, metres."""
     radius: np.ndarray
-    """`(C,)` upper bound on the distance between each centre and its cameras, metres."""
+    """`(C,)` upper bound on the distance between each centre and the cameras around the centre, metres."""
     mounts: np.ndarray
     """Mounts `mounts[c]` to `mounts[c + 1] - 1` belong to centre c, `(C + 1,)`."""
     offsets: np.ndarray

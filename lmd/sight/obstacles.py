@@ -37,7 +37,7 @@ class Obstacles(NamedTuple):
     offsets: np.ndarray
     """`(J,)` distances of the planes from the origin, metres, see `Blockers`."""
     first: np.ndarray
-    """Index of the first plane of each body, and J, `(M + 1,)` for M bodies, see `Blockers`."""
+    """Index of the first plane of each body, followed by J, `(M + 1,)` for M bodies, see `Blockers`."""
     heights: np.ndarray
     """`(P, J)` signed heights of the positions above the planes, metres."""
 

@@ -77,8 +77,8 @@ class Viewpoint(NamedTuple):
     w: np.ndarray
     """`(K,)` third coordinate of the unit direction to the landmark."""
     close: np.ndarray
-    """`(K,)` least squared cosine between the direction of the landmark and the direction of a landmark that it may
-    hide.
+    """`(K,)` least squared cosine of the angle between the direction of the landmark and the direction of a landmark
+    that it may hide.
     """
     shown: np.ndarray
     """`(K,)` list of the landmarks that some orientation sees; the caller stores the length of the list."""

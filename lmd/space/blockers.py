@@ -119,7 +119,7 @@ def planes(edge: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def on_hull(polygon: Any) -> Any:
-    """Mask of the edges of a polygon's outer ring that lie on its convex hull, `(N,)`."""
+    """Mask of the edges of a polygon's outer ring that lie on the polygon's convex hull, `(N,)`."""
     import shapely
 
     middles = shapely.points(edges(polygon.exterior.coords[:-1]).mean(axis=1))

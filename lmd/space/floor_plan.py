@@ -32,9 +32,9 @@ class FloorPlan(Checked):
     height: Positive
     """Height of the ceiling above the floor, metres."""
     holes: Annotated[Sequence[Sequence[Sequence[float]]], partial(entries, check=checked_ring)] = ()
-    """Pillars from floor to ceiling, polygons like the outline; their walls are `hole_<i>_wall_<j>`."""
+    """Pillars from floor to ceiling, polygons like the outline; their walls are named `hole_<i>_wall_<j>`."""
     obstacles: Annotated[Sequence[Any], partial(all_made, kind=Obstacle)] = ()
-    """`Obstacle`s, or mappings of their arguments; their faces are `obstacle_<i>_<face>`."""
+    """`Obstacle`s, or mappings of their arguments; their faces are named `obstacle_<i>_<face>`."""
     surfaces: Sequence[str] | None = None
     """Names of the surfaces that may carry landmarks: walls, `floor` and `ceiling`; None for all. Faces listed in
     `Obstacle.faces` carry landmarks, too.

@@ -132,8 +132,8 @@ class Space(Protocol):
         """
 
     def passable(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
-        """Mask `(...)`: True if the camera may move straight from one of the reachable points `starts` `(..., 3)` to
-        its point of `ends`.
+        """Mask `(...)` of the pairs of reachable points, `starts` and `ends` `(..., 3)`, between which the camera may
+        move along a straight line.
         """
 
     def faces(self) -> tuple[Surface, ...]:

@@ -232,7 +232,8 @@ class SurfaceArrays(NamedTuple):
     of_piece: np.ndarray
     """Index of the surface of each trapezoid, `(T,)`."""
     shares: np.ndarray
-    """Cumulative areas of the trapezoids as fractions of the total area, for drawing random trapezoids, `(T,)`."""
+    """Cumulative areas of the trapezoids as fractions of the total area, for the random choice of a trapezoid, `(T,)`.
+    """
 
     @classmethod
     def of(cls, surfaces: Sequence[Surface]) -> "SurfaceArrays":

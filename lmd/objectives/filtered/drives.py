@@ -48,7 +48,7 @@ class Drives(Checked):
 
     @cached_property
     def first(self) -> IntArray:
-        """Index of the first frame of each drive, and F, `(D + 1,)`."""
+        """Index of the first frame of each drive, followed by F, `(D + 1,)`."""
         return np.concatenate([[0], np.cumsum([len(drive.time) for drive in self.trajectories])]).astype(np.int64)
 
     @cached_property

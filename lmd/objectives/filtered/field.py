@@ -86,7 +86,7 @@ class FilteredScratch(NamedTuple):
     """`(2, 4, L)` float32, see `lmd.incremental.state.Scratch.offsets`."""
     near: np.ndarray
     """`(2, W)` uint64 sets of landmarks, for the old place and for the place tried: those that may hide the moving
-    landmark, or be hidden by it, from a block of frames.
+    landmark, or be hidden by it, as seen from a block of frames.
     """
     ends: Any
     """Working memory of obstacles, see `lmd.sight.obstacles.find_ends`."""
@@ -128,7 +128,7 @@ class FilteredField(NamedTuple):
     tolerance: Tolerance
     """Limits of the covariance up to which a pose counts as known."""
     first: np.ndarray
-    """`(D + 1,)` index of the first frame of each drive, and F."""
+    """`(D + 1,)` index of the first frame of each drive, followed by F."""
     moves: np.ndarray
     """`(F, 5)`, see `Drives.moves`."""
     start: np.ndarray

@@ -144,7 +144,7 @@ class RigImages(NamedTuple):
 
 
 def images_of(evaluator: Evaluator, deployment: Deployment, here: slice = slice(None)) -> RigImages:
-    """Images that a rig takes of a deployment at the positions of an evaluator that have the indices `here`."""
+    """Images that a rig takes of a deployment at the positions of an evaluator in the slice `here`."""
     places, axes = evaluator.positions[here], evaluator.scene.orientations.axes
     weights = evaluator.weights if len(evaluator.weights) == 1 else evaluator.weights[here]
     weights = np.broadcast_to(weights[:, : len(axes)], (len(places), len(axes)))

@@ -91,7 +91,7 @@ def _suffices(sight: FiducialSight, square: FloatArray, determinant: FloatArray,
 def hidden_by_others(sight: FiducialSight, offset: FloatArray, normals: FloatArray) -> BoolArray:
     """Mask `(K,)` of the tags of which the centre or a corner is behind the footprint of another tag.
 
-    A footprint does not hide points at most `TOLERANCE` metres behind its plane, such as tags on its wall.
+    A footprint does not hide points at most `TOLERANCE` metres behind its plane, such as tags on the footprint's wall.
     """
     right, up = upright(normals)
     half = np.reshape(sight.half, (-1, 1))  # one number, or a column

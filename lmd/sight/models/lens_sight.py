@@ -86,8 +86,8 @@ class LensSight(NamedTuple):
     image_error: float
     """Upper bound on the error of `approximation`, focal lengths."""
     pinholes: tuple[FiducialSight, FiducialSight] | tuple[()]
-    """Two pinhole models; the pitches and areas of the first model are lower bounds, those of the second model upper
-    bounds, for the lens; empty for a fisheye.
+    """Two pinhole models. Pitch and area of the first model are lower bounds on pitch and area of the lens; pitch and
+    area of the second model are upper bounds. Empty for a fisheye.
     """
 
     @property
