@@ -285,8 +285,8 @@ class Adjustment:
         return system.frames.covariances(system.reached(root), self.inflation**-2.0 if self.links is None else 1.0)
 
     def _update_share(self, poses: Poses, floor: float) -> None:
-        """Set the fraction of the expected squared errors that remains after the fit, if links or a map also constrain
-        the unknowns.
+        """Set `share`, the fraction of the sightings' squared errors that is expected to remain after the fit, if links
+        of motion or a map also constrain the unknowns.
         """
         if self.links is not None or self.prior.joint is not None:
             here, there = (self.system(poses, floor, 0.0, weight).log_determinant for weight in (1.0, 1.0 + CHANGE))

@@ -155,7 +155,9 @@ def agreeing(sightings: Sightings, error: FloatArray) -> BoolArray:
 
 
 def fitting(sightings: Sightings, error: FloatArray, floor: float) -> BoolArray:
-    """Mask of the inliers among sightings with squared errors `error`, pixels^2, `(N,)`; False for NaN."""
+    """Mask of the inliers among N sightings with squared errors `error`, pixels^2, `(N,)`; False where the error is
+    NaN.
+    """
     near = np.sqrt(error / 4.0) <= np.maximum(OUTLIER_PIXELS, OUTLIER_SHARE * sightings.sizes)
     return np.asarray((error / sightings.variance(floor) <= OUTLIER_CHI_SQUARE) | near)
 

@@ -200,7 +200,8 @@ def best_sequence(costs: FloatArray, between: FloatArray) -> IntArray:
 
     Args:
         costs: cost of each pose, `(n, 2)`.
-        between: cost of pose a that follows pose b of the previous sighting, `(n, 2, 2)`.
+        between: `between[k, a, b]` is the cost of pose a of sighting k after pose b of sighting k - 1, `(n, 2, 2)`;
+            `between[0]` is ignored.
 
     Returns:
         index of the chosen pose of each sighting, 0 or 1, `(n,)`.

@@ -52,7 +52,9 @@ class Sheets:
     """`(6,)` inverse variances of the components of d_k."""
 
     def of(self, placed: BoolArray) -> "Sheets | None":
-        """Sheets with at least two tags that are `placed`, mask `(K,)`; None if there is no such sheet."""
+        """Those sheets of which at least two tags are placed, according to the mask `placed` `(K,)`; None if there is
+        no such sheet.
+        """
         own = placed[self.tag]
         own &= np.bincount(self.board[own], minlength=self.board.max(initial=0) + 1)[self.board] >= FEWEST
         board = np.unique(self.board[own], return_inverse=True)[1]

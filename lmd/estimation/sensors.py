@@ -201,7 +201,7 @@ def _places(camera: Camera, edges: FloatArray, found: FloatArray) -> tuple[Float
     """Rotation `(M, 3, 3)` from each tag's frame (right, up, normal) to the camera's frame, and centre of the tag
     `(M, 3)`.
 
-    A square has two similar poses (IPPE); the pose with the smaller reprojection error is taken.
+    Two poses of a square have similar images (IPPE); the pose with the smaller reprojection error is taken.
     """
     cv2 = optional("cv2", "detection")
     matrix, squares = intrinsics(camera), _squares(edges)

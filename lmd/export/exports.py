@@ -103,7 +103,9 @@ class Export(Checked):
         }
 
     def silent(self, tags: TagMap) -> tuple[str, ...]:
-        """Names of those formats whose files state no tag sizes, if the tags have several sizes; else empty."""
+        """Names of the formats among `formats` whose files state no tag sizes, if the tags have several sizes; else
+        empty.
+        """
         several = len(tags.by_size) > 1
         return tuple(name for name in self.formats if several and all_formats()[name].edges == NONE)
 

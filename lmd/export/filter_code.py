@@ -1,4 +1,4 @@
-"""Code that gives filters the standard deviations of poses: WPILib in Java.
+"""Code that gives a robot's filters the standard deviations of measured poses: a Java class for WPILib.
 
 WPILib's pose estimators receive the standard deviations of a measurement's x [m], y [m] and heading [rad] by
 `setVisionMeasurementStdDevs`, or with each `addVisionMeasurement`. PhotonVision has no such setting: its examples pass

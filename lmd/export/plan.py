@@ -39,7 +39,7 @@ LIGHT = 0.85  # grey level of tags' squares, and of lines below rows
 
 class Table(NamedTuple):
     """Table on the right of a page. `widths` are those of the columns, mm; `head` has the lines of the head; `boxes`
-    are the indices of the columns in which boxes are drawn.
+    are the indices of the columns in which boxes to tick are drawn.
     """
 
     widths: tuple[float, ...]

@@ -1,7 +1,7 @@
 """Bags of ROS 2, read without ROS: a folder with `metadata.yaml`, an MCAP file, or a database (`.db3`).
 
-Messages are read with the message definitions of `lmd`, as the library would generate code from the definitions in a
-bag. A bag is refused if its definition of a message type has another hash.
+Messages are read with the message definitions of `lmd`, as the library `rosbags` would generate code from the
+definitions in a bag. A bag is refused if its definition of a message type has another hash.
 """
 
 import math
@@ -54,7 +54,7 @@ class Message(NamedTuple):
 
 @cache
 def types() -> Any:
-    """Type store of the library, with the types of the messages that are read and written."""
+    """Type store of the library `rosbags`, with the types of the messages that are read and written."""
     optional("rosbags", EXTRA)
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -66,8 +66,8 @@ def types() -> Any:
 
 @cache
 def _reader() -> Any:
-    """Class of the library's reader for MCAP, with an additional check that compressed content does not expand beyond
-    the limits.
+    """Subclass of the reader for MCAP in the library `rosbags`, with an additional check that compressed content does
+    not expand beyond the limits.
     """
     optional("rosbags", EXTRA)
     library, mcap = (optional(f"rosbags.rosbag2.{name}", EXTRA) for name in ("reader", "storage_mcap"))

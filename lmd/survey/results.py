@@ -73,8 +73,8 @@ def map_columns(survey: Survey) -> dict[str, ArrayLike]:
 
 
 def map_covariance(survey: Survey) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Ids `(n,)` and positions `(n, 3)` of the tags of `map.csv`, and the covariance of their twists relative to the
-    other tags, `(6 n, 6 n)`.
+    """Ids `(n,)` and positions `(n, 3)`, metres, of the tags of `map.csv`, and the joint covariance of the twists of
+    these tags relative to each other, `(6 n, 6 n)`.
     """
     found = survey.found
     chosen = survey.placed[found.known]
