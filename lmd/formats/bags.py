@@ -66,7 +66,7 @@ def types() -> Any:
 
 @cache
 def _reader() -> Any:
-    """Subclass of the reader for MCAP in the library `rosbags`, with an additional check that compressed content does
+    """Subclass of the reader of bags in the library `rosbags`, with an additional check that compressed content does
     not expand beyond the limits.
     """
     optional("rosbags", EXTRA)
