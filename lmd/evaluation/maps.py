@@ -90,7 +90,7 @@ def map_errors(
 
 
 def named_figures(*tables: pd.DataFrame) -> dict[str, float]:
-    """Finite values of the given tables, keyed by names such as `fitness/5` for the row `fitness` and the column `5 %`."""
+    """Finite values in tables, keyed by names such as `fitness/5` for the row `fitness` and the column `5 %`."""
     return {
         f"{row}/{column}".replace(" %", ""): float(value)
         for table in tables

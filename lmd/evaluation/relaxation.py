@@ -100,13 +100,13 @@ class Relaxation:
 
     @cached_property
     def fixed_coverage(self) -> FloatArray | float:
-        """Number b of fixed landmarks that are covered with each axis from each position, `(P, D)`; 0 without fixed
-        landmarks.
-        """
+        """Number b of fixed landmarks that cover each axis from each position, `(P, D)`; 0 if there are none."""
         return 0.0 if self.fixed is None else covered_amounts(self.evaluator, self.fixed, np.ones(len(self.fixed)))
 
     def value(self, added: FloatArray) -> float:
-        """Value of F if `added` = c - b, `(P, D)`, free landmarks are covered from each position with each axis."""
+        """Value of F if `added` = c - b, `(P, D)`, is the number of free landmarks that cover each axis from each
+        position.
+        """
         seen = averaged(np.minimum((added + self.fixed_coverage) / self.n, 1.0), self.weights)
         return float(self.shares @ np.minimum(seen / self.threshold, 1.0))
 
