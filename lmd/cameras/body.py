@@ -1,4 +1,5 @@
-"""Body of a robot: boxes whose faces may carry cameras, and which may fill only a part of the cameras' images.
+"""Body of a robot. It consists of boxes whose faces may carry cameras, and may fill only a limited part of each
+camera's image.
 
 Coordinates are in the body frame of `lmd.scene.rig`: x forward, y to the left, z up.
 """
@@ -25,8 +26,9 @@ class Box(Checked):
 
     Args:
         low, high: opposite corners, body frame, metres.
-        faces: names of the faces that may carry cameras, from `FACES`; empty for a box that is only an obstacle.
-        name: prefix of the names of its faces if there are several boxes, as in `mast_front`.
+        faces: those of the `FACES` that may carry cameras; empty for a box that carries no camera and only blocks the
+            view.
+        name: name of the box, with which the names of its faces begin if there are several boxes, as in `mast_front`.
 
     Raises:
         InputError: the box is empty, or `faces` has an unknown name.

@@ -1,5 +1,5 @@
-"""Admissible mounts of cameras on a body (a mount is a camera and its pose in the body frame), and their genes in the
-unit box.
+"""Admissible mounts of cameras on a body, and the genes in the unit box that encode these mounts. A mount is a camera
+and its pose in the body frame.
 
 Mounts are rounded to whole millimetres and milliradians, so the mount in a file is exactly the mount that was
 evaluated.
@@ -74,8 +74,8 @@ class MountSpace(Checked):
         return ("along", "up", *turns, *(("lens",) if len(self.lenses) > 1 else ()))
 
     def mount(self, genes: FloatArray) -> Mount | None:
-        """Decode the genes `(G,)` in [0, 1] of one camera; None if the body fills too much of its image at any
-        angle.
+        """Decode the genes `(G,)` in [0, 1] of one camera; None if the body fills too much of the camera's image at
+        every angle to which the camera is turned.
         """
         s, of = self._surfaces, dict(zip(self.names, genes.tolist(), strict=True))
         edges = np.append(0.0, s.shares)
@@ -193,7 +193,7 @@ def rounded(camera: Camera, place: FloatArray, yaw: float, pitch: float, roll: f
 
 
 def _alike(one: Mount, other: Mount) -> bool:
-    """True if two mounts are equal within the rounding."""
+    """True if two mounts differ at most by the rounding to millimetres and milliradians."""
     away = np.abs(np.array(one.translation) - other.translation).max()
     return one.camera == other.camera and max(away, np.abs(one.rotation - other.rotation).max()) <= GIVEN_TOLERANCE
 
@@ -216,8 +216,8 @@ def _turned(angle: float) -> float:
 
 
 def _rays_of(camera: Camera) -> FloatArray:
-    """Viewing directions of R sampled pixels, including pixels at the borders, `(R, 3)`; components forward, left,
-    up.
+    """Viewing directions of R sampled pixels of a camera, including pixels at the image borders, `(R, 3)`; the
+    components point forward, to the left and up.
     """
     sizes = (camera.image_width, camera.image_height)
     u, v = (np.linspace(0.0, size, samples) for size, samples in zip(sizes, IMAGE_SAMPLES, strict=True))

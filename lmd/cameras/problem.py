@@ -1,5 +1,5 @@
-"""Placement of cameras as a problem for black-box optimisers: the tags are given, and the mounts of the cameras
-vary.
+"""Placement of cameras as a problem for black-box optimisers, in which the tags are given and the mounts of the cameras
+are optimised.
 """
 
 from collections import OrderedDict
@@ -45,7 +45,9 @@ class CameraViews:
         self._kept: OrderedDict[Mount, np.ndarray] = OrderedDict()
 
     def _alone(self, camera: Camera) -> Evaluator:
-        """Evaluator of a scene with the given camera alone; the positions of this evaluator are not used."""
+        """Evaluator of a scene with the given camera instead of the rig; the positions of this evaluator are
+        not used.
+        """
         if camera not in self._of_camera:
             scene = replace(self._evaluator.scene, camera=camera)
             self._of_camera[camera] = Evaluator(scene, self._evaluator.positions[:1], threads=1)
@@ -56,8 +58,8 @@ class CameraViews:
         return mount in self._kept
 
     def visible_tags(self, mount: Mount) -> np.ndarray:
-        """Tags that the camera with a mount sees from each of the N poses of the body, as bit sets `(N, W)` of W
-        words.
+        """Tags that a camera with the given mount sees from each of the N poses of the body, as bit sets of W words,
+        `(N, W)`.
         """
         if mount not in self._kept:
             self._kept[mount] = self._look(mount)
@@ -80,7 +82,7 @@ class CameraViews:
         return packed(found)
 
     def units(self, mounts: Sequence[Mount], n: int) -> np.ndarray:
-        """Quantised value of P_n at each position for all `mounts` together, `(P,)`."""
+        """Quantised value of P_n at each position for the rig that consists of all `mounts`, `(P,)`."""
         union = np.uint64(0)
         for mount in mounts:
             union = union | self.visible_tags(mount)  # type: ignore[assignment] # an array from the first on
@@ -154,7 +156,9 @@ class CameraProblem(Problem):
         return True
 
     def values_of(self, mounts: Sequence[Mount]) -> FloatArray:
-        """Value of the objective at each of the Q positions that enter the fitness, `(Q,)`."""
+        """Value of the objective, for the rig of these mounts, at each of the Q positions that the fitness depends on,
+        `(Q,)`.
+        """
         if self.counts:
             return np.asarray(self.views.units(mounts, self.objective.n) / PROBABILITY_ONE)
         measured = self.fitness_evaluator
@@ -163,8 +167,8 @@ class CameraProblem(Problem):
         return np.asarray(self.objective.values(evaluator, *landmarks)[0])
 
     def fitness_of_cameras(self, mounts: Sequence[Mount] | None) -> float:
-        """Fitness of the cameras with these mounts; -inf if they are not admissible. `stay` is tested only for a new
-        best fitness.
+        """Fitness of the rig of these mounts; -inf if the mounts are not admissible. As the test `stay` is slow, it is
+        made only if the fitness is a new best.
         """
         if mounts is None:
             return -np.inf
@@ -176,7 +180,7 @@ class CameraProblem(Problem):
         return fitness
 
     def reached(self, fitness: float) -> None:
-        """See `Genome.reached`; from now on, `stay` is tested only for a higher fitness."""
+        """See `Genome.reached`; from now on, the test `stay` is made only for a higher fitness."""
         self._most = max(self._most, fitness)
 
     @property

@@ -28,7 +28,7 @@ WIDEST_CONE = math.radians(89.0)
 
 
 class FieldOfView(NamedTuple):
-    """Angles from the optical axis to the four image borders, radians."""
+    """Angles between the optical axis and the four image borders (left, right, top, bottom), radians."""
 
     left: float
     right: float
@@ -129,7 +129,7 @@ class Camera(Checked):
 
     @property
     def _borders(self) -> FieldOfView:
-        """Distances of the four image borders from the principal point, in units of the focal length."""
+        """Distances of the four image borders (left, right, top, bottom) from the principal point, in focal lengths."""
         u, v = self.principal_point
         width, height = self.pixel_width / self.focal_length, self.pixel_height / self.focal_length
         return FieldOfView(
@@ -143,7 +143,8 @@ class Camera(Checked):
     def field_of_view(self) -> FieldOfView:
         """Angles phi_l, phi_r, phi_t, phi_b = atan(border distance on the sensor / f).
 
-        For a distorting lens: angles of the rays through the nearest points of the borders, at most `widest_angle`.
+        For a distorting lens, these are the angles of the rays through the point of each border that is nearest to the
+        principal point, at most `widest_angle`.
         """
         if self.lens is None:
             return FieldOfView(*map(math.atan, self._borders))

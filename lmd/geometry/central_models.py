@@ -1,4 +1,5 @@
-"""Central camera models of other programs, which are approximated by a lens of `lmd.geometry.lens`.
+"""Camera models with one centre of projection that other programs use; each is approximated by a lens of
+`lmd.geometry.lens`.
 
 A point (u, v, w) at the distance r is projected to (u, v) / d, in units of the model's focal lengths. The models are
 
@@ -48,17 +49,21 @@ class Restated(NamedTuple):
     focal_pixels: tuple[float, float]
     """Focal lengths (f / s_u, f / s_v), pixels."""
     principal_point: tuple[float, float]
-    """Principal point (c_x, c_y), pixels, with the origin that the fitted model uses."""
+    """Principal point (c_x, c_y), pixels; pixel coordinates have the same origin as in the camera model that was
+    fitted.
+    """
     model: str
     """Name of the lens model, see `lmd.geometry.lens`."""
     coefficients: tuple[float, ...]
     """Coefficients of the lens, see `lmd.geometry.lens`."""
     worst: float
-    """Largest distance between a point projected by the lens and by the fitted model, pixels."""
+    """Largest distance in the image between the projections of a point by the lens and by the other program's model,
+    pixels.
+    """
 
 
 def double_sphere(xi: Any, alpha: Any) -> Model:
-    """Projection of the double sphere model `ds`."""
+    """Projection function of the double sphere model `ds`."""
     xi, alpha = real("xi", xi, above=-1.0), real("alpha", alpha, low=0.0, high=1.0)
     share = alpha / (1.0 - alpha) if alpha <= 0.5 else (1.0 - alpha) / alpha
     least = -(share + xi) / np.sqrt(2.0 * share * xi + xi * xi + 1.0)
@@ -72,7 +77,7 @@ def double_sphere(xi: Any, alpha: Any) -> Model:
 
 
 def extended_unified(alpha: Any, beta: Any) -> Model:
-    """Projection of the extended unified model `eucm`."""
+    """Projection function of the extended unified model `eucm`."""
     alpha, beta = real("alpha", alpha, low=0.0, high=1.0), real("beta", beta, above=0.0)
 
     def image(u: FloatArray, v: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -84,7 +89,7 @@ def extended_unified(alpha: Any, beta: Any) -> Model:
 
 
 def unified(xi: Any, k1: Any = 0.0, k2: Any = 0.0, p1: Any = 0.0, p2: Any = 0.0) -> Model:
-    """Projection of the unified model `omni`, with Brown-Conrady distortion."""
+    """Projection function of the unified model `omni`, with Brown-Conrady distortion."""
     xi, *distortion = (real(*of) for of in (("xi", xi), ("k1", k1), ("k2", k2), ("p1", p1), ("p2", p2)))
     lens = BrownConrady._make([*distortion, *(0.0,) * 8])
 
@@ -97,7 +102,9 @@ def unified(xi: Any, k1: Any = 0.0, k2: Any = 0.0, p1: Any = 0.0, p2: Any = 0.0)
 
 
 def modified_brown_conrady(k1: float, k2: float, p1: float, p2: float, k3: float) -> Model:
-    """Projection of RealSense's model in which the tangential terms are computed from the radially distorted point."""
+    """Projection function of RealSense's model in which the tangential terms are computed from the radially distorted
+    point.
+    """
 
     def image(u: FloatArray, v: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:
         x, y = _divided(u, v, w, True)
@@ -110,8 +117,8 @@ def modified_brown_conrady(k1: float, k2: float, p1: float, p2: float, k3: float
 
 
 def inverse_brown_conrady(k1: float, k2: float, p1: float, p2: float, k3: float) -> Model:
-    """Projection of RealSense's model whose polynomial undistorts a point; NaN where the fixed-point inversion of the
-    polynomial does not converge.
+    """Projection function of RealSense's model whose polynomial undistorts a point; the function returns NaN for points
+    where the fixed-point inversion of the polynomial does not converge.
     """
 
     def image(u: FloatArray, v: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -4,9 +4,9 @@ Image points are given relative to the principal point, in focal lengths; points
 camera frame. See `lmd.geometry.lens_models` for the formulas.
 
 At the angle theta from the optical axis, the local scale of a lens (image length per angle) is `along` in the radial
-direction and `across` in the tangential direction. Tangential distortion and a thin prism change both scales by at most
-`sway`. The projection is injective as long as both scales exceed the sway; the `fold` is the angle up to which this
-holds. A model is invalid beyond its fold.
+direction and `across` in the tangential direction. Tangential distortion and a thin prism change each of the two scales
+by at most `sway`. The projection is injective as long as both scales exceed `sway`; the `fold` is the angle theta up to
+which this holds. A lens model is invalid beyond its fold.
 """
 
 from collections.abc import Callable
@@ -125,8 +125,8 @@ class Lens:
         return np.stack(slopes, axis=-1).reshape(*points.shape[:-1], 2, 3)
 
     def directions(self, image: FloatArray) -> FloatArray:
-        """Unproject image points `image` `(..., 2)` to unit vectors `(..., 3)`; NaN if no direction within the fold is
-        projected there.
+        """Unproject image points `image` `(..., 2)` to unit vectors `(..., 3)`; NaN for image points to which no
+        direction within the fold is projected.
 
         Newton's method first finds the angle theta without the tangential terms and the prism, and then refines the
         direction with all terms.
@@ -151,15 +151,15 @@ class Lens:
 
     @cached_property
     def _radii(self) -> tuple[FloatArray, FloatArray]:
-        """Sampled radii in the image, without tangential terms and prism, and the angles up to the fold to which they
-        belong, `(ANGLE_SAMPLES,)` each.
+        """Samples of the projection without tangential terms and prism: radii in the image, and the angles from the
+        optical axis, up to the fold, that are projected to these radii, `(ANGLE_SAMPLES,)` each.
         """
         theta = np.linspace(0.0, self.fold, ANGLE_SAMPLES)
         return self.profile(theta).across * np.sin(theta), theta
 
     def _refined(self, start: FloatArray, image: FloatArray) -> FloatArray:
-        """Refine unit vectors `start`, which have z > 0, by Newton's method on their intersections with the plane z =
-        1.
+        """Refine unit vectors `start`, which have z > 0, so that they are projected to `image`. Newton's method changes
+        the points where the vectors meet the plane z = 1.
         """
         found = start / start[..., 2:]
         for _ in range(NEWTON_STEPS):

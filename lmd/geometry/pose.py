@@ -1,4 +1,4 @@
-"""Pose of a camera or a rig, estimated from the image of points with known positions (PnP), by OpenCV."""
+"""Pose of a camera or a rig, estimated from an image of points with known positions (PnP) with OpenCV's solvers."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import combinations
@@ -32,7 +32,7 @@ class Solution(NamedTuple):
     pose: FloatArray
     """Pose X, camera to world or body to world, `(4, 4)`."""
     square: float
-    """Sum of the squared reprojection errors, each divided by its standard deviation."""
+    """Sum of the squares of the reprojection errors, where each error is divided by its standard deviation."""
 
 
 class PointImage(NamedTuple):
@@ -45,7 +45,7 @@ class PointImage(NamedTuple):
     points: FloatArray
     """World points with known positions, metres, `(M, 3)`."""
     pixels: FloatArray
-    """Image points of these, pixels from the image border, `(M, 2)`."""
+    """Image points of `points`, pixels from the top-left border of the image, `(M, 2)`."""
     noise: FloatArray
     """Standard deviation of each image point, pixels, `(M,)`."""
 
@@ -89,7 +89,7 @@ def body_solutions(images: Sequence[PointImage]) -> list[Solution]:
 
 
 def _best(images: Sequence[PointImage], poses: Iterable[FloatArray]) -> list[Solution]:
-    """Distinct poses with a finite reprojection error, in ascending order of the error."""
+    """Those of the `poses` that are distinct and have a finite reprojection error, in ascending order of the error."""
     found: list[Solution] = []
     for pose in poses:
         square = float(sum((image.off(pose) ** 2).sum() for image in images))
@@ -109,7 +109,7 @@ def solutions(camera: Camera, points: FloatArray, image: FloatArray, noise: Arra
     Args:
         camera: intrinsics and lens.
         points: points with known positions, world frame, metres, `(M, 3)`.
-        image: image points, pixels from the image border, `(M, 2)`.
+        image: image points, pixels from the top-left border of the image, `(M, 2)`.
         noise: standard deviation of the image points, pixels, `()` or `(M,)`.
     """
     if len(points) < FEWEST_POINTS:
@@ -128,8 +128,8 @@ def _without_lens(image: PointImage) -> Iterator[FloatArray]:
 
 
 def _through_lens(image: PointImage) -> Iterator[FloatArray]:
-    """Poses of a camera with distortion: the image is undistorted into a virtual pinhole aimed at the points, the pose
-    is solved there, and then refined.
+    """Poses of a camera with distortion: the image points are undistorted to the image of a virtual pinhole camera
+    aimed at the points, candidate poses are solved for this camera, and each is then refined.
     """
     cv2 = optional("cv2", "estimators")
     turned, within, rays = straightened(bearings(image.camera, image.pixels))
@@ -142,8 +142,8 @@ def _through_lens(image: PointImage) -> Iterator[FloatArray]:
 
 
 def _candidates(world: FloatArray, pixels: FloatArray, matrix: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
-    """Candidate transforms from the world to a pinhole camera, each a rotation vector and a translation, see
-    `solutions`.
+    """Candidates, as in `solutions`, for the transform from the world to a pinhole camera; each candidate is a rotation
+    vector and a translation.
     """
     cv2 = optional("cv2", "estimators")
     extents = np.linalg.svd(world - world.mean(axis=0), compute_uv=False)
@@ -160,7 +160,7 @@ def _candidates(world: FloatArray, pixels: FloatArray, matrix: FloatArray) -> li
 
 
 def straightened(seen: FloatArray) -> tuple[FloatArray, BoolArray, FloatArray]:
-    """Project rays to the image of a virtual pinhole whose axis is the mean ray.
+    """Project rays to the image of a virtual pinhole camera whose optical axis is the mean ray.
 
     Args:
         seen: rays as unit vectors in the camera frame, `(M, 3)`; NaN for missing rays.
@@ -201,7 +201,8 @@ def body_from_corners(
         cameras: intrinsics.
         mounted: poses of the cameras in the body frame, `(C, 4, 4)`.
         points: tag corners, world frame, metres, `(M, ..., 3)`.
-        images: detected corners of each camera, pixels from the border, `(M, ..., 2)`; NaN for missing corners.
+        images: for each camera, the detected corners, pixels from the top-left border of the image, `(M, ..., 2)`; NaN
+            for missing corners.
 
     Returns:
         pose X of the body, `(4, 4)`; NaN if no camera sees four points or there is no solution.

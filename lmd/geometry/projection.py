@@ -16,7 +16,9 @@ from lmd.geometry.lens_models import depth_of
 
 
 def intrinsics(camera: Camera) -> FloatArray:
-    """Intrinsic matrix K, from camera coordinates to homogeneous image coordinates from the border, `(3, 3)`."""
+    """Intrinsic matrix K, `(3, 3)`, which maps camera coordinates to homogeneous image coordinates, pixels from the
+    top-left border.
+    """
     matrix = np.diag([*camera.focal_pixels, 1.0])
     matrix[:2, 2] = camera.principal_point
     return matrix
@@ -43,8 +45,8 @@ def project(camera: Camera, pose: FloatArray, points: FloatArray) -> FloatArray:
         points: world frame, metres, `(..., K, 3)`.
 
     Returns:
-        image coordinates `(..., K, 2)`, pixels from the border, also for points outside the image. NaN for points
-        behind the camera, or, for a distorting lens, beyond the camera's `widest_angle`.
+        image coordinates `(..., K, 2)`, pixels from the top-left border, also for points outside the image. NaN for
+        points behind the camera, or, for a distorting lens, beyond the camera's `widest_angle`.
     """
     seen, matrix = to_camera(pose, points), intrinsics(camera)
     if camera.lens is None:

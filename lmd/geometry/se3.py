@@ -43,10 +43,10 @@ def pose_of(orientation: FloatArray, position: FloatArray) -> FloatArray:
 
 
 def poses_from_rows(rows: FloatArray, lines: Sequence[int] | None = None) -> FloatArray:
-    """Poses `(T, 4, 4)` from rows of a file, `(T, 7)`, with the columns `ROW`: position and quaternion.
+    """Poses `(T, 4, 4)` from T rows of a file, `(T, 7)`; the columns `ROW` are a position and a quaternion.
 
     Args:
-        lines: line of each row in its file, from 1, for messages.
+        lines: number of each row's line in the file, from 1, for error messages.
 
     Raises:
         InputError: a quaternion does not have the norm 1.
@@ -109,7 +109,7 @@ def axis_and_right(pose: FloatArray) -> FloatArray:
 
 
 def skew(vector: FloatArray) -> FloatArray:
-    """Skew-symmetric matrix [a]x with [a]x b = a x b, `(..., 3)` -> `(..., 3, 3)`."""
+    """Skew-symmetric matrix [a]x of a vector a, with [a]x b = a x b for any b, `(..., 3)` -> `(..., 3, 3)`."""
     matrix = np.zeros((*vector.shape, 3))
     x, y, z = (vector[..., i] for i in range(3))
     matrix[..., 0, 1], matrix[..., 0, 2], matrix[..., 1, 2] = -z, y, -x
@@ -118,8 +118,8 @@ def skew(vector: FloatArray) -> FloatArray:
 
 
 def seen_by_twist(points: FloatArray) -> FloatArray:
-    """Derivative [[y]x  -I] of points y `(..., 3)` in the frame of a pose X, with respect to a twist (w, v) that
-    changes X to X exp(w, v).
+    """Derivative [[y]x -I] of the coordinates y `(..., 3)` of points in the frame of a pose X, with respect to a twist
+    (w, v) that changes X to X exp(w, v).
 
     Returns:
         matrices `(..., 3, 6)`.
@@ -134,7 +134,9 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def adjoint(pose: FloatArray, twist: FloatArray) -> FloatArray:
-    """Adjoint map Ad_X (w, v) = (R w, p x R w + R v) of a twist from body to world coordinates, `(..., 6)`."""
+    """Adjoint map Ad_X (w, v) = (R w, p x R w + R v), which converts a twist from body coordinates to world
+    coordinates, `(..., 6)`.
+    """
     orientation = pose[..., :3, :3]
     angular = (orientation @ twist[..., :3, None])[..., 0]
     linear = (orientation @ twist[..., 3:, None])[..., 0] + cross(pose[..., :3, 3], angular)

@@ -36,8 +36,8 @@ class Trajectory:
 
 
 def check_order(time: FloatArray, lines: Sequence[int] | None = None) -> None:
-    """Raise `InputError` if the times `(T,)` do not increase; `lines` are the numbers of their lines in a file, for the
-    message.
+    """Raise `InputError` if the times `(T,)` do not increase; `lines` has the number of each time's line in a file, for
+    the error message.
     """
     late = np.flatnonzero(np.diff(time) <= 0.0)
     if late.size:

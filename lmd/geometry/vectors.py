@@ -1,5 +1,5 @@
-"""Vectors in compiled code: tuples of three numbers (arrays in the NumPy reference). Sums are computed from left to
-right.
+"""Operations on vectors in compiled code. A vector is a tuple of three numbers, or of three arrays in the NumPy
+reference. Sums are computed from left to right.
 """
 
 from typing import Any, TypeAlias
@@ -97,7 +97,7 @@ def symmetric3(m: Any, a: Vector) -> Vector:
 
 @inlined
 def adjugate3(m: Any) -> Any:
-    """Adjugate of a symmetric matrix; each of the two matrices is given by six numbers."""
+    """Adjugate of a symmetric 3 x 3 matrix; the matrix and its adjugate are each given by six numbers."""
     xx, xy, xz, yy, yz, zz = m
     return (
         yy * zz - yz * yz,
@@ -111,6 +111,8 @@ def adjugate3(m: Any) -> Any:
 
 @inlined
 def invariants3(m: Any) -> tuple[Any, Any]:
-    """Sum of the principal minors, and determinant, of a symmetric matrix given by six numbers."""
+    """Two invariants of a symmetric 3 x 3 matrix given by six numbers: the sum of its principal 2 x 2 minors, and its
+    determinant.
+    """
     n = adjugate3(m)
     return n[0] + n[3] + n[5], dot3((m[0], m[1], m[2]), (n[0], n[1], n[2]))

@@ -1,4 +1,5 @@
-"""The suite of problems: frozen problems as functions on the unit box, for optimisers of any library.
+"""The suite of frozen problems (problems whose definition does not change), as functions on the unit box, for
+optimisers of any library.
 
     >>> import lmd.suite
     >>> problem = lmd.suite.problem("lab_localisation")

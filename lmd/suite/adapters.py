@@ -1,6 +1,7 @@
-"""Adapter that makes the suite's problems problems of pymoo; docs/suite.md shows the line that other libraries need.
+"""Adapter that converts problems of the suite to problems of pymoo; docs/suite.md shows the line of code that each
+other library needs.
 
-Values are maximised here; libraries that minimise get values with the opposite sign.
+The suite maximises values; libraries that minimise get the values with the opposite sign.
 """
 
 from typing import TYPE_CHECKING, Any

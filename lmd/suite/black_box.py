@@ -86,7 +86,8 @@ class BlackBox:
         return self.genome.rig(genes)
 
     def score(self, genes: FloatArray, seed: int = 0) -> Mapping[str, float]:
-        """Metrics of a candidate on the problem's grid and off it, see `lmd.evaluation.validation`.
+        """Metrics of a candidate on the grid of the problem, and at random poses off the grid, see
+        `lmd.evaluation.validation`.
 
         Args:
             genes: genes of the candidate, `(d,)`.

@@ -17,7 +17,7 @@ from lmd.suite.families import SEPARATOR, TARGET, drawn, instance_name, instance
 SETS = ("small", "full")
 """Names of the sets of problems; the full set contains the small set."""
 FILE = "path"
-"""Key within `problem` whose value is the path of a file, relative to the folder of the suite."""
+"""Key in a document's `problem` whose value is the path of a file, relative to `FOLDER`."""
 MOVED = {
     "lmd.formats.deployments.FileDeployment": "lmd.formats.tag_maps.FileDeployment",
     "lmd.space.relevance.Relevance": "lmd.space.space.Relevance",
@@ -54,7 +54,7 @@ class Document(Checked):
     hash: str
     """Result of `digest`: digest of everything that determines the fitness."""
     budgets: Sequence[int]
-    """Numbers of evaluations of three budgets, in ascending order."""
+    """Three budgets, as numbers of evaluations, in ascending order."""
     bound: Annotated[float, partial(real, above=0.0, high=1.0)] | None
     """Proven upper bound on the fitness of all candidates; None if no bound below 1 is known."""
     best: Mapping[str, Any] | None
@@ -115,13 +115,15 @@ def _frozen(name: str) -> Document:
 
 
 def with_paths(node: Any) -> Any:
-    """Copy the config nodes of a problem, with full paths of files and present names of classes."""
+    """Copy the config nodes of a problem; relative paths of files become full paths, and old names of classes become
+    their present names.
+    """
     return _changed(node, {FILE: lambda file: str(FOLDER / file), TARGET: lambda target: MOVED.get(target, target)})
 
 
 def _changed(node: Any, change: Mapping[str, Callable[[str], str]]) -> Any:
-    """Copy the config nodes of a problem; `change` has, for each key to be changed, a function that returns the new
-    value.
+    """Copy the config nodes of a problem with changed values. `change` has, for each key whose values change, a
+    function that converts the old value to the new value.
     """
     if isinstance(node, Mapping):
         return {

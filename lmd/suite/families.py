@@ -1,4 +1,5 @@
-"""Families of problems: random variants ("instances") of each problem of the suite, determined by their number.
+"""Families of problems: each problem of the suite has random variants ("instances"), which the name of the problem and
+the number of the instance determine.
 
 In an instance the room, the camera, the number of landmarks, the size of the tags and the numbers of the objective are
 drawn from the distributions in `draws.yaml`. Instance 0 is the frozen problem.
@@ -81,7 +82,9 @@ def _parts(node: Any) -> Iterator[dict[str, Any]]:
 
 
 def _change(node: Any, path: Sequence[str], operation: str, by: Any) -> None:
-    """Change the values at a path below a config node, if the node has this path."""
+    """Change the values at the path `path` below a config node by an operation (`times`, otherwise addition) with `by`;
+    nothing is changed if the node lacks the path.
+    """
     first, *rest = path
     for key in range(len(node)) if first == "*" else [first] if first in node else []:
         if rest:
@@ -91,8 +94,8 @@ def _change(node: Any, path: Sequence[str], operation: str, by: Any) -> None:
 
 
 def _changed(value: Any, operation: str, by: Any) -> Any:
-    """Return a number, a vector or a list of vectors after it is changed by one number, or by one number for each axis;
-    a count stays a whole number.
+    """Change a number, a vector or a list of vectors by an operation with `by`, which is one number or one number for
+    each axis; return the result. A whole number stays a whole number.
     """
     numbers = np.array(value)
     each = by[: numbers.shape[-1]] if np.ndim(by) else by

@@ -18,8 +18,8 @@ from lmd.suite.families import TARGET, instance_name
 from lmd.suite.several import SeveralObjectives, TagChoice
 
 COUNTED = {"tags": False, "paper": True}
-"""Second objective of problems that choose tags: True if each tag is weighted by the area of its paper, False if tags
-are counted.
+"""For each name of the second objective of problems that choose tags: True if each tag is weighted by the area of its
+paper, False if tags are counted.
 """
 
 

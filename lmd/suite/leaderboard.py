@@ -34,11 +34,13 @@ class Leaderboard(NamedTuple):
     table: pd.DataFrame
     """Table of medians over the seeds: a row for each problem, metric and budget, and a column for each optimiser."""
     figures: Mapping[str, float]
-    """Mean ranks, keyed by names such as `rank_3/fitness/annealing`: budget, metric and optimiser."""
+    """Mean ranks, keyed by names such as `rank_3/fitness/annealing`, made of the number of the budget, the metric and
+    the optimiser.
+    """
 
 
 def leaderboard(results: Runs, problems: Iterable[str]) -> Leaderboard:
-    """Make the leaderboard from the runs on some problems of the suite."""
+    """Make the leaderboard from the runs `results` on some problems of the suite."""
     frozen = {name: document(name) for name in problems}
     blocks, figures, every = list[str](), dict[str, float](), []
     for place in sorted(results, reverse=True):  # the largest budget first
@@ -64,8 +66,8 @@ def leaderboard(results: Runs, problems: Iterable[str]) -> Leaderboard:
 
 
 def _held_out_apart(runs: Sequence[OptimiserRun]) -> Mapping[str, Sequence[OptimiserRun]]:
-    """Runs on the development instances and runs on the held-out instances, keyed by the group's name; if one group is
-    empty, all runs together.
+    """Two groups of runs, keyed by the name of the group: `development` and `held-out`, for the instances on which they
+    were done. If one group would be empty, a single group has all runs, and its name is empty.
     """
     is_held_out = [instance_of(run.problem) >= HELD_OUT for run in runs]
     if len(set(is_held_out)) == 1:
@@ -75,7 +77,9 @@ def _held_out_apart(runs: Sequence[OptimiserRun]) -> Mapping[str, Sequence[Optim
 
 
 def _section(held: Tournament, label: str, frozen: "Mapping[str, Document]") -> list[str]:
-    """Markdown lines: the table of one metric, and the tests below the table. Only the fitness has a proven bound."""
+    """Markdown lines with a table of one metric, and with the tests below the table. The table has a column of proven
+    bounds only for the fitness.
+    """
     names, is_fitness = list(held.values), label == FIGURES["fitness"]
     columns = ["best known", "bound"] if is_fitness else ["best known"]
     ranks = [f"**{rank:.2f}**" if rank == rank else "" for rank in held.ranks]

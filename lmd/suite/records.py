@@ -1,4 +1,5 @@
-"""Entries and records of the suite: candidates with their origin, and their scores, which the NumPy reference computes.
+"""Entries of the suite, which are candidates with their origin, and records, which also have the score of the
+candidate. The NumPy reference computes the scores.
 
 An entry is a YAML file with the keys of `ENTRY`. Its `candidate` is a list of genes, or the name of a file in the same
 folder: a rig file if the problem places cameras, else a table of landmarks. For two objectives, the candidate is a
@@ -33,7 +34,7 @@ from lmd.suite.several import SeveralObjectives, TagChoice
 
 ENTRY = ("problem", "who", "how", "when", "candidate")
 POINT = "point"
-"""Column with the number of the front's point in a table of landmarks."""
+"""Column in a table of landmarks with the number of the front's point to which the landmark belongs."""
 
 
 def verify(path: str | Path) -> dict[str, Any]:
@@ -109,16 +110,16 @@ def _values(box: BlackBox, deployment: Deployment) -> FloatArray:
 
 
 def hypervolume(points: FloatArray) -> float:
-    """Area between the origin and the points `(N, 2)` of a front, which these points dominate; both coordinates are
-    maximised.
+    """Area of the region between the origin and the points `(N, 2)` of a front, that is, the region that these points
+    dominate; both coordinates are maximised.
     """
     first, second = points[np.argsort(-points[:, 0])].T
     return float(-np.diff(first, append=0.0) @ np.maximum.accumulate(second))
 
 
 def best(name: str) -> list[Deployment] | Rig:
-    """Best known solution of a problem: its deployment; for several objectives, the deployments of the front; or the
-    cameras, if the problem places cameras.
+    """Best known solution of a problem: a deployment; the deployments of the front, for a problem with several
+    objectives; the cameras, for a problem that places cameras.
 
     Raises:
         InputError: there is no problem of that name, or no solution is recorded for it.

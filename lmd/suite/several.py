@@ -48,7 +48,8 @@ class SeveralObjectives(BlackBox):
 
 
 class TagChoice(BlackBox):
-    """Problem with two objectives: the fitness, and the fraction of the tags (or of their paper area) that is not used.
+    """Problem with two objectives: the fitness, and the fraction of the tags (or of their total paper area) that is
+    saved because these tags are not hung.
 
     Each landmark has an additional gene: its tag is hung if this gene is at least `HUNG`. A candidate that hangs no tag
     has the fitness 0.
@@ -89,7 +90,9 @@ class TagChoice(BlackBox):
         return deployment
 
     def values_of(self, deployment: Deployment) -> FloatArray:
-        """Fitness of a deployment of the tags that are hung, and the fraction of the tags that is not used, `(2,)`."""
+        """Fitness of the deployment of those tags that are hung, and the fraction of the tags (or of their paper area)
+        that is not hung, `(2,)`.
+        """
         used, every = (
             (sizes**2).sum() if self.by_paper else len(sizes)
             for sizes in (deployment.edges_of(self.problem.scene.tag), self.problem.sizes)
@@ -108,8 +111,8 @@ class TagChoice(BlackBox):
         return np.array([IMPOSSIBLE, 0.0]) if deployment is None else self.values_of(deployment)
 
     def _hung(self, row: FloatArray) -> Deployment | None:
-        """Tags that a candidate with the genes `(d,)` hangs, after overlapping tags are pushed apart; None if no tag is
-        hung, or the tags find no room.
+        """Tags that the candidate with the genes `row` `(d,)` hangs, after overlapping tags are pushed apart; None if
+        no tag is hung, or if there is no room for the tags.
         """
         hangs = row[self.genome.dim :] >= HUNG
         if not hangs.any():
