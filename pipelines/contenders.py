@@ -118,8 +118,8 @@ def contend(
 
 
 def _done(directory: Path, folder: str, job: Contender) -> "tuple[str, OptimiserRun]":
-    """Name and result of a run. The run is done first unless its result is stored; its files are written in either
-    case.
+    """Return the name and the result of the run `job`. The run is done first unless its result is already stored on
+    disk; the run's files are written in both cases.
     """
     from lmd.core.files import write_whole
     from lmd.evaluation.comparison import OptimiserRun

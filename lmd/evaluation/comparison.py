@@ -70,7 +70,7 @@ class Comparison:
 
 
 def by_optimiser(runs: Sequence[OptimiserRun], key: str) -> dict[str, list[OptimiserRun]]:
-    """Group runs by optimiser; the optimiser with the highest median of the metric `key` comes first."""
+    """Group runs by optimiser; optimisers are in descending order of their median of the metric `key`."""
     groups: dict[str, list[OptimiserRun]] = {}
     for run in runs:
         groups.setdefault(run.optimiser, []).append(run)

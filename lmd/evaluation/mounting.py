@@ -129,7 +129,9 @@ class Mounted:
     n: int
     """Number of tags that a view must show before a pose is estimated."""
     planned: pd.Series
-    """Metrics of the plan without errors: on the grid, and at random positions with names `grid_free_...`."""
+    """Metrics of the plan without mounting errors: on the grid, and off the grid (at random positions), where the names
+    begin with `grid_free_`.
+    """
     draws: pd.DataFrame
     """Metrics as in `planned`, with a row for each draw."""
     views: pd.DataFrame
@@ -262,8 +264,8 @@ class Measured:
     measured pose of each tag, the largest first.
     """
     figures: pd.DataFrame
-    """Table with the columns `planned` and `measured`, indexed by `figure`: metrics on the grid, and off the grid with
-    names `grid_free_...`.
+    """Table with the columns `planned` and `measured`, indexed by `figure`: metrics on the grid, and metrics off the
+    grid, whose names begin with `grid_free_`.
     """
     views: pd.DataFrame
     """Errors of the poses that are estimated with two maps: `planned` has the planned poses of the tags, `measured` the

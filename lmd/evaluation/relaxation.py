@@ -35,11 +35,11 @@ class TimeLimit:
     def __init__(self, seconds: float = inf, report: Callable[[str], None] = lambda _: None) -> None:
         self.seconds, self.report, self._until = seconds, report, clock() + seconds
         self.cut: list[str] = []
-        """Descriptions of the searches that were cut short."""
+        """Descriptions of those searches that the time limit has cut short."""
 
     @property
     def left(self) -> float:
-        """Remaining time, seconds; not negative."""
+        """Time that remains before the limit, seconds; not negative."""
         return max(self._until - clock(), 0.0)
 
     def part(self, share: float) -> "TimeLimit":

@@ -88,8 +88,8 @@ class Tournament:
     """
 
     values: pd.DataFrame
-    """Medians, with a row for each problem and a column for each optimiser, ordered by mean rank; NaN if there is no
-    run.
+    """Medians, with a row for each problem and a column for each optimiser; the optimiser with the best mean rank comes
+    first. NaN if there is no run.
     """
     ranks: pd.Series
     """Mean rank of each optimiser over the problems on which all optimisers have run; 1 is best."""

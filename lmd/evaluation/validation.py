@@ -72,7 +72,7 @@ class Sample(Checked):
     positions: Count = 4096
     """Number of positions in each group."""
     divisions: Count = 32
-    """Number of cells into which half a turn is divided."""
+    """Number of orientation cells into which half a turn is divided; there are 2 `divisions` x `divisions` cells."""
 
 
 def validation_metrics(

@@ -37,7 +37,7 @@ ROUNDING = 1e-9  # relative tolerance of a limit
 
 @dataclass(frozen=True)
 class Tags:
-    """Supply of landmarks for a selection: a given number of landmarks of each size."""
+    """Supply of landmarks for a selection in which the number of landmarks of each size is given."""
 
     sizes: FloatArray
     """Edge length of each of the K landmarks, `(K,)`, metres; zeros for points."""
@@ -59,7 +59,7 @@ class Tags:
 
 @dataclass(frozen=True)
 class Limited:
-    """Supply of landmarks for a selection: tags of any size, with a limited total price."""
+    """Supply of landmarks for a selection in which tags may have any size, and their total price is limited."""
 
     total: float
     """Limit on the total price: square metres of paper, or cost."""

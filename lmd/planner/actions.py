@@ -1,4 +1,6 @@
-"""Requests from browsers: connections are checked, and one thread runs the requested actions in order."""
+"""Requests from browsers: connections are checked, and one thread runs the requested actions in the order of the
+requests.
+"""
 
 import hmac
 import logging
@@ -62,7 +64,9 @@ def _answer(answer: Callable[..., None], *of_event: Any) -> None:
 
 
 def call_in_order(register: Callable[[Any], object], answer: Callable[[Any], None]) -> None:
-    """Call `answer` for events of viser in viser's own thread; `answer` must not block."""
+    """Call `answer` for each event of viser, in viser's own thread and in the order of the events; `answer` must not
+    block.
+    """
 
     async def call(event: Any) -> None:  # viser runs plain functions in a pool of threads, in any order
         answer(event)
@@ -78,7 +82,9 @@ Answer = Callable[[Any, Any], Any]
 
 
 class Access:
-    """Check of requests for a secret token in the address: a request is refused, or forwarded without the token."""
+    """Check that the address of each request contains a secret token. Without the token a request is refused; otherwise
+    the token is removed, and the request is forwarded.
+    """
 
     def __init__(self) -> None:
         self._path = f"/{secrets.token_urlsafe(TOKEN_BYTES)}"

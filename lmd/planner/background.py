@@ -32,8 +32,8 @@ class Worker(Generic[Question]):
     Args:
         work: function that answers; it is called with a question, and with a function that returns True while the
             answer is still wanted.
-        failed: function that is called in the worker's thread with a question that cannot be answered, and with the
-            reason as a sentence.
+        failed: function that is called in the worker's thread if a question cannot be answered, with the question and
+            with the reason as a sentence.
     """
 
     def __init__(self, work: Callable[[Question, Wanted], None], failed: Callable[[Question, str], None]) -> None:
@@ -45,8 +45,8 @@ class Worker(Generic[Question]):
         self._thread.start()
 
     def ask(self, question: Question | None) -> None:
-        """Replace the question; None if nothing is to be answered. A question is answered once, unless it is replaced
-        before.
+        """Replace the present question by `question`; None means that there is no question. A question is answered
+        once, unless another question replaces it before.
         """
         with self._changed:
             if question is None:
@@ -56,8 +56,8 @@ class Worker(Generic[Question]):
                 self._changed.notify()
 
     def close(self) -> None:
-        """End the thread; it ends when it next checks that the answer is still wanted, which it cannot do during a
-        compilation.
+        """Ask the thread to end. It ends when it next checks that the answer is still wanted; during a compilation it
+        cannot check this.
         """
         with self._changed:
             self._question, self._closing = None, True
@@ -114,8 +114,8 @@ def off_grid(problem: Problem, deployment: Deployment, seed: int, wanted: Wanted
 
 
 class Background:
-    """Background work for the present plan: it computes and shows an estimate of the metrics off the grid, then the
-    gains by one more tag, then the exact metrics off the grid.
+    """Background work for the present plan. It computes and shows first an estimate of the metrics off the grid, then
+    the gain by one more tag at each candidate place, then the metrics off the grid from the full sample.
 
     Args:
         session: session with the plan.
@@ -143,7 +143,7 @@ class Background:
             self._panel.show_off_grid(TO_COME)
 
     def begin(self) -> None:
-        """Start the work on the present plan, unless it is finished or under way."""
+        """Start the background work on the present plan, unless this work is finished or under way."""
         self._worker.ask(self._session.posed)
 
     def stop(self) -> None:
@@ -155,7 +155,7 @@ class Background:
         self._worker.close()
 
     def show_additions(self, _: Any = None) -> None:
-        """Colour the surfaces by the gains of one more tag, if the user has chosen this."""
+        """Colour the surfaces by the gain by one more tag at each place, if the user has chosen these colours."""
         gains = self.additions if self._panel.additions.value else None
         self._picture.show_additions(gains)
         self._panel.show_legend(None if gains is None else float(np.nanmax(gains, initial=0.0)))

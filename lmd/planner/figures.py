@@ -1,4 +1,6 @@
-"""Metrics of a plan: the objective's values while tags are moved, and the gain by one more tag at each place."""
+"""Metrics of a plan: the objective's values, updated while tags are moved, and the gain of the objective by one more
+tag at each place.
+"""
 
 import math
 from collections.abc import Callable
@@ -45,7 +47,7 @@ class Values:
         self._climbed = _FieldValues(problem, problem.fitness_evaluator, deployment) if sampled else self._grid
 
     def update(self, deployment: Deployment) -> None:
-        """Change to another deployment, and update the values.
+        """Replace the deployment by `deployment`, and update the values.
 
         Raises:
             InputError: there is too little memory.
@@ -92,7 +94,9 @@ class _FieldValues:
 
 @kernel
 def _add_up(units, relevance, value):  # type: ignore[no-untyped-def]
-    """Write to `value` `(N,)` the mean over Q positions of each row of `units` `(N, Q)`, weighted by `relevance`."""
+    """Write to `value` `(N,)` the mean of each row of `units` `(N, Q)` over the Q positions, weighted by
+    `relevance`.
+    """
     for i in range(len(units)):
         total = 0.0
         for p in range(units.shape[1]):
@@ -101,7 +105,7 @@ def _add_up(units, relevance, value):  # type: ignore[no-untyped-def]
 
 
 def candidate_cells(problem: Problem) -> Cells:
-    """Coarse grid of about `CANDIDATES` cells, at whose centres one more tag may hang."""
+    """Coarse grid of about `CANDIDATES` cells on the surfaces; one more tag may hang at the centre of any cell."""
     room = problem.scene.footprints.hanging
     surfaces = SurfaceArrays.of(room.surfaces())
     cells = wall_cells(room, math.sqrt(float(surfaces.area.sum()) / CANDIDATES))
@@ -116,8 +120,9 @@ def additions(
 
     Unlike the fitness, the mean value also ranks places where a tag lifts no position over a threshold.
 
-    A landmark that is invisible at first is moved from place to place (`lmd.incremental.field`). Occlusion by the moved
-    landmark is taken into account (the move is settled), but no move is accepted.
+    A landmark is added at a place where it is not visible, and is then moved from place to place
+    (`lmd.incremental.field`). Occlusion by the moved landmark is taken into account (the move is settled), but no move
+    is accepted.
 
     Args:
         problem: scene and objective; gains are computed on its grid.

@@ -84,8 +84,8 @@ class PlannerPanel:
 
     @property
     def edge(self) -> float | None:
-        """Chosen edge length of new tags, metres; None if there is no choice, or if a browser sends an unknown
-        value.
+        """Edge length that the user has chosen for new tags, metres; None if there is only one edge length, or if a
+        browser sends an unknown value.
         """
         return self._edges.get(self._size.value) if len(self._edges) > 1 else None
 
@@ -98,7 +98,7 @@ class PlannerPanel:
         self._off_grid.content = f'<div style="min-height: {OFF_GRID_HEIGHT}">{_table("off-grid", rows)}</div>'
 
     def say(self, text: str, refused: bool = False) -> None:
-        """Show a sentence; it is red if a request was refused."""
+        """Show a sentence in the panel; it is red if the user's request was refused."""
         colour = "#c92a2a" if refused else "inherit"
         self._message.content = _paragraph("message", text, f"color: {colour}; {TWO_LINES}")
 
@@ -123,7 +123,7 @@ class PlannerPanel:
         self._progress.content = _paragraph("progress", text)
 
     def show_span(self, span: tuple[float, float]) -> None:
-        """Show in the legend the least and the greatest value that the colours of positions represent."""
+        """Show in the legend the two values that the first and the last colour of positions represent."""
         self._span = span
         self.show_legend(self._most)
 

@@ -1,4 +1,4 @@
-"""Picture of a room, drawn by viser: surfaces, positions and tags, with captions."""
+"""Picture of a room, drawn by viser: surfaces, camera positions and tags, with captions."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -80,7 +80,9 @@ class RoomPicture:
 
     @staticmethod
     def _behind(face: Surface) -> FloatArray:
-        """Corners of a face in counter-clockwise order, seen from its front, and moved slightly behind it, `(4, 3)`."""
+        """Corners of a face, `(4, 3)`, in counter-clockwise order as seen from its front; they are moved slightly
+        behind the face, so that tags on the face remain visible.
+        """
         (length, height), is_left = face.extent, np.cross(face.u, face.v) @ face.normal > 0.0
         ring = face.point(*np.array([[0.0, 0.0], [length, 0.0], [length, height], [0.0, height]]).T)
         return np.asarray((ring if is_left else ring[::-1]) - TAG_OFFSET_M * face.normal)
@@ -145,7 +147,9 @@ class RoomPicture:
         return fresh
 
     def _halves(self, deployment: Deployment) -> FloatArray:
-        """Half the side of each tag's square of paper, `(K,)`, metres; for points, half of the drawn size."""
+        """Half of the side of each tag's square of paper, `(K,)`, metres; for landmarks that are points, half of the
+        size at which they are drawn.
+        """
         papers = self._problem.scene.footprints.papers(deployment)
         return np.where(papers > 0.0, papers / 2.0, POINT_SIZE * self._diagonal)
 
@@ -157,8 +161,8 @@ class RoomPicture:
         self.balls.batched_colors = mapped(VALUES, (values - low) / (high - low))
 
     def show_additions(self, gains: FloatArray | None) -> None:
-        """Colour the surfaces by the gains `(N,)` of one more tag, from 0 to the largest gain; grey if `gains` is
-        None.
+        """Colour the N cells of the surfaces by `gains` `(N,)`, the gain by one more tag in each cell; the colours
+        represent 0 to the largest gain. The cells are grey if `gains` is None.
         """
         if gains is None:
             self.cells.batched_colors = alike(UNKNOWN, len(self.candidates.poses))
@@ -222,8 +226,8 @@ class Captions:
 
 
 def _add_name(scene: Any, surface: Surface) -> Any:
-    """Draw the name of a surface: below a wall, so that the name is visible when the wall is not drawn, or in the
-    middle of a floor.
+    """Draw the name of a surface: below a wall, so that the name is visible even if the wall is not drawn; in the
+    middle of a floor or ceiling.
     """
     is_level, (width, height) = abs(surface.normal[2]) > FLAT, surface.extent
     return scene.add_label(

@@ -1,4 +1,4 @@
-"""Plan: tags that are pinned, or free to be moved by a search."""
+"""Plan of a user: tags, each of which is pinned, or free to be moved by the user and by a search."""
 
 import threading
 from collections.abc import Callable
@@ -30,7 +30,9 @@ class Plan:
 
     @classmethod
     def of(cls, deployment: Deployment, hung: Deployment | None = None) -> "Plan":
-        """Make the plan of a deployment; the tags that are also in `hung` are pinned."""
+        """Make the plan of a deployment; those tags of the deployment that are also in `hung` (tags that hang already)
+        are pinned.
+        """
         labels = deployment.labels or Labels(deployment.ids)
         pinned = frozenset() if hung is None else frozenset(hung.ids.tolist())
         return cls(replace(deployment, labels=labels), pinned)
@@ -209,7 +211,7 @@ class TagSearch:
         self._thread.start()
 
     def stop(self) -> None:
-        """End the search after the present batch of evaluations."""
+        """Ask the search to end after the present batch of evaluations."""
         self._stopped.set()
 
     def join(self, patience: float | None = None) -> None:

@@ -84,8 +84,8 @@ class Planner:
         return self._access.address(self._server.get_port())
 
     def run(self) -> None:
-        """Run actions until an exception other than `InputError` is raised; the best deployment of a running search is
-        then kept.
+        """Run actions until an exception other than `InputError` is raised; then the best deployment of a running
+        search is applied to the plan.
         """
         try:
             while True:

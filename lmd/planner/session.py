@@ -53,12 +53,14 @@ class PlanningSession:
 
     @property
     def deployment(self) -> Deployment:
-        """Tags of the present plan."""
+        """Deployment with the tags of the present plan."""
         return self.plan.deployment
 
     @property
     def is_saved(self) -> bool:
-        """True if the tags are unchanged since the last save, or since the start."""
+        """True if the tags have not changed since the plan was last saved or, if it never was, since the
+        session began.
+        """
         return self.plan.deployment is self._saved.deployment
 
     def note_saved(self) -> None:
@@ -195,12 +197,14 @@ class PlanningSession:
         self.plan = source.pop()
 
     def _follow(self, plan: Plan) -> None:
-        """Update the values and metrics to the given plan."""
+        """Update the values and metrics so that they belong to the given plan."""
         self._values.update(plan.deployment)
         self.posed = Posed(self.problem, plan.deployment)
 
     def _become(self, plan: Plan, dragged: object = None) -> None:
-        """Change the plan. While one object (`dragged`) is dragged, all changes belong to one step for undo."""
+        """Replace the present plan by `plan`. While one tag (`dragged`) is dragged, all changes belong to one step for
+        undo.
+        """
         self._check_idle()
         self._follow(plan)
         if dragged is None or dragged != self._dragged:

@@ -1,4 +1,6 @@
-"""Viewing: the viewpoint from which the room fills a browser's window, and the place at which a ray meets a surface."""
+"""Geometry of the view in a browser: the viewpoint from which the room fills the window, and the place at which a ray
+from the viewer meets a surface.
+"""
 
 import math
 from typing import Any, NamedTuple
@@ -53,8 +55,8 @@ def framed(low: FloatArray, high: FloatArray, aspect: float) -> BrowserView:
 
 
 class Framing:
-    """Fits the room into the window of each browser, again after each change of the window's size, until the user moves
-    the view.
+    """Fits the room into the window of each browser at the beginning and after each change of the window's size, until
+    the user moves the view.
 
     Args:
         server: server of viser.

@@ -1,1 +1,3 @@
-"""Figures of scenes and of optimisation runs; plotting libraries are imported only when a figure is drawn."""
+"""Figures of scenes, of studies and of optimisation runs; plotting libraries are imported only when a figure is
+drawn.
+"""

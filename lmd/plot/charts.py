@@ -1,4 +1,6 @@
-"""Charts of metrics, as PNGs: convergence, optimisers side by side, trade-offs, heat maps, sensitivity."""
+"""Charts of metrics, as PNGs: the convergence of a run, comparisons of optimisers, trade-offs, heat maps, and
+sensitivity.
+"""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -65,7 +67,8 @@ def _duration(seconds: float) -> str:
 def save_comparison_figure(
     path: str | Path, runs: "Sequence[OptimiserRun]", axis: str, headline: Headline, title: str
 ) -> None:
-    """Write a PNG of two panels that compare optimisers, against evaluations or time on a logarithmic axis.
+    """Write a PNG of two panels that compare optimisers; the horizontal axis is logarithmic and shows evaluations or
+    time.
 
     The left panel shows the median over seeds of each optimiser's best fitness, with a band from its worst to its best
     seed. The right panel shows the share of pairs (run, target) in which the run has reached the target (`attained`),
@@ -103,8 +106,8 @@ def save_comparison_figure(
 
 
 def _draw_median(axes: Any, at: FloatArray, curves: FloatArray, name: str, number: int) -> None:
-    """Draw the median of R fitness curves `(R, N)` against `at` `(N,)`, in per cent, and a band from the worst to the
-    best curve.
+    """Draw R curves of the fitness, `(R, N)`, against `at` `(N,)`: their median, in per cent, and a band from the worst
+    to the best curve.
     """
     known = np.isfinite(curves).all(axis=0)
     band = np.quantile(100.0 * curves[:, known], (0.0, 0.5, 1.0), axis=0)
@@ -119,7 +122,7 @@ class Searched(NamedTuple):
     fitness: float
     """Fitness of the result on the grid."""
     off_grid: float | None
-    """Main metric of the result off the grid; None if it was not validated."""
+    """Main metric (headline) of the result off the grid; None if the result was not validated."""
 
 
 def save_groups_figure(
@@ -170,7 +173,9 @@ def save_groups_figure(
 
 
 def _labelled(keys: Sequence[str], group: Sequence[str]) -> str:
-    """Label of a group from its values; numbers are preceded by their keys, as in `annealing n=2`."""
+    """Label of a group of jobs, made from the group's values of the `keys`; a number is preceded by its key, as in
+    `annealing n=2`.
+    """
     words = zip(keys, group, strict=False)
     return literal(" ".join(f"{key.split('.')[-1]}={value}" if _is_number(value) else value for key, value in words))
 
@@ -198,8 +203,8 @@ def curve_name(edge: float) -> str:
 
 
 def save_tradeoff_figure(path: str | Path, points: "pd.DataFrame", panels: Sequence[Panel], title: str) -> None:
-    """Write a PNG of a trade-off, 550 pixels wide for each panel and 450 high: medians over the seeds, with bands from
-    the least to the greatest value.
+    """Write a PNG of a trade-off, 550 pixels wide for each panel and 450 high: curves of the medians over the seeds,
+    with bands from the least to the greatest value.
 
     Args:
         path: path of the PNG.
@@ -260,7 +265,7 @@ def save_landmark_count_figure(
     Args:
         ratios: one row per run with the columns `count` (K) and `qualified_ratio` (fraction); a line joins the medians
             of each K.
-        references: points (K, qualified ratio) that are drawn for comparison, keyed by name.
+        references: points (K, qualified ratio) from other sources that are drawn for comparison, keyed by name.
     """
     from matplotlib.ticker import PercentFormatter
 
@@ -282,8 +287,8 @@ def _written(value: object) -> str:
 
 
 def save_sensitivity_figure(path: str | Path, found: "Sensitivity", title: str) -> None:
-    """Write a PNG of 1500 x 500 pixels that shows the shares of localised and covered views under other assumptions,
-    with missed landmarks, and with lost landmarks.
+    """Write a PNG of 1500 x 500 pixels that shows the shares of localised and of covered views with other values of the
+    assumptions, with missed landmarks, and with lost landmarks.
     """
     from lmd.evaluation.sensitivity import SHARE_COLUMNS
 

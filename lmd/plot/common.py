@@ -54,8 +54,8 @@ def size_of(room: Space) -> FloatArray:
 
 
 def spacing_of(room: Space, positions: FloatArray) -> float:
-    """Median distance of each of the positions `(P, 3)` from its nearest neighbour, metres; the room's size for a
-    single position.
+    """Median over the positions `(P, 3)` of the distance to the nearest other position, metres; the size of the room
+    for a single position.
     """
     some = positions[:: max(1, len(positions) // SPACING_SAMPLE)]
     away = (np.linalg.norm(positions - one, axis=1) for one in some)
@@ -64,14 +64,16 @@ def spacing_of(room: Space, positions: FloatArray) -> float:
 
 
 def ball_scale(room: Space, positions: FloatArray) -> float:
-    """Factor for the diameter of the balls drawn at positions: 1, or less if the positions are closer together than in
-    the paper.
+    """Factor for the diameter of the balls that are drawn at positions: 1, or less than 1 if the positions are closer
+    together than in the paper.
     """
     return min(1.0, spacing_of(room, positions) / float(np.linalg.norm(size_of(room))) / 0.046)
 
 
 def logarithmic_ticks(low: float, high: float) -> FloatArray:
-    """A few round numbers as ticks of a logarithmic axis from `low` to `high`, even if the two values are close."""
+    """A few round numbers as ticks of a logarithmic axis from `low` to `high`; there are several ticks even if `low`
+    and `high` are close.
+    """
     from matplotlib.ticker import MaxNLocator
 
     decades = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1.0)
@@ -122,7 +124,7 @@ def draw_arrows(axes: Any, places: FloatArray, ways: FloatArray, **style: Any) -
 
 
 def from_above(axes: Any, **settings: Any) -> None:
-    """Set equal scales and the labels for axes in the plane of a floor."""
+    """Set equal scales and the labels x and y for axes that show a room from above."""
     axes.set(**{"aspect": "equal", "xlabel": AXIS_LABELS[0], "ylabel": AXIS_LABELS[1], **settings})
 
 
@@ -164,9 +166,10 @@ def draw_plan(axes: Any, room: Space, **style: Any) -> None:
 
 
 def draw_tags(axes: Any, deployment: Deployment, groups: Sequence[Group]) -> None:
-    """Draw landmarks from above: arrows along their normals in the colours of their groups, and ids in front of them.
+    """Draw landmarks from above: arrows along their normals in the colours of the landmarks' groups, and the ids in
+    front of the landmarks.
 
-    Landmarks that are above each other share one text.
+    Landmarks that are above each other share one text with all their ids.
     """
     at, ways = deployment.positions[:, :2], deployment.normals[:, :2]
     ids: dict[tuple[float, ...], list[int]] = {}
@@ -185,8 +188,8 @@ def draw_tags(axes: Any, deployment: Deployment, groups: Sequence[Group]) -> Non
 
 
 def series(number: int) -> dict[str, str]:
-    """Colour and line style of series number `number` in figures of several optimisers: ten hues, which are then
-    repeated with other dashes.
+    """Colour and line style of the series with the number `number` in figures of several optimisers. There are ten
+    colours; the next ten series repeat the colours with another dash pattern.
     """
     return {"color": f"C{number % HUES}", "linestyle": DASHES[number // HUES % len(DASHES)]}
 

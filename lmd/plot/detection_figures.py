@@ -27,8 +27,9 @@ LEGEND = (
 
 
 def save_calibration_figure(path: str | Path, figures: pd.DataFrame, pitches: pd.DataFrame, title: str) -> None:
-    """Write a PNG: for each deployment, the share of frames with at least n tags, P(>= n), as predicted and as
-    detected; below it, shares of tags by pitch.
+    """Write a PNG with two panels for each deployment. The upper panel shows the share of frames with at least n tags,
+    P(>= n), predicted and detected; the lower panel shows, by pitch, the shares of tags that are predicted and
+    detected.
 
     Args:
         path: path of the PNG.
@@ -67,12 +68,12 @@ def save_calibration_figure(path: str | Path, figures: pd.DataFrame, pitches: pd
 
 
 def save_limits_figure(path: str | Path, calibrations: Mapping[str, DetectorCalibration], title: str) -> None:
-    """Write a PNG: for each detector, the detected views against pitch and blur, and their share against the ratio of
-    size to limit.
+    """Write a PNG with two panels for each detector. The left panel shows which views of tags were detected, against
+    pitch and blur; the right panel shows the share of detected views against the ratio of the tag's size to its limit.
 
     Args:
         path: path of the PNG.
-        calibrations: calibrations, keyed by the name of the detector.
+        calibrations: calibrations of the detectors' limits, keyed by the name of the detector.
         title: title of the figure.
     """
     figure, panels = new_panels((12.0, 0.6 + 4.2 * len(calibrations)), title, len(calibrations), 2)
@@ -111,7 +112,7 @@ def _middle(rows: pd.DataFrame) -> FloatArray:
 
 
 def outlined(image: UInt8Array, expected: FloatArray, predicted: BoolArray, found: FloatArray) -> UInt8Array:
-    """Draw outlines around the tags that were predicted or detected, and return an image `(h, w, 3)`.
+    """Draw outlines around the tags that were predicted or detected; return the image with the outlines, `(h, w, 3)`.
 
     Args:
         image: grey image, `(h, w)`.
@@ -147,5 +148,5 @@ def save_frame(
 
 
 def _scale(image: UInt8Array) -> int:
-    """Factor for line widths; it is 1 for an image 800 pixels wide."""
+    """Factor for the widths of drawn lines; it is 1 for an image that is 800 pixels wide."""
     return max(1, round(len(image[0]) / 800))

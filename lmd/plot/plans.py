@@ -1,4 +1,6 @@
-"""Pictures of rooms from above, as PNGs: accuracy of single images, a survey beside the plan, and a localisation."""
+"""Pictures of rooms from above, as PNGs: the predicted accuracy of the position from one image, surveyed tags with
+their planned places, and the camera poses of a localisation.
+"""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -76,8 +78,8 @@ def save_room_figure(path: str | Path, room: Space, title: str, people: FloatArr
 
 
 def save_accuracy_figure(path: str | Path, deployments: Mapping[str, tuple[Problem, Deployment]], title: str) -> None:
-    """Write a PNG: the room from above for each deployment, with its landmarks, and with the median predicted error as
-    colour on one scale for all.
+    """Write a PNG with a panel for each deployment: the room from above, with the landmarks of the deployment, and with
+    the median predicted error of the position as colour. All panels have one colour scale.
 
     The median is taken over all orientations and heights at each place of the plan.
 
@@ -173,7 +175,9 @@ def _draw_above(axes: Any, survey: "Survey", room: Space | None) -> None:
 
 
 def edge_lines(tags: FloatArray, edges: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Coordinates x and y of the ends of horizontal lines through the middles of tags, `(2, K)` each, metres."""
+    """Ends of lines that show K tags from above: horizontal lines, as long as the tags are wide, through the tags'
+    centres. The x and the y coordinates are `(2, K)` each, metres.
+    """
     half = edges[:, None] / 2.0 * tags[:, :2, 0]
     ends = np.stack([tags[:, :2, 3] - half, tags[:, :2, 3] + half])
     return ends[..., 0], ends[..., 1]
@@ -219,7 +223,9 @@ def _draw_offsets(axes: Any, survey: "Survey") -> None:
 
 
 def _draw_sigmas(axes: Any, survey: "Survey") -> None:
-    """Draw the standard deviation of each tag's position against the number of sightings that determine it."""
+    """Draw the standard deviation of each tag's position against the number of sightings that determine the
+    position.
+    """
     from lmd.survey.results import tag_columns
 
     columns = tag_columns(survey)
@@ -239,8 +245,8 @@ MOST_CHANGED = 12  # largest number of changed tags that are named
 
 
 def save_localised_figure(path: str | Path, result: "Localisation", room: Space | None, title: str) -> None:
-    """Write a PNG of 1500 x 700 pixels: a localisation from above, and the standard deviation of the position against
-    time.
+    """Write a PNG of 1500 x 700 pixels: the localised camera poses from above, and the standard deviation of the
+    camera's position against time.
 
     Args:
         path: path of the PNG.
@@ -256,8 +262,8 @@ def save_localised_figure(path: str | Path, result: "Localisation", room: Space 
 
 
 def _ways(result: "Localisation") -> list[tuple[str, str, FloatArray, FloatArray]]:
-    """For the single images and for the smoothed drive, as far as they exist: a tuple of name, colour, poses and
-    covariances.
+    """Tuples of name, colour, poses and covariances: one for the poses from single images, and one for the smoothed
+    drive, if these exist.
     """
     every = ("single images", SINGLE, result.found), ("smoothed", SMOOTHED, result.smoothed)
     return [(name, colour, one.poses.frames, one.frame_covariances) for name, colour, one in every if one is not None]
@@ -307,7 +313,7 @@ def _draw_way(axes: Any, result: "Localisation", room: Space | None) -> None:
 
 
 def _draw_deviations(axes: Any, result: "Localisation") -> None:
-    """Draw the standard deviation of the position in its worst direction against time."""
+    """Draw the standard deviation of the camera's position, in the direction in which it is largest, against time."""
     from lmd.adjust.motion import seconds_of
 
     seconds = seconds_of(result.detected.times)

@@ -1,5 +1,5 @@
-"""Figures of pose errors, as PNGs: against time, over the positions of a room, with several maps, and from single
-images.
+"""Figures of pose errors, as PNGs: errors of estimators against time, errors with several maps of the tags, and the
+uncertainty of the pose from single images in a room.
 """
 
 from pathlib import Path
@@ -33,7 +33,8 @@ DECADES = 12  # number of decades shown below the largest error
 def save_error_figure(
     path: str | Path, curves: pd.DataFrame, time: FloatArray, counts: dict[str, IntArray], n: int, title: str
 ) -> None:
-    """Write a PNG: the errors of each estimator against time, and below them the number of landmarks in view.
+    """Write a PNG: the errors of the poses from each estimator against time, and below the errors the number of
+    landmarks in view.
 
     Args:
         path: path of the PNG.
@@ -72,8 +73,8 @@ def save_error_figure(
 
 
 def save_map_figure(path: str | Path, views: pd.DataFrame, title: str) -> None:
-    """Write a PNG of 800 x 500 pixels: for each map, the share of views whose position error is below the value on the
-    horizontal axis.
+    """Write a PNG of 800 x 500 pixels with a curve for each map of the tags: the share of views whose position error is
+    below the value on the horizontal axis.
 
     Args:
         path: path of the PNG.
@@ -110,10 +111,10 @@ def save_uncertainty_figure(
 ) -> None:
     """Write a PNG of three panels about the uncertainty of the pose from single images.
 
-    The first panel shows the room from above: the share of views with an unambiguous pose in each cell, and the heading
-    with the least share. The second panel shows, also from above, the median standard deviation of the position per
-    axis, for views with an unambiguous pose. The third panel plots this deviation against the mean distance of the
-    tags, with the fitted law.
+    The first panel shows the room from above: for each cell of the floor, the share of views with an unambiguous pose,
+    and the heading of the camera for which this share is least. The second panel shows, also from above, the median
+    over the views with an unambiguous pose of the standard deviation of the position per axis. The third panel plots
+    this deviation against the mean distance of the tags, with the fitted law.
 
     Args:
         path: path of the PNG.
@@ -141,8 +142,8 @@ def save_uncertainty_figure(
 
 
 def _cells(places: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Bounds of nearly square cells along x and along y, and the index of the cell of each place `(V, 2)`, counted
-    along x first.
+    """Nearly square cells of the floor: the cells' bounds along x and along y, and for each place `(V, 2)` the index of
+    its cell; cells are counted along x first.
     """
     low, high = places.min(axis=0), np.maximum(places.max(axis=0), places.min(axis=0) + 1e-3)
     counts = np.maximum(np.rint(CELLS * (high - low) / (high - low).max()).astype(int), 1)
@@ -152,8 +153,8 @@ def _cells(places: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
 
 
 def _draw_shares(axes: Any, views: Any, x: FloatArray, y: FloatArray, cell: IntArray) -> None:
-    """Draw the share of views with an unambiguous pose in each cell, and the heading with the least share as an
-    arrow.
+    """Draw the share of views with an unambiguous pose in each cell, and an arrow in the direction of the heading for
+    which this share is least.
     """
     columns, rows = len(x) - 1, len(y) - 1
     share = _shares(cell, views.one, columns * rows)

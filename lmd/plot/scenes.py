@@ -23,8 +23,8 @@ Groups: TypeAlias = Sequence[common.Group]
 
 
 def save_scene_figure(path: str | Path, problem: Problem, deployment: Deployment, title: str) -> None:
-    """Write a PNG of 1500 x 750 pixels: the positions are coloured by the objective's value, and a second time by
-    qualification.
+    """Write a PNG of 1500 x 750 pixels with two pictures of the room: in one the positions are coloured by the
+    objective's value, in the other by whether they are qualified.
 
     If all positions have one height, the room is drawn from above, with the ids of the landmarks.
 
@@ -56,7 +56,7 @@ def save_scene_figure(path: str | Path, problem: Problem, deployment: Deployment
 def _draw_in_space(
     problem: Problem, values: FloatArray, good: BoolArray, deployment: Deployment, groups: Groups, title: str
 ) -> tuple[Any, Any]:
-    """Figure of the room in perspective, drawn twice, and the figure's colour bar."""
+    """Figure with two pictures of the room in perspective, and the figure's colour bar."""
     from matplotlib.figure import Figure
 
     room, positions = problem.scene.room, problem.places
@@ -75,7 +75,7 @@ def _draw_in_space(
 def _draw_from_above(
     problem: Problem, values: FloatArray, good: BoolArray, deployment: Deployment, groups: Groups, title: str
 ) -> tuple[Any, Any]:
-    """Figure of the room from above, drawn twice, and the figure's colour bar."""
+    """Figure with two pictures of the room from above, and the figure's colour bar."""
     from matplotlib.collections import PatchCollection
     from matplotlib.patches import Rectangle
 
@@ -113,7 +113,8 @@ def _legends(room: Space, groups: Groups, labels: tuple[str, str]) -> tuple[list
 def save_deployments_figure(
     path: str | Path, deployments: Mapping[str, tuple[Problem, Deployment]], title: str
 ) -> None:
-    """Write a PNG that shows several deployments, two in a row, with the qualified positions of each.
+    """Write a PNG with a panel for each deployment, two panels in a row; a panel shows the deployment and its qualified
+    positions.
 
     Args:
         path: path of the PNG.
@@ -181,7 +182,7 @@ def _draw_surroundings(axes: Any, room: Space, deployment: Deployment, groups: G
 
 
 def _arrows(groups: Iterable[common.Group]) -> list[Any]:
-    """Legend entries of groups of landmarks; each entry occurs once."""
+    """Legend entries of the groups of landmarks; groups with equal entries share one."""
     from matplotlib.lines import Line2D
 
     entries = {group.label: group.colour for group in groups}

@@ -34,7 +34,7 @@ class Job:
     parent: str | None
     """Id of the tracked run of the sweep; None if nothing is tracked."""
     number: int
-    """Number of the job in the sweep, from 0."""
+    """Number of the job in the sweep; the first job has the number 0."""
     overrides: tuple[str, ...]
     """Overrides of the job, as on the command line."""
     varied: Mapping[str, str]
