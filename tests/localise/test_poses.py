@@ -46,6 +46,7 @@ def test_errors_of_the_map_are_in_the_covariance():
         ld.check_bounds(np.stack(first)[:, column], freedom)
 
 
+@pytest.mark.thorough("lmd/adjust", "lmd/localise")
 def test_a_calibration_that_is_off_is_refined():
     """Cameras are off as a calibration may be, and corners lie too far inward; the errors of a camera are alike in all
     images, so each of 6 walks counts with one image. Five seconds.

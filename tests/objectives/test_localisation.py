@@ -24,7 +24,7 @@ BENT = {"distortion": (-0.15, 0.02, 0.002, -0.003)}
     ("changes", "objective"),
     [
         pytest.param({"visibility": Fiducial(TAG)}, Localisation(1, tolerance=0.03), marks=OTHERS),
-        ({}, Localisation()),
+        pytest.param({}, Localisation(), marks=OTHERS),
         pytest.param(
             {"visibility": Fiducial(TAG), "camera": paper_camera(**BENT)},
             Localisation(1, rotation_tolerance=0.02),

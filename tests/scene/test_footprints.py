@@ -145,7 +145,12 @@ METHODS = {
 }
 
 
-@pytest.mark.parametrize("method", METHODS)
+WALK = pytest.mark.thorough("lmd/scene", "lmd/optimisers", "lmd/incremental")  # compiled for it alone
+
+
+@pytest.mark.parametrize(
+    "method", [pytest.param(method, marks=WALK if "annealing" in method else ()) for method in METHODS]
+)
 @pytest.mark.parametrize("start", [RandomDeployment, UniformDeployment])
 def test_no_optimiser_returns_plates_that_overlap(start, method):
     """Every second combination sees tags."""
