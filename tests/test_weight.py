@@ -15,10 +15,10 @@ BUDGET = {
     "code lines of lmd": 28167,
     "files of pipelines": 48,
     "code lines of pipelines": 3395,
-    "code lines of tests": 20001,
+    "code lines of tests": 20004,
     "files of conf": 100,
     "keys of conf": 372,
-    "words of docs": 38889,
+    "words of docs": 38910,
     "commands": 12,
 }
 # Docstrings and comments with each phrase, at most. Lower a number when you have lowered the count.

@@ -8,7 +8,7 @@ from contracts.criterion import check_counts, check_every_path, check_gains, che
 from numpy.testing import assert_array_equal
 from support.exact import check_exact
 from support.paper import paper_scene
-from support.product import law
+from support.product import MOVES, law
 from support.strategies import with_probabilities
 
 from lmd.objectives.coverage import Coverage
@@ -83,7 +83,7 @@ def test_what_stands_in_the_way_only_takes_away(case):
     assert (less <= np.tile(more, states)).all()
 
 
-@law(10, "coverage")
+@law(10, "coverage", quick=MOVES)
 def test_smaller_tags_hide_less(case):
     check_shrunk(case.scene, case.deployment)
 

@@ -16,7 +16,10 @@ from lmd.survey.survey import survey
 REAL = Path(__file__).parents[2] / "../shared/real/detections/test_13"
 FIRST, EACH, COLUMNS, PITCH = 6, 6, 3, 0.15  # first id, tags of a board and of a row, spacing in metres
 STRIDE = 15  # frames; with all of them the error of the spacing is a third
-pytestmark = pytest.mark.skipif(not REAL.exists(), reason="the recording is not available")
+pytestmark = [
+    pytest.mark.skipif(not REAL.exists(), reason="the recording is not available"),
+    pytest.mark.thorough("lmd/adjust", "lmd/survey"),
+]
 
 
 @pytest.fixture(scope="module")
