@@ -18,7 +18,7 @@ BUDGET = {
     "code lines of tests": 20004,
     "files of conf": 100,
     "keys of conf": 372,
-    "words of docs": 38910,
+    "words of docs": 38916,
     "commands": 12,
 }
 # Docstrings and comments with each phrase, at most. Lower a number when you have lowered the count.
