@@ -137,8 +137,10 @@ def read_map_covariance(path: Any, name: str, tags: Deployment) -> tuple[IntArra
     size = 6 * len(ids) if ids.ndim == 1 else 0
     if ids.dtype.kind != "i" or upper.dtype.kind != "f" or not size or upper.shape != (size * (size + 1) // 2,):
         raise refused
+    if positions.shape != (len(ids), 3) or positions.dtype.kind != "f":
+        raise refused
     _, here, there = np.intersect1d(tags.ids, ids, return_indices=True)
-    if positions.shape != (len(ids), 3) or not np.allclose(tags.positions[here], positions[there], atol=SAME_POSITION):
+    if not np.allclose(tags.places[here], positions[there], rtol=0.0, atol=SAME_POSITION):
         text = f"{name}: {str(path)!r} is of another survey than the map beside it: take both files from one survey"
         raise InputError(f"{text}, or remove {FILE}.", name)
     found = np.zeros((size, size))

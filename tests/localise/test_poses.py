@@ -221,7 +221,8 @@ def test_the_joint_covariance_of_a_map_is_in_the_world_frame_and_in_the_order_of
     """Two tags of a survey and one that is fixed by other means, out of order."""
     normals, ups = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.tile([0.0, 0.0, 1.0], (3, 1))
     labels = Labels(np.array([9, 2, 5]), {})
-    deployment = Deployment(np.eye(3), normals, labels=labels, surveyed=Surveyed(np.eye(3), np.eye(3), ups))
+    on_walls = np.eye(3) + 0.01 * normals  # the map has the measured places
+    deployment = Deployment(on_walls, normals, labels=labels, surveyed=Surveyed(on_walls, np.eye(3), ups))
     sigmas = np.array([[1.0, 2.0, 3.0, 4.0, 5.0, 6.0], [6.0, 5.0, 4.0, 3.0, 2.0, 1.0]]) * 1e-3  # of tags 5 and 9
     shared = 0.5 * np.outer(sigmas.ravel(), sigmas.ravel()) + 0.5 * np.diag(sigmas.ravel() ** 2)
     file = tmp_path / "map.csv"
