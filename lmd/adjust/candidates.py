@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lmd.adjust.corners import Poses, Reprojection, agreeing, newton_step, sums_by
-from lmd.adjust.motion import turn_twist
+from lmd.adjust.links import turn_twist
 from lmd.adjust.sightings import Sightings
 from lmd.core.checks import FloatArray, InputError, IntArray
 from lmd.core.optional import optional

@@ -27,7 +27,8 @@ import numpy as np
 from lmd.adjust.adjustment import CHANGE, Adjustment
 from lmd.adjust.candidates import single_poses
 from lmd.adjust.corners import Poses, agreeing, squared_errors
-from lmd.adjust.motion import DRIFT, SHORTEST_GAP, STEADY, Motion, turn_twist
+from lmd.adjust.links import turn_twist
+from lmd.adjust.motion import DRIFT, SHORTEST_GAP, STEADY, Motion
 from lmd.adjust.sightings import Sightings
 from lmd.core.checks import FloatArray, IntArray
 from lmd.geometry.se3 import angle_between, exp, inverse, log

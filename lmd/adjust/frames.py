@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lmd.adjust.corners import LEAST_DAMPING, solved
-from lmd.adjust.motion import Links
+from lmd.adjust.links import Links
 from lmd.adjust.prior import Kept
 from lmd.core.checks import FloatArray, IntArray
 

@@ -45,9 +45,7 @@ from lmd.sight.kernels import PROBABILITY_ONE
 
 @dataclass(frozen=True)
 class RigMoments:
-    """Moments of a rig, and the conditions under which the rig is localised. A moment is a position of the rig's
-    evaluator with an orientation.
-    """
+    """Moments of a rig (a position with an orientation), and the conditions under which it is localised."""
 
     evaluator: Evaluator
     """Evaluator of a rig."""
@@ -151,18 +149,14 @@ class Variant:
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """Shares of localised and of covered views, fractions in [0, 1], if assumptions have other values than in the
-    problem.
-    """
+    """Shares of localised and of covered views, in [0, 1], under other assumptions than those of the problem."""
 
     assumptions: pd.DataFrame
     """Table with the columns `assumption,factor,value,localised_share,covered_share,note`; the shares are NaN in rows
     with a note.
     """
     misses: pd.DataFrame
-    """Table with the columns `missed,localised_share,covered_share`; `missed` is the probability that a covered
-    landmark is missed.
-    """
+    """Table with `missed,localised_share,covered_share`; a covered landmark is missed with probability `missed`."""
     tags: pd.DataFrame
     """Table with the columns `id,localised_loss,covered_loss`: decrease of the two shares (localised, covered) if this
     landmark is lost.
@@ -237,9 +231,7 @@ def sensitivity(problem: Problem, deployment: Deployment, seed: int, sample: Sam
 
 
 def _cameras(failed: FloatArray, whole: FloatArray) -> pd.DataFrame:
-    """Make the table `Sensitivity.cameras` from the shares if each of C cameras fails, `(C, 2)`, and with all cameras,
-    `(2,)`.
-    """
+    """Table `Sensitivity.cameras` from the shares without each of C cameras, `(C, 2)`, and with all, `(2,)`."""
     table = pd.DataFrame(failed, columns=SHARE_COLUMNS).rename_axis("camera").reset_index()
     return table.assign(localised_loss=whole[0] - failed[:, 0], covered_loss=whole[1] - failed[:, 1])
 
@@ -308,9 +300,7 @@ def _shares(variant: Variant, evaluator: Evaluator) -> tuple[float, float]:
 
 
 def lost_shares(field: LocalisationField, deployment: Deployment) -> FloatArray:
-    """Means of L and P_n if landmarks i and j are lost, `(2, K, K)`; only landmark i is lost in entries on the
-    diagonal.
-    """
+    """Means of L and P_n if landmarks i and j are lost, `(2, K, K)`; only landmark i where i = j."""
     mean = Mean(in_order(field, np.ones(len(field.index_of))))
     shares = field._replace(weight=0.0), field.coverage
     return np.stack([without_landmarks(share, mean, deployment) for share in shares])

@@ -103,9 +103,7 @@ class DetectionsFile(File):
 
 
 def is_table(file: DetectionsFile) -> bool:
-    """True for a table with the columns of detections. True also for a table with semicolons, as its reader then
-    explains that commas are needed.
-    """
+    """True for a table of detections, also one with semicolons: its reader explains that commas are needed."""
     return not file.lacks or (len(file.header) == 1 and ";" in file.first)
 
 
@@ -130,15 +128,11 @@ class KeyedDetections:
     corners: str
     """Key of a tag's four corners: pairs, or mappings with x and y."""
     times: Mapping[str, int]
-    """Keys of the time of a result, in the order in which they are tried; the values are the numbers of time units per
-    second.
-    """
+    """Keys of the time of a result, in the order in which they are tried, and their time units per second."""
     tag_family: str = ""
     """Key of a tag's family; empty if tags have none."""
     least: float = -np.inf
-    """Minimum coordinate of a corner. Files with smaller coordinates, which count from the middle of the image, are
-    refused.
-    """
+    """Minimum coordinate of a corner; smaller ones, which count from the middle of the image, are refused."""
 
     def read(self, file: Any) -> DetectedTags:
         """Detections of all results in a file.
@@ -285,9 +279,7 @@ def read_bag(file: File) -> DetectedTags:
 
 
 def _as_first_written(texts: Sequence[str]) -> list[str]:
-    """Texts of times, in which texts of equal numbers are replaced by the first of them: 9.50 becomes 9.5 if 9.5 came
-    first.
-    """
+    """Texts of times; texts of equal numbers become the first of them, as 9.50 becomes 9.5 after 9.5."""
     written: dict[Decimal | str, str] = {}
     return [written.setdefault(time_of(text), text) for text in texts]
 

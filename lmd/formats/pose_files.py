@@ -197,9 +197,7 @@ def of_table(file: File) -> Rows:
 
 
 def _oriented(found: Named, place: FloatArray, frame: str) -> tuple[FloatArray, str | None, bool, str]:
-    """Make poses from the columns of a table. Returns: the poses; the frame of the orientations; True if the
-    orientations are angles of a camera; a note.
-    """
+    """Poses from the columns of a table, the frame of their orientations, whether these are angles, and a note."""
     table, columns, path = found.table, found.columns, found.table.path
     if set(QUATERNION) <= columns.keys():
         about, note = _frame_of_ros(table, frame)
@@ -229,9 +227,7 @@ def _oriented(found: Named, place: FloatArray, frame: str) -> tuple[FloatArray, 
 
 
 def _frame_of_ros(table: Table, frame: str) -> tuple[str | None, str]:
-    """Frame of the orientations, as ROS's column `child_frame_id` names it according to REP 103 and REP 105, or None;
-    and a note.
-    """
+    """Frame of the orientations by ROS's `child_frame_id` (REP 103, REP 105), or None; and a note."""
     found = {text for name in table.texts if name.lower().endswith("child_frame_id") for text in table.texts[name]}
     name = found.pop() if len(found) == 1 else ""
     if ROS_OPTICAL.fullmatch(name):

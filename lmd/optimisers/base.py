@@ -1,6 +1,4 @@
-"""Base classes of optimisers: the interface that pipelines use, and the loop of optimisers that ask for fitness of
-candidates (`ask`) and are told it (`tell`).
-"""
+"""Base classes of optimisers: the interface that pipelines use, and the loop of asking and telling."""
 
 import math
 import sys
@@ -40,13 +38,9 @@ class Result:
     seconds: float
     """Wall time spent, seconds, summed over all parts of a resumed run, without compilation."""
     history: tuple[Record, ...]
-    """Records of the best fitness against evaluations and wall time: one for each improvement, and one for the end of
-    each batch.
-    """
+    """Best fitness against evaluations and wall time: a record for each improvement and each end of a batch."""
     stopped: str
-    """Reason why the run ended: `budget` if the budget is used up, `interrupted` if the callback stopped the run,
-    `proven` if the result is proved optimal.
-    """
+    """Reason of the end: `budget` (used up), `interrupted` (by the callback) or `proven` (the result is optimal)."""
     rig: Rig | None = None
     """Best cameras found, if cameras are placed and the deployment is given; otherwise None."""
 
@@ -102,9 +96,7 @@ class Optimiser(ABC):
             raise InputError(f"{type(self).__name__} places landmarks, not cameras; use a black box.")
 
     def figures(self) -> Mapping[str, float]:
-        """Further metrics that this optimiser reports about its run; they are recorded beside the fitness. None by
-        default.
-        """
+        """Further metrics of the run, recorded beside the fitness; none by default."""
         return {}
 
     @abstractmethod
@@ -188,9 +180,7 @@ class AskTell(Optimiser):
 
     @abstractmethod
     def _tell(self, genes: FloatArray, fitness: FloatArray) -> None:
-        """Take the fitness `(B,)` of the genes that the last `_ask` returned; a failed evaluation has -inf, never
-        NaN.
-        """
+        """Take the fitness `(B,)` of the genes of the last `_ask`; -inf for a failed evaluation, never NaN."""
 
     def ask(self) -> FloatArray:
         """Return the genes of the next batch, `(B, dim)`, clipped to the unit box.
@@ -241,9 +231,7 @@ class AskTell(Optimiser):
 
     @override
     def restore(self, state: Mapping[str, Any], problem: Problem) -> None:
-        """See `Optimiser.restore`. All calls of `_ask` and `_tell` are repeated, which takes the optimiser's own
-        computing time.
-        """
+        """See `Optimiser.restore`. All calls of `_ask` and `_tell` are repeated, which takes their computing time."""
         checksums = array("checksums", state["checksums"], np.uint32, None)
         seconds = array("wall_time", state["wall_time"], np.float64, len(checksums), low=0.0)
         batches = array("batches", state["batches"], np.int64, len(checksums), low=1)

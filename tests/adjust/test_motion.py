@@ -3,7 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lmd.adjust.motion import BIAS, Motion, seconds_of
+from lmd.adjust.links import BIAS
+from lmd.adjust.motion import Motion, seconds_of
 from lmd.core.checks import InputError
 from lmd.geometry.se3 import exp
 from lmd.geometry.trajectory import Trajectory
