@@ -47,7 +47,12 @@ def test_every_criterion_keeps_its_contract(criteria, camera):
     check_criterion(criteria, camera)
 
 
-@pytest.mark.parametrize("name", options("objective"))
+FILTERED = pytest.mark.thorough("lmd/objectives/filtered", "lmd/incremental")  # compiled for it alone
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=FILTERED if name == "filtered" else ()) for name in options("objective")]
+)
 def test_every_objective_keeps_its_contract(name):
     cfg = composed("optimise", f"objective={name}", "tag.edge=0.3", "room.spacing=2", "pdf.divisions=6", "threads=1")
     problem = build_problem(cfg)

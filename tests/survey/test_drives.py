@@ -79,7 +79,8 @@ def test_odometry_joins_groups_that_no_image_connects():
     assert (off(found, driven.tags) < 4.0 * found.found.sigmas[found.placed]).all()
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(7, marks=more_drives)])
+@more_drives
+@pytest.mark.parametrize("seed", [1, 7])
 def test_an_id_that_was_misread_twice_does_not_place_a_tag_elsewhere(seed):
     """Images alone have tag 7 near tag 1, some 8 m off; motion places it rightly, or not at all."""
     rng = np.random.default_rng(seed)
