@@ -28,7 +28,7 @@ NEAREST, NOWHERE = 1e-3, 1e4
 RESECTION_STEPS, LEAST_DAMPING = 10, 1e-9  # Gauss-Newton steps of resection; least growth of diagonals in a solution
 # Mean of (nu + 8) x / (nu + x) for x with the chi^2 distribution with 8 degrees of freedom.
 NORMAL_MEAN = 7.5625
-FLOOR_BISECTIONS = 40
+LEAST_FLOOR = 1e-9  # pixels
 # A sighting is an outlier if its chi^2, with eight degrees of freedom, exceeds `OUTLIER_CHI_SQUARE`, and its RMS error
 # exceeds `OUTLIER_PIXELS` and the share `OUTLIER_SHARE` of its shortest side. Blur and lenses cause smaller errors.
 OUTLIER_CHI_SQUARE, OUTLIER_PIXELS, OUTLIER_SHARE = 60.0, 1.0, 0.02
@@ -178,7 +178,7 @@ def student_loss(square: FloatArray, residuals: int = RESIDUALS) -> float:
 
 
 def floor_of(error: FloatArray, noise: FloatArray, most: float) -> float:
-    """Find, by bisection, the floor (standard deviation of corners in addition to the detector's own), pixels, at which
+    """Find the floor (standard deviation of corners in addition to the detector's own), pixels, at which
     the squared errors have their expected mean.
 
     Args:
@@ -186,15 +186,14 @@ def floor_of(error: FloatArray, noise: FloatArray, most: float) -> float:
         noise: standard deviation of a coordinate of a corner according to the detector, pixels, `(N,)`.
         most: upper limit of the floor, pixels.
     """
-    low, high = 0.0, most
-    for _ in range(FLOOR_BISECTIONS):
-        middle = (low + high) / 2.0
-        square = error / (noise**2 + middle**2)
-        if (student_weight(square) * square).mean() > NORMAL_MEAN:
-            low = middle
-        else:
-            high = middle
-    return high
+    from scipy.optimize import brentq
+
+    def beyond(floor: float) -> float:
+        square = error / (noise**2 + floor**2)
+        return float((student_weight(square) * square).mean() - NORMAL_MEAN)
+
+    ends = [end for end, sign in ((LEAST_FLOOR, 1.0), (most, -1.0)) if sign * beyond(end) <= 0.0]
+    return ends[0] if ends else float(brentq(beyond, LEAST_FLOOR, most, xtol=LEAST_FLOOR))
 
 
 def efficiency(square: FloatArray) -> tuple[float, float]:

@@ -8,7 +8,7 @@ computed with the stated edges. Then |s t_b - t_a| is constant over images from 
 pairs give the size of each tag relative to most others.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import NamedTuple, TypeVar
 
@@ -100,16 +100,18 @@ def _change(first: IntArray, second: IntArray) -> int | None:
     return None if mixed else begins
 
 
-def with_best_edges(seen: Observations, begun: Callable[[Observations], tuple[Begun, int]]) -> tuple[Begun, BoolArray]:
+def with_best_edges(
+    seen: Observations, begun: Callable[[Observations], tuple[Begun, int]], plan: FloatArray | None = None
+) -> tuple[Begun, BoolArray]:
     """Call `begun` with the stated edge lengths and with those of `odd_sizes`. Returns: the result with which more
     sightings agree; the mask of the tags whose edge length in this result differs from the stated one, `(K,)`.
 
     Args:
         seen: detections.
         begun: function of detections that returns a result and the number of sightings that agree with it.
+        plan: `(K, 3)` positions of the tags in a map, metres, NaN if unknown; None without a map.
     """
-    apart = seen.through().with_separate_cameras()
-    (found, agreed), (factors, odd) = begun(seen), odd_sizes(apart, single_poses(apart).poses[:, 0])
+    (found, agreed), (factors, odd) = begun(seen), odd_sizes(seen.through().with_separate_cameras(), plan)
     if odd.any():
         other, more = begun(replace(seen, edges=seen.edges * factors))
         if more > agreed + FEWEST_SIGHTINGS:
@@ -117,39 +119,82 @@ def with_best_edges(seen: Observations, begun: Callable[[Observations], tuple[Be
     return found, np.zeros_like(odd)
 
 
-def odd_sizes(sightings: Sightings, single: FloatArray) -> tuple[FloatArray, BoolArray]:
+def odd_sizes(sightings: Sightings, plan: FloatArray | None = None) -> tuple[FloatArray, BoolArray]:
     """Estimated factor on the stated edge length of each tag, `(K,)`, and mask of the tags whose size must be
     estimated from all frames, `(K,)`.
 
     The mask has the tags with a factor other than 1. If there are any, it also has the tags whose size relative to
-    other tags is unknown.
+    other tags, or to the map, is unknown.
 
     Args:
         sightings: sightings in which each camera is treated as a body of its own, see
             `Sightings.with_separate_cameras`.
-        single: for each sighting, the better pose of its tag in the camera's frame, `(N, 4, 4)`.
+        plan: see `with_best_edges`.
+    """
+    size, alone = _relative_sizes(sightings) if plan is None else _planned_sizes(sightings, plan)
+    odd = np.abs(size) > ODD
+    return np.where(odd, np.exp(size), 1.0), odd | (alone & odd.any())
+
+
+def _together(sightings: Sightings) -> Iterator[tuple[int, int, FloatArray, FloatArray]]:
+    """Pairs of tags i < j that images show together: i, j, and the tags' centres in the cameras' frames, `(n, 3)` each,
+    metres.
+    """
+    count, every = len(sightings.ids), np.arange(len(sightings))
+    centres = single_poses(sightings).poses[:, 0, :3, 3]
+    before = every - np.searchsorted(sightings.frame, sightings.frame)  # number of earlier sightings in the frame
+    one = np.repeat(every, before)
+    other = every[one] - 1 - (np.arange(len(one)) - np.searchsorted(one, one))
+    swap = sightings.tag[one] > sightings.tag[other]
+    a, b = np.where(swap, other, one), np.where(swap, one, other)
+    key = sightings.tag[a] * count + sightings.tag[b]
+    order = np.lexsort((other, one, key))
+    keys, begins = np.unique(key[order], return_index=True)
+    for pair, own in zip(keys.tolist(), np.split(order, begins)[1:], strict=True):
+        if len(own) >= FEWEST_TOGETHER and pair // count != pair % count:
+            yield *divmod(pair, count), centres[a[own]], centres[b[own]]
+
+
+def _losses(one: FloatArray, two: FloatArray, expected: float | None) -> FloatArray:
+    """Robust loss of the distances between centres `(..., n, 3)` from the expected distance, or from their median,
+    `(...,)`.
+    """
+    away = np.log(np.maximum(np.linalg.norm(two - one, axis=-1), 1e-9))
+    off = away - (np.median(away, axis=-1, keepdims=True) if expected is None else np.log(expected))
+    return np.asarray(np.log1p((off / LEAST_SPREAD) ** 2).sum(axis=-1))
+
+
+def _planned_sizes(sightings: Sightings, plan: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Logarithm of the factor on each edge length with which the distances between tags are those of a map, and mask of
+    the tags that no image shows with another tag of the map; `(K,)` each. In a pair, the other tag has its stated size
+    or the same factor.
+    """
+    pairs = [pair for pair in _together(sightings) if np.isfinite(plan[[pair[0], pair[1]]]).all()]
+    factors, alone = np.ones(len(plan)), np.ones(len(plan), dtype=bool)
+    for _ in range(ROUNDS):
+        losses = np.zeros((len(plan), len(RATIOS)))
+        for i, j, one, two in pairs:
+            one, two, away = factors[i] * one, factors[j] * two, float(np.linalg.norm(plan[j] - plan[i]))
+            both = _losses(RATIOS[:, None, None] * one, RATIOS[:, None, None] * two, away)
+            losses[i] += np.minimum(both, _losses(RATIOS[:, None, None] * one, two, away))
+            losses[j] += np.minimum(both, _losses(one, RATIOS[:, None, None] * two, away))
+            alone[[i, j]] = False
+        surely = losses.min(axis=1) < losses[:, len(RATIOS) // 2] - SURELY
+        factors = np.where(surely, factors * RATIOS[losses.argmin(axis=1)], factors)
+    return np.log(factors), alone
+
+
+def _relative_sizes(sightings: Sightings) -> tuple[FloatArray, BoolArray]:
+    """Logarithm of the size of each tag relative to most others, and mask of the tags whose relative size is unknown,
+    `(K,)` each.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
-    count, some, every = len(sightings.ids), sightings, np.arange(len(sightings))
-    before = every - np.searchsorted(some.frame, some.frame)  # number of earlier sightings in the frame
-    one = np.repeat(every, before)
-    other = every[one] - 1 - (np.arange(len(one)) - np.searchsorted(one, one))
-    swap = some.tag[one] > some.tag[other]
-    a, b = np.where(swap, other, one), np.where(swap, one, other)
-    key = some.tag[a] * count + some.tag[b]
-    order = np.lexsort((other, one, key))
-    keys, begins = np.unique(key[order], return_index=True)
+    count = len(sightings.ids)
     ratios, weights = np.zeros((2, count, count))
-    for pair, own in zip(keys.tolist(), np.split(order, begins)[1:], strict=True):
-        i, j = divmod(pair, count)
-        if len(own) < FEWEST_TOGETHER or i == j:
-            continue
-        ways = RATIOS[:, None, None] * single[b[own], :3, 3] - single[a[own], :3, 3]
-        away = np.log(np.maximum(np.linalg.norm(ways, axis=2), 1e-9))
-        off = away - np.median(away, axis=1, keepdims=True)
-        cost = np.log1p((off / LEAST_SPREAD) ** 2).sum(axis=1)
+    for i, j, one, two in _together(sightings):
+        cost = _losses(one, RATIOS[:, None, None] * two, None)
         stated, best = len(RATIOS) // 2, int(np.argmin(cost))
         best = best if cost[best] < cost[stated] - SURELY else stated
         beside = cost[[max(best - BESIDE, 0), min(best + BESIDE, len(RATIOS) - 1)]].min() - cost[best]
@@ -163,9 +208,7 @@ def odd_sizes(sightings: Sightings, single: FloatArray) -> tuple[FloatArray, Boo
             size[node] = size[ahead[node]] + ratios[ahead[node], node]
         near = np.abs(size[own, None] - size[own]) < ODD
         size[own] -= np.median(size[own][near[np.argmax(near.sum(axis=1))]])
-    odd = np.abs(size) > ODD
-    alone = np.bincount(labels, minlength=count)[labels] == 1
-    return np.where(odd, np.exp(size), 1.0), odd | (alone & odd.any())
+    return size, np.bincount(labels, minlength=count)[labels] == 1
 
 
 def with_sizes(found: Estimate, odd: BoolArray, others: float, tried: bool) -> tuple[Estimate, BoolArray]:

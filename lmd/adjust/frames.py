@@ -13,12 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from lmd.adjust.corners import LEAST_DAMPING, solved
-from lmd.adjust.links import Links
+from lmd.adjust.links import LEAST_STIFFNESS, Links
 from lmd.adjust.prior import Kept
 from lmd.core.checks import FloatArray, IntArray
 
 COLUMNS = 512  # number of columns of the kept unknowns that are processed together
-WEAKEST = 1e-9  # information on the velocity of a frame without links
 
 
 class Part(NamedTuple):
@@ -97,7 +96,7 @@ class LinkedFrames:
     ) -> None:
         at = links.at(poses)
         size, first, count = links.size, links.first, len(poses)
-        self.diagonal = np.tile(WEAKEST * np.eye(size), (count, 1, 1))
+        self.diagonal = np.tile(LEAST_STIFFNESS * np.eye(size), (count, 1, 1))
         self.below, self.right = np.zeros((count, size, size)), np.zeros((count, size))
         border = np.zeros((count, size, at.by_bias.shape[2]))  # products with the bias
         weights = links.weights(links.squares(at.error)) if is_robust else np.ones(len(first))

@@ -44,14 +44,16 @@ def gauge_free(tags: FloatArray) -> FloatArray:
 
 
 def in_world(poses: FloatArray, covariances: FloatArray) -> FloatArray:
-    """Covariances of position and rotation about the axes of the world, m^2 and rad^2, `(n, 6, 6)`.
+    """Covariances of position and rotation (p, r) in the world frame, m^2 and rad^2, `(n, 6, 6)`.
 
     Args:
         poses: poses, `(n, 4, 4)`.
-        covariances: covariances of their right-hand twists, `(n, 6, 6)`.
+        covariances: covariances of their right-hand twists, `(n, 6, 6)`; matrices that are not finite do not change.
     """
-    whole = world_from_twists(poses)
-    return np.asarray(whole @ covariances @ np.swapaxes(whole, 1, 2))
+    known, found = np.isfinite(covariances).all(axis=(1, 2)), covariances.copy()
+    whole = world_from_twists(poses[known])
+    found[known] = whole @ found[known] @ np.swapaxes(whole, 1, 2)
+    return found
 
 
 def world_from_twists(poses: FloatArray) -> FloatArray:

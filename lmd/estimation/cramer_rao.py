@@ -156,11 +156,9 @@ def _finite_median(values: FloatArray, weight: FloatArray) -> FloatArray:
     """Weighted median of the finite values in each row of `values` `(P, D)`; `(P,)`; infinite for rows without finite
     values.
     """
-    order = np.argsort(values, axis=1)
-    ordered, weights = (np.take_along_axis(v, order, axis=1) for v in (values, np.broadcast_to(weight, values.shape)))
-    below = np.cumsum(np.where(np.isfinite(ordered), weights, 0.0), axis=1)
-    middle = (below >= below[:, -1:] / 2.0).argmax(axis=1)
-    return np.asarray(ordered[np.arange(len(ordered)), middle])
+    known = np.isfinite(values)
+    weights = np.where(known | ~known.any(axis=1, keepdims=True), weight, 0.0)
+    return np.asarray(np.quantile(values, 0.5, axis=1, weights=weights, method="inverted_cdf"))
 
 
 @dataclass(frozen=True)

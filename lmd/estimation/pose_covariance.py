@@ -29,7 +29,6 @@ import numpy as np
 from scipy.sparse import bsr_array
 
 from lmd.adjust.corners import sums_by
-from lmd.adjust.gauge import in_world
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.detection.corner_errors import MODES, CornerErrors, MeasuredCorners, incidence, inward, pitch
 from lmd.estimation.cramer_rao import determines_pose
@@ -80,22 +79,6 @@ class TagErrors:
         if not isinstance(self.noise, MeasuredCorners):
             return np.eye(8)
         return np.asarray(np.kron(np.tensordot(self.noise.modes, MODES, axes=1), np.eye(2)))
-
-
-def _covariances(information: FloatArray, errors: FloatArray, shifts: FloatArray) -> FloatArray:
-    """Covariances H^-1 N H^-1 of n poses, `(n, 6, 6)`, with the symbols of the module's docstring.
-
-    Args:
-        information: matrices H, `(n, 6, 6)`.
-        errors: terms of N due to the noise of corners and to errors of the map (its first and last sum), `(n, 6, 6)`.
-        shifts: terms of N due to shifts: the vector g, and beta h_c for each of C cameras, `(n, 1 + C, 6)`.
-    """
-    fixed = determines_pose(information)
-    found = np.full(information.shape, np.inf)
-    solved = np.linalg.inv(information[fixed])
-    whole = errors[fixed] + np.swapaxes(shifts[fixed], 1, 2) @ shifts[fixed]
-    found[fixed] = solved @ whole @ solved
-    return found
 
 
 def pose_covariances(
@@ -153,7 +136,11 @@ def pose_covariances(
         shifts[:, 1 + c] = errors.shift * summed(moved)
         by_map[number[frame, which]] += weighted @ by_place
         sigmas[frame, which] = np.maximum(sigmas[frame, which], sigma)
-    return _covariances(information, noise + _by_map(by_map, shown, errors), shifts), sigmas
+    fixed, found = determines_pose(information), np.full(information.shape, np.inf)
+    solved = np.linalg.inv(information[fixed])
+    total = noise + _by_map(by_map, shown, errors) + np.swapaxes(shifts, 1, 2) @ shifts
+    found[fixed] = solved @ total[fixed] @ solved
+    return found, sigmas
 
 
 def _by_map(by_map: FloatArray, shown: BoolArray, errors: TagErrors) -> FloatArray:
@@ -172,16 +159,3 @@ def _by_map(by_map: FloatArray, shown: BoolArray, errors: TagErrors) -> FloatArr
             shared = (rows @ errors.joint).reshape(-1, 6, count, 6)  # sum_t B_t P_tu
             found[some] += shared[frame[some] - first, :, which[some]] @ back[some]
     return sums_by(frame, frames)(found)
-
-
-def world_covariances(poses: FloatArray, covariances: FloatArray) -> FloatArray:
-    """Covariances of position and rotation (p, r) in the world frame, converted from covariances of body twists (w, v),
-    `(F, 6, 6)`.
-
-    Args:
-        poses: poses X, `(F, 4, 4)`.
-        covariances: covariances of the body twist, `(F, 6, 6)`; infinite matrices stay infinite.
-    """
-    found, known = np.full(covariances.shape, np.inf), np.isfinite(covariances).all(axis=(1, 2))
-    found[known] = in_world(poses[known], covariances[known])
-    return found

@@ -16,11 +16,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
+from lmd.adjust.gauge import in_world
 from lmd.core.checks import Checked, Count, FloatArray, InputError, NotNegative, choice
 from lmd.core.memory import check_memory
 from lmd.detection.corner_errors import CORNER_ERRORS, CornerErrors, MeasuredCorners
 from lmd.detection.frames import draw_poses
-from lmd.estimation.pose_covariance import WEIGHTS, TagErrors, pose_covariances, world_covariances
+from lmd.estimation.pose_covariance import WEIGHTS, TagErrors, pose_covariances
 from lmd.evaluation.accuracy import as_localisation
 from lmd.evaluation.rendered_corners import measured_corners
 from lmd.geometry.frames import angles_of
@@ -170,7 +171,7 @@ def uncertainty(
     seen = visible_to_each(problem.evaluator, deployment, poses[:, :3, 3], axis_and_right(poses))
     body = scene.cameras, scene.extrinsics
     found, sigmas = pose_covariances(*body, poses, deployment, scene.tag, seen, errors)
-    covariances, shown = world_covariances(poses, found), seen.any(axis=0)
+    covariances, shown = in_world(poses, found), seen.any(axis=0)
     counts, (frame, tag) = shown.sum(axis=1), np.nonzero(shown)
     away = np.linalg.norm(deployment.places[tag] - poses[frame, :3, 3], axis=1)
     ups, half = deployment.ups, deployment.edges_of(scene.tag)[:, None] / 2.0

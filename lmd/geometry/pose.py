@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.core.optional import optional
 from lmd.geometry.camera import Camera
-from lmd.geometry.projection import bearings, intrinsics, project, slope, to_camera
+from lmd.geometry.projection import bearings, project, slope, to_camera
 from lmd.geometry.se3 import adjoint_matrix, angle_between, exp, inverse, pose_of, seen_by_twist
 
 # Fewest points that determine a pose, such as the corners of a tag.
@@ -103,8 +103,8 @@ def solutions(camera: Camera, points: FloatArray, image: FloatArray, noise: Arra
     points.
 
     Candidates are the poses that SQPnP finds; for coplanar points also the two poses of IPPE; and for four points that
-    are not coplanar also up to four poses of P3P for each triple of points. Candidates are refined by
-    Levenberg-Marquardt, or, for a distorting lens, by Gauss-Newton on the errors in the distorted image.
+    are not coplanar also up to four poses of P3P for each triple of points. Candidates are refined by Gauss-Newton on
+    the errors in the image.
 
     Args:
         camera: intrinsics and lens.
@@ -116,47 +116,32 @@ def solutions(camera: Camera, points: FloatArray, image: FloatArray, noise: Arra
         return []
     world, pixels = (np.ascontiguousarray(part, dtype=np.float64) for part in (points, image))
     whole = PointImage(camera, np.eye(4), world, pixels, np.broadcast_to(np.asarray(noise, dtype=float), len(world)))
-    return _best([whole], _without_lens(whole) if camera.lens is None else _through_lens(whole))
+    return _best([whole], _refined_candidates(whole))
 
 
-def _without_lens(image: PointImage) -> Iterator[FloatArray]:
-    """Poses of a camera without distortion, each a local minimum of the reprojection error."""
-    cv2, matrix = optional("cv2", "estimators"), intrinsics(image.camera)
-    for start in _candidates(image.points, image.pixels, matrix):
-        turn, shift = cv2.solvePnPRefineLM(image.points, image.pixels, matrix, None, *start)
-        yield inverse(pose_of(cv2.Rodrigues(turn)[0], np.ravel(shift)))
-
-
-def _through_lens(image: PointImage) -> Iterator[FloatArray]:
-    """Poses of a camera with distortion: the image points are undistorted to the image of a virtual pinhole camera
-    aimed at the points, candidate poses are solved for this camera, and each is then refined.
+def _refined_candidates(image: PointImage) -> Iterator[FloatArray]:
+    """Poses that are local minima of the reprojection error: the image points are mapped to the image of a virtual
+    pinhole camera aimed at the points, candidate poses (see `solutions`) are solved for this camera, and each is then
+    refined.
     """
     cv2 = optional("cv2", "estimators")
     turned, within, rays = straightened(bearings(image.camera, image.pixels))
     if np.count_nonzero(within) < FEWEST_POINTS:
         return
-    near, seen = np.ascontiguousarray(image.points[within]), np.ascontiguousarray(rays[within])
-    for turn, shift in _candidates(near, seen, np.eye(3)):
-        start = pose_of(turned.T @ cv2.Rodrigues(turn)[0], np.ravel(turned.T @ shift))
-        yield _refined([image], inverse(start))
-
-
-def _candidates(world: FloatArray, pixels: FloatArray, matrix: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
-    """Candidates, as in `solutions`, for the transform from the world to a pinhole camera; each candidate is a rotation
-    vector and a translation.
-    """
-    cv2 = optional("cv2", "estimators")
+    world, seen = np.ascontiguousarray(image.points[within]), np.ascontiguousarray(rays[within])
     extents = np.linalg.svd(world - world.mean(axis=0), compute_uv=False)
     flat = extents[2] <= FLATNESS * extents[0]
     candidates: list[tuple[FloatArray, FloatArray]] = []
     for method in (cv2.SOLVEPNP_SQPNP, cv2.SOLVEPNP_IPPE) if flat else (cv2.SOLVEPNP_SQPNP,):
-        _, turns, shifts, _ = cv2.solvePnPGeneric(world, pixels, matrix, None, flags=method)
+        _, turns, shifts, _ = cv2.solvePnPGeneric(world, seen, np.eye(3), None, flags=method)
         candidates += zip(turns, shifts, strict=True)
     if len(world) == FEWEST_POINTS and not flat:
         for three in map(list, combinations(range(FEWEST_POINTS), 3)):
-            _, turns, shifts = cv2.solveP3P(world[three], pixels[three], matrix, None, cv2.SOLVEPNP_P3P)
+            _, turns, shifts = cv2.solveP3P(world[three], seen[three], np.eye(3), None, cv2.SOLVEPNP_P3P)
             candidates += zip(turns, shifts, strict=True)
-    return candidates
+    for turn, shift in candidates:
+        start = pose_of(turned.T @ cv2.Rodrigues(turn)[0], np.ravel(turned.T @ shift))
+        yield _refined([image], inverse(start))
 
 
 def straightened(seen: FloatArray) -> tuple[FloatArray, BoolArray, FloatArray]:

@@ -129,7 +129,7 @@ def localise(
         )
     with threadpool_limits(limits=ONE_THREAD):
         seen, quarters = (seen, 0) if detected.in_order else _in_order(seen, here, mounts)
-        (seen, rough), odd = with_best_edges(seen, partial(_begun, here=here, mounts=mounts))
+        (seen, rough), odd = with_best_edges(seen, partial(_begun, here=here, mounts=mounts), here.poses[:, :3, 3])
         group = np.where(rough.poses.known_tags, 0, -1)
         begun = Estimate(seen.through(), here.prior(rough.gross, mounts), rough.poses, group).adjusted()
         states, both = states_of(begun, rough.others)

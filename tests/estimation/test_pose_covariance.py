@@ -5,10 +5,11 @@ import pytest
 from scipy.stats import chi2
 from support.paper import paper_camera
 
+from lmd.adjust.gauge import in_world
 from lmd.core.checks import InputError
 from lmd.detection.corner_errors import CORNER_ERRORS, MeasuredCorners, incidence, inward, pitch
 from lmd.estimation.cramer_rao import pose_information
-from lmd.estimation.pose_covariance import TagErrors, pose_covariances, world_covariances
+from lmd.estimation.pose_covariance import TagErrors, pose_covariances
 from lmd.geometry.pose import body_from_corners
 from lmd.geometry.projection import project, to_camera
 from lmd.geometry.se3 import camera_pose, exp, inverse, log, skew
@@ -157,7 +158,7 @@ def test_a_motion_of_the_whole_map_is_the_error_of_each_pose():
     moved = [np.block([[np.eye(3), -skew(at)], [np.zeros((3, 3)), np.eye(3)]]) for at in tags.places]
     spread = np.vstack(moved) @ np.diag([0.01, 0.02, 0.03, 0.001, 0.002, 0.003])
     errors = TagErrors(exact, 0.0, ZERO, joint=spread @ spread.T)
-    found = world_covariances(poses, pose_covariances([CAMERA], ALONE, poses, tags, TAG, seen, errors)[0])
+    found = in_world(poses, pose_covariances([CAMERA], ALONE, poses, tags, TAG, seen, errors)[0])
     for pose, covariance in zip(poses[:50], found, strict=False):
         own = np.block([[np.eye(3), -skew(pose[:3, 3])], [np.zeros((3, 3)), np.eye(3)]])
         own = own @ np.diag([0.01, 0.02, 0.03, 0.001, 0.002, 0.003])
@@ -169,7 +170,7 @@ def test_views_without_tags_have_no_covariance_and_positions_turn_to_the_world()
     seen = seen.copy()
     seen[:, 0] = False
     covariances, _ = pose_covariances([CAMERA], ALONE, poses, tags, TAG, seen, TagErrors(0.5, 0.0, ZERO))
-    found = world_covariances(poses, covariances)
+    found = in_world(poses, covariances)
     assert np.isinf(found[0]).all()
     turn = poses[1, :3, :3]
     expected = turn @ covariances[1][3:, 3:] @ turn.T
