@@ -6,7 +6,7 @@ python benchmarks/survey.py aviary test_13 [--boards 0.0002] [--calibrate false]
 python benchmarks/survey.py perch test_2 [--calibrate false]  # two fisheye cameras, beside TagSLAM's own answer
 python benchmarks/survey.py halves FOLDER EDGE [--every null]   # maps of the two halves of a drive, side by side
 python benchmarks/survey.py rings SURVEY U V   # share of tags in view that were detected, by pixels from (U, V)
-PYTHONPATH=tests python benchmarks/survey.py time FRAMES TAGS    # how long a walk takes, and how much memory
+PYTHONPATH=tests python benchmarks/survey.py time FRAMES TAGS [--cameras 4]   # how long a walk takes, and its memory
 """
 
 import argparse
@@ -215,7 +215,7 @@ def halves(folder: Path, edge: float, every: int | None) -> None:
         )
 
 
-def measure(frames: int, tags: int) -> None:
+def measure(frames: int, tags: int, cameras: int) -> None:
     """Time of one processor and memory, from detections to figures."""
     from support import walks  # of the tests
 
@@ -223,13 +223,16 @@ def measure(frames: int, tags: int) -> None:
     from lmd.survey.knowledge import PriorKnowledge
     from lmd.survey.survey import survey
 
-    rng = np.random.default_rng(0)
+    rng, mounts = np.random.default_rng(0), np.tile(np.eye(4), (cameras, 1, 1))
+    for k, mount in enumerate(mounts):  # in a ring, each looks its own way
+        mount[:3, :3] = cv2.Rodrigues(np.array([0.0, 2.0 * np.pi * k / cameras, 0.0]))[0]
+        mount[:3, 3] = 0.1 * (mount[:3, 2] - [0.0, 0.0, 1.0])
     hung = walks.hung(walks.wall_tags(tags, rng), rng)
-    detected = walks.photographed(hung, walks.walk(frames, rng), rng)
+    detected = walks.photographed(hung, walks.walk(frames, rng), rng, mounts=mounts)
     began = time.process_time()
-    found = survey(detected, [walks.CAMERA], Tag(walks.EDGE), walks.constant_errors(0.2), PriorKnowledge())
+    found = survey(detected, [walks.CAMERA] * cameras, Tag(walks.EDGE), walks.constant_errors(0.2), PriorKnowledge())
     seconds, most = time.process_time() - began, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-    print(f"{frames} frames, {found.placed.sum()} of {tags} tags: {seconds:.0f} s, {most:.2f} GiB")
+    print(f"{frames} frames of {cameras} cameras, {found.placed.sum()} of {tags} tags: {seconds:.0f} s, {most:.2f} GiB")
 
 
 def rings(survey: Path, u: float, v: float) -> None:
@@ -271,6 +274,7 @@ def main() -> None:
     timed = commands.add_parser("time")
     timed.add_argument("frames", type=int)
     timed.add_argument("tags", type=int)
+    timed.add_argument("--cameras", type=int, default=1)
     given = parser.parse_args()
     if given.command == "photograph":
         photograph(given.run, given.folder, given.count, given.seed)
@@ -285,7 +289,7 @@ def main() -> None:
     elif given.command == "rings":
         rings(given.survey, given.u, given.v)
     else:
-        measure(given.frames, given.tags)
+        measure(given.frames, given.tags, given.cameras)
 
 
 if __name__ == "__main__":
