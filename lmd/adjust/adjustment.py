@@ -155,8 +155,8 @@ class Adjustment:
     def _part(
         self, some: Sightings, poses: Poses, floor: float, damping: float, weight: float | None, kept: Kept
     ) -> Part:
-        """Add the equations that the sightings `some` give for the kept unknowns to `kept`, and return the equations of
-        the frames of these sightings.
+        """Add to `kept` the equations of the kept unknowns that follow from the sightings `some`; return the equations
+        of the frames of these sightings.
         """
         at, variance = Reprojection(some, *poses.of(some)), some.variance(floor)
         trust = student_weight(at.squared / variance) if weight is None else weight
@@ -198,7 +198,8 @@ class Adjustment:
     def joint_step(
         self, poses: Poses, floor: float, damping: float, off: FloatArray
     ) -> tuple[Poses, FloatArray, FloatArray]:
-        """Take one step of all unknowns, nuisance parameters included, in units of their prior standard deviations.
+        """Take one Levenberg-Marquardt step of all unknowns, including the nuisance parameters, which are in units of
+        their prior standard deviations.
 
         Args:
             poses, floor: best poses, and best standard deviation of corners in addition to the detector's own, for the
@@ -236,7 +237,7 @@ class Adjustment:
             poses: initial poses.
             floor: initial standard deviation of corners in addition to the detector's own, pixels.
             steps: maximum number of steps.
-            most: upper limit of the estimated floor, pixels; None for the initial floor.
+            most: upper limit of the estimated floor, pixels; None for a limit equal to the initial floor.
 
         Returns:
             poses; floor, pixels: the standard deviation of corners beyond the detector's own.
@@ -273,11 +274,11 @@ class Adjustment:
         return efficiency(squared_errors(self.sightings, poses) / self.sightings.variance(floor) / self.share)
 
     def frame_covariances(self, poses: Poses, floor: float) -> FloatArray:
-        """Marginal covariance of the right-hand twist of each frame with sightings, `(F, 6, 6)`.
+        """Marginal covariance of the body-frame twist (X -> X exp(twist)) of each frame with sightings, `(F, 6, 6)`.
 
-        With the covariance C of the kept unknowns, it is H_ff^-1 + H_ff^-1 H_fk C H_kf H_ff^-1. The factor `inflation`
-        enlarges C, and H_ff^-1 if frames are linked; without links it does not, as the errors in one frame are
-        independent of those in other frames.
+        With the covariance C of the kept unknowns, the frames have the covariance H_ff^-1 + H_ff^-1 H_fk C H_kf
+        H_ff^-1. The factor `inflation` enlarges C, and H_ff^-1 if frames are linked; without links it does not, as the
+        errors in one frame are independent of those in other frames.
         """
         system = self.fixed_system(poses, floor)
         values, vectors = np.linalg.eigh(np.nan_to_num(system.covariance))

@@ -119,7 +119,7 @@ class Candidates:
         return np.asarray(order[rank_within(owner[order]) < count])
 
     def proposals(self, single: FloatArray) -> tuple[FloatArray, IntArray]:
-        """Poses that each owner's sightings propose, those that are largest in the image, `(P, 4, 4)`, after
+        """Poses proposed by those sightings of each owner that are largest in the image, `(P, 4, 4)`, after
         Gauss-Newton steps with robust losses of decreasing scale; and the owner of each pose, `(P,)`.
 
         Args:

@@ -63,7 +63,8 @@ class Poses:
 
 
 class Reprojection:
-    """Residuals of sightings at some poses, and their Jacobians with respect to right-hand twists: X -> X exp(twist).
+    """Residuals of sightings at some poses, and the residuals' Jacobians with respect to body-frame twists: X -> X
+    exp(twist).
 
     Args:
         sightings: N sightings.

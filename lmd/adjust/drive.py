@@ -107,7 +107,7 @@ def bridged_gaps(motion: Motion, poses: FloatArray) -> FloatArray:
     """Measure the spreads of a constant velocity across gaps of each length, see `Motion.gaps`.
 
     Args:
-        motion: motion at a constant velocity, in pieces.
+        motion: motion model of constant velocity, whose frames are divided into pieces (`Motion.piece`).
         poses: poses of the frames, `(F, 4, 4)`; frames of one piece are contiguous and share a world frame.
     """
     assert motion.piece is not None
@@ -171,8 +171,8 @@ class Nodes:
 
 
 def smoothest(nodes: Nodes, poses: Poses) -> Poses:
-    """Poses of the nodes, each in the world frame of its part: the smoothest sequence among the rough poses of the
-    frames and the poses that the sightings largest in the image propose.
+    """Poses of the nodes, each in the world frame of its part: the smoothest sequence that can be chosen from the rough
+    poses of the frames and from the poses that the sightings largest in the image propose.
     """
     some, motion, placed = nodes.sightings, nodes.motion, poses.frames[nodes.frame]
     order = np.lexsort((-some.sizes, some.frame))

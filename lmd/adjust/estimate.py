@@ -70,7 +70,9 @@ class Estimate:
     that are not placed.
     """
     used: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))
-    """Mask of the inliers, `(N,)`: the sightings from which the map is made; empty for rough poses, like `misfits`."""
+    """Mask of the inliers, `(N,)`: the sightings from which the map is made. The mask is empty, as is `misfits`, while
+    the poses are rough.
+    """
     misfits: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     """Mask of the outliers, `(N,)`: sightings that do not fit the pose of their tag, although their tag and frame
     belong to the map.
@@ -136,7 +138,7 @@ class Estimate:
         return np.asarray((self.group == 0) & np.isfinite(of_tags).all(axis=1))
 
     def _blocks(self, first: int, last: int, size: int = 6) -> FloatArray:
-        """Covariances of the kept unknowns from index `first` to `last` (excluded), in blocks of `size` rows."""
+        """Diagonal blocks, `(n, size, size)`, of the covariance of the kept unknowns `first` to `last` (excluded)."""
         return diagonal_blocks(self.covariance[6 * first : 6 * last, 6 * first : 6 * last], size)
 
     @property

@@ -156,8 +156,8 @@ def _together(sightings: Sightings) -> Iterator[tuple[int, int, FloatArray, Floa
 
 
 def _losses(one: FloatArray, two: FloatArray, expected: float | None) -> FloatArray:
-    """Robust loss of the distances between centres `(..., n, 3)` from the expected distance, or from their median,
-    `(...,)`.
+    """Robust loss, `(...,)`, of the relative differences between the n distances from the centres `one` to the centres
+    `two`, `(..., n, 3)` each, and the distance `expected`; None for the median of the distances.
     """
     away = np.log(np.maximum(np.linalg.norm(two - one, axis=-1), 1e-9))
     off = away - (np.median(away, axis=-1, keepdims=True) if expected is None else np.log(expected))
@@ -165,9 +165,9 @@ def _losses(one: FloatArray, two: FloatArray, expected: float | None) -> FloatAr
 
 
 def _planned_sizes(sightings: Sightings, plan: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Logarithm of the factor on each edge length with which the distances between tags are those of a map, and mask of
-    the tags that no image shows with another tag of the map; `(K,)` each. In a pair, the other tag has its stated size
-    or the same factor.
+    """For each tag, logarithm of the factor on its edge length at which its measured distances from other tags equal
+    those in the map; and mask of the tags that no image shows with another tag of the map; `(K,)` each. The other tag
+    of each pair has either its stated size or an equal factor.
     """
     pairs = [pair for pair in _together(sightings) if np.isfinite(plan[[pair[0], pair[1]]]).all()]
     factors, alone = np.ones(len(plan)), np.ones(len(plan), dtype=bool)

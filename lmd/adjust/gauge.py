@@ -48,7 +48,8 @@ def in_world(poses: FloatArray, covariances: FloatArray) -> FloatArray:
 
     Args:
         poses: poses, `(n, 4, 4)`.
-        covariances: covariances of their right-hand twists, `(n, 6, 6)`; matrices that are not finite do not change.
+        covariances: covariances of the twists of the poses, X -> X exp(twist), `(n, 6, 6)`; matrices that are not
+            finite do not change.
     """
     known, found = np.isfinite(covariances).all(axis=(1, 2)), covariances.copy()
     whole = world_from_twists(poses[known])
@@ -57,8 +58,8 @@ def in_world(poses: FloatArray, covariances: FloatArray) -> FloatArray:
 
 
 def world_from_twists(poses: FloatArray) -> FloatArray:
-    """Matrices that map right-hand twists of poses to shifts along, and rotations about, the axes of the world,
-    `(n, 6, 6)`.
+    """Matrices that convert twists in the frames of poses, X -> X exp(twist), to shifts along and rotations about the
+    axes of the world, `(n, 6, 6)`.
     """
     whole = np.zeros((len(poses), 6, 6))
     whole[:, :3, 3:] = whole[:, 3:, :3] = poses[:, :3, :3]

@@ -1,4 +1,5 @@
-"""Links between consecutive frames of a drive: errors of the relative poses beside those of a model of the motion.
+"""Links between consecutive frames of a drive: differences between the frames' relative pose and the relative pose that
+a model of the motion predicts.
 
 `lmd.adjust.motion` has the models, odometry and nearly constant velocity, with the formulas of errors and covariances.
 """
@@ -28,8 +29,8 @@ class LinkErrors(NamedTuple):
     error: FloatArray
     """`(M, r)` errors."""
     by_first: FloatArray
-    """`(M, r, b)` Jacobian with respect to the unknowns of the link's first frame: its right-hand twist and, if b = 12,
-    its turn rate and velocity.
+    """`(M, r, b)` Jacobian with respect to the unknowns of the link's first frame: the twist of its pose, X -> X
+    exp(twist), and, if b = 12, its turn rate and velocity.
     """
     by_second: FloatArray
     """`(M, r, b)` Jacobian with respect to the unknowns of the link's second frame."""
@@ -148,8 +149,8 @@ class Links:
         off = float((self.squares(at.error) > MOST_SQUARE).mean())
         if off > MOST_OFF or np.abs(at.bias).max() > MOST_BIAS:
             raise InputError(
-                "odometry moves differently from the images: give mount or frame=body if its poses are of a body and "
-                "not of the (first) camera, and check that it is of this drive.",
+                "odometry contradicts the motion in the images: give mount or frame=body if its poses are of a body "
+                "and not of the (first) camera, and check that it was recorded on this drive.",
                 "odometry",
             )
 

@@ -126,13 +126,13 @@ class Hanging(Checked):
     """
 
     place: Positive = 0.02
-    """Shift in the plane of the wall, metres."""
+    """Standard deviation of the shift in the plane of the wall, metres."""
     turn: Positive = 0.05
-    """Rotation in the plane of the wall, rad."""
+    """Standard deviation of the rotation in the plane of the wall, rad."""
     depth: Positive = 0.005
-    """Shift off the wall, metres."""
+    """Standard deviation of the shift off the wall, metres."""
     tilt: Positive = 0.02
-    """Rotation out of the plane of the wall, rad."""
+    """Standard deviation of the rotation out of the plane of the wall, rad."""
 
     @property
     def deviations(self) -> FloatArray:

@@ -131,7 +131,7 @@ class Body(Checked):
             if not free.is_empty:
                 left.append(face.where(free))
         if not left:
-            raise InputError("boxes leave no place for a camera outside the margin and the keep-outs.", "boxes")
+            raise InputError("boxes have no face with a place for a camera; reduce margin or keep_out.", "boxes")
         return tuple(left)
 
     def own_part(self, centre: FloatArray, rays: FloatArray) -> float:

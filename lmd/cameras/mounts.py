@@ -162,7 +162,9 @@ class MountSpace(Checked):
         return np.stack(found)
 
     def _nearest_genes(self, mount: Mount) -> FloatArray:
-        """Genes `(G,)` whose mount is nearest to `mount`; the two differ if `mount` is outside of the search space."""
+        """Genes `(G,)` of the admissible mount nearest to `mount`; this is another mount if `mount` is outside the
+        search space.
+        """
         s, place = self._surfaces, np.array(mount.translation)
         foot = place - self.body.standoff * s.normal  # (W, 3)
         every = np.arange(len(foot))

@@ -64,7 +64,7 @@ class InputError(ValueError):
 
 @contextmanager
 def argument_of(whole: str) -> Iterator[None]:
-    """Context manager that prefixes the argument's name with `whole.` in an `InputError` of its block."""
+    """Context manager: an `InputError` raised in its block gets `whole.` before the name of its argument."""
     try:
         yield
     except InputError as error:
@@ -73,8 +73,8 @@ def argument_of(whole: str) -> Iterator[None]:
 
 @contextmanager
 def said_of(source: object, argument: str | None = None, known: Container[str | None] = ()) -> Iterator[None]:
-    """Context manager that begins the message of an `InputError` of its block with the `source` of the input, and
-    replaces the error's argument by `argument`.
+    """Context manager: an `InputError` raised in its block gets a message that begins with the `source` of the input,
+    and the argument `argument`.
 
     Errors about an argument in `known` stay unchanged.
     """
@@ -119,7 +119,7 @@ def real(
     if high is not None and number > high:
         raise InputError(f"{name} must be at most {high:g}, got {value!r}.", name)
     if high is None and LARGEST < abs(number) < math.inf:
-        raise InputError(f"{name} must be at most {LARGEST:g} in size, got {value!r}.", name)
+        raise InputError(f"{name} must be at most {LARGEST:g} in magnitude, got {value!r}.", name)
     return number
 
 
@@ -190,7 +190,7 @@ def span(name: str, value: Any, *, point: bool = True, **bounds: float) -> tuple
     """
     low, high = vector(name, value, 2, **bounds)
     if low > high or (low == high and not point):
-        raise InputError(f"{name} must go from the lower to the higher, got {[low, high]}.", name)
+        raise InputError(f"{name} must go from the lower to the higher value, got {[low, high]}.", name)
     return low, high
 
 

@@ -158,8 +158,8 @@ class AllocatingCompiler(InnerCompiler):
 class Cache(FunctionCache):
     """Disk cache of kernels; an entry is valid while the digest of its source code is unchanged.
 
-    There is one index for each set of modules of the argument classes, since reading an index imports these modules. If
-    several processes need a kernel, one of them compiles it.
+    There is one index for each set of modules that define the classes of arguments, since reading an index imports
+    these modules. If several processes need a kernel, one of them compiles it.
     """
 
     def __init__(self, function: Any) -> None:

@@ -38,7 +38,7 @@ def check_memory(needed: float, what: str, argument: str | None = None) -> None:
     free = free_memory()
     if needed > free:
         taken = f"{what} would take {needed / GIB:.4g} GiB of memory"
-        raise InputError(f"{taken}, and {free / GIB:.4g} GiB are free.", argument)
+        raise InputError(f"{taken}, but only {free / GIB:.4g} GiB are free.", argument)
 
 
 def check_views(each: float, positions: int, orientations: int, landmarks: int | None = None) -> None:

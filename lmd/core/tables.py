@@ -240,8 +240,8 @@ def seconds(source: str, time: FloatArray, positions: FloatArray | None = None) 
         speed = float(np.median(way[moving] / step[moving]))
         if speed < CREEPING:
             raise InputError(
-                f"{source}: frames {np.median(step):g} s apart, between which the camera moves at "
-                f"{1000.0 * speed:.2g} mm/s, look like milliseconds; times are in seconds."
+                f"{source}: the times look like milliseconds, as frames would be {np.median(step):g} s apart and the "
+                f"camera would move at {1000.0 * speed:.2g} mm/s; times are in seconds."
             )
 
 

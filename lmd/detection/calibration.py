@@ -155,7 +155,7 @@ def fit(views: TagViews, rng: np.random.Generator, margin: float) -> Fit:
     which the limits do not model. The margin and the image circles are fitted, too.
 
     Args:
-        views: at least two views; for a recording at two or more times.
+        views: at least two views; views of a recording must be from images taken at two or more different times.
         rng: random generator that halves the views.
         margin: margin of the limits, pixels, as views without `placed` do not determine the margin; for a recording,
             lower bound of the fitted margin.
@@ -171,7 +171,7 @@ def fit(views: TagViews, rng: np.random.Generator, margin: float) -> Fit:
     else:
         moments = np.unique(views.placed.moment)
         if len(moments) < 2:
-            raise InputError("views must be of images at two or more times, got one time.")
+            raise InputError("views must be of images taken at two or more different times, but all are of one time.")
         early = views.placed.moment < moments[len(moments) // 2]
         train, held_out = views[early], views[~early]
     limits, circles = _best(train, margin)
@@ -193,8 +193,8 @@ def predicted_views(views: TagViews, limits: Limits, circles: tuple[float, ...])
 def _best(views: TagViews, margin: float) -> tuple[Limits, tuple[float, ...]]:
     """Limits and image circles with the fewest errors on `views`.
 
-    Limits that are optimised jointly form a group. A group is an array of masks: for each combination of values of
-    these limits, the mask of the views that meet them.
+    Limits that are optimised jointly form a group. A group is an array of masks: for each combination of values of its
+    limits, the mask of the views that meet these limits.
     """
     placed, margins, circles = views.placed, np.array([margin]), []
     sharp = views.pitch >= np.hypot(PITCHES[:, None, None], BLURS[:, None] * views.sigma)  # (A, K, M)
@@ -218,7 +218,7 @@ def _best(views: TagViews, margin: float) -> tuple[Limits, tuple[float, ...]]:
 
 
 def _circles(views: TagViews, placed: Placed) -> list[FloatArray]:
-    """For each camera, candidate diameters of its image circle, pixels, descending; the first is infinite."""
+    """For each camera, candidate diameters of its image circle, pixels, descending; the first diameter is infinite."""
     each = []
     for camera in range(placed.camera.max() + 1):
         own = (placed.camera == camera) & np.isfinite(placed.circle)
@@ -234,9 +234,11 @@ def _circles(views: TagViews, placed: Placed) -> list[FloatArray]:
 def _searched(
     groups: list[BoolArray], start: list[Choice], seen: BoolArray, kinds: tuple[Errors, ...]
 ) -> tuple[int, list[Choice]]:
-    """Minimise the objectives `kinds` in turn; the search for each starts at the optimum of the previous objective.
+    """Minimise the objectives `kinds` in turn; the search for each objective starts at the optimum of the previous
+    objective.
 
-    The search is a coordinate descent: groups are optimised in turn, each over all of its choices, until none improves.
+    The search is a coordinate descent: groups are optimised in turn, each over all of its choices, until no group
+    improves.
 
     Returns:
         minimum of the last objective; chosen indices in each group of limits.
@@ -266,7 +268,9 @@ def _larger_errors(predicted: BoolArray, seen: BoolArray) -> NDArray[np.intp]:
 
 
 def limits_markdown(figures: dict[str, dict[str, float]]) -> str:
-    """Markdown table of the limits of each detector, with their accuracy on held-out views."""
+    """Markdown table of the limits of each detector, with the accuracy of the predictions by these limits for held-out
+    views.
+    """
     head = ["detector", "views", "a", "k", "m [px]", "b [degrees]", "margin [px]"]
     head += ["held-out accuracy / precision / recall"]
     head += [f"rooms: P(>= {n}) predicted / detected" for n in range(1, 5)]

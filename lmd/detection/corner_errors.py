@@ -222,7 +222,7 @@ class MeasuredCorners:
 
     @classmethod
     def of(cls, pitch: FloatArray, incidence: FloatArray, error: FloatArray, image: FloatArray) -> "MeasuredCorners":
-        """Estimate the errors in classes of pitch, each with at least `LEAST_TAGS` tags.
+        """Estimate the errors in bins of pitch, each with at least `LEAST_TAGS` tags.
 
         Args:
             pitch: pitches of N tags, pixels per module, `(N,)`.

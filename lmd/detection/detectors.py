@@ -198,12 +198,12 @@ class Matches:
 
     @classmethod
     def concatenated(cls, parts: Sequence["Matches"]) -> Self:
-        """Concatenate matches along the frames."""
+        """Concatenate matches along the axis of the frames."""
         return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
 
     @classmethod
     def beside(cls, parts: Sequence["Matches"]) -> Self:
-        """Concatenate the matches of C cameras along the tags, `(N, C K)`."""
+        """Concatenate the matches of C cameras with K tags along the axis of the tags, `(N, C K)`."""
         detected = np.concatenate([part.detected for part in parts], axis=1)
         corners = np.concatenate([part.corners for part in parts], axis=1)
         return cls(detected, corners, np.sum([part.false for part in parts], axis=0))
@@ -283,11 +283,11 @@ def corner_error(found: FloatArray, expected: FloatArray) -> FloatArray:
 
 
 def quantiles_by(value: FloatArray, error: FloatArray, bounds: ArrayLike, quantiles: Sequence[float]) -> FloatArray:
-    """Quantiles of an error within B classes of another quantity, `(B, Q)`; NaN for empty classes.
+    """Quantiles of an error within B bins of another quantity, `(B, Q)`; NaN for empty bins.
 
     Args:
         value, error: the other quantity and the error, arrays of equal shape; pairs with a NaN are left out.
-        bounds: bounds of the classes, ascending, `(B + 1,)`; a class contains its lower bound.
+        bounds: edges of the bins, ascending, `(B + 1,)`; a bin contains its lower edge.
         quantiles: Q probabilities.
     """
     edges = np.asarray(bounds, dtype=np.float64)

@@ -37,8 +37,8 @@ Factor = Annotated[tuple[float, float], partial(span, low=1e-3)]
 
 @dataclass(frozen=True)
 class ViewRanges(Checked):
-    """Ranges of the parameters of random views, from which they are drawn uniformly; for `sigma`, the logarithm is
-    drawn uniformly.
+    """Ranges from which the parameters of random views are drawn uniformly; for `sigma`, the logarithm is drawn
+    uniformly.
 
     Raises:
         InputError: a range is empty or out of bounds.

@@ -78,13 +78,17 @@ class CameraPrediction:
 
 
 def _beside(name: str) -> cached_property[NDArray[Any]]:
-    """Make a property that concatenates the arrays `name` of all cameras along the tags, `(N, C K)`."""
+    """Make a property that concatenates the array attribute called `name` of all C cameras along the axis of the K
+    tags, `(N, C K)`.
+    """
     return cached_property(lambda whole: np.concatenate([getattr(part, name) for part in whole.parts], axis=1))
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """Prediction for N frames of C cameras on one body; arrays of the cameras are concatenated along the tags (C K)."""
+    """Prediction for N frames of C cameras on one body; arrays of the cameras are concatenated along the axis of the
+    tags, which has the length C K.
+    """
 
     parts: tuple[CameraPrediction, ...]
     """Prediction of each camera."""
@@ -171,10 +175,10 @@ def _quantiles(name: str, values: FloatArray) -> dict[str, float]:
 
 
 def by_pitch(prediction: Prediction, seen: Matches) -> pd.DataFrame:
-    """Table of whole tags by classes of pitch.
+    """Table of whole tags in bins of pitch.
 
     Columns: `pitch_from`, `pitch_to` (pixels per module), number of `tags`, the fractions that are `predicted` and
-    `detected`, and `corner_median`, `corner_90` (pixels). Classes without a tag are left out.
+    `detected`, and `corner_median`, `corner_90` (pixels). Bins without a tag are left out.
     """
     return _by_class(prediction, seen, "pitch", prediction.pitch, PITCHES)
 
@@ -194,7 +198,7 @@ def _shares(prediction: Prediction, seen: Matches, members: BoolArray) -> dict[s
 
 
 def _by_class(prediction: Prediction, seen: Matches, name: str, values: FloatArray, bounds: FloatArray) -> pd.DataFrame:
-    """Table of whole tags by classes of `values` `(N, K)`."""
+    """Table of whole tags in bins of `values` `(N, K)`."""
     error = corner_error(seen.corners, prediction.corners)
     place = np.searchsorted(bounds, values, side="right") - 1
     quantiles = quantiles_by(values, error, bounds, tuple(QUANTILES.values()))

@@ -85,7 +85,7 @@ def only(cameras: Sequence[Camera]) -> Camera:
         InputError: there are several cameras.
     """
     if len(cameras) > 1:
-        raise InputError(f"views must be of a single camera, not of a rig of {len(cameras)}.")
+        raise InputError(f"views must be of a single camera, not of a rig of {len(cameras)} cameras.")
     return cameras[0]
 
 

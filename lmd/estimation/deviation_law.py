@@ -11,8 +11,7 @@ root mean square of sd / (d^b / n^c); errors divided by the law's sd then have t
 - `constant`: sd = a.
 - `squared`: sd = a d^2 / n, as in AdvantageKit's vision template (`linearStdDevBaseline`).
 - `photonvision`: sd = a (1 + d^2 / 30), with one value of a for a single tag and one for several, as in PhotonVision's
-example
-  (`kSingleTagStdDevs`, `kMultiTagStdDevs`).
+  example (`kSingleTagStdDevs`, `kMultiTagStdDevs`).
 """
 
 from collections.abc import Callable, Mapping
@@ -108,8 +107,9 @@ def _scale(deviation: FloatArray, shape: FloatArray) -> float:
 
 
 def fit_law(distance: FloatArray, tags: IntArray, deviation: FloatArray) -> Law:
-    """Fit a law to the standard deviations of V views, `(V,)`. If one tag, or several tags, are in view in fewer than
-    `LEAST_VIEWS` views, the power law fitted to all views is taken for this case.
+    """Fit a law to the standard deviations of V views, `(V,)`: one power law to the views of one tag, another to the
+    views of several tags. If there are fewer than `LEAST_VIEWS` views of one kind, that kind gets the power law fitted
+    to all views.
 
     Raises:
         InputError: there are fewer than `LEAST_VIEWS` views.

@@ -51,7 +51,9 @@ class Pace(Checked):
     """Frame rate, frames per second."""
 
     def seconds(self, steps: FloatArray) -> FloatArray:
-        """Time that each change of (x, y, z, yaw, pitch), `(..., 5)`, takes within the limits, seconds, `(...)`."""
+        """Least time, seconds, `(...)`, that each change of (x, y, z, yaw, pitch), `(..., 5)`, takes without exceeding
+        the limits.
+        """
         way, turn = np.linalg.norm(steps[..., :3], axis=-1), np.linalg.norm(steps[..., 3:], axis=-1)
         return np.asarray(PEAK_SLOPE * np.maximum(way / self.speed, turn / self.turn_rate))
 
@@ -61,7 +63,7 @@ class Pace(Checked):
         Args:
             waypoints: `(N, 5)`, metres and radians, each different from the previous one; yaw changes by the smaller
                 angle.
-            duration: maximum duration of the trajectory, which is cut off there, seconds.
+            duration: time after which the trajectory is cut off, seconds.
         """
         path = waypoints.copy()
         path[:, 3] = np.unwrap(path[:, 3])

@@ -38,7 +38,7 @@ def as_localisation(objective: Objective) -> Localisation:
 
 def predicted_errors(problem: Problem, deployment: Deployment, evaluator: Evaluator) -> tuple[FloatArray, FloatArray]:
     """Predict the standard deviation of the camera's position in each view, metres, `(P, D)` for P positions and D
-    orientations; return it and P_n at each position, `(P,)`.
+    orientations; return these standard deviations, and P_n at each position, `(P,)`.
 
     The noise of a corner and the rule for single tags come from the objective, or from the default `Localisation`.
     """

@@ -2,8 +2,8 @@
 relaxation.
 
 Let x_j be the number of landmarks with pose j (any flush pose on the walls; sum_j x_j = K), A_jpa = 1 if a landmark
-with pose j covers axis a from position p without occlusion, else 0, c_pa = sum_j x_j A_jpa, w_a the probability of an
-axis (sum 1) and r_p the share of a position (sum 1). Occlusion only lowers c, and the value of c >= n is at most
+with pose j is covered at position p and axis a, without occlusion, else 0, c_pa = sum_j x_j A_jpa, w_a the probability
+of an axis (sum 1) and r_p the share of a position (sum 1). Occlusion only lowers c, and the value of c >= n is at most
 min(c/n, 1), so P_n(p) <= s_p = sum_a w_a min(c_pa/n, 1), and the indicator (0 or 1) that p is qualified is at most
 min(s_p/t, 1) with t = thold_p. Both objectives are therefore at most
 
@@ -21,8 +21,8 @@ accelerated projected ascent. No choice gives a bound below F(x).
 While x is improved, the largest g_j is sought over a grid of poses; at the end it is sought over the whole walls, by
 branch and bound on cells (`lmd.sight.poses`). So the bound holds for every flush deployment.
 
-Fixed landmarks are not chosen: without occlusion they cover b_pa, and c_pa = b_pa + sum_j x_j A_jpa adds
-sum_pa y_pa b_pa to the constant, with K the number of free landmarks.
+Fixed landmarks are not chosen: without occlusion b_pa of them are covered at p and a, and c_pa = b_pa + sum_j x_j A_jpa
+adds sum_pa y_pa b_pa to the constant, with K the number of free landmarks.
 
 With K_s tags of size s, of which x_js are at pose j, each size has its own A^s_jpa and g_js. K max_j g_j becomes sum_s
 K_s max_j g_js; each maximum is sought where a tag of that size may hang.
@@ -215,7 +215,7 @@ def _free_sizes(problem: Problem, count: int) -> FloatArray:
     if not problem.scene.has_several_sizes:
         return np.full(count - problem.fixed_count, problem.sizes[0])
     if count != problem.count:
-        raise InputError(f"the number of landmarks of each size is known for {problem.count}, not for {count}.")
+        raise InputError(f"the number of landmarks of each size is known for {problem.count} landmarks, not {count}.")
     return problem.free_sizes
 
 

@@ -236,8 +236,8 @@ def best_at(runs: Sequence[HasHistory], axis: str, at: FloatArray) -> FloatArray
 
 
 def curve_targets(runs: Sequence[OptimiserRun]) -> FloatArray:
-    """Values of the fitness `(T,)` that serve as targets of `attained`: evenly spaced from the worst first successful
-    evaluation (excluded) to the best fitness of all runs.
+    """Values of the fitness `(T,)` that serve as targets of `attained`: evenly spaced from the lowest of the runs'
+    first finite values (excluded) to the best fitness of all runs.
     """
     low = min(next(r.best_fitness for r in run.history if np.isfinite(r.best_fitness)) for run in runs)
     high = max(run.history[-1].best_fitness for run in runs)

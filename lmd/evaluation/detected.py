@@ -145,8 +145,8 @@ class DetectionStudy:
 
     @cached_property
     def tables(self) -> "dict[str, pd.DataFrame]":
-        """Three tables: of the metrics, of the tags in classes of pitch, and of the single tags. In each table the
-        columns `NAMES` come first.
+        """Three tables: of the metrics, of the tags in bins of pitch, and of the single tags. In each table the columns
+        `NAMES` come first.
         """
         import pandas as pd
 

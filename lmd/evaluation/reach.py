@@ -145,8 +145,8 @@ class Reading(Checked):
 
 
 def reach_text(camera: Camera, tag: Tag, criteria: Fiducial, reading: Reading) -> str:
-    """Text of several tables: for each size of the tag, its range and the errors of the pose from it; and the edge
-    length of the smallest tag that is read.
+    """Text of several tables: for each size of the tag, the range of distances and the errors of the pose estimated
+    from this tag; and the edge length of the smallest tag that is read.
     """
     tags = [tag.of_size(edge) for edge in tag.sizes]
     lines = [

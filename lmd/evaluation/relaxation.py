@@ -64,7 +64,7 @@ BATCH_SHARE = 0.05  # share of the remaining time for each batch
 
 
 class Dual(NamedTuple):
-    """Multipliers for the bound, of which any choice is valid."""
+    """Multipliers for the bound; any choice of multipliers gives a valid bound."""
 
     constant: float
     """The constant(z, y) of the bound in `lmd.evaluation.bounds`."""
@@ -100,12 +100,12 @@ class Relaxation:
 
     @cached_property
     def fixed_coverage(self) -> FloatArray | float:
-        """Number b of fixed landmarks that cover each axis from each position, `(P, D)`; 0 if there are none."""
+        """Number b of fixed landmarks that are covered at each position and axis, `(P, D)`; 0 if none is fixed."""
         return 0.0 if self.fixed is None else covered_amounts(self.evaluator, self.fixed, np.ones(len(self.fixed)))
 
     def value(self, added: FloatArray) -> float:
-        """Value of F if `added` = c - b, `(P, D)`, is the number of free landmarks that cover each axis from each
-        position.
+        """Value of F if `added` = c - b, `(P, D)`, is the number of free landmarks that are covered at each position
+        and axis.
         """
         seen = averaged(np.minimum((added + self.fixed_coverage) / self.n, 1.0), self.weights)
         return float(self.shares @ np.minimum(seen / self.threshold, 1.0))

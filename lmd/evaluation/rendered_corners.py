@@ -50,7 +50,7 @@ def measured_corners(problem: Problem, deployment: Deployment, reader: str, fram
         InputError: the detector is unknown, or too few tags are detected.
     """
     if reader not in READERS:
-        raise InputError("corners = rendered needs a visibility of fiducial tags, whose detector is known.", "corners")
+        raise InputError("corners = rendered needs a fiducial visibility model with a known detector.", "corners")
     scene, tag = problem.scene, problem.scene.tag
     poses = draw_poses(scene, CANDIDATES * frames, seed + CORNERS_STREAM)
     seen = visible_to_each(problem.evaluator, deployment, poses[:, :3, 3], axis_and_right(poses))

@@ -45,7 +45,9 @@ from lmd.sight.kernels import PROBABILITY_ONE
 
 @dataclass(frozen=True)
 class RigMoments:
-    """Moments of a rig (a position with an orientation), and the conditions under which it is localised."""
+    """Views of a rig, each from one position and one orientation of its body, and the conditions under which the rig is
+    localised.
+    """
 
     evaluator: Evaluator
     """Evaluator of a rig."""
@@ -58,18 +60,18 @@ class RigMoments:
 
     @cached_property
     def moments(self) -> RigImages:
-        """Images of the rig in all N moments, with the landmarks that each camera shows."""
+        """Images of the rig in all N views, with the landmarks that each camera shows."""
         return images_of(self.evaluator, self.deployment)
 
     @property
     def share(self) -> FloatArray:
-        """Probability of each moment, `(N,)`, sum 1."""
+        """Probability of each view, `(N,)`, sum 1."""
         weight = self.moments.weight
         return np.asarray(weight / weight.sum())
 
     def decided(self, moments: RigImages, seen: BoolArray) -> BoolArray:
-        """Two masks of M moments in which the rig's cameras show the landmarks `seen`, `(2, M)`: moments in which the
-        rig is localised, and moments in which n landmarks are covered.
+        """Two masks of the M views `moments`, in which the rig's cameras show the landmarks `seen`, `(2, M)`: views in
+        which the rig is localised, and views in which n landmarks are covered.
         """
         found = located(self.evaluator, self.deployment, moments._replace(seen=seen), self.n, self.precision)
         return np.stack([found, covers(seen, self.n)])
@@ -99,8 +101,8 @@ class RigMoments:
         whole, count = self.decided(self.moments, seen).astype(np.float64), seen.shape[2]
 
         def lose(*landmarks: int) -> FloatArray:
-            """Change of both masks of `decided` if landmarks are lost, weighted by the probability of each moment, `(2,
-            N)`; 0 in moments that do not show all these landmarks.
+            """Change of both masks of `decided` if landmarks are lost, weighted by the probability of each view, `(2,
+            N)`; 0 in views that do not show all these landmarks.
             """
             which: BoolArray = np.asarray(shown[:, landmarks].all(axis=1))
             left = seen[:, which]
@@ -111,7 +113,7 @@ class RigMoments:
             return change
 
         alone = np.stack([lose(k) for k in range(count)], axis=1)  # (2, K, N)
-        only = alone @ (~shown)  # change by k in the moments that do not show the other landmark, (2, K, K)
+        only = alone @ (~shown)  # change by k in the views that do not show the other landmark, (2, K, K)
         change = only + np.swapaxes(only, 1, 2)
         for i, j in combinations(range(count), 2):
             change[:, i, j] = change[:, j, i] = change[:, i, j] + lose(i, j).sum(axis=1)
@@ -231,7 +233,9 @@ def sensitivity(problem: Problem, deployment: Deployment, seed: int, sample: Sam
 
 
 def _cameras(failed: FloatArray, whole: FloatArray) -> pd.DataFrame:
-    """Table `Sensitivity.cameras` from the shares without each of C cameras, `(C, 2)`, and with all, `(2,)`."""
+    """Table `Sensitivity.cameras` from the shares without each of C cameras, `(C, 2)`, and the shares with all cameras,
+    `(2,)`.
+    """
     table = pd.DataFrame(failed, columns=SHARE_COLUMNS).rename_axis("camera").reset_index()
     return table.assign(localised_loss=whole[0] - failed[:, 0], covered_loss=whole[1] - failed[:, 1])
 
@@ -300,7 +304,7 @@ def _shares(variant: Variant, evaluator: Evaluator) -> tuple[float, float]:
 
 
 def lost_shares(field: LocalisationField, deployment: Deployment) -> FloatArray:
-    """Means of L and P_n if landmarks i and j are lost, `(2, K, K)`; only landmark i where i = j."""
+    """Means of L and P_n if landmarks i and j are lost, `(2, K, K)`; for i = j, only landmark i is lost."""
     mean = Mean(in_order(field, np.ones(len(field.index_of))))
     shares = field._replace(weight=0.0), field.coverage
     return np.stack([without_landmarks(share, mean, deployment) for share in shares])

@@ -156,7 +156,7 @@ def uncertainty(
         study: settings.
         seed: seed of the views.
         places: covariance of each tag's pose in the map, `(K, 6, 6)`, m^2 and rad^2; None for exact poses.
-        joint: covariance that is added for the poses of all tags together, `(6 K, 6 K)`; None for none.
+        joint: joint covariance of all tags' poses, added to `places`, `(6 K, 6 K)`; None to add nothing.
 
     Raises:
         InputError: landmarks are points, or `UncertaintyStudy.errors` raises it.

@@ -43,13 +43,13 @@ class UncertaintyLaw:
     standard deviation in `QUANTITIES`.
     """
     errors: "pd.DataFrame"
-    """Table with the columns `quantity` and `rule` (`law`, `one law`, and `RULES`), and the quantiles of
-    `ratio_quantiles`.
+    """Table of the errors of laws and rules, with the columns `quantity`, `rule` (`law`, `one law`, or one of `RULES`),
+    and the quantiles of `ratio_quantiles`.
     """
     table: "pd.DataFrame"
-    """Table with a row for each class of distance and number of tags: `distance_low`, `distance_high` (m), `tags`
-    (text), `views` (their number), and `two_poses` (share of ambiguous views). For the unambiguous views, it has the
-    median and 90 % quantile of each of `QUANTITIES` (m, rad).
+    """Table with a row for each bin of distance and number of tags: `distance_low`, `distance_high` (m), `tags` (text),
+    `views` (their number), and `two_poses` (share of ambiguous views). For the unambiguous views, it has the median and
+    90 % quantile of each of `QUANTITIES` (m, rad).
     """
     reach: float
     """Distance below which at most half of the views of a single tag are ambiguous, metres; infinite without a
@@ -111,7 +111,7 @@ def per_axis(views: "pd.DataFrame") -> dict[str, FloatArray]:
 
 
 def uncertainty_law(found: Uncertainty) -> UncertaintyLaw:
-    """Fit laws and rules to the views of kind `one`, whose pose is unambiguous.
+    """Fit laws, and rules (simpler formulas in common use), to the views with an unambiguous pose (kind `one`).
 
     Raises:
         InputError: too few views have an unambiguous pose.
@@ -132,7 +132,7 @@ def uncertainty_law(found: Uncertainty) -> UncertaintyLaw:
 
 
 def _steps(distance: FloatArray) -> FloatArray:
-    """Bounds between the classes of distance, metres."""
+    """Edges of the bins of distance, metres."""
     farthest = float(distance.max())
     step = next((each for each in STEPS if farthest / each <= MOST_STEPS), farthest / MOST_STEPS)
     return np.arange(np.ceil(farthest / step) + 1.0) * step
@@ -164,8 +164,8 @@ def _table(found: Uncertainty) -> "pd.DataFrame":
 
 
 def _reach(found: Uncertainty) -> float:
-    """Compute `UncertaintyLaw.reach`: the lower bound of the first class of distance that has enough views, most of
-    which are ambiguous.
+    """Compute `UncertaintyLaw.reach`: the lower edge of the first bin of distance in which most views of a single tag
+    are ambiguous. Bins with fewer than `LEAST_VIEWS` views of a single tag do not count.
     """
     alone = found.views[found.views.tags == 1]
     if not len(alone):

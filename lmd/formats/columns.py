@@ -160,7 +160,7 @@ class Named(NamedTuple):
     columns: Mapping[str, str]
     """Names that the columns of known quantities have in the file, keyed by standard name."""
     time_unit: float | None
-    """Unit of the column `TIME`, seconds; None if the file names no unit."""
+    """Length of the time unit of the column `TIME`, seconds (1e-9 for ns); None if the file names no unit."""
     layout: Layout
     """Layout of the text's columns."""
 
@@ -225,7 +225,7 @@ def named(
     Args:
         path: path of the file, for messages.
         text: text of the file.
-        of: kind of the table.
+        of: content of the table, `POSES` or `TAGS`.
         columns: names of the columns, or the name of a program of `LAYOUTS`, for a text that does not name its columns.
         argument: name of the argument with the path, for messages.
 
@@ -276,7 +276,7 @@ def _commented(lines: Lines, of: str) -> Layout | None:
     with the number and the position of a tag.
 
     Raises:
-        InputError: a comment names more columns than there are.
+        InputError: a comment names more columns than the first line has values.
     """
     for comment in reversed(lines.comments):
         # In some files, blanks separate units from the names: p_x [m].

@@ -89,7 +89,7 @@ class DetectionsFile(File):
 
     @cached_property
     def lacks(self) -> list[str]:
-        """Names of the columns of detections that the header lacks."""
+        """Names of the columns that a table of detections needs but the header lacks."""
         lacks = [column for column in ("id", *CORNER_COLUMNS) if column not in self.header]
         return [" or ".join(TIMES)] * (not set(TIMES) & set(self.header)) + lacks
 
@@ -128,11 +128,13 @@ class KeyedDetections:
     corners: str
     """Key of a tag's four corners: pairs, or mappings with x and y."""
     times: Mapping[str, int]
-    """Keys of the time of a result, in the order in which they are tried, and their time units per second."""
+    """Keys of the time of a result, in the order in which they are tried, each with the number of its time units in a
+    second.
+    """
     tag_family: str = ""
     """Key of a tag's family; empty if tags have none."""
     least: float = -np.inf
-    """Minimum coordinate of a corner; smaller ones, which count from the middle of the image, are refused."""
+    """Minimum coordinate of a corner; smaller coordinates, which count from the middle of the image, are refused."""
 
     def read(self, file: Any) -> DetectedTags:
         """Detections of all results in a file.
@@ -279,7 +281,9 @@ def read_bag(file: File) -> DetectedTags:
 
 
 def _as_first_written(texts: Sequence[str]) -> list[str]:
-    """Texts of times; texts of equal numbers become the first of them, as 9.50 becomes 9.5 after 9.5."""
+    """Texts of times, in which texts of equal numbers are replaced by the first such text: 9.50 becomes 9.5 if 9.5 came
+    before.
+    """
     written: dict[Decimal | str, str] = {}
     return [written.setdefault(time_of(text), text) for text in texts]
 

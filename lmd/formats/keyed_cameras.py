@@ -74,12 +74,12 @@ class KeyedCameras(Keyed):
     entry are replaced; the second camera with a name gets `/2`.
     """
     named: str = ""
-    """Names of the quantities that the entry holds under these names."""
+    """Names of quantities, separated by blanks, that are also the keys of these quantities in the entry."""
     values: Sequence[str] = ()
     """Paths of lists with the quantities that `models` names, or of mappings with quantities by name. A path that ends
     in a dot stands for all keys that begin with the path."""
     model: Sequence[str] = ()
-    """Paths in the entry of the words that, joined by `_`, are the name of the lens model."""
+    """Paths, in the entry, to the words that form the name of the lens model when joined by `_`."""
     models: Mapping[str, str] = field(default_factory=lambda: LENS_MODELS)
     """Lens model, a key of `COEFFICIENTS`, keyed by a pattern that the words at `model` match, in small letters; an
     empty value stands for an unknown model. The names of the quantities in the lists at `values` follow after a colon,
@@ -96,7 +96,7 @@ class KeyedCameras(Keyed):
         models = {words.partition(":")[0] for words in self.models.values() if words}
         unknown = [*self.at.keys() - KNOWN, *set(self.named.split()) - KNOWN, *models - COEFFICIENTS.keys()]
         if unknown:
-            raise InputError(f"a row of a calibration has no quantity and no lens model {unknown[0]!r}.")
+            raise InputError(f"a calibration format names {unknown[0]!r}, which is no quantity or lens model.")
 
     def read(self, file: File) -> dict[str, ReadCamera]:
         """Cameras in a file, keyed by name.

@@ -55,7 +55,7 @@ class KeyedTags(Keyed):
     order: str = "xyzw"
     """Order of the components of a quaternion that is a list."""
     unit: float = METRE
-    """Unit of the edge lengths in the file, metres."""
+    """Length of the unit of edge lengths in the file, metres (0.001 for mm)."""
     any_edge: bool = False
     """True if implausible edge lengths are accepted."""
     opencv: bool = False
@@ -74,7 +74,7 @@ class KeyedTags(Keyed):
     def __post_init__(self) -> None:
         axes_of(list(self.axes))
         if unknown := [name for name in self.at if name not in KNOWN]:
-            raise InputError(f"a row of a tag map has no quantity {unknown[0]!r}, only {', '.join(KNOWN)}.")
+            raise InputError(f"a tag map format names {unknown[0]!r}, which is none of {', '.join(KNOWN)}.")
 
     def read(self, file: File) -> Found:
         """Read the tags of a file.
@@ -140,8 +140,9 @@ class KeyedTags(Keyed):
 
 
 def _numbers(tag: Keys, path: str, names: str, order: str = "") -> FloatArray:
-    """Numbers at a path, in the order of `names`. The value is a mapping with these names (with or without a `q`), or a
-    list in the order `order`.
+    """Numbers at a path, in the order of `names`, whose letters are their names. The value is a mapping with these
+    names as keys (for a quaternion, with or without the prefix `q`), or a list in the order of `order`, by default that
+    of `names`.
     """
     if " " in path:
         return np.array([*(number_at(tag, part) for part in path.split()), 0.0][: len(names)])
@@ -207,8 +208,8 @@ def apriltag_ros(keys: Keys) -> Keys:
     placed = [tag for tag in alone if not tag.keys().isdisjoint(PLACE)]
     if not bundles and not placed:
         raise InputError(
-            "its standalone_tags have no poses: give them x, y, z, qx, qy, qz, qw, or give a bundle of tag_bundles "
-            "with these."
+            "its standalone_tags have no poses: add x, y, z, qx, qy, qz, qw to each tag, or list the tags with their "
+            "poses in tag_bundles."
         )
     if bundles and placed:
         raise InputError("it has poses in both standalone_tags and tag_bundles: remove one of the two.")

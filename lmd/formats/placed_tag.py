@@ -161,7 +161,7 @@ def edge_of(name: str, value: Any, unit: float = METRE) -> float:
     """Edge length of a tag's black square, metres.
 
     Args:
-        unit: unit of the value, metres.
+        unit: length of the unit of the value, metres.
 
     Raises:
         InputError: the value is not a number, or is implausible as an edge length.
@@ -248,7 +248,7 @@ def tag_of_corners(number: int, corners: FloatArray, family: str | None) -> Plac
     # Vectors from the left to the right corners, and from the lower to the upper corners.
     right, up = corners[1] + corners[2] - corners[0] - corners[3], corners[0] + corners[1] - corners[2] - corners[3]
     if min(np.linalg.norm(right), np.linalg.norm(up)) < edge:  # for a square, each vector is twice the edge
-        raise InputError(f"the marker {number} must have its corners one after the other around it.")
+        raise InputError(f"the marker {number} must have its corners in order around its outline.")
     right /= np.linalg.norm(right)
     up -= (up @ right) * right
     up /= np.linalg.norm(up)

@@ -97,7 +97,7 @@ def checked_seconds(source: str, time: FloatArray, unit: float | None, positions
     Args:
         source: the file, for messages.
         time: times in the unit of the file, `(T,)`.
-        unit: unit that the file names, in seconds; None if the file names no unit.
+        unit: length of the time unit that the file names, seconds; None if the file names no unit.
         positions: positions at the times, metres, `(T, 3)`; None if unknown.
 
     Raises:
@@ -232,7 +232,7 @@ def _frame_of_ros(table: Table, frame: str) -> tuple[str | None, str]:
     name = found.pop() if len(found) == 1 else ""
     if ROS_OPTICAL.fullmatch(name):
         if frame == "body":
-            raise InputError(f"frame must be optical: {table.path} has poses of the frame {name!r}.", "frame")
+            raise InputError(f"frame = body contradicts {table.path}, which is of the frame {name!r}.", "frame")
         return "optical", ""
     if ROS_BODIES.fullmatch(name):
         return "body", f"{table.path} has poses of the frame {name!r}, read as a body's: x ahead, y left, z up"
@@ -323,7 +323,7 @@ def of_images(file: File) -> Rows:
             raise InputError(f"line {other.line}: the image {other.number} occurs twice.")
         if one.camera != other.camera:
             told = f"{one.camera} and {other.camera} (CAMERA_ID and folder)"
-            raise InputError(f"its images are of several cameras, {told}: keep the images of one.")
+            raise InputError(f"its images are of several cameras, {told}: keep the images of one camera.")
         if _in_words(one.name) > _in_words(other.name):
             raise InputError(
                 f"the order of its images is not clear: {one.name} has the number {one.number}, and {other.name} "

@@ -142,7 +142,7 @@ def function_of(text: str) -> Callable[[File], Any]:
         try:
             function = getattr(import_module(parts["module"]), parts["name"])
         except (ImportError, AttributeError) as error:
-            raise InputError(f"{text} of a format cannot be called: {error}.") from None
+            raise InputError(f"{text}, which a format calls, cannot be imported: {error}.") from None
         names = parts["arguments"].replace(",", " ").split()
         return function(
             *(file if n == "file" else file.asked[n] if n in file.asked else getattr(file, n) for n in names)
@@ -292,7 +292,7 @@ def outside() -> tuple[Format, ...]:
         for form in [loaded] if isinstance(loaded, Mapping) or not isinstance(loaded, Iterable) else loaded:
             if not isinstance(form, Format | Mapping):
                 raise InputError(
-                    f"the entry point {entry.value} of {GROUP} must be a Format or a row, or a list of them."
+                    f"the entry point {entry.value} of {GROUP} must be a Format, a row (a mapping), or a list of these."
                 )
             found.append(form if isinstance(form, Format) else described(form, form.get("family", "")))
     return tuple(found)

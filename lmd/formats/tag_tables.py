@@ -107,7 +107,7 @@ def _priors(path: object, text: str) -> Found:
 
 
 def _placed(table: Table) -> list[PlacedTag]:
-    """Tags of a table with standard names."""
+    """Tags of a table whose columns have standard names."""
     ids, places = (table.numbers(names, None) for names in ((ID,), POSITION))
     numbers = [number_of(int(number) if number.is_integer() else number) for number in ids[:, 0].tolist()]
     edges = [edge_of(EDGE, float(text)) for text in table.texts[EDGE]] if EDGE in table else [None] * len(ids)
@@ -116,7 +116,7 @@ def _placed(table: Table) -> list[PlacedTag]:
 
 
 def _turns(table: Table, numbers: Sequence[int]) -> FloatArray:
-    """Rotations of the tags of a table with standard names, `(N, 3, 3)`.
+    """Rotations of the tags of a table whose columns have standard names, `(N, 3, 3)`.
 
     Raises:
         InputError: a column is missing, or a value is refused.
@@ -139,7 +139,7 @@ def _turns(table: Table, numbers: Sequence[int]) -> FloatArray:
 
 
 def deployment_of(table: Table, axes: Sequence[str] | None) -> tuple[Deployment, list[str]]:
-    """Deployment from a table with standard names, and the families that the table names.
+    """Deployment from a table whose columns have standard names, and the tag families that the table names.
 
     Args:
         axes: directions of x, y and z of a tag's frame, see `axes_of`.

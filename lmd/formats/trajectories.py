@@ -178,7 +178,7 @@ def _fitted(points: FloatArray) -> FloatArray:
     for name, side in (("the recording's frame", own), ("the room's frame", room)):
         spread = np.linalg.svd(side - side.mean(axis=0), compute_uv=False)
         if spread[1] <= THIN * spread[0]:
-            raise InputError(f"align: its points are collinear in {name}, so one rotation is not known.", "align")
+            raise InputError(f"align: its points are collinear in {name}: add a point off their line.", "align")
     motion = rigid_alignment(own, room)
     missed = np.linalg.norm(act(motion, own) - room, axis=1)
     worst, extent = int(np.argmax(missed)), float(np.linalg.norm(room - room.mean(axis=0), axis=1).max())

@@ -99,8 +99,8 @@ def plain(text: str) -> str:
 
 
 def numbers_of(value: Any, nested: int = NESTED) -> list[Any]:
-    """Numbers in a value: a number, a text of numbers, a mapping with the key `data`, or lists of these; other values
-    are unchanged.
+    """List of the numbers in a value: a number, a text of numbers, a mapping with the key `data`, or a list of these.
+    Parts of the value that are none of these become entries of the list as they are.
     """
     if isinstance(value, Mapping) and "data" in value and nested:
         return numbers_of(value["data"], nested - 1)

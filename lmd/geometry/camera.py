@@ -99,9 +99,9 @@ class Camera(Checked):
         object.__setattr__(self, "distortion", () if lens is None else lens.coefficients)
         if lens is not None and lens.widest(nearest := min(self._borders)) >= lens.fold:
             raise InputError(
-                f"distortion must increase with the angle up to the nearest border of the image, at {nearest:.3g} "
-                f"focal lengths, but {list(self.distortion)} folds back {math.degrees(lens.fold):.3g} degrees off the "
-                "axis.",
+                "distortion must keep the image radius increasing with the angle up to the nearest border of the "
+                f"image, at {nearest:.3g} focal lengths, but with {list(self.distortion)} it decreases beyond "
+                f"{math.degrees(lens.fold):.3g} degrees off the axis.",
                 "distortion",
             )
         if lens is None and self.image_circle < math.inf:
@@ -129,7 +129,9 @@ class Camera(Checked):
 
     @property
     def _borders(self) -> FieldOfView:
-        """Distances of the four image borders (left, right, top, bottom) from the principal point, in focal lengths."""
+        """Distances, instead of angles, of the four image borders (left, right, top, bottom) from the principal point,
+        in focal lengths.
+        """
         u, v = self.principal_point
         width, height = self.pixel_width / self.focal_length, self.pixel_height / self.focal_length
         return FieldOfView(

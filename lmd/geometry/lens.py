@@ -48,7 +48,7 @@ class Profile(NamedTuple):
     across: FloatArray
     """Local scale in the tangential direction, focal lengths per rad."""
     sway: FloatArray
-    """Largest change of either scale by tangential distortion and thin prism, focal lengths per rad."""
+    """Largest change of either scale that tangential distortion and thin prism cause, focal lengths per rad."""
 
     @property
     def least(self) -> FloatArray:

@@ -8,8 +8,7 @@ each tag in the map is compared with its pose according to the images and all ot
 - If a trusted tag k was moved by t, its prior holds for u_k - t. The information matrix of t is Q_kk with Q = J - J P
   J, and t = Q_kk^-1 (J u)_k with the covariance Q_kk^-1.
 - A tag k of the map that is not trusted is expected at A u_r, given the trusted tags, with A = S_kr J. So t = u_k - A
-u_r, with the
-  covariance of u_k - A u_r under P, plus S_kk - A S_rk.
+  u_r, with the covariance of u_k - A u_r under P, plus S_kk - A S_rk.
 
 If a tag was not moved, t^T cov(t)^-1 t has the chi^2 distribution with six degrees of freedom. Moved tags lose their
 prior, in the order of decreasing chi^2, until no other tag exceeds the threshold.
@@ -53,7 +52,7 @@ class Change(NamedTuple):
     pose: FloatArray
     """`(4, 4)` present pose, tag to map."""
     covariance: FloatArray
-    """`(6, 6)` covariance of the right-hand twist of the pose, rad and metres."""
+    """`(6, 6)` covariance of the twist of the pose, X -> X exp(twist), rad and metres."""
     before: FloatArray
     """`(4, 4)` pose in the map; NaN for a new tag."""
     chi_square: float = np.nan

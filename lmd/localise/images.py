@@ -31,7 +31,7 @@ CONTRADICTS, SURELY, MOST_ROUNDS = 0.5, 0.75, 12
 
 
 class State(Enum):
-    """Outcome of the localisation of an image."""
+    """Outcome of the localisation of an image: localised, or the reason to refuse the image."""
 
     LOCALISED = "localised"
     NO_TAG = "no tag of the map"
@@ -47,7 +47,8 @@ class RoughPoses(NamedTuple):
     the map; the pose of a frame is NaN if it shows no tag with a pose.
     """
     others: FloatArray
-    """For each frame, the best pose that differs from its pose in `poses`, `(F, 4, 4)`; NaN if there is none."""
+    """For each frame, the best pose that clearly differs from its pose in `poses`, `(F, 4, 4)`; NaN if there is none.
+    """
     gross: BoolArray
     """Mask of the tags that contradict the other tags, `(K,)`."""
 
@@ -99,8 +100,8 @@ def _blame(sightings: Sightings, poses: Poses, sigmas: FloatArray) -> FloatArray
 
 
 def _proposed(sightings: Sightings, poses: Poses, single: FloatArray) -> tuple[Poses, FloatArray]:
-    """Poses in which each frame has its best pose; and for each frame the best pose that differs from it,
-    `(F, 4, 4)`.
+    """The `poses` with the best pose of each frame; and for each frame its rival, the best pose that clearly differs
+    from its best pose, `(F, 4, 4)`.
     """
     known = np.flatnonzero(poses.known_tags[sightings.tag])
     best, other = np.full((2, sightings.frames, 4, 4), np.nan)
@@ -130,8 +131,8 @@ def _are_apart(one: FloatArray, two: FloatArray, away: FloatArray) -> BoolArray:
 
 
 def states_of(found: Estimate, others: FloatArray) -> tuple[NDArray[np.object_], FloatArray]:
-    """Outcome of each frame, `(F,)`; and for frames that two poses fit almost equally well, the two poses, the better
-    pose first, `(F, 2, 4, 4)`; NaN for the other frames.
+    """Outcome (`State`) of each frame, `(F,)`; and for frames that two poses fit almost equally well, the two poses,
+    the better pose first, `(F, 2, 4, 4)`; NaN for the other frames.
 
     Args:
         found: estimate with a pose of each frame that shows a tag of the map.

@@ -47,7 +47,7 @@ MOUNT_SIGMAS = (0.0175, 0.01)
 
 @dataclass(frozen=True)
 class Drive:
-    """Knowledge of the body that carries the cameras, and of its motion."""
+    """Prior knowledge of the body that carries the cameras: mounts of the cameras, and motion of the body."""
 
     mounts: FloatArray | None = None
     """`(C, 4, 4)` poses of the cameras on the body, which is the first camera, as measured by hand; None for one

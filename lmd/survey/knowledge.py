@@ -74,7 +74,7 @@ class Boards(Checked):
     ids: IntArray
     """`(M,)` ids of the tags."""
     places: FloatArray
-    """`(M, 2)` centres on the sheet, to the right and up, metres."""
+    """`(M, 2)` coordinates of the tags' centres on the sheet, x to the right and y up, metres."""
     printed: Positive
     """Standard deviation of `places`, metres."""
 

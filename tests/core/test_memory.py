@@ -53,7 +53,7 @@ def test_both_figures_are_named(machine):
     machine(2**30)
     check_memory(2**30, "count = 5 landmarks", "count")
     with pytest.raises(
-        InputError, match=r"^count = 5 landmarks would take 2 GiB of memory, and 1 GiB are free\.$"
+        InputError, match=r"^count = 5 landmarks would take 2 GiB of memory, but only 1 GiB are free\.$"
     ) as told:
         check_memory(2**31, "count = 5 landmarks", "count")
     assert told.value.argument == "count"

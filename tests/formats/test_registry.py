@@ -75,7 +75,7 @@ def test_a_format_that_is_recognised_and_refused_gives_its_sentence(others, writ
 
 def test_an_entry_point_without_a_format_is_named(others, write):
     others(["calibration"])
-    with pytest.raises(InputError, match=r"acme:FORMATS of lmd\.formats must be a Format or a row, or a list of them"):
+    with pytest.raises(InputError, match=r"acme:FORMATS of lmd\.formats must be a Format, a row \(a mapping\)"):
         read_calibration(write(json.dumps(PRINTED)))
     del sys.modules["acme"].FORMATS
     with pytest.raises(InputError, match=r"acme:FORMATS of lmd\.formats cannot be loaded"):

@@ -112,7 +112,7 @@ def test_the_frame_that_ros_names_is_no_other_one(write):
         f"{i},0,map,cam_optical_frame,{','.join(map(str, at + turn))}\n" for i, (at, turn) in enumerate(rows)
     )
     assert_allclose(poses_of(write(lines))[:, :3, :3], TURN.as_matrix(), atol=1e-12)
-    with pytest.raises(InputError, match=r"^frame must be optical: .* has poses of the frame 'cam_optical_frame'"):
+    with pytest.raises(InputError, match=r"^frame = body contradicts .*, which is of the frame 'cam_optical_frame'"):
         poses_of(write(lines), "body")
 
 

@@ -120,7 +120,7 @@ CASES = [
     ("detect", "tag.family=36h12", "tag.family must be one of 36h11"),
     ("detect", "detectors=[]", "detectors must name at least one detector."),
     ("detect", "detectors.aruco.preset=best", "detectors.aruco.preset must be one of default, fine, got 'best'"),
-    ("detect", "camera.distortion=[-3,0,0,0]", "camera.distortion must increase with the angle"),
+    ("detect", "camera.distortion=[-3,0,0,0]", "camera.distortion must keep the image radius increasing"),
     ("calibrate_detector", "+views.sampling.pitch=[3,2]", "views.sampling.pitch must go from the lower to the higher"),
     ("uncertainty", "deployment=uniform uncertainty.corners=mine", "uncertainty.corners must be one of auto, objec"),
     ("uncertainty", "deployment=uniform uncertainty.views=10", "uncertainty.views: only "),

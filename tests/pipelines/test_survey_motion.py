@@ -68,7 +68,7 @@ def test_odometry_maps_a_drive_whose_images_show_one_tag_each(cwd):
     ("overrides", "said"),
     [
         (["survey.odometry=late.csv"], "survey.odometry has poses from 500 to"),
-        (["survey.odometry=body.csv"], "survey.odometry moves differently from the images"),
+        (["survey.odometry=body.csv"], "survey.odometry contradicts the motion in the images"),
         (["survey.odometry=missing.csv"], "survey.odometry"),
         (["survey.odometry={path: odometry.csv, drift: 3}"], "survey.odometry key must be one of path, "),
         (["survey.motion=maybe"], "survey.motion must be"),

@@ -146,5 +146,5 @@ def test_odometry_of_a_body_whose_camera_looks_elsewhere_is_refused():
     driven = drives.drive(8.0, 6, rng, dark=0.1)
     odometry = drives.odometry(driven, rng)
     body = pose_of(np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]), np.array([0.1, 0.2, -0.5]))
-    with pytest.raises(InputError, match="odometry moves differently from the images"):
+    with pytest.raises(InputError, match="odometry contradicts the motion in the images"):
         found_of(driven, PriorKnowledge(odometry=replace(odometry, poses=odometry.poses @ body)))
