@@ -110,7 +110,7 @@ def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
         drawn = parts.draw(0)
         note(drawn.note)
         if total not in (None, len(drawn)):
-            raise InputError(f"count = {total}, but with the fixed ones there are {len(drawn)} landmarks.", "count")
+            raise InputError(f"count = {total}, but there are {len(drawn)} landmarks, fixed ones included.", "count")
     if not scene.tag.is_point:
         with keyed("tag"):
             scene.tag.check_ids(drawn.ids)

@@ -100,7 +100,7 @@ def _over_suite(cfg: DictConfig) -> Study:
     places = [BUDGETS.index(choice("suite_budgets", str(place), BUDGETS)) for place in cfg.suite_budgets]
     taken = {entry: _taken(entry, cfg, boxes) for entry in map(str, cfg.optimisers)}
     if not places:
-        raise InputError("suite_budgets must name at least one.", "suite_budgets")
+        raise InputError("suite_budgets must list at least one of 1, 2 and 3, got [].", "suite_budgets")
     jobs = [
         Contender(entry, taken[entry][name], seed, name, budgets[name][place])
         for seed, place, name, entry in product(seeds_of(cfg), places, boxes, taken)
@@ -155,7 +155,7 @@ def problems_of(cfg: DictConfig) -> "Mapping[str, BlackBox]":
     boxes = {name: problem(name) for name in every}
     several = [name for name, box in boxes.items() if len(box.objectives) > 1]
     if several and asked not in SETS:
-        raise InputError(f"suite: {several[0]} has several objectives; a comparison takes one.", "suite")
+        raise InputError(f"suite: {several[0]} has several objectives, but compare needs a single one.", "suite")
     return {name: box for name, box in boxes.items() if name not in several}
 
 

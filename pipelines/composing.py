@@ -1,13 +1,12 @@
-"""Configuration of a command. Hydra composes it; within the job it is composed again, with the options that keys of the
-first configuration choose.
+"""Configuration of a command, which is composed in two passes.
 
-When Hydra composes for the first time, `run=DIR`, `suite=NAME`, `survey=DIR`, `map=DIR`, `varies=cameras`, and
-`deployment.path=FILE` without a choice of `deployment`, are ordinary keys. `settled` reads these keys, puts the options
-that they choose into Hydra's config store, and composes again with these options in front of the command line, which
-keeps its precedence.
+1. Hydra composes a first configuration from the files and the command line. In this pass the following keys have no
+   effect: `run`, `suite`, `survey`, `map`, `varies`, and `deployment.path` if no option of `deployment` is chosen.
+2. Within the job, `settled` reads the values of these keys. If the values choose options, `settled` puts these options
+   into Hydra's config store and composes again; the command line still overrides the options.
 
-Groups whose nodes describe objects are open: a key that no file has is passed on to the class of the object, which
-refuses unknown keys.
+Groups whose nodes describe objects are open: such a group accepts a key that no file has, and passes the key on to the
+class of the object, which refuses unknown keys.
 """
 
 import re
@@ -234,7 +233,8 @@ def _of_run(
     """Store the config nodes of the problem and the landmarks of an earlier run, and return the overrides that choose
     these nodes.
 
-    The fixed landmarks and the number of landmarks of that run are also defaults for other sources of landmarks.
+    If the command line chooses another source of landmarks, the fixed landmarks and the number of landmarks of that run
+    remain the defaults.
 
     Raises:
         InputError: the run names code that the user does not trust, or lacks a file.
@@ -294,8 +294,9 @@ def compared(cfg: DictConfig) -> dict[str, DictConfig]:
     """Configuration for each entry of `deployments`, keyed by the name of the entry; if there is no entry, only the
     configuration of the command line.
 
-    An entry is an option of `conf/deployment`, or a text `NAME: OPTION OVERRIDES` that names it. On the command line,
-    `deployment.path` applies to entries with files, and `deployment.count` to all other entries.
+    An entry is an option of `conf/deployment`, or a text `NAME: OPTION OVERRIDES` that gives the entry a name and
+    overrides. On the command line, `deployment.path` applies to entries with files, and `deployment.count` to all other
+    entries.
 
     Raises:
         InputError: an entry is refused.

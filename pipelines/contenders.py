@@ -56,7 +56,7 @@ class Contender:
 
     @property
     def tags(self) -> dict[str, str]:
-        """Tags with which the run is tracked."""
+        """Labels of the tracked run (tags of mlflow)."""
         return {"job": digest(self.name)[:DIGEST_LENGTH], "choice.optimiser": self.optimiser.split()[0]}
 
     @property

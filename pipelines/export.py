@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 def build_export(cfg: DictConfig, key: str, tag: "Tag") -> "Export":
     """Build the export of the landmarks in all formats that a configuration lists at `key`.
 
-    The value null at `key` means all formats; formats that cannot be printed for these tags are then left out, and
+    The value null at `key` means all formats; printed formats whose Python packages are missing are then left out, and
     named in a note.
 
     Raises:
@@ -55,7 +55,7 @@ def export(cfg: DictConfig) -> Study:
     scene = parts.scene
     chosen = build_export(cfg, "formats", scene.tag)
     if not chosen.formats:
-        raise InputError("formats lists none, so there is nothing to write.")
+        raise InputError("formats must list at least one format (docs/mounting.md), got [].")
     deployment = parts.draw(cfg.seed)
     writers = chosen.writers(scene.room, scene.tag, deployment)
     tags = TagMap(scene.room, scene.tag, deployment)

@@ -68,7 +68,7 @@ def others_of(node: DictConfig, fixed: "Deployment | None") -> tuple[int | None,
     count = node.get("count")
     more = MORE.fullmatch(count) if isinstance(count, str) else None
     if fixed is None and more:
-        raise InputError(f"count = {count} adds to the landmarks of fixed, which is not given.", "count")
+        raise InputError(f"count = {count} is in addition to deployment.fixed, which is not given.", "count")
     source = deepcopy(node)
     for key in (*NO_SOURCE, *(key for key in TABLE if node.get(key) is None or "path" not in node)):
         source.pop(key, None)
@@ -76,7 +76,7 @@ def others_of(node: DictConfig, fixed: "Deployment | None") -> tuple[int | None,
         return None, source
     total = len(fixed) + int(more[1]) if more else integer("count", count, low=1)
     if total <= len(fixed):
-        raise InputError(f"count = {count} leaves none to place: {node.fixed} has {len(fixed)} landmarks.", "count")
+        raise InputError(f"count = {count} leaves no landmark to place: {node.fixed} has {len(fixed)}.", "count")
     source.count = None if "path" in source else total - len(fixed)
     return total, source
 

@@ -42,7 +42,7 @@ def localise(cfg: DictConfig) -> Study:
         steady = None if settings.motion == "auto" else boolean("motion", settings.motion)
         calibrate = boolean("calibrate", settings.calibrate)
     if steady and odometry is not None:
-        raise InputError("localise.motion is for drives without odometry: leave one of the two out.")
+        raise InputError("localise.motion = true and localise.odometry exclude each other: leave one of them out.")
     seen = detected(cfg, given.cameras, detector, tag)
     source = "photographs" if cfg.detections is None else "detections"
     drive = Drive(given.mounted if isinstance(given, Rig) else None, odometry, steady)

@@ -39,7 +39,9 @@ def command_line(pipeline: str, overrides: Sequence[str]) -> str:
 
 
 def source_tags(pipeline: str) -> dict[str, str]:
-    """Tags that say how a run was made: user, command, version and commit, mostly under names that mlflow defines."""
+    """Labels (tags of mlflow) that say how a run was made: user, command, version and commit, mostly under names that
+    mlflow defines.
+    """
     tags = {"mlflow.source.name": command_of(pipeline), "mlflow.source.type": "LOCAL", "mlflow.user": _user()}
     given = sys.argv[1:]
     if current_job() is not None:  # when repeated by hand, a command must not write to the folder of the sweep

@@ -125,8 +125,8 @@ def scored(
 
 
 def score(cfg: DictConfig, own: Mapping[str, DictConfig]) -> Study:
-    """Prepare the score of deployments, and those studies that are configured: of the loss of tags, of sensitivity, of
-    tags with measured poses, and of tags with mounting errors.
+    """Prepare the score of deployments, and the configured studies: loss of tags, sensitivity, measured poses of tags,
+    and mounting errors.
 
     Args:
         cfg: configuration of the command.

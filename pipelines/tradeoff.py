@@ -101,7 +101,7 @@ def size(cfg: DictConfig) -> Study:
     (camera, *others), tag = camera_of(cfg.camera).cameras, instantiate(cfg.tag)
     criteria, _ = visibility_of(cfg.visibility)
     if others or not isinstance(criteria, Fiducial):
-        lack = "one camera: leave camera.rig out" if others else "a detector: it needs visibility=fiducial"
+        lack = "one camera: leave camera.rig out" if others else "a detector: set visibility=fiducial"
         raise InputError(f"size needs {lack}.")
     tag.check_edge()
     papers = ((paper, largest_whole(tag.of_size(tag.sizes[0]), paper)) for paper in PAPERS)

@@ -37,8 +37,8 @@ class Trust:
     names: tuple[str, ...] = ()
     """Names of packages and of single functions or classes that the user trusts."""
     folders: tuple[Path, ...] = (Path(CONF),)
-    """Folders with configuration files; a `_target_` in one of these files is trusted in the config group of the
-    file.
+    """Folders with configuration files. A `_target_` in one of these files is trusted, but only in nodes of the config
+    group to which the file belongs.
     """
 
     @classmethod
@@ -114,7 +114,7 @@ class Trust:
             place, is_target = f"{source}: {where}", where.rpartition(".")[2] == TARGET
             shown = f"{place} = {str(leaf)[:100]!r}"
             if others := {word for word in where.split(".") if SPECIAL.fullmatch(word)} - known:
-                raise InputError(f"{place} has {min(others)}, which no option of {group} has ({PAGE}).")
+                raise InputError(f"{place}: remove the key {min(others)}, which no option of {group} has ({PAGE}).")
             if is_target and not (isinstance(leaf, str) and NAME.fullmatch(leaf)):
                 raise InputError(f"{place} must name a class or a function ({PAGE}).")
             if is_target and self._trusts(leaf):
@@ -130,7 +130,7 @@ class Trust:
             except Exception:  # an error of the package is reported when the object is built
                 continue
             if not self._trusts(f"{getattr(target, '__module__', '')}.{getattr(target, '__qualname__', '')}"):
-                raise InputError(f"{place} is imported, not defined, by what you trust ({PAGE}).")
+                raise InputError(f"{place} is only imported by code that you trust: trust its own module too ({PAGE}).")
 
     def _texts_of(self, group: str) -> list[str]:
         """Contents of the files of a config group, and of the configuration files of commands, in which some nodes

@@ -39,15 +39,15 @@ def test_a_count_is_that_of_all_and_one_with_a_plus_that_of_the_new(source, coun
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        (["deployment.fixed=null", "deployment.count=+5"], r"^deployment.count = \+5 adds to the landmarks of fixed"),
-        (["deployment.count=2"], r"^deployment.count = 2 leaves none to place: tags.csv has 2 landmarks"),
-        (["deployment.count=+0"], r"^deployment.count = \+0 leaves none to place"),
+        (["deployment.fixed=null", "deployment.count=+5"], r"^deployment.count = \+5 is in addition to"),
+        (["deployment.count=2"], r"^deployment.count = 2 leaves no landmark to place: tags.csv has 2"),
+        (["deployment.count=+0"], r"^deployment.count = \+0 leaves no landmark to place"),
         (["deployment.count=some"], r"^deployment.count must be a whole number"),
         (["deployment.fixed=none.csv"], r"none.csv"),
         (["deployment.fixed=3"], r"^deployment.fixed must be the path of a file"),
         (["room.size=[7.5,2.5,6]", "room.reachable_size=[6,2,4]"], r"^deployment.fixed: landmark 3 at .* lies outside"),
         (["deployment=file", "deployment.path=tags.csv"], r"^deployment.fixed has all 2 landmarks"),
-        (["deployment=file", "deployment.path=new.csv", "deployment.count=9"], r"^deployment.count = 9, but with"),
+        (["deployment=file", "deployment.path=new.csv", "deployment.count=9"], r"^deployment.count = 9, but there are"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_is_refused_in_a_sentence(work, overrides, message):

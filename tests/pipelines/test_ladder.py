@@ -74,7 +74,7 @@ def test_what_is_kept_but_damaged_is_named_and_computed_again(damage, tmp_path, 
 
 def test_too_many_landmarks_are_named_by_the_key_that_asked_for_them(tmp_path):
     (tmp_path / "tags.csv").write_text("id,x,y,z,nx,ny,nz\n0,0,2,3,1,0,0\n1,0,3,3,1,0,0\n")
-    with pytest.raises(InputError, match=r"^counts = 2 leaves none to place"):
+    with pytest.raises(InputError, match=r"^counts = 2 leaves no landmark to place"):
         ladder_of(f"deployment.fixed={tmp_path}/tags.csv").problem(2)
     with pytest.raises(InputError, match=r"^counts = 20 tags .* are too many"):
         ladder_of(edge=2.0).problem(20)

@@ -122,8 +122,8 @@ def test_a_run_of_a_stranger_runs_no_code(strangers, monkeypatch, changes):
             "room: {x: {a: '${...tag.x}', b: '${tag.x}'}}\ntag: {x: '${room.x}'}",
             "refers to a value that is itself a reference",
         ),
-        ("room: {_recursive_: false}", "room._recursive_ has _recursive_, which no option of room has"),
-        ("room: {low: [{_args_: [1]}]}", "room.low.0._args_.0 has _args_, which no option of room has"),
+        ("room: {_recursive_: false}", "room._recursive_: remove the key _recursive_, which no option of room has"),
+        ("room: {low: [{_args_: [1]}]}", "room.low.0._args_.0: remove the key _args_, which no option of room has"),
         ("room: !!python/object/apply:os.system [touch imported]", "cannot be read"),
         ("room: {size: " + "[" * 2_000, "cannot be read"),
         ("- 1", "is not a configuration"),
@@ -163,7 +163,7 @@ def test_a_package_that_is_trusted_may_be_named_but_not_walked_through(strangers
     assert told(*names) == ""
     assert "evil" in sys.modules
     strangers("room: {_target_: evil.os.getcwd}")
-    assert "room._target_ = 'evil.os.getcwd' is imported, not defined, by what you trust" in told("evil")
+    assert "room._target_ = 'evil.os.getcwd' is only imported by code that you trust" in told("evil")
 
 
 def test_what_files_of_ones_own_search_path_name_is_trusted(strangers):

@@ -56,8 +56,8 @@ class Job:
         return " ".join(f"{key}={value}" for key, value in self.varied.items()) or " ".join(self.overrides)
 
     def tags(self, name: str) -> dict[str, str]:
-        """Tags for the tracked run of the job; they contain the name of the sweep and `name`, the name of the job's
-        folder.
+        """Labels of the job's tracked run (tags of mlflow), among them the name of the sweep and `name`, the name of
+        the job's folder.
         """
         from ..tracking import PARENT_TAG
 

@@ -20,7 +20,7 @@ NOT_IN_NAME = ("hydra", "validate")  # keys that change neither the problem nor 
 
 
 def override_tags(overrides: Sequence[str]) -> dict[str, str]:
-    """Tags of a tracked run: one tag for all overrides, and one for each override."""
+    """Labels of a tracked run (tags of mlflow): one for all overrides, and one for each override."""
     each = {f"override.{key}": value for key, value in map(key_and_value, overrides)}
     return {"overrides": " ".join(overrides)} | each
 

@@ -162,8 +162,8 @@ def lost(job: Job, stopped: bool = False) -> Job:
 
 
 def settle(tracking: DictConfig, folder: JobFolder, job: Job, params: Mapping[str, Any] | None = None) -> None:
-    """End the tracked runs of a job whose process has ended; if the job has no tracked run, a run is recorded if
-    `params` is given.
+    """End the tracked runs of a job whose process has ended. If the job has no tracked run, and `params` is given, a
+    run is recorded.
     """
     from lmd.core.checks import InputError
 

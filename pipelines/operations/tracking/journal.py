@@ -1,7 +1,7 @@
 """Journal of a run: entries are written to disk before they are sent, and can be sent later if the store does not
 answer.
 
-The tags of `this_process` distinguish a run whose process has ended from a run that is still going on.
+By the labels of `this_process`, a run whose process has ended can be distinguished from a run that is still going on.
 """
 
 import itertools
@@ -144,7 +144,7 @@ def end_those_gone(store: Store) -> None:
 
 
 def this_process() -> dict[str, str]:
-    """Tags that identify this process in the record of a run: host, process number and start time."""
+    """Labels (tags of mlflow) that identify this process in the record of a run: host, process number, start time."""
     return {"host": socket.gethostname(), "process": _identity(os.getpid())}
 
 

@@ -40,7 +40,7 @@ class Store:
         experiment_name: mlflow experiment that holds the runs.
 
     Raises:
-        InputError: the address is not one of a tracking store.
+        InputError: `uri` is not the address of a tracking store.
     """
 
     def __init__(self, uri: str, experiment_name: str) -> None:

@@ -21,7 +21,7 @@ class RunStart:
     params: Mapping[str, Any] = field(default_factory=dict)
     """Settings of the run, keyed by config key."""
     tags: Mapping[str, str] = field(default_factory=dict)
-    """Further tags, by which the run can be found."""
+    """Further labels by which the run can be found (tags of mlflow)."""
     ago: float = 0.0
     """Time since the run began, seconds."""
     dataset: tuple[str, str] | None = None
@@ -56,10 +56,10 @@ class NoTracker:
         """Delete the record of the run that was started."""
 
     def settle(self, run: RunStart, status: str, reason: str = "", files: Sequence[Path] = ()) -> None:
-        """Settle the records of runs that have the tags of `run` and whose processes have ended. Records whose status
+        """Settle the records of runs that have the `tags` of `run` and whose processes have ended. Records whose status
         is RUNNING, or that were marked as failed because their process was gone, get the `status` and the `reason`.
-        Only the record of the newest run is kept, and gets the `files`. If no run has these tags, `run` is recorded
-        unless the status is FINISHED.
+        Only the record of the newest such run is kept, and gets the `files`. If no run has these tags, `run` itself is
+        recorded unless the status is FINISHED.
 
         Raises:
             InputError: the store cannot be used.
@@ -75,15 +75,15 @@ class NoTracker:
         """Record copies of files."""
 
     def finish(self, status: str, reason: str = "") -> None:
-        """End the run as FINISHED, KILLED or FAILED, with the reason as a tag."""
+        """End the run as FINISHED, KILLED or FAILED, and record the reason as a label of the run (a tag of mlflow)."""
 
     def describe(self) -> str:
         """One-line text that names the place where the run is recorded."""
         return "not tracked (tracking=none)"
 
     def views(self, params: Sequence[str]) -> list[str]:
-        """Links to pages that show the child runs of this run, grouped by params; empty if the store does not
-        answer.
+        """Links to pages that show the child runs of this run, grouped by the parameters `params`; empty if the store
+        does not answer.
         """
         return []
 
