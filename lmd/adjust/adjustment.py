@@ -219,7 +219,7 @@ class Adjustment:
 
     def loss(self, poses: Poses, floor: float, sightings: Sightings | None = None) -> float:
         """Total loss of sightings, priors and links of motion. If `sightings` are given, they replace the sightings of
-        the adjustment: its detections, but with other camera parameters.
+        the adjustment; they must be its detections, seen through cameras with other parameters.
         """
         some = self.sightings if sightings is None else sightings
         return self._loss(squared_errors(some, poses), self._prior_loss(poses), floor)

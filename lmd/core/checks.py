@@ -208,7 +208,7 @@ def entries(name: str, value: Any, check: Callable[[str, Any], Item]) -> tuple[I
 def only_keys(name: str, value: Iterable[Any], known: Sequence[str]) -> None:
     """Raise `InputError` if a key of a mapping is not in `known`."""
     if unknown := [key for key in value if key not in known]:
-        raise InputError(f"{name} has no key {unknown[0]!r}, only {', '.join(known)}.", name)
+        raise InputError(f"{name} has an unknown key {unknown[0]!r}; it may have {', '.join(known)}.", name)
 
 
 def text(name: str, value: Any) -> str:

@@ -127,8 +127,8 @@ class CornerErrors(Checked):
     An empty tuple means no shift.
     """
     inward_spread: NotNegative = 0.0
-    """Standard deviation of the shift `inward` over blurs and exposures, pixels; for one camera and one light the shift
-    is constant.
+    """Standard deviation of the shift `inward` over blurs and exposures, pixels; for one camera under constant light
+    the shift is constant.
     """
 
     def _validate(self) -> None:
@@ -198,8 +198,8 @@ def shortest_side(image: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class MeasuredCorners:
-    """Errors of corners for one detector, camera and light, as functions of the pitch: independent noise and a shift of
-    edges.
+    """Errors of corners for one detector, camera and lighting, as functions of the pitch: independent noise and a shift
+    of edges.
     """
 
     pitch: tuple[float, ...]

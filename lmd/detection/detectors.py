@@ -73,8 +73,8 @@ def read_family(name: str, value: Any, table: str, other: str) -> str:
     Args:
         name: name of the argument.
         value: name of the family.
-        table: field of the entries of `FAMILIES` with the name that the library uses for the family; empty if the
-            library lacks the family.
+        table: name of the field, in the entries of `FAMILIES`, that holds the library's own name of a family; the field
+            is empty for families that the library lacks.
         other: library that the error message proposes for a family that this library does not read.
 
     Raises:

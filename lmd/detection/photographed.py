@@ -124,7 +124,7 @@ class BagImages(Checked):
 
     def _converted(self, message: Any, stamp: str) -> UInt8Array:
         if message.encoding not in ENCODINGS:
-            raise self.bag.refused(f"has images of the encoding {message.encoding!r}, not {', '.join(ENCODINGS)}")
+            raise self.bag.refused(f"has images encoded as {message.encoding!r}, not as one of {', '.join(ENCODINGS)}")
         bytes_each, conversion = ENCODINGS[message.encoding]
         data, row = np.asarray(message.data, dtype=np.uint8), message.width * bytes_each
         if message.step < row or len(data) != message.step * message.height or not len(data):

@@ -95,8 +95,8 @@ def cramer_rao_bound(information: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True)
 class CramerRaoMap:
-    """Cramer-Rao bounds for one pixel of noise at each position, as medians over the orientations of the orientation
-    PDF.
+    """Cramer-Rao bounds at each position, for image noise of one pixel, as medians over the orientations of the
+    orientation PDF.
     """
 
     positions: FloatArray

@@ -177,7 +177,7 @@ class KeyedDetections:
                 pairs = ([corner["x"], corner["y"]] if isinstance(corner, Mapping) else corner for corner in given)
                 corners = [vector(f"{self.corners}[{i}]", pair, 2) for i, pair in enumerate(pairs)]
                 if min(map(min, corners)) < self.least:
-                    raise InputError(f"has corners below 0: its {self.corners} count from the middle of the image")
+                    raise InputError(f"has negative corners: its {self.corners} count from the middle of the image")
                 family = str(tag.get(self.tag_family, "")).upper().removesuffix("C")  # such as 36H11C
                 yield SeenTag(camera, time, int(number), corners, family)
 

@@ -298,8 +298,8 @@ class _Camera:
 
 
 def _nearest(model: str, lens: Sequence[float], values: Mapping[str, float], size: Sequence[Any]) -> Restated:
-    """Lens and intrinsics of a camera; if `lmd.geometry.lens` lacks the lens model, those of a model that it has are
-    fitted.
+    """Lens and intrinsics of a camera; if `lmd.geometry.lens` lacks the lens model, the lens and intrinsics of a model
+    that it has are fitted to it.
     """
     focal, centre = (values["fx"], values["fy"]), (values["cx"], values["cy"])
     if model in MODELS:

@@ -212,8 +212,8 @@ class Reading(Checked):
     gap: NotNegative = 1.3
     """Maximum width of the gaps between walls of a drawing, such as doors, that are treated as closed, metres."""
     least_width: NotNegative = 0.4
-    """Walls whose longest part without doors and windows is shorter than this carry no landmarks unless the user names
-    them, metres.
+    """Minimum length of the longest part of a wall without doors and windows, metres; shorter walls carry no landmarks
+    unless the user names them.
     """
 
 

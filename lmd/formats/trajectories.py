@@ -162,7 +162,7 @@ def alignment(align: Sequence[Any]) -> FloatArray:
         except InputError as error:
             raise InputError(f"align: {str(error).removeprefix('frame 0: ')}", "align") from None
     raise InputError(
-        "align must be [x, y, z, yaw], [x, y, z, qx, qy, qz, qw] or three points of six numbers, "
+        "align must be [x, y, z, yaw], [x, y, z, qx, qy, qz, qw], or three or more points of six numbers, "
         f"got {len(align)} numbers.",
         "align",
     )

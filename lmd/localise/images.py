@@ -84,8 +84,8 @@ def rough_poses(sightings: Sightings, poses: Poses, sigmas: FloatArray) -> Rough
 
 
 def _blame(sightings: Sightings, poses: Poses, sigmas: FloatArray) -> FloatArray:
-    """For each tag, fraction of its sightings in images with other tags in which it contradicts these other tags,
-    `(K,)`.
+    """For each tag, votes against it, see `rough_poses`, as a fraction of its sightings in images with other tags,
+    `(K,)`; 0 for tags with few votes.
     """
     some = sightings.of(poses.known_tags[sightings.tag])
     at = Reprojection(some, *poses.of(some))

@@ -63,7 +63,7 @@ def test_images_are_taken_at_a_rate_and_in_the_order_of_their_times(tmp_path):
 
 def test_an_image_that_cannot_be_read_is_refused(tmp_path):
     one = bf.image(GREY)
-    with pytest.raises(InputError, match=r"images of the encoding 'nv21', not mono8, "):
+    with pytest.raises(InputError, match=r"images encoded as 'nv21', not as one of mono8, "):
         list(only(bag_of(tmp_path / "odd.mcap", one | {"encoding": "nv21"})).read(0, 1, SMALL))
     with pytest.raises(
         InputError, match=r"has an image at 1700000000\.0* s with 192 bytes, too few or many for its pixels"

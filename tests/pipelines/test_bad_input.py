@@ -69,7 +69,7 @@ CASES = [
     ("evaluate", "\"visibility.crowd={number: 3, weight: 80}\"", "visibility.crowd key must be one of number, "),
     ("evaluate", "visibility=fiducial", "tag must have an edge"),
     ("evaluate", "pdf.roll=[[0,0.5]]", "pdf.roll: the probabilities must sum to 1"),
-    ("evaluate", "\"camera.rig=[{yaw: 0, jaw: 1}]\"", "camera.rig[0] has no key 'jaw'"),
+    ("evaluate", "\"camera.rig=[{yaw: 0, jaw: 1}]\"", "camera.rig[0] has an unknown key 'jaw'"),
     ("evaluate", "camera.rig=2", "camera.rig must be a list of cameras, got 2"),
     ("evaluate", "tag.edge=0.1 tag.edges=[0.06,0.2] deployment.count=[4]", "deployment.count = [4] must have one"),
     ("evaluate", "tag.edge=0.1 tag.edges=[0.06,0.2] tag.paper=0.001", "tag.paper = 0.001 square metres is too little"),
