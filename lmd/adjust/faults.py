@@ -50,8 +50,8 @@ class SecondPlace(NamedTuple):
     sightings: int
     """Number of sightings that agree with the second pose."""
     moved: int | None
-    """Index of the first frame after the move; None if frames show the tag now at one pose and now at the other, so
-    that two tags have its id.
+    """Index of the first frame after the move; None if the frames alternate between the two poses, as two tags have the
+    id.
     """
     later: bool
     """True if the second pose is the later pose."""

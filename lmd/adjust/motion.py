@@ -155,14 +155,14 @@ class Motion:
         return np.asarray(there if self.piece is None else there & (self.piece[i] == self.piece[j]))
 
     def follows(self, frames: IntArray) -> BoolArray:
-        """Mask over the ascending `frames` `(F,)`, without the first: True if the frame is linked to its predecessor,
-        `(F - 1,)`.
+        """For each of the ascending `frames` `(F,)` except the first frame: True if the frame is linked to its
+        predecessor, `(F - 1,)`.
         """
         i, j = frames[:-1], frames[1:]
         return np.asarray(self.relates(i, j) & (self.times[j] > self.times[i]))
 
     def linked(self, frames: IntArray) -> BoolArray:
-        """Mask over the ascending `frames` `(F,)`: True if the frame is linked to its predecessor or its successor,
+        """For each of the ascending `frames` `(F,)`: True if the frame is linked to its predecessor or its successor,
         `(F,)`.
         """
         follows = np.concatenate([[False], self.follows(frames), [False]])

@@ -28,7 +28,7 @@ class Box(Checked):
         low, high: opposite corners, body frame, metres.
         faces: those of the `FACES` that may carry cameras; empty for a box that carries no camera and only blocks the
             view.
-        name: name of the box, with which the names of its faces begin if there are several boxes, as in `mast_front`.
+        name: name of the box; with several boxes it precedes the names of the box's faces, as in `mast_front`.
 
     Raises:
         InputError: the box is empty, or `faces` has an unknown name.

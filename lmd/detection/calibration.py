@@ -263,7 +263,7 @@ def _all_errors(predicted: BoolArray, seen: BoolArray) -> NDArray[np.intp]:
 
 
 def _larger_errors(predicted: BoolArray, seen: BoolArray) -> NDArray[np.intp]:
-    """Larger one of the numbers of false positives and of false negatives, counted along the last axis."""
+    """Number of false positives or of false negatives, whichever is larger, counted along the last axis."""
     return np.asarray(np.maximum((predicted & ~seen).sum(axis=-1), (~predicted & seen).sum(axis=-1)))
 
 

@@ -45,7 +45,7 @@ class Placed:
 
 @dataclass(frozen=True)
 class TagViews:
-    """M views of single tags, of detected tags as well as of missed ones."""
+    """M views of single tags, detected and missed tags."""
 
     pitch: FloatArray
     """Pitch, pixels per module, see `lmd.detection.corner_errors.pitch`, `(M,)`."""

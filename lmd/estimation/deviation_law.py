@@ -3,8 +3,9 @@ number of tags in view.
 
 A law is sd = a d^b / n^c with the mean distance d [m] of the n tags in view. There is one law for a single tag and
 another law for several tags, as with one tag the position follows from the apparent size and tilt of a small square,
-with several tags from the angles between the tags. b and c are fitted by least squares to log sd. The scale a is the
-root mean square of sd / (d^b / n^c); errors divided by the law's sd then have the mean square 1 over all views.
+and with several tags it follows from the angles between the tags. b and c are fitted by least squares to log sd. The
+scale a is the root mean square of sd / (d^b / n^c); errors divided by the law's sd then have the mean square 1 over all
+views.
 
 `RULES` are rules in common use, whose scale a is fitted likewise:
 
@@ -129,8 +130,8 @@ def fit_law(distance: FloatArray, tags: IntArray, deviation: FloatArray) -> Law:
 
 
 def fit_rule(shape: str, distance: FloatArray, tags: IntArray, deviation: FloatArray) -> Rule:
-    """Fit the scales of the rule `shape`, a key of `RULES`, as those of power laws are fitted; other arguments as in
-    `fit_power`.
+    """Fit the scales of the rule `shape`, a key of `RULES`, in the way in which the scales of power laws are fitted;
+    other arguments as in `fit_power`.
     """
     per_view = RULES[shape](distance, tags)
 

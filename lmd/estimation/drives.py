@@ -34,8 +34,8 @@ def filtered(
     start_attitude: float,
     **settings: object,
 ) -> tuple[Filtered, Scene]:
-    """Make the objective of the filtered pose along drives, and the scene whose camera positions are those of the
-    drives' frames.
+    """Make the objective of the filtered pose along drives, and the scene in which the camera positions are the
+    positions of the drives' frames.
 
     A source of random trajectories provides `drives` drives for the objective, and `fresh` further drives for the
     validation. A recording, of the scene or from a file, is cut into drives of `block` seconds, and every `held_out`-th

@@ -144,8 +144,8 @@ def pose_covariances(
 
 
 def _by_map(by_map: FloatArray, shown: BoolArray, errors: TagErrors) -> FloatArray:
-    """Term of N due to errors of the map (the sum of B_t P_tu B_u^T) in each frame, `(F, 6, 6)`, from the matrices B
-    `(P, 6, 6)` of the P pairs of a frame and a tag in view, which the mask `shown` `(F, K)` marks.
+    """Term of N due to errors of the map: the sum of B_t P_tu B_u^T in each frame, `(F, 6, 6)`. The mask `shown` `(F,
+    K)` marks the P pairs of a frame and a tag in view; `by_map` `(P, 6, 6)` has the matrix B of each pair.
     """
     frames, (frame, which) = len(shown), np.nonzero(shown)
     back = np.swapaxes(by_map, 1, 2)

@@ -149,7 +149,9 @@ def _against(figures: pd.DataFrame, reference: str) -> tuple[pd.Series, str]:
 
 
 def _all_against_all(complete: pd.DataFrame, reference: str) -> tuple[pd.DataFrame, str]:
-    """P-values of the tests of each pair of columns of `complete` (optimisers), and a sentence that names the test."""
+    """P-values of the tests between each pair of optimisers (columns of `complete`), and a sentence that names the
+    test.
+    """
     names, values = list(complete), complete.to_numpy()
     test = (
         f"p: Nemenyi's test against {as_code(reference)} on the mean ranks over the {len(values)} seeds that all have "
@@ -224,7 +226,7 @@ class HasHistory(Protocol):
 
 
 def best_at(runs: Sequence[HasHistory], axis: str, at: FloatArray) -> FloatArray:
-    """Best fitness of each of R runs at the points `at` `(N,)` of an axis (a field of `Record`), `(R, N)`; NaN before
+    """Best fitness of each of R runs, `(R, N)`, at the values `at` `(N,)` of the field `axis` of `Record`; NaN before
     the first record of a run.
     """
     curves = []
@@ -245,8 +247,8 @@ def curve_targets(runs: Sequence[OptimiserRun]) -> FloatArray:
 
 
 def attained(runs: Sequence[OptimiserRun], axis: str, at: FloatArray, targets: FloatArray) -> FloatArray:
-    """For each point `at` `(N,)` of an axis, the share of pairs of a run and one of the `targets` `(T,)` in which the
-    run has reached the target, `(N,)`: an empirical cumulative distribution function.
+    """For each value `at` `(N,)` of the field `axis` of `Record`, the share of pairs of a run and one of the `targets`
+    `(T,)` in which the run has reached the target, `(N,)`: an empirical cumulative distribution function.
     """
     share: FloatArray = (best_at(runs, axis, at)[:, :, None] >= targets).mean(axis=(0, 2))
     return share

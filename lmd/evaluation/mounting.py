@@ -70,8 +70,8 @@ class MountingError(Checked):
         return not (self.position or self.turn or self.tilt)
 
     def covariances(self, problem: Problem, plan: Deployment) -> FloatArray:
-        """Covariance of the mounting error of each tag of a plan, `(K, 6, 6)`, of the position (metres) and the
-        rotation (rad), world frame; zeros for fixed tags.
+        """Covariance of each planned tag's mounting error in position (metres) and rotation (rad), world frame, `(K, 6,
+        6)`; zeros for fixed tags.
         """
         right, up = upright(plan.normals)
         axes = np.stack([right, up, plan.normals], axis=-1)

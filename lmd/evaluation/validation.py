@@ -158,8 +158,8 @@ def headline_off_grid(problem: Problem) -> str:
 def sampled_values(
     problem: Problem, deployment: Deployment, seed: int, sample: Sample, between: Callable[[], None] = lambda: None
 ) -> FloatArray:
-    """Values of the objective at the random positions of a sample, `(groups, positions)`; arguments as in
-    `validation_metrics`.
+    """Values of the objective at the random positions of a `Sample`, a row for each group, `(groups, positions)`;
+    arguments as in `validation_metrics`.
     """
     landmarks = deployment.positions[None], deployment.normals[None]
     values = []

@@ -140,9 +140,9 @@ class KeyedTags(Keyed):
 
 
 def _numbers(tag: Keys, path: str, names: str, order: str = "") -> FloatArray:
-    """Numbers at a path, in the order of `names`, whose letters are their names. The value is a mapping with these
-    names as keys (for a quaternion, with or without the prefix `q`), or a list in the order of `order`, by default that
-    of `names`.
+    """Numbers at a path, one for each letter of `names`. The value is a mapping with these letters as keys (for a
+    quaternion, with or without the prefix `q`), or a list in the order of the letters of `order`, by default of
+    `names`.
     """
     if " " in path:
         return np.array([*(number_at(tag, part) for part in path.split()), 0.0][: len(names)])

@@ -143,8 +143,8 @@ def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None
 
     Args:
         scale: metres per unit of the file.
-        up: axis of the file that points up, `z` or `y`; None for the standard of the format: `y` for glTF, `z` for
-            others.
+        up: axis of the file that points up, `z` or `y`; None for the standard of the format: `y` for glTF, `z` for all
+            other formats.
 
     Raises:
         InputError: the file is missing, cannot be read or has no triangles, or its size is implausible for a room.

@@ -58,7 +58,7 @@ class Rows:
     notes: tuple[str, ...] = ()
 
     def kept(self, chosen: BoolArray, reason: str) -> "Rows":
-        """Rows selected by `chosen`, with a note about the other rows; the object itself if all rows are selected."""
+        """Rows selected by `chosen`, with a note about the omitted rows; the object itself if all rows are selected."""
         if chosen.all():
             return self
         lines = [line for line, keep in zip(self.lines, chosen, strict=True) if keep]

@@ -142,7 +142,7 @@ class TagMap:
 
     @property
     def edges_in_words(self) -> str:
-        """Text of the edge lengths that occur, mm, and of the square of the tag to which they refer."""
+        """Text that states which edge lengths occur, mm, and to which square of a tag they refer."""
         return f"{', '.join(f'{MM_PER_M * tag.size:.4g}' for tag, _ in self.by_size)} mm ({self.tag.square})"
 
     @property

@@ -168,7 +168,7 @@ def _map_of(detected: DetectedTags, tag: Tag, known: FixedMap) -> FixedMap:
     """
     if not np.isin(detected.ids, known.ids).any():
         shown = ", ".join(map(str, np.unique(detected.ids)[:5].tolist()))
-        raise InputError(f"detections has no tag of the map, only others such as {shown}.", "detections")
+        raise InputError(f"detections has no tag of the map, only tags such as {shown}.", "detections")
     several, counts = np.unique(detected.ids[detected.ids < tag.ids], return_counts=True)
     ids = np.union1d(several[counts >= FEWEST_BELIEVED], np.intersect1d(known.ids, detected.ids))
     return known.among(ids, float(np.median(known.edges)) if tag.is_point else tag.size)
@@ -183,8 +183,8 @@ def _begun(seen: Observations, here: FixedMap, mounts: Mounts) -> tuple[tuple[Ob
 
 
 def _in_order(seen: Observations, here: FixedMap, mounts: Mounts) -> tuple[Observations, int]:
-    """Detections whose corners begin at the top left, and the index that corner 0 of the given detections got. It is
-    the index with which most sightings fit, in frames with several tags of the map; 0 in a tie.
+    """Detections whose corners begin at the top left, and the index that corner 0 of the given detections got. Among
+    all indices, this one makes most sightings fit, in frames with several tags of the map; 0 in a tie.
     """
     detected = seen.detected
     of_map = np.flatnonzero(np.isin(detected.ids, here.ids[here.has]))

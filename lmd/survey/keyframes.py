@@ -60,8 +60,8 @@ def _informative(seconds: FloatArray, shown: list[IntArray]) -> BoolArray:
 
 
 def _evenly(seconds: FloatArray, needed: BoolArray) -> BoolArray:
-    """Mask of the keyframes: the `needed` frames, and the fewest others with which neighbouring keyframes are at most
-    `LONGEST` seconds apart, wherever there are frames between them.
+    """Mask of the keyframes: the `needed` frames, and as few other frames as possible so that neighbouring keyframes
+    are at most `LONGEST` seconds apart, unless no frame lies between them.
     """
     kept, since = np.ones(len(seconds), dtype=bool), np.nan
     for k, following in enumerate(np.append(seconds[1:], np.inf)):

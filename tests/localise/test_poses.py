@@ -211,7 +211,7 @@ def test_maps_without_an_edge_or_with_a_tag_twice_are_refused(tmp_path):
 
 def test_other_tags_than_those_of_the_map_are_refused():
     walk = ld.walked(1)
-    with pytest.raises(InputError, match="detections has no tag of the map, only others such as 100, 101"):
+    with pytest.raises(InputError, match="detections has no tag of the map, only tags such as 100, 101"):
         ld.localised(walk, replace(walk.detected, ids=walk.detected.ids + 100))
     with pytest.raises(InputError, match="cameras must have one camera for each"):
         localise(walk.detected, [], Tag(walks.EDGE), walks.constant_errors(0.2), walk.known)
