@@ -220,8 +220,8 @@ def page(known: dict[tuple[Cell, str], str]) -> Iterator[str]:
     yield ""
     works, every = sum(found == WORKS for found in known.values()), len(cells()) * len(COMMANDS)
     yield f"{works:,} of the {every:,} work. `docs/results/matrix.csv` has all outcomes, `python benchmarks/matrix.py`"
-    yield "the settings, and runs what is missing. Optimisers are the default, random search and SGA; `milp` refuses"
-    yield "some of these cells, as its program is that of plain coverage with one camera."
+    yield "has the settings, and runs missing combinations. Optimisers are the default, random search and SGA; `milp`"
+    yield "refuses some combinations, as it solves plain coverage with one camera."
     yield ""
     yield "Not among these: [people in the way](crowd.md#what-works-with-it), [tags for a"
     yield "filter](filtered.md#what-works-with-it)."
