@@ -21,7 +21,7 @@ def optimise(
     Args:
         problem: problem whose fitness is maximised.
         evaluations: maximum number of full evaluations; an evaluation after a move of one landmark counts as 1/K.
-        seconds: wall time after which no new evaluation starts. At least one of the two limits is needed.
+        seconds: wall time after which no new evaluation starts. At least one of `evaluations` and `seconds` is needed.
         seed: random seed of the optimiser; the same seed gives the same result.
         optimiser: optimiser, `Annealing` by default. `seed` does not affect an optimiser that is given.
         callback: function called after every batch; the run stops if the function returns True.

@@ -262,8 +262,8 @@ def _find_pairs(state: Any, k: Integer, role: Any, field: Any, scratch: Any) -> 
 
 @inner
 def _want_blocks(k: Integer, state: Any, scratch: Any) -> None:
-    """Set `WANTED` to True only for the few blocks of positions with a position from which landmark k hides another
-    landmark or is hidden.
+    """Set `WANTED` to True only for the blocks that contain a position from which landmark k hides another landmark or
+    is hidden by another landmark; these blocks are few.
     """
     hiding, hidden, wanted = state.hides[HIDING], state.hides[HIDDEN], scratch.flags[WANTED]
     for b in scratch.lists[BLOCKS][: scratch.numbers[BLOCK_COUNT]]:

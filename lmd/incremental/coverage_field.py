@@ -47,7 +47,7 @@ class OneCamera(NamedTuple):
     centres: np.ndarray
     """`(1, 3)` zeros: offset of the camera from a position, metres."""
     radius: np.ndarray
-    """`(1,)` zero: distance of the camera from the centre, metres."""
+    """`(1,)` zero: distance of the camera from its centre in `centres`, metres."""
     obstacles: Any
     """Obstacles of the room seen from the positions, see `lmd.sight.obstacles`."""
     axes: np.ndarray

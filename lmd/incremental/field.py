@@ -35,7 +35,9 @@ class Field(Protocol):
 
     @property
     def size(self) -> int:
-        """Number Q of positions of the field; Q >= P, as some positions are copies."""
+        """Number Q of positions of the field, at least the number P of the evaluator's positions, as some positions are
+        copies.
+        """
 
     @property
     def index_of(self) -> Any:

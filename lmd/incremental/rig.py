@@ -96,7 +96,7 @@ def _find_covered(k: Integer, group: Any, positions: FloatArray, body: FloatArra
     `OCCLUDED` is cleared.
 
     Args:
-        k: landmark.
+        k: index of the landmark.
         group: a `MountGroup`.
         positions: indices of the positions of the body to evaluate.
         body: all positions of the body, `(3, Q)`, metres.

@@ -20,7 +20,7 @@ ENOUGH = 2  # axes that cover n landmarks or more
 
 
 class Counts(NamedTuple):
-    """Number of landmarks covered at each of Q positions for each axis, in W words."""
+    """Number of landmarks covered at each of Q positions for each axis; the bits of W words stand for the axes."""
 
     digits: np.ndarray
     """`(Q, W, J)` bit sets: the J binary digits of the numbers, the lowest digit first."""
@@ -135,7 +135,7 @@ class State(NamedTuple):
     surfaces: np.ndarray
     """`(K,)` indices of the surfaces that carry the landmarks."""
     counts: Counts
-    """Number of landmarks that each axis covers at each position."""
+    """Number of landmarks covered at each position, for each axis."""
     units: np.ndarray
     """`(Q,)` quantised P_n at each position."""
     covered: np.ndarray
@@ -203,10 +203,12 @@ class Scratch(NamedTuple):
     `HIDDEN`), and number of landmarks that it hides there (row `HIDING`).
     """
     seen: np.ndarray
-    """`(6, Q)` offset of the place tried from each position, and bounds on its depth, rows `X` to `SURE`."""
+    """`(6, Q)`: for each position, the offset of the place tried from the position, and bounds on the depth of this
+    place along the optical axis; rows `X` to `SURE`.
+    """
     cell: np.ndarray
     """`(2, Q)` int32 for each position: the cell of the direction tables that contains the direction of the place
-    tried, and its row of `POSSIBLE` (`EMPTY_ROW` if the place is out of reach).
+    tried, and the row of `POSSIBLE` for this cell (`EMPTY_ROW` if the place is out of reach).
     """
 
 
@@ -222,10 +224,13 @@ class GroupScratch(NamedTuple):
     occluders: np.ndarray
     """`(1,)` number of `pairs`."""
     pairs: np.ndarray
-    """`(2, K C Q)` uint32 pairs of a landmark that may hide the place tried, and a centre: `LANDMARK`, `POSITION`."""
+    """`(2, K C Q)` uint32 pairs of a landmark that may hide the place tried and one of the cameras' centres
+    (`MountGroup.centres`) at a position: rows `LANDMARK` and `POSITION`, the latter with the number c Q + q of centre c
+    at position q.
+    """
     seen: np.ndarray
-    """`(6, Q)` offset of the place tried from the cameras' centre that was evaluated last, for each position, and
-    bounds on its depth, rows `X` to `SURE`.
+    """`(6, Q)`: for each position, the offset of the place tried from that centre of cameras (`MountGroup.centres`)
+    that was evaluated last, and bounds on the depth of this place along the optical axis; rows `X` to `SURE`.
     """
     lists: np.ndarray
     """`(2, Q + 1)` uint64 lists: rows of the direction tables, and positions that need the exact test."""
@@ -294,7 +299,9 @@ def scratch_of(state: State) -> Scratch:
 
 
 def rig_scratch_of(state: RigState, centres: tuple[int, ...]) -> RigScratch:
-    """New scratch for the state of a rig; `centres` has the number of centres of each group."""
+    """New scratch for the state of a rig; `centres` has, for each mount group, the number of points around which its
+    cameras lie (the length of `MountGroup.centres`).
+    """
     count, size = state.shown.shape[:2]
     groups = tuple(
         GroupScratch(

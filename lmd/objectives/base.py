@@ -213,7 +213,7 @@ def selectable(objective: Objective) -> Selectable:
     """
     if isinstance(objective, Selectable):
         return objective
-    raise InputError(f"{type(objective).__name__} has no selection for a greedy choice of landmarks.", "objective")
+    raise InputError(f"{type(objective).__name__} has no selection, which a greedy choice needs.", "objective")
 
 
 @dataclass(frozen=True)

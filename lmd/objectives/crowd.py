@@ -58,7 +58,9 @@ def _contribution(target, p, units):  # type: ignore[no-untyped-def]
 
 @allocating
 def _worst_of_terms(target: Any, terms: FloatArray) -> Any:
-    """Fitness from the contributions of the positions to the fitness, `terms` `(Q,)`."""
+    """Fitness over the worst groups, from the contribution of each position to the other target's fitness, `terms`
+    `(Q,)`.
+    """
     sums = np.zeros(target.number)
     for p in range(len(terms)):
         sums[target.groups[p]] += terms[p]
@@ -67,7 +69,7 @@ def _worst_of_terms(target: Any, terms: FloatArray) -> Any:
 
 @allocating
 def _worst_of_units(target: Any, units: Any) -> Any:
-    """Fitness from the quantised values of the positions, `units` `(Q,)`."""
+    """Fitness over the worst groups, from the quantised values of the positions, `units` `(Q,)`."""
     sums = np.zeros(target.number)
     for p in range(len(units)):
         sums[target.groups[p]] += contribution(target.target, p, units[p])

@@ -192,12 +192,12 @@ class AskTell(Optimiser):
         try:
             genes = np.atleast_2d(np.asarray(asked, dtype=np.float64))
         except (TypeError, ValueError):
-            raise InputError(f"{self.called} proposed {asked!r}, not genes (B, {self.dim}).") from None
+            raise InputError(f"{self.called} proposed {asked!r}, not an array of genes (B, {self.dim}).") from None
         if genes.shape[1:] != (self.dim,) or not len(genes):
             raise InputError(f"{self.called} proposed genes of shape {genes.shape}, not (B, {self.dim}).")
         if missing := int(np.isnan(genes).sum()):
             when = f"after {self.ledger.evaluations:g} evaluations"
-            raise InputError(f"{self.called} proposed genes of which {missing} of {genes.size} are NaN, {when}.")
+            raise InputError(f"{self.called} proposed NaN for {missing} of {genes.size} genes, {when}.")
         return np.clip(genes, 0.0, 1.0)
 
     def tell(self, genes: FloatArray, fitness: FloatArray) -> None:

@@ -63,7 +63,7 @@ class Checkpoint:
         """
         path = file_path("resume", directory) / CHECKPOINT_FILE
         if not path.is_file():
-            raise InputError(f"resume = {str(directory)!r} holds no {CHECKPOINT_FILE}.")
+            raise InputError(f"resume = {str(directory)!r} holds no {CHECKPOINT_FILE}: name another run.")
         check_memory(path.stat().st_size, f"resume = {str(directory)!r}", "resume")
         state, then, run_id = _read(path)
         now = json.loads(json.dumps(dict(self.settings)))
@@ -93,8 +93,8 @@ class Checkpoint:
 
 
 def _without_arrays(name: str, value: Any, arrays: dict[str, Any]) -> Any:
-    """Replace each array in `value` by a name, so that `value` fits into JSON, and add the arrays to `arrays` by
-    name.
+    """Replace each array in `value` by a name, so that `value` fits into JSON, and add each array to `arrays` under
+    this name.
     """
     if value is None or isinstance(value, str | bool | int | float):
         return value

@@ -67,16 +67,16 @@ def check_lattice(problem: Problem, poses: Deployment, spacing: float) -> None:
     if problem.scene.rig is not None:
         raise InputError("the integer program needs a single camera, not a rig.")
     if seeks_worst(problem.evaluator):
-        raise InputError("the integer program needs the mean over crowd states as fitness, not the worst ones.")
+        raise InputError("the integer program needs the mean over crowd states as fitness, not over the worst.")
     views = _views(problem).size
     lattice = f"the lattice of the integer program has {len(poses)} poses, {spacing:g} m apart"
     if len(poses) * views > MOST_PAIRS:
         raise InputError(
             f"{lattice}, which makes {len(poses) * views:.3g} pairs with the {views} views: at most {MOST_PAIRS:.3g} "
-            "can be solved."
+            "can be solved; increase spacing."
         )
     if any(len(of) * per_pose(problem) < count for of, count in by_size(problem, poses)):
-        raise InputError(f"{lattice}: too few for {problem.free_count} landmarks.")
+        raise InputError(f"{lattice}, too few for {problem.free_count} landmarks: reduce spacing.")
 
 
 def by_size(problem: Problem, poses: Deployment) -> list[tuple[IntArray, int]]:
@@ -142,9 +142,7 @@ class Program:
     counted: IntArray
     """Number of fixed landmarks that the views of each row see, `(R,)`."""
     weights: csr_array
-    """Matrix `(P, R)` with the total probability of the views of each row in the line of the row's position; other
-    entries are 0.
-    """
+    """Matrix `(P, R)`: the total probability of the views of row r if they belong to position p, else 0."""
     overlaps: coo_array
     """Matrix `(C, J)` with 1 at both poses of each of C pairs whose footprints overlap."""
     sizes: csr_array
@@ -228,9 +226,9 @@ class Milp(DeploymentSearch):
     """Optimiser that finds the best deployment on a lattice of poses, and an upper bound on the fitness of all
     deployments on this lattice.
 
-    The start is the result until the solver finds a better deployment. Computing the views that see a pose costs as
-    much of the budget as moving one landmark; the solver costs only time. The solver cannot be resumed: a resumed run
-    starts over.
+    The start is the result until the solver finds a better deployment. For each pose of the lattice, computing the
+    views that would see a landmark at this pose costs as much of the budget as moving one landmark; the solver costs
+    only time. The solver cannot be resumed: a resumed run starts over.
 
     Args:
         spacing: spacing of the lattice, metres.
@@ -272,7 +270,7 @@ class Milp(DeploymentSearch):
         if ledger.evaluations + needed > budget.limit:
             raise InputError(
                 f"the lattice of the integer program has {len(poses)} poses: it costs {needed:.4g} evaluations to find "
-                f"what they cover, but only {budget.limit - ledger.evaluations:g} are left."
+                f"the views that see them, but only {budget.limit - ledger.evaluations:g} are left; increase spacing."
             )
         if not ledger.evaluations:
             note(1, problem.draw(np.random.default_rng(self.seed)))
@@ -287,7 +285,7 @@ class Milp(DeploymentSearch):
         solved = outcome.result()
         if solved.status == INFEASIBLE:
             raise InputError(
-                f"{problem.free_count} tags that do not overlap find no place on the lattice with a spacing of "
+                f"{problem.free_count} tags cannot be placed without overlap on the lattice with a spacing of "
                 f"{self.spacing:g} m."
             )
         self.proven = {

@@ -225,8 +225,8 @@ def composition(
     if not len(chosen):
         least = float(stock.prices(poses).min())
         if tag.budget is not None:
-            raise InputError(f"budget = {tag.budget:g} is too little for a tag: it costs {least:.3g}.", "budget")
-        raise InputError(f"paper = {tag.paper:g} square metres is too little for a tag: it takes {least:.3g}.", "paper")
+            raise InputError(f"budget = {tag.budget:g} is too little: the cheapest tag costs {least:.3g}.", "budget")
+        raise InputError(f"paper = {tag.paper:g} square metres is too little: the smallest takes {least:.3g}.", "paper")
     found = poses.edges[chosen]
     return tuple(int((found == edge).sum()) for edge in edges)
 

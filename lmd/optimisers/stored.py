@@ -52,7 +52,7 @@ def generator_state(rng: np.random.Generator) -> dict[str, Any]:
     """
     state = dict(rng.bit_generator.state)
     if state["bit_generator"] != "PCG64":
-        raise InputError(f"only generators of numpy.random.default_rng are kept, not a {state['bit_generator']}")
+        raise InputError(f"only generators of numpy.random.default_rng can be saved, not a {state['bit_generator']}")
     return state
 
 

@@ -4,7 +4,7 @@
 2. sample the recording at random intervals;
 3. make histograms of both angles;
 4. test their independence;
-5. fit a density to each angle (`lmd.orientation.density`) and multiply the two, or estimate the joint density if
+5. fit a density to each angle (`lmd.orientation.density`) and multiply both densities, or estimate the joint density if
    independence is rejected.
 
 The density is then summed over the cells of an orientation grid as in the paper.

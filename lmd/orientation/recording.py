@@ -107,8 +107,8 @@ class OrientationRecording:
         table = read_table(path, name="path")
         if "yaw" in table and "roll" in table:
             raise InputError(
-                f"{path} has roll, pitch and yaw, which may be ROS's, of a body: call them {', '.join(OWN_ANGLES)} if "
-                "they are a camera's (yaw clockwise from y, pitch up); else give qw, qx, qy, qz of the camera."
+                f"{path} has roll, pitch and yaw, which may be a body's (ROS): call them {', '.join(OWN_ANGLES)} if "
+                "they are a camera's (yaw clockwise from y, pitch up); else give the camera's qw, qx, qy, qz."
             )
         if "yaw" in table or "qw" not in table:
             names = OWN_ANGLES[:2] if OWN_ANGLES[0] in table else ANGLES
@@ -151,8 +151,8 @@ class FileRecording:
 
 @dataclass(frozen=True)
 class SimulatedRecording(Checked):
-    """Simulated smooth random motion; at any time the yaw has a von Mises distribution and the pitch a truncated normal
-    one.
+    """Simulated smooth random motion; at any time the yaw has a von Mises distribution, and the pitch a truncated
+    normal distribution.
 
     z_1 and z_2 are stationary Gaussian processes with the autocorrelation exp(-t^2 / (2 tau^2)). The phase phi has a
     uniform start and the rate z_1 / tau, so phi is uniform at any time. The yaw is the von Mises quantile of

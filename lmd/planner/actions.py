@@ -60,7 +60,7 @@ def _answer(answer: Callable[..., None], *of_event: Any) -> None:
         raise
     except Exception as error:
         _LOG.warning("an event that could not be answered", exc_info=True)
-        raise InputError(f"that cannot be done ({type(error).__name__}: {error}).") from error
+        raise InputError(f"the request cannot be carried out ({type(error).__name__}: {error}).") from error
 
 
 def call_in_order(register: Callable[[Any], object], answer: Callable[[Any], None]) -> None:

@@ -148,7 +148,7 @@ def _nearest_free(
     """
     surfaces, on = SurfaceArrays.of(footprints.hanging.surfaces()), np.array([surface])
     if not (np.abs(at) <= LARGEST).all():  # also refuses NaN
-        raise InputError(f"there is no place at ({at[0]:g}, {at[1]:g}) m.")
+        raise InputError(f"the place ({at[0]:g}, {at[1]:g}) m is not on a surface.")
     one = Deployment(surfaces.points(on, np.asarray(at)[None]), surfaces.normal[on], on, edges=np.array([edge]))
     fixed = 0 if others is None else len(others)
     apart = footprints.separated(one if others is None else others + one, fixed=fixed)

@@ -70,7 +70,7 @@ class Planner:
             self._server = viser.ViserServer(host=HOST, port=port, verbose=False)
         if port not in (0, self._server.get_port()):
             self._server.stop()
-            raise InputError(f"port {port} is taken.", "port")
+            raise InputError(f"port {port} is in use.", "port")
         self._picture, value = RoomPicture(self._server, session.problem), session.problem.objective.value_label
         few, sizes = len(session.deployment) <= MOST_CAPTIONS, session.problem.scene.tag.sizes
         self._panel = PlannerPanel(self._server.gui, value, budget, ids=few, edges=sizes)

@@ -214,4 +214,4 @@ class PlanningSession:
 
     def _check_idle(self) -> None:
         if self.search is not None:
-            raise InputError("the free tags are being optimised: stop that first.")
+            raise InputError("the free tags are being optimised: stop the search first.")

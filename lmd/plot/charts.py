@@ -192,9 +192,11 @@ class Panel(NamedTuple):
     figure: str
     """Column of the table of points with the plotted metric: a share off the grid."""
     on_grid: str | None = None
-    """Column of the corresponding share on the grid, which is drawn faintly; None for none."""
+    """Column with the share on the grid of positions that corresponds to `figure`; its curve is drawn in a faint
+    colour. None for no such curve.
+    """
     wanted: float | None = None
-    """Share at which a line is drawn; None for none."""
+    """Share that is marked by a line; None for no line."""
 
 
 def curve_name(edge: float) -> str:

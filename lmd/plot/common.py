@@ -188,7 +188,7 @@ def draw_tags(axes: Any, deployment: Deployment, groups: Sequence[Group]) -> Non
 
 
 def series(number: int) -> dict[str, str]:
-    """Colour and line style of the series with the number `number` in figures of several optimisers. There are ten
+    """Colour and line style of series `number`, counted from 0, in figures of several optimisers. There are ten
     colours; the next ten series repeat the colours with another dash pattern.
     """
     return {"color": f"C{number % HUES}", "linestyle": DASHES[number // HUES % len(DASHES)]}

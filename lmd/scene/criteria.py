@@ -9,13 +9,13 @@ Most criteria depend mainly on the camera's position, so a model is evaluated in
 
 These functions are scalar, with as few branches as possible. Kernels call only the functions of this module.
 
-A visibility model has two halves:
+A visibility model has two parts:
 
 - a `Criteria` with the thresholds that a user sets; its `covered` is the NumPy reference.
 - a `SightModel`, the *model of sight*: a named tuple of numbers, compiled for one camera, whose type is registered with
   the functions below.
 
-Both halves must give equal results, bit for bit. A `Covering` has the NumPy reference only, without a compiled half.
+Both parts must give equal results, bit for bit. A `Covering` has the NumPy reference only, without a model of sight.
 
 Pruning uses conservative bounds. (An axis is an orientation of the camera, given by the optical axis and the image's
 right.) Bands of axes use a cone (`low`) that contains every axis from which the landmark is covered; tables of
@@ -239,7 +239,8 @@ def hide(sight: Any, a: Vector, aa: float, b: Vector, bb: float, u: Vector, v: V
 
 @overridable
 def hide_between(sight: Any, other: Any, a: Vector, aa: float, b: Vector, bb: float, u: Vector, v: Vector) -> Any:
-    """Version of `hide` for landmarks with two compiled models (see `sized`): `sight` for A, `other` for B.
+    """Version of `hide` for two landmarks A and B of different sizes, each with its own compiled model (see `sized`):
+    `sight` for A, `other` for B.
 
     A model with landmarks of several sizes registers this function instead of `hide`.
     """

@@ -220,14 +220,14 @@ class Deployment:
         """
         hung = self.with_surfaces(room)
         if fault := hung.fault(room):
-            raise InputError(f"{fault}, so the search cannot start from it.")
+            raise InputError(f"{fault}, so the search cannot start from this deployment.")
         hung = hung.before(room)
         normals = np.array([surface.normal for surface in room.surfaces()])[hung.surfaces]
         deviation = np.linalg.norm(self.normals - normals, axis=1)
         if flush and deviation.max() > FLUSH:
             raise InputError(
                 f"landmark {self.ids[np.argmax(deviation)]} is not flush with its wall; a search with flush = true "
-                "cannot start from it."
+                "cannot start from this deployment."
             )
         return hung
 

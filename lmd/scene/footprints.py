@@ -48,8 +48,8 @@ def beside(fixed: Deployment, others: Deployment) -> Deployment:
     if (elsewhere := np.flatnonzero(away > NEAR_SURFACE)).size:
         first = elsewhere[0]
         raise InputError(
-            f"fixed and the start both have a landmark {again[first]}, {away[first]:.4g} m apart; give them different "
-            "ids (a file without the column id numbers its landmarks from 0).",
+            f"fixed and the start both have a landmark {again[first]}, at places {away[first]:.4g} m apart; give them "
+            "different ids (a file without the column id numbers its landmarks from 0).",
             "fixed",
         )
     if len(again) == len(others):
@@ -235,7 +235,7 @@ class Footprints:
             first = np.argmax(over)
             raise InputError(
                 f"landmark {ids[first]} has a paper {paper[first]:.4g} m wide, which extends beyond "
-                f"{names[surface[first]]} or beyond its part where tags may hang."
+                f"{names[surface[first]]} or beyond the part of this surface where tags may hang."
             )
         distance = np.abs(at[:, None] - at[None]).max(axis=-1)
         close = (distance < (paper[:, None] + paper) / 2.0 - FILE_TOLERANCE) & (surface[:, None] == surface)

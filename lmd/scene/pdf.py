@@ -31,7 +31,7 @@ Roll = float | Sequence[Sequence[float]]
 
 
 class Orientations(NamedTuple):
-    """D distinct orientations of the camera, ordered by the height of the optical axis."""
+    """D distinct orientations of the camera, ordered by the z component of the optical axis."""
 
     axes: FloatArray
     """Optical axis and image's right, unit vectors, world frame, `(D, 6)`; axis x right points down in the image."""

@@ -63,7 +63,7 @@ class Mount(Checked):
 
     def _validate(self) -> None:
         if self.quaternion is not None and any(getattr(self, name) for name in ANGLES):
-            raise InputError("quaternion must not be given beside yaw, pitch or roll.", "quaternion")
+            raise InputError("quaternion must not be given together with yaw, pitch or roll.", "quaternion")
 
     @cached_property
     def rotation(self) -> FloatArray:

@@ -105,7 +105,7 @@ class Scene:
     def check_count(self, count: int) -> None:
         """Raise `InputError` if `edges` has one value per landmark, and the number of values is not `count`."""
         if self.edges is not None and len(self.edges) not in (1, count):
-            raise InputError(f"the sizes of {count} landmarks are not known, as there are {len(self.edges)} edges.")
+            raise InputError(f"{count} landmarks need one edge each, but edges has {len(self.edges)} values.")
 
     @cached_property
     def footprints(self) -> Footprints:
@@ -205,12 +205,12 @@ class Scene:
 
     @property
     def is_compiled(self) -> bool:
-        """True if the visibility model has a compiled half, a `SightModel`."""
+        """True if the visibility model has a compiled model of sight, a `SightModel`."""
         return self.visibility.sight(self.cameras[0]) is not None
 
     def check_compiled(self, what: str) -> None:
-        """Raise `InputError` if the visibility model has no compiled half, a `SightModel`; `what` is the subject of the
-        message.
+        """Raise `InputError` if the visibility model has no compiled model of sight, a `SightModel`; `what` is the
+        subject of the message.
         """
         if not self.is_compiled:
             name = type(self.visibility).__name__

@@ -92,7 +92,7 @@ class Tag(Checked):
         if self.costs is not None and len(self.costs) != len(sizes):
             raise InputError(f"costs = {list(self.costs)} must have one cost for each of edges = {sizes}.", "costs")
         if self.budget is not None and self.costs is None:
-            raise InputError(f"budget = {self.budget:g} needs costs: what a tag of each of edges costs.", "budget")
+            raise InputError(f"budget = {self.budget:g} needs costs: the cost of a tag for each of edges.", "budget")
         if self.budget is not None and self.paper is not None:
             raise InputError(
                 "budget and paper must not both be given: each of them limits the number of tags.", "budget"
@@ -175,7 +175,7 @@ class Tag(Checked):
             InputError: the tag is a point.
         """
         if self.edge is None:
-            raise InputError("edge must be given, in metres: a point has no size.")
+            raise InputError("edge must be given, in metres: without it, the tag is a point, which has no size.")
         return self.edge
 
     @property

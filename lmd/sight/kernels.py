@@ -4,7 +4,8 @@ Every decision repeats the float64 operations of the reference in their order. W
 reorders nor fuses operations. The speed comes from skipped work and from loops that vectorise; nothing is approximated:
 
 1. `viewpoint` drops landmarks that no axis covers: about 60 % in the paper's room.
-2. Only axes in a band of heights around the landmark need the exact test (`directions.height_index`).
+2. Only axes whose z component is close to the z component of the landmark's direction need the exact test
+   (`directions.height_index`).
 3. For a model with an expensive test, sets of axes are bit sets. The tables of `directions` list the axes that
    certainly cover a landmark and the axes that possibly cover it. Possible axes are tested only where the certain axes
    cover fewer than n landmarks.
@@ -79,7 +80,8 @@ def evaluate_range(
         sight: compiled model of sight.
         horizon: result of `criteria.horizon_of`, metres.
         obstacles: bodies of the room seen from the positions, see `obstacles`.
-        axes: optical axis and image's right, `(6, D)`, sorted by the height of the optical axis and padded to D = 64 W.
+        axes: optical axis and image's right, `(6, D)`, sorted by the z component of the optical axis and padded to D =
+            64 W.
         bands: result of `directions.height_index` for these axes.
         tables: result of `directions.tables` for a model with an expensive test, else None.
         weights: quantised probability of each axis, `(1, D)` for all positions or `(P, D)` for each.

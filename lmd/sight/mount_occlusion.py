@@ -34,7 +34,7 @@ def hidden_bits(
 
 @inlined
 def hides_from(group: Any, m: Integer, a: Integer, i: Integer, k: Integer, body: Vector, one: Any, other: Any) -> Any:
-    """True if landmark i hides landmark k from mount m with orientation a of the body at a position.
+    """True if landmark i hides landmark k from mount m, for the body with orientation a at the position `body`, metres.
 
     `one` and `other` are position and unit normal of landmarks i and k, six numbers each.
     """

@@ -221,14 +221,14 @@ def split_by_certainty(
 
 @inlined
 def camera_at(group: Any, m: Integer, a: Integer, body: Vector) -> Vector:
-    """Position of the camera on mount m with orientation a of the body at a position, metres."""
+    """Position of the camera on mount m, metres, for the body with orientation a at the position `body`."""
     return body[0] + group.offsets[m, 0, a], body[1] + group.offsets[m, 1, a], body[2] + group.offsets[m, 2, a]
 
 
 @inlined
 def covers_from(group: Any, m: Integer, a: Integer, k: Integer, body: Vector, pose: Any, frame: Any) -> Any:
-    """True if the camera on mount m covers landmark k. The landmark has the pose `pose`, the body has orientation a at
-    a position. The test is exact.
+    """True if the camera on mount m covers landmark k. The landmark has the pose `pose`, the body has orientation a and
+    the position `body`. The test is exact.
 
     Occlusion by other landmarks and by the room is ignored. `frame` is a result of `criteria.frame_of`.
     """

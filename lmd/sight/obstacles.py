@@ -1,9 +1,10 @@
 """Obstacles of the room between a camera and a landmark.
 
 A landmark is blocked if a convex body of the room (`lmd.space.blockers`) intersects the line of sight to a required
-point: the centre, and for tags the corners of the black square. The heights of the camera's positions above the planes
-of the bodies are precomputed; the heights of a landmark's points are computed once for all positions. A few comparisons
-then exclude most bodies, as all points lie in front of one of a body's planes.
+point: the centre, and for tags the corners of the black square. The heights (signed distances) of the camera's
+positions above the planes of the bodies are precomputed; the heights of a landmark's points above these planes are
+computed once for all positions. A few comparisons then exclude most bodies, as all points lie in front of one of a
+body's planes.
 
 A room from a mesh has triangles in place of bodies (`lmd.space.triangles`). A table of their heights would be too
 large: `MeshObstacles` has the positions, and each line of sight traverses the tree of the triangles.

@@ -1,7 +1,7 @@
 """Gains and coverage of many candidate poses of landmarks on the walls, each evaluated without other landmarks.
 
-`gains` sums, for each pose, the prices of the positions and axes from which a landmark at the pose is covered.
-`covered_amounts` sums, for each position and axis, the amounts of the covered poses.
+`gains` sums, for each pose, the prices (weights) of the positions and axes from which a landmark at the pose is
+covered. `covered_amounts` sums, for each position and axis, the amounts of the covered poses.
 
 With a `slack` a pose represents a cell of a wall: an axis counts if it may cover some landmark at most `slack` from the
 cell's centre. A move by delta within the wall changes depth and distance by at most |delta| and leaves n . d unchanged,
@@ -191,7 +191,7 @@ def by_edge(evaluator: Evaluator, poses: Deployment) -> Iterator[tuple[Evaluator
 
 
 def gains(evaluator: Evaluator, poses: Deployment, prices: FloatArray, slack: FloatArray | None = None) -> FloatArray:
-    """Sum of the prices of the positions and axes that cover each pose.
+    """Sum, for each pose, of the prices (weights) of the positions and axes that cover a landmark at the pose.
 
     Args:
         poses: N poses.

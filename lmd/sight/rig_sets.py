@@ -37,7 +37,9 @@ Poses: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]  # see `covered_set
 
 @inlined
 def _fill_viewpoint_around(group: Any, c: Integer, view: Any, count: Integer, body: Vector, start: Any) -> None:
-    """Fill `view` for its first `count` landmarks, as seen from centre c of a body at a position."""
+    """Fill `view` for its first `count` landmarks, as seen from centre c of the group's cameras, for the body at the
+    position `body`.
+    """
     near, x, y, z, squared, high, sure_depth, reached = (
         view.near_poses, view.x, view.y, view.z, view.squared, view.high, view.sure_depth, view.reached
     )  # fmt: skip
@@ -188,7 +190,7 @@ def _add_within_slack(group: Any, body: Vector, pose: Any, k: Integer, slack: An
 def covered_sets(
     groups: tuple[MountGroup, ...], blockers: Blocking, positions: FloatArray, poses: Poses, n: int = 0
 ) -> np.ndarray:
-    """Sets of the orientations with which any camera covers each landmark, `(P, K, W)`.
+    """Sets of the orientations with which at least one camera covers each landmark, `(P, K, W)`.
 
     Args:
         groups: the mounts of the rig.

@@ -52,8 +52,8 @@ def _sum_probability(seen: Any, weights: Any, n: Integer, units: Any, counts: An
 
 @kernel
 def _sum_gains(seen: Any, prices: FloatArray, out: Any) -> None:
-    """For each of N poses, write into `out` `(N,)` the sum of the `prices` `(P, 64 W)` over all positions and
-    orientations from which the pose is seen: the bits of `seen` `(P, N, W)`.
+    """For each of N poses, write into `out` `(N,)` the sum of the `prices` (weights) `(P, 64 W)` over all positions and
+    orientations from which a landmark at the pose is seen: the bits of `seen` `(P, N, W)`.
     """
     row = np.empty(prices.shape[1])
     for j in range(len(out)):

@@ -59,12 +59,13 @@ class Viewpoint(NamedTuple):
     sure_depth: np.ndarray
     """`(K,)` depth `sure`, up to which a certain axis covers the landmark, metres, see `criteria.from_position`."""
     bottom: np.ndarray
-    """`(K,)` without tables, first height bin of the axes that may cover the landmark, see `directions.band_of`; with
-    tables, the row of the table `CERTAIN` that lists the axes that certainly cover the landmark.
+    """`(K,)` without tables, first bin of height (z coordinate) of the axes that may cover the landmark, see
+    `directions.band_of`; with tables, the row of the table `CERTAIN` that lists the axes that certainly cover the
+    landmark.
     """
     top: np.ndarray
-    """`(K,)` without tables, last height bin of the axes that may cover the landmark; with tables, the row of the table
-    `POSSIBLE` that lists the axes that may cover the landmark.
+    """`(K,)` without tables, last bin of height of the axes that may cover the landmark; with tables, the row of the
+    table `POSSIBLE` that lists the axes that may cover the landmark.
     """
     reached: np.ndarray
     """`(K,)` True if some orientation may cover the landmark."""
@@ -122,7 +123,7 @@ def gather(
         poses: positions and normals of the landmarks, `(6, K)`.
         indices: indices of the landmarks in the deployment, `(K,)`.
         near: receives positions and normals of the landmarks found, `(6, K)`.
-        index: receives the indices of the landmarks found in the deployment, `(K,)`.
+        index: receives the indices, in the deployment, of the landmarks found, `(K,)`.
 
     Returns:
         number of landmarks found.
@@ -174,7 +175,7 @@ def gather_near(
         view: working memory, whose landmarks are updated.
 
     Returns:
-        many, count: the two numbers for this position.
+        many, count: these numbers for position `order[o]`.
     """
     first, last, order, positions = part
     if o == first or o % REGION == 0:

@@ -47,7 +47,7 @@ def _mark_visible(
 
 
 def visible(evaluator: Evaluator, deployment: Deployment, positions: FloatArray, axes: FloatArray) -> BoolArray:
-    """Mask of the landmarks covered from each pose, `(N, K)`; for a rig, by any of its cameras.
+    """Mask of the landmarks covered from each pose, `(N, K)`; for a rig, covered by at least one of its cameras.
 
     Args:
         deployment: K landmarks.

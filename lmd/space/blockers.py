@@ -50,7 +50,7 @@ class Blockers(NamedTuple):
         return self._replace(offsets=self.offsets + by * self.solid)
 
     def heights(self, points: FloatArray) -> FloatArray:
-        """Heights h of points `(..., 3)` above the planes, `(..., J)`, metres."""
+        """Heights (signed distances) of points `(..., 3)` above the outer sides of the J planes, `(..., J)`, metres."""
         x, y, z = points[..., :1], points[..., 1:2], points[..., 2:]
         nx, ny, nz = self.normals.T
         return np.asarray(nx * x + ny * y + nz * z - self.offsets)
@@ -152,9 +152,12 @@ def upright_bodies(polygon: Any) -> list[Body]:
 
 
 def _tips(edge: FloatArray, solid: Any) -> tuple[FloatArray, FloatArray]:
-    """Lines through those vertices of a convex piece at which both edges are shared with other pieces.
+    """Line through each of those T vertices of a convex piece at which both edges are shared with other pieces: unit
+    normals `(T, 2)` and offsets `(T,)`, metres.
 
-    The lines cut off tips that would protrude into the room, as pieces overlap. Returns normals and offsets.
+    Shared edges are moved outwards by `OVERLAP_M`, so that adjacent pieces overlap. At such a vertex, the enlarged
+    piece would have a tip that protrudes into the room; the line, perpendicular to the bisector of both edges, cuts
+    this tip off.
     """
     bare = ~solid & ~np.roll(solid, 1)  # tips at the start of an edge
     way = edge[:, 1] - edge[:, 0]

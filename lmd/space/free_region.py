@@ -155,7 +155,7 @@ def _at(grid: OccupancyGrid, parts: IntArray, start: tuple[float, ...], corner: 
     inside = 0 <= row < parts.shape[0] and 0 <= column < parts.shape[1]
     if not inside or not parts[row, column]:
         raise InputError(
-            f"start = {list(start)} is not in a free cell of {grid.path!r}, or narrower than passage there.", "start"
+            f"start = {list(start)} is not in a free cell of {grid.path!r}, or passage is too wide there.", "start"
         )
     return int(parts[row, column])
 

@@ -252,8 +252,8 @@ class Gridded(Checked, ABC):
         while len(drawn) < size:
             if tries > (size + 1) / LEAST_SHARE:
                 raise InputError(
-                    f"reachable.clearance = {self.reachable.clearance:g} leaves positions of the grid, but next to no "
-                    "volume around them.",
+                    f"reachable.clearance = {self.reachable.clearance:g} leaves positions of the grid, but almost "
+                    "no volume around these positions.",
                     "reachable.clearance",
                 )
             tried = low + following(size - len(drawn)) * (high - low)

@@ -96,7 +96,8 @@ def grown(shapes: Any, width: float) -> Any:
 
 
 def standing_on(surface: Surface, triangles: FloatArray, height: float) -> list[Any]:
-    """Projections to a surface of the parts of triangles `(T, 3, 3)` up to `height`, metres, in front of it.
+    """Projections to a surface of those parts of triangles `(T, 3, 3)` that are at most `height`, metres, in front of
+    the surface.
 
     The results are shapely shapes in the coordinates of the surface. A triangle perpendicular to the surface gives a
     line.

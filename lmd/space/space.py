@@ -45,7 +45,7 @@ class Relevance(Checked):
 
     def _validate(self) -> None:
         if self.path is not None and self.regions:
-            raise InputError(f"path = {self.path!r} cannot be given beside regions.", "path")
+            raise InputError(f"path = {self.path!r} cannot be given together with regions.", "path")
         if isinstance(self.regions, str) or not isinstance(self.regions, Sequence):
             raise InputError(f"regions must be a list, got {self.regions!r}.", "regions")
         for i, region in enumerate(self.regions):
@@ -78,7 +78,7 @@ class Relevance(Checked):
                 box, where = (
                     f"from {a.tolist()} to {b.tolist()}" for a, b in ((low, high), (points.min(0), points.max(0)))
                 )
-                raise InputError(f"regions[{i}] {box} holds no position; they are {where}.", f"regions[{i}]")
+                raise InputError(f"regions[{i}] {box} holds no position; positions are {where}.", f"regions[{i}]")
             weights[inside] = float(region["weight"])
         return weights
 

@@ -5,7 +5,7 @@ plane than the tolerance. The line must also meet the plane within the triangle'
 depends on the adjacent triangle:
 
 - If the line crosses the planes of both triangles in the same direction, both triangles are extended over the edge by
-  the tolerance, so that no line passes between the two.
+  the tolerance, so that no line passes between both triangles.
 - If the line crosses the planes in opposite directions, the line only touches the surface at the edge. Then both
   triangles are shortened by the tolerance. A triangle without a neighbour at an edge is shortened there, too.
 
@@ -162,7 +162,9 @@ class Triangles(NamedTuple):
         return ~self._of_each(_find_crossed, starts, ends)
 
     def distance(self, points: FloatArray, most: float) -> FloatArray:
-        """Distances of points `(..., 3)` from the nearest triangle, at most `most`, metres, `(...)`."""
+        """Distances of points `(..., 3)` from the nearest triangle, metres, `(...)`; greater distances than `most`
+        become `most`.
+        """
         found = np.empty(points.shape[:-1])
         _find_distance(self, np.ascontiguousarray(points).reshape(-1, 3), most, found.reshape(-1))
         return found
@@ -276,7 +278,7 @@ def _is_touched(triangles, corner, wx, wy, wz):  # type: ignore[no-untyped-def]
 
 @inner
 def _distance(triangles, x, y, z, most):  # type: ignore[no-untyped-def]
-    """Distance of (x, y, z) from the nearest triangle, at most `most`."""
+    """Distance of (x, y, z) from the nearest triangle, or `most` if this is less."""
     normals, offsets, corners, borders = triangles.normals, triangles.offsets, triangles.corners, triangles.borders
     centres, halves, skip, first, stop = (
         triangles.centres, triangles.halves, triangles.skip, triangles.first, triangles.stop,

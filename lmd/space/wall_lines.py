@@ -137,7 +137,7 @@ def _check_lines(source: str, drawing: Drawing) -> None:
 
 
 def _enclosed(path: str, drawing: Drawing, gap: float, start: Sequence[float] | None) -> tuple[Any, str]:
-    """Region of the room, a shapely polygon, and a clause on other regions."""
+    """Region of the room, a shapely polygon, and text about the other regions, to be added to a message."""
     import shapely
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components

@@ -82,8 +82,9 @@ def _parts(node: Any) -> Iterator[dict[str, Any]]:
 
 
 def _change(node: Any, path: Sequence[str], operation: str, by: Any) -> None:
-    """Change the values at the path `path` below a config node by an operation (`times`, otherwise addition) with `by`;
-    nothing is changed if the node lacks the path.
+    """Multiply (operation `times`) the values that are found at `path` in a config node by `by`, or add `by` to them
+    (any other operation); nothing is changed if the node lacks the path. `*` in the path stands for all items of a
+    list.
     """
     first, *rest = path
     for key in range(len(node)) if first == "*" else [first] if first in node else []:
@@ -94,8 +95,8 @@ def _change(node: Any, path: Sequence[str], operation: str, by: Any) -> None:
 
 
 def _changed(value: Any, operation: str, by: Any) -> Any:
-    """Change a number, a vector or a list of vectors by an operation with `by`, which is one number or one number for
-    each axis; return the result. A whole number stays a whole number.
+    """Multiply a number, a vector or a list of vectors by `by` (operation `times`), or add `by` to it; `by` is one
+    number, or one number for each axis. Return the result. A whole number stays a whole number.
     """
     numbers = np.array(value)
     each = by[: numbers.shape[-1]] if np.ndim(by) else by

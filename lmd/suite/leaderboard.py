@@ -66,8 +66,9 @@ def leaderboard(results: Runs, problems: Iterable[str]) -> Leaderboard:
 
 
 def _held_out_apart(runs: Sequence[OptimiserRun]) -> Mapping[str, Sequence[OptimiserRun]]:
-    """Two groups of runs, keyed by the name of the group: `development` and `held-out`, for the instances on which they
-    were done. If one group would be empty, a single group has all runs, and its name is empty.
+    """Two groups of runs, keyed by the name of the group: `development` and `held-out`, depending on the instance of
+    the problem on which a run was done. If one group would be empty, a single group has all runs, and its name is
+    empty.
     """
     is_held_out = [instance_of(run.problem) >= HELD_OUT for run in runs]
     if len(set(is_held_out)) == 1:

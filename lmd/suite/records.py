@@ -34,7 +34,9 @@ from lmd.suite.several import SeveralObjectives, TagChoice
 
 ENTRY = ("problem", "who", "how", "when", "candidate")
 POINT = "point"
-"""Column in a table of landmarks with the number of the front's point to which the landmark belongs."""
+"""Name of the column that gives, for each landmark in a table, the number of the point of the Pareto front to which the
+landmark belongs.
+"""
 
 
 def verify(path: str | Path) -> dict[str, Any]:

@@ -233,7 +233,7 @@ def test_a_generator_is_no_way_to_memory():
     for change in ({"has_uint32": 2}, {"uinteger": 2**40}, {"state": {"state": 2**130, "inc": 1}}, {"state": {}}):
         with pytest.raises((InputError, ValueError, KeyError)):
             generator("rng", state | change)
-    with pytest.raises(InputError, match=r"only generators of numpy\.random\.default_rng are kept, not a MT19937"):
+    with pytest.raises(InputError, match=r"only generators of numpy\.random\.default_rng can be saved, not a MT19937"):
         generator_state(np.random.Generator(np.random.MT19937(1)))
 
 

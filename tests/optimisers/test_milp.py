@@ -137,7 +137,7 @@ def with_camera(p, camera):
             "a single camera, not a rig",
         ),
         (lambda p: p, Milp(0.02), r"has \d+ poses, 0.02 m apart, which makes .* views: at most 2e\+07"),
-        (lambda _: problem(count=13), Milp(5.0), "has 6 poses, 5 m apart: too few for 13 landmarks"),
+        (lambda _: problem(count=13), Milp(5.0), "has 6 poses, 5 m apart, too few for 13 landmarks"),
     ],
 )
 def test_what_does_not_fit_is_refused(change, optimiser, message):

@@ -36,11 +36,11 @@ class Asking(AskTell):
 @pytest.mark.parametrize(
     ("asked", "message"),
     [
-        ([np.nan] * 12, "Asking proposed genes of which 12 of 12 are NaN, after 0 evaluations."),
-        (np.where(np.eye(12) > 0, np.nan, 0.5), "Asking proposed genes of which 12 of 144 are NaN"),
+        ([np.nan] * 12, "Asking proposed NaN for 12 of 12 genes, after 0 evaluations."),
+        (np.where(np.eye(12) > 0, np.nan, 0.5), "Asking proposed NaN for 12 of 144 genes"),
         (["a"] * 12, "Asking proposed ['a', 'a'"),
         ([["0.1"] * 12, [None] * 11], "Asking proposed [['0.1'"),
-        (object, "Asking proposed <class 'object'>, not genes (B, 12)."),
+        (object, "Asking proposed <class 'object'>, not an array of genes (B, 12)."),
         ([[0.5] * 11], "Asking proposed genes of shape (1, 11), not (B, 12)."),
         ([], "Asking proposed genes of shape (1, 0), not (B, 12)."),
     ],

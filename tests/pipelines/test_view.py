@@ -126,4 +126,4 @@ def test_a_port_that_is_taken_is_refused(work):
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        refused("view", *OVERRIDES, f"port={port}", message=f"port {port} is taken.", cwd=work, settings=SETTINGS)
+        refused("view", *OVERRIDES, f"port={port}", message=f"port {port} is in use.", cwd=work, settings=SETTINGS)

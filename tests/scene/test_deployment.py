@@ -131,7 +131,7 @@ def test_landmarks_may_be_measured_by_hand(write):
     path = write(f"{HEADER}0,7.48,4,1,-1,0,0\n1,7.5,3,1,-1,0,0\n", "landmarks.csv")
     drawn = FileDeployment(path).draw(paper_room(), np.random.default_rng(0))
     assert drawn.surfaces[0] == -1 != drawn.surfaces[1]
-    with pytest.raises(InputError, match=r"^landmark 0 .* 0\.02 m from .* so the search cannot start from it"):
+    with pytest.raises(InputError, match=r"^landmark 0 .* 0\.02 m from .* so the search cannot start from this"):
         drawn.movable(paper_room())
 
 

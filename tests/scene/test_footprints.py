@@ -201,7 +201,7 @@ def test_files_and_counts_that_cannot_be_are_refused(tmp_path):
         (lambda: evaluate(problem_of(UniformDeployment(40)), Deployment(at, start.normals)), f"^{overlap}"),
         (
             lambda: problem_of(of(beyond)),
-            "m wide, which extends beyond y_min or beyond its part where tags may hang",
+            "m wide, which extends beyond y_min or beyond the part of this surface where tags may hang",
         ),
         (lambda: problem_of(RandomDeployment(3000)), r"^count = 3000 tags do not fit: the surfaces hold"),
         (lambda: tagged(Tag(0.1, "16h5"), 40), "^family 16h5 has 30 different tags, too few for 40"),

@@ -24,7 +24,7 @@ def test_a_point_has_no_size(edge):
     tag = Tag(edge)
     assert tag.is_point
     assert tag == Tag()
-    with pytest.raises(InputError, match="a point has no size"):
+    with pytest.raises(InputError, match="a point, which has no size"):
         _ = tag.paper_edge
 
 

@@ -79,8 +79,8 @@ def frame_information(
 
 
 def _cameras(scene: Scene, axes: FloatArray) -> tuple[Any, FloatArray, FloatArray]:
-    """Cameras of the scene, with their offsets `(C, F, 3)`, metres, and axes `(C, F, 6)` in frames with the axes of the
-    body `(F, 6)`.
+    """Cameras of the scene, and the offset from the body `(C, F, 3)`, metres, and the axes `(C, F, 6)` of each camera
+    in each frame; `axes` `(F, 6)` are the axes of the body in each frame.
     """
     if scene.rig is None:
         return scene.cameras, np.zeros((1, len(axes), 3)), axes[None]

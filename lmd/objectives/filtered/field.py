@@ -99,7 +99,7 @@ class FilteredScratch(NamedTuple):
     shares: np.ndarray
     """`(15 SPOTS,)` information that the moving landmark adds in each of the `spots`."""
     moment: np.ndarray
-    """`(16,)` moments of a landmark, see `lmd.objectives.localisation.information.moments`."""
+    """`(16,)` moments of a landmark (sums over its corners), see `lmd.objectives.localisation.information.moments`."""
     lanes: Lanes
     """Working memory of the filters."""
 

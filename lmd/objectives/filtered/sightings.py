@@ -71,8 +71,8 @@ def hide_each_other(i: Integer, pose: Any, k: Integer, other: Any, f: Integer, f
 
 @inlined
 def covers_alone(f: Integer, pose: Any, mine: Any, clear: Any, ends: Any, field: Any) -> Any:
-    """True if the camera covers a landmark at `pose` in frame f, other landmarks ignored. The first row of `ends` has
-    the landmark's points.
+    """True if the camera covers a landmark at `pose` in frame f, other landmarks ignored. The first row of `ends` is
+    the result of `lmd.sight.obstacles.find_ends` for the landmark.
     """
     offset = offset_of(pose[0], f, field)
     reached, low, _, _ = from_position(mine, offset, pose[1], 0.0)

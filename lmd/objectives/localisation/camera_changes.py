@@ -88,8 +88,8 @@ def _clear_moments(views: CameraViews, p: Integer) -> None:
 
 @inner
 def _update_moments(known: State, k: Integer, p: Integer, field: Any, scratch: Any) -> None:
-    """Compute the moments (`information.moments`) of landmark k as seen from position p, at the old place and at the
-    place tried, once per move.
+    """Compute the moments (sums over corners, `information.moments`) of landmark k as seen from position p, at the old
+    place and at the place tried, once per move.
     """
     views = scratch.views
     if views.found[p] == 0:

@@ -153,8 +153,8 @@ def precision(
 
 @inlined
 def moments(tag: Square, share: float) -> tuple[Number, ...]:
-    """Moments of a landmark: A, g and C summed over its four corners, times r^3 with the landmark's distance r; 15
-    numbers.
+    """Moments of a landmark, the 15 numbers A, g and C summed over its four corners, times r^3 with the landmark's
+    distance r.
 
     `share` is the weight of each corner.
     """
@@ -285,7 +285,9 @@ def _body_schur(c: Any, rows: Any, a: Any) -> tuple[Number, Number, Number, Numb
 
 @inlined
 def _position_schur(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number, Number, Number]:
-    """Result of `_body_schur` for the position of the body."""
+    """Four numbers of `_body_schur` for the body's position, with A' as A: S = C - B A'^-1 B^T is the information about
+    the position if the rotation is estimated too.
+    """
     x, y, z = v + 6 * step, v + 9 * step, v + 12 * step
     rows = read3(sums, x, step), read3(sums, y, step), read3(sums, z, step)
     return _body_schur(read6(sums, v, step), rows, read6(sums, v + 15 * step, step))

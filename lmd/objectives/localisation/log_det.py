@@ -137,7 +137,7 @@ def _gains(
     Args:
         start, stop: range of the poses.
         points, normals: positions, metres, and unit normals of the poses, `(N, 3)`.
-        prices: price of each position and axis, `(P, D)`.
+        prices: weight of each view (position and axis) in the mean, relevance times probability, `(P, D)`.
         positions: positions of the camera, metres, `(P, 3)`.
         sight, obstacles, axes, bands: see `kernels.evaluate_range`.
         precision: size of the tags.
@@ -216,7 +216,7 @@ def _rig_gains(
     Args:
         every: sets of orientations with which the poses are covered, for each mount group.
         tags: centres and sides of the tags at the poses, see `tags_of`.
-        prices: price of each position and orientation, `(P, D)`.
+        prices: weight of each view (position and orientation) in the mean, relevance times probability, `(P, D)`.
         positions: positions of the body, `(P, 3)`, metres.
         precision: size of the tags.
         sums: information of each view, `(P D, BODY_WIDTH)`.

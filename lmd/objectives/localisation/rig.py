@@ -155,7 +155,9 @@ def images_of(evaluator: Evaluator, deployment: Deployment, here: slice = slice(
 
 
 def covers(seen: BoolArray, n: int) -> BoolArray:
-    """Mask `(N,)` of the views in which at least n landmarks are covered, each by any camera; `seen` is `(C, N, K)`."""
+    """Mask `(N,)` of the views in which at least n landmarks are covered, each by at least one camera; `seen` is `(C,
+    N, K)`.
+    """
     return np.asarray(seen.any(axis=0).sum(axis=1) >= n)
 
 

@@ -188,7 +188,7 @@ def _change_sums(k: Integer, sign: float, field: Any, state: Any, scratch: Any) 
 
 @inner
 def _exchange(state: Any, scratch: Any) -> None:
-    """Exchange the values at the positions that the move affects between state and scratch."""
+    """Swap the values of state and scratch at all positions that the move may affect."""
     first, last, localised = scratch.coverage.lists[FIRST], scratch.coverage.lists[LAST], scratch.sets[LOCALISED]
     for s in range(scratch.coverage.numbers[SPAN_COUNT]):
         for p in range(first[s], last[s]):

@@ -2,9 +2,9 @@
 
 Number j of view v lies at `rows[j * BITS + v]`, so that loops over views vectorise. Camera and rig share this source,
 which is compiled separately for each. A single camera has one position for all orientations, so a landmark has one set
-of moments for all views of a position. A camera of a rig has another position for each orientation. So moments are
-computed for each pair of a landmark and a view (`pairs`); for a single camera, moments for each pair would be up to 64
-times the work.
+of moments (sums over its corners, `information.moments`) for all views of a position. A camera of a rig has another
+position for each orientation. So moments are computed for each pair of a landmark and a view (`pairs`); for a single
+camera, moments for each pair would be up to 64 times the work.
 
 The module also declares the functions of `trial` that differ for camera and rig. These functions handle landmarks that
 appear in views or disappear from views.
@@ -82,7 +82,7 @@ class CameraViews(NamedTuple):
     found: np.ndarray
     """`(P,)` uint8, 1 if `moments` belong to the move tried last."""
     other: FloatArray
-    """`(WIDTH,)` moments of a landmark other than the moving landmark."""
+    """`(WIDTH,)` moments (`information.moments`) of a landmark other than the moving landmark."""
 
 
 class BodyViews(NamedTuple):
@@ -291,7 +291,9 @@ def find_turns(known: Any, trial: Any, lost: WordArray, gained: WordArray) -> No
 
 @overridable
 def clear_moments(views: Any, p: Integer) -> None:
-    """Discard the moments stored for position p by the last move; a rig stores none."""
+    """Discard the moments (`information.moments`) of the moving landmark that the last move stored for position p; for
+    a rig, no moments are stored.
+    """
 
 
 @dispatched

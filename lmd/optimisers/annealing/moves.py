@@ -45,8 +45,8 @@ class Settings(NamedTuple):
 
 
 class FootprintArrays(NamedTuple):
-    """Footprints, the squares that K landmarks cover on their surfaces, and the trapezoids where these may be, in
-    arrays for S sizes of landmarks, W surfaces and T trapezoids.
+    """Footprints, the squares that K landmarks cover on their surfaces, and the trapezoids in which landmarks may hang,
+    in arrays for S sizes of landmarks, W surfaces and T trapezoids.
 
     A move is not tried if footprints would overlap, or if a landmark would leave the places where it may hang.
     """

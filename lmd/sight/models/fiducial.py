@@ -90,7 +90,7 @@ class Fiducial(Checked):
 
     def _validate(self) -> None:
         if self.tag.is_point:
-            raise InputError("tag must have an edge, in metres: what a detector sees depends on its size.")
+            raise InputError("tag must have an edge, in metres: what a detector sees depends on the tag's size.")
         if not isinstance(self.limits, Limits):
             object.__setattr__(self, "limits", limits_of(self.detector, self.tag.family, self.limits or {}))
 

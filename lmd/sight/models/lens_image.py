@@ -24,8 +24,8 @@ def _polynomial(coefficients: Any, h: float) -> Any:
 
 @inlined
 def stretch_at(sight: Any, height: float) -> Any:
-    """Upper bound on the motion of an image point per angle by which its direction turns, for 1 - cos(theta) <=
-    `height`.
+    """Upper bound on the motion of an image point per angle by which its direction turns, for all directions whose
+    angle theta from the optical axis satisfies 1 - cos(theta) <= `height`.
 
     The bound is in focal lengths per radian.
     """

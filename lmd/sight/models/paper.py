@@ -37,7 +37,9 @@ class PaperSight(NamedTuple):
     max_depth: float
     """Greatest depth, metres."""
     reach: float
-    """Squared virtual diameter nu, m^2; negative without occlusion."""
+    """Square of the landmarks' virtual diameter nu (`Visibility.nu`), m^2; negative if occlusion by other landmarks is
+    not tested.
+    """
     whole_line: bool
     """True if landmarks behind the camera, or farther than the hidden landmark, also hide a landmark."""
 
@@ -199,7 +201,7 @@ class Visibility(Checked):
         }
 
     def sight(self, camera: Camera) -> PaperSight:
-        """See `Criteria.sight`; `max_depth` is the largest double that passes both focus and resolution."""
+        """See `Criteria.sight`; `max_depth` is the largest float64 number that passes both focus and resolution."""
         near, far = camera.depth_of_field(self.circle_of_confusion)
         at_one_metre, thold = camera.resolution_at_one_metre, self.thold * (1.0 - TOLERANCE)
         depth = at_one_metre / thold
@@ -235,9 +237,9 @@ def resolution(camera: Camera, depth: FloatArray) -> FloatArray:
 
 
 def field_of_view(camera: Camera, depth: FloatArray, distance: FloatArray) -> BoolArray:
-    """C^FOV: z > 0 and sqrt(x^2 + y^2) / z <= tan(min(phi)), as z >= |s| cos(min(phi)) (Eq. C_k^FOV).
+    """C^FOV: z > 0 and sqrt(x^2 + y^2) / z <= tan(min(phi)) (Eq. C_k^FOV), tested in the form z >= |s| cos(min(phi)).
 
-    The two forms describe one cone; the second needs neither division nor roll.
+    Both forms describe one cone; the second form needs neither division nor roll.
 
     Args:
         depth: z^c, metres.
