@@ -9,9 +9,9 @@ s^2,
 where chi^2 and Q are the errors of the links and their covariance, and H is the matrix of all unknowns. The prior of s
 has the weight of `ASSUMED_LINKS` links.
 
-Errors of a constant velocity across gaps are measured in pieces of the drive without gaps. For two frames that are as
-far apart as the gap is long, the velocities before and after predict the relative pose. The error of the prediction is
-the difference from the relative pose that the frames in between give.
+Errors of the constant-velocity model across gaps are measured in pieces of the drive without gaps. For two frames that
+are as far apart as the gap is long, the velocities before and after predict the relative pose. The error of the
+prediction is the difference from the relative pose that the frames in between give.
 
 A frame that shows one tag has two poses with similar images; the smoothest sequence of poses decides between them
 (Viterbi).
@@ -104,7 +104,8 @@ def measured_motion(joint: Adjustment, poses: Poses, floor: float) -> Motion:
 
 
 def bridged_gaps(motion: Motion, poses: FloatArray) -> FloatArray:
-    """Measure the spreads of a constant velocity across gaps of each length, see `Motion.gaps`.
+    """Measure the spread of the constant-velocity model across gaps between frames, for each length of gap, see
+    `Motion.gaps`.
 
     Args:
         motion: motion model of constant velocity, whose frames are divided into pieces (`Motion.piece`).

@@ -66,9 +66,9 @@ class Motion:
     single piece.
     """
     gaps: FloatArray | None = None
-    """Errors of a constant velocity across gaps, as measured in pieces of the drive without gaps, `(n, 3)`: the length
-    of the gap, seconds, ascending, and the spreads of rotation and of translation that explain the errors. Longer gaps
-    are not bridged. None if nothing was measured.
+    """Errors of the constant-velocity model across gaps, as measured in pieces of the drive without gaps, `(n, 3)`: the
+    length of the gap, seconds, ascending, and the spreads of rotation and of translation that explain the errors.
+    Longer gaps are not bridged. None if nothing was measured.
     """
 
     @classmethod
@@ -134,8 +134,8 @@ class Motion:
         return float(max(self.gaps[good, 0], default=SHORTEST_GAP))
 
     def _spreads(self, seconds: FloatArray) -> FloatArray:
-        """Spreads (noise levels) of rotation and of translation, `(M, 2)`, for a constant velocity across gaps with the
-        durations `seconds` `(M,)`.
+        """Spreads (noise levels) of rotation and of translation, `(M, 2)`, of the constant-velocity model across gaps
+        with the durations `seconds` `(M,)`.
         """
         spreads = np.broadcast_to(self.spread, (len(seconds), 2))
         if self.gaps is None or not len(self.gaps):
@@ -169,7 +169,7 @@ class Motion:
         return np.asarray(follows[1:] | follows[:-1])
 
     def links(self, frames: IntArray) -> Links:
-        """Links between consecutive frames of the ascending indices `frames`."""
+        """Links between consecutive frames among the frames with the ascending indices `frames`."""
         first = np.flatnonzero(self.follows(frames))
         i, j = frames[first], frames[first + 1]
         seconds, information = self.times[j] - self.times[i], self.information(i, j)

@@ -124,7 +124,7 @@ def _stepped(
     """
 
     def loss(one: Estimate, some: Sightings | None = None) -> float:
-        """Loss of the estimate `one`: of its sightings, or of `some` in their place, and of all priors."""
+        """Loss of the estimate `one`: the losses of its sightings (of `some` instead, if given) and of all priors."""
         nuisances = 0.5 * float((joint.nuisance_information[:, None] * nuisances_off(one) ** 2).sum())
         return nuisances + joint.loss(one.poses, found.floor, some)
 

@@ -185,7 +185,7 @@ class Matches:
     """Tags that a detector found in one frame or in N frames; the arrays have a leading axis for the N frames."""
 
     detected: BoolArray
-    """True for tags detected with their id within the corner tolerance, `(..., K)`."""
+    """True for tags detected with their id and with corners within the tolerance, `(..., K)`."""
     corners: FloatArray
     """Detected corners, in the convention of `Detections`, `(..., K, 4, 2)`; NaN for tags not detected."""
     false: IntArray

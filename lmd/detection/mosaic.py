@@ -76,7 +76,7 @@ class Mosaics(Checked):
 
     @property
     def photographs(self) -> int:
-        """Number of photographs that the views are taken from: 0, as they are rendered."""
+        """Number of photographs that the views are taken from: 0, as the views are rendered."""
         return 0
 
     def views(

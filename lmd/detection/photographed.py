@@ -1,4 +1,6 @@
-"""Detection of tags in the photographs of one or several cameras, which may be folders of images, a video, or a bag."""
+"""Detection of tags in photographs by one or several cameras. Photographs come from folders of images, a video, or a
+bag.
+"""
 
 import os
 import sys

@@ -19,10 +19,11 @@ def paired(figures: pd.DataFrame) -> pd.DataFrame:
     Returns:
         A row for each estimator and each deployment but the first, with the columns `estimator`, `deployment`, and
         `against` (the name of the first deployment). `flights` is the number of flights with estimates for both
-        deployments. `position_ratio` is the median over these flights of the ratio of the position errors.
-        `position_better` is the number of flights in which the deployment of the row has the smaller error.
-        `within_20mm_gain` is the mean difference of the fractions of frames with a position error below 20 mm.
-        `position_p` and `within_20mm_p` are two-sided p-values of the Wilcoxon signed-rank test. NaN without a flight.
+        deployments. `position_ratio` is the median, over these flights, of the position error divided by the error with
+        the first deployment. `position_better` is the number of flights in which the deployment of the row has the
+        smaller error. `within_20mm_gain` is the mean increase, from the first deployment to that of the row, of the
+        fraction of frames with a position error below 20 mm. `position_p` and `within_20mm_p` are two-sided p-values of
+        the Wilcoxon signed-rank test. NaN without a flight.
     """
     rows = []
     for estimator, runs in figures.groupby("estimator", sort=False):

@@ -52,11 +52,11 @@ class MountingError(Checked):
     """
 
     position: NotNegative = 0.0
-    """Standard deviation of the position along each of the two directions of the surface, metres."""
+    """Standard deviation of the position along each of the two axes in the plane of the surface, metres."""
     turn: QuarterTurn = 0.0
     """Standard deviation of the rotation of the tag about its normal, rad."""
     tilt: QuarterTurn = 0.0
-    """Standard deviation of the tilt of the tag's normal about each of the two directions of the surface, rad."""
+    """Standard deviation of the tilt of the tag's normal about each of these two axes, rad."""
     draws: Count = 100
     """Number of draws, in each of which all tags are mounted anew."""
 

@@ -168,8 +168,8 @@ class Sensitivity:
     landmark (`lost` = 1) or a pair of landmarks (`lost` = 2) is lost.
     """
     cameras: pd.DataFrame | None = None
-    """Table with the columns `camera,localised_share,covered_share,localised_loss,covered_loss`, a row for each camera
-    of a rig that fails; None for a single camera.
+    """Table with the columns `camera,localised_share,covered_share,localised_loss,covered_loss`, with a row for the
+    failure of each camera of a rig; None for a single camera.
     """
 
     @property

@@ -29,7 +29,7 @@ class FilterLaws:
     rules: Mapping[str, Mapping[str, Rule]]
     """Rules `squared` and `photonvision` for the standard deviations of `horizontal` position and `heading`."""
     reach: float
-    """Distance of a single tag above which its pose is ambiguous, metres; infinite without a limit."""
+    """Distance of a single tag above which the pose that it gives is ambiguous, metres; infinite without a limit."""
     nearest: float
     """Smallest mean distance of the tags in view, among the views to which the laws were fitted, metres."""
     farthest: float

@@ -175,7 +175,7 @@ def layout(tag: Tag, paper: str) -> Layout:
 
 
 def largest_whole(tag: Tag, paper: str) -> float:
-    """Largest edge length, metres, at which a tag of the family and margins of `tag` fits on a sheet."""
+    """Largest edge length, metres, at which a tag with the family and margins of `tag` fits on a sheet."""
     low, high = 0.0, max(PAPERS[paper]) / MM_PER_M
     while high - low > ROUNDING:
         middle = (low + high) / 2.0

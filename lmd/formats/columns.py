@@ -92,7 +92,7 @@ class Layout(NamedTuple):
     units.
     """
     axes: Sequence[str] | None = None
-    """Directions of x, y and z of a tag's frame, see `lmd.formats.placed_tag.axes_of`."""
+    """Directions, in words, of the axes x, y and z of a tag's frame, see `lmd.formats.placed_tag.axes_of`."""
     opencv: bool = False
     """True if the program detects tags with OpenCV, in which the upward direction of a tag may differ from AprilTag's.
     """

@@ -76,8 +76,9 @@ class KeyedCameras(Keyed):
     named: str = ""
     """Names of quantities, separated by blanks, that are also the keys of these quantities in the entry."""
     values: Sequence[str] = ()
-    """Paths of lists with the quantities that `models` names, or of mappings with quantities by name. A path that ends
-    in a dot stands for all keys that begin with the path."""
+    """Paths to lists with the quantities that `models` names, or to mappings with quantities keyed by name. A path that
+    ends in a dot stands for all keys that begin with the path.
+    """
     model: Sequence[str] = ()
     """Paths, in the entry, to the words that form the name of the lens model when joined by `_`."""
     models: Mapping[str, str] = field(default_factory=lambda: LENS_MODELS)

@@ -53,7 +53,7 @@ class KeyedTags(Keyed):
     axes: Sequence[str] = RIGHT_UP_OUT
     """Directions of the axes x, y, z of a tag's frame, see `lmd.formats.placed_tag.axes_of`."""
     order: str = "xyzw"
-    """Order of the components of a quaternion that is a list."""
+    """Order of the components of a quaternion that the file gives as a list."""
     unit: float = METRE
     """Length of the unit of edge lengths in the file, metres (0.001 for mm)."""
     any_edge: bool = False
@@ -65,8 +65,8 @@ class KeyedTags(Keyed):
     first: str = ""
     """Path of a number n; only the first n entries, in the order of their keys, are read."""
     corner: Sequence[str] = ()
-    """Paths of length and width of a field. Positions count from the field's middle in the file, and from its corner in
-    the map that is read.
+    """Paths to the length and to the width of a field. Positions count from the field's middle in the file, and from
+    its corner in the map that is read.
     """
     notes: Mapping[str, str] = field(default_factory=dict)
     """Sentences for the user, keyed by path; a sentence is shown if the value at its path is not 0."""

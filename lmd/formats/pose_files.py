@@ -197,7 +197,9 @@ def of_table(file: File) -> Rows:
 
 
 def _oriented(found: Named, place: FloatArray, frame: str) -> tuple[FloatArray, str | None, bool, str]:
-    """Poses from the columns of a table, the frame of their orientations, whether these are angles, and a note."""
+    """Poses from the columns of a table; the frame of their orientations; True if the orientations are given by angles;
+    and a note.
+    """
     table, columns, path = found.table, found.columns, found.table.path
     if set(QUATERNION) <= columns.keys():
         about, note = _frame_of_ros(table, frame)

@@ -78,7 +78,7 @@ class Format(Checked):
     """Kind of the files in this format, one of `FAMILIES`."""
     name: str
     """Name of the program or the standard; for a format that `lmd` can write, also its name in the option `formats`,
-    unless `written` has another.
+    unless `written` has another name.
     """
     recognises: Callable[[Any], bool]
     """Function that returns True for a `File` of this format; called only for files that no earlier format

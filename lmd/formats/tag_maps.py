@@ -161,7 +161,8 @@ class FileDeployment(Checked, ExistingDeployment):
         free: True to skip the checks of the placement: landmarks may be on no surface, outside the room or the allowed
             regions, or face into their surface, and tags with their white margins may overlap.
         family: family of the tags, instead of the family of the scene's tag.
-        axes: directions of x, y and z of a tag's frame in a table, see `lmd.formats.placed_tag.axes_of`.
+        axes: directions, in words, of the axes x, y and z of a tag's frame in a table, see
+            `lmd.formats.placed_tag.axes_of`.
         columns: for a text that does not name its columns, names of the columns, or name of a program, see
             `lmd.formats.columns.LAYOUTS`.
 

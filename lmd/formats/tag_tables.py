@@ -142,7 +142,7 @@ def deployment_of(table: Table, axes: Sequence[str] | None) -> tuple[Deployment,
     """Deployment from a table whose columns have standard names, and the tag families that the table names.
 
     Args:
-        axes: directions of x, y and z of a tag's frame, see `axes_of`.
+        axes: directions, in words, of the axes x, y and z of a tag's frame, see `axes_of`.
 
     Raises:
         InputError: a column is missing, or a value is refused.

@@ -195,7 +195,7 @@ class Placing:
         return np.flatnonzero(tag & ~frame if by_frame else frame & ~tag)
 
     def _retry(self) -> None:
-        """Find better poses for tags, then frames, with many large errors."""
+        """Find better poses for the tags, then for the frames, that have many large errors."""
         for by_frame in (False, True):
             owner = self.sightings.frame if by_frame else self.sightings.tag
             error = squared_errors(self.sightings, self.poses)

@@ -97,8 +97,8 @@ def into_world(
 
 
 def turns_of(tags: FloatArray, group: IntArray, prior: Prior, in_order: bool) -> IntArray:
-    """Quarter turns about their normals by which tags differ from their prior poses, clockwise for a viewer in front of
-    the tag.
+    """For each tag, the number of quarter turns about its normal by which its pose differs from its prior pose,
+    clockwise for a viewer in front of the tag.
 
     A turn that most tags share is attributed to the order of the corners, unless the order of the corners is known.
     Exactly known tags are assumed to hang as in the prior.
