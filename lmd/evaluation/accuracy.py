@@ -32,7 +32,7 @@ SAMPLE = Sample(groups=8, positions=512, divisions=23)
 
 
 def as_localisation(objective: Objective) -> Localisation:
-    """Return the objective if it is `Localisation`; otherwise the default `Localisation` with the n of the objective."""
+    """Return the objective if it is `Localisation`; otherwise the default `Localisation` with the objective's n."""
     return objective if isinstance(objective, Localisation) else Localisation(objective.n)
 
 

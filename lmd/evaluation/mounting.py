@@ -56,7 +56,8 @@ class MountingError(Checked):
     turn: QuarterTurn = 0.0
     """Standard deviation of the rotation of the tag about its normal, rad."""
     tilt: QuarterTurn = 0.0
-    """Standard deviation of the tilt of the tag's normal about each of these two axes, rad."""
+    """Standard deviation of the tilt of the tag's normal about each of the two axes in the plane of the surface, rad.
+    """
     draws: Count = 100
     """Number of draws, in each of which all tags are mounted anew."""
 
