@@ -208,14 +208,14 @@ class Adjustment:
             off: distance of the nuisance parameters from their prior means, `(n, 6)`.
 
         Returns:
-            poses; step of the nuisance parameters, and their variances, `(n, 6)` each.
+            poses; step of the nuisance parameters, `(n, 6)`, and their covariance, `(6 n, 6 n)`.
         """
         system = self.system(poses, floor, damping)
         system.right[self.first_lens :] -= self.nuisance_information[:, None] * off
         covariance = np.nan_to_num(system.covariance)
         step = (covariance @ system.right.ravel()).reshape(-1, 6)
-        variance = np.diag(covariance).reshape(-1, 6)
-        return self._moved(poses, step, system), step[self.first_lens :], variance[self.first_lens :]
+        first = 6 * self.first_lens
+        return self._moved(poses, step, system), step[self.first_lens :], covariance[first:, first:]
 
     def loss(self, poses: Poses, floor: float, sightings: Sightings | None = None) -> float:
         """Total loss of sightings, priors and links of motion. If `sightings` are given, they replace the sightings of

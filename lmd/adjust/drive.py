@@ -28,7 +28,7 @@ from lmd.adjust.adjustment import CHANGE, Adjustment
 from lmd.adjust.candidates import single_poses
 from lmd.adjust.corners import Poses, agreeing, squared_errors
 from lmd.adjust.links import turn_twist
-from lmd.adjust.motion import DRIFT, SHORTEST_GAP, STEADY, Motion
+from lmd.adjust.motion import DRIFT, SHORTEST_GAP, STEADY, SURE, Motion
 from lmd.adjust.sightings import Sightings
 from lmd.core.checks import FloatArray, IntArray
 from lmd.geometry.se3 import angle_between, exp, inverse, log
@@ -40,6 +40,7 @@ SPREAD_STEPS, MOST_CHANGE, SETTLED = 3, 10.0, 0.03
 LONGEST_GAP, GAPS = 5.0, 13  # maximum length of a gap that is tested, seconds, and number of lengths that are tested
 FEWEST_GAPS = 6  # minimum number of artificial gaps of each length
 LEAST_PACE = 0.2  # minimum time over which the velocity on each side of a gap is measured, seconds
+ROUGH_OFFSETS = np.arange(-25, 26) / 50.0  # offsets of clocks that are tried, seconds
 # Errors of rough poses of frames: rotation, rad, and position, metres; and their growth by motion, per second.
 ROUGH_TURN, ROUGH_PLACE, MOVING = 0.1, 0.15, 1.0
 
@@ -101,6 +102,33 @@ def measured_motion(joint: Adjustment, poses: Poses, floor: float) -> Motion:
         return motion
     part = motion.of(joint.seen, np.zeros(len(joint.seen), dtype=np.int64))
     return replace(motion, gaps=bridged_gaps(part, poses.frames[joint.seen]))
+
+
+def with_rough_clock(motion: Motion, frames: IntArray, part: IntArray, poses: FloatArray) -> Motion:
+    """Motion by odometry at the times of the images according to the offset of the clocks, see `Clock`, at which
+    odometry fits the poses best. A motion at a constant velocity, or with clocks that agree well enough, is unchanged.
+
+    Args:
+        motion: motion between all frames.
+        frames: indices of n frames, `(n,)`.
+        part: part of each of these frames, `(n,)`; only frames with equal parts share a world frame.
+        poses: rough poses of these frames, `(n, 4, 4)`.
+    """
+    if motion.odometry is None:
+        return motion
+    own, odometry = motion.of(frames, part), motion.odometry
+    links = own.links(np.arange(len(frames)))
+    i, j = links.first, links.first + 1
+
+    def loss(offset: float) -> float:
+        before, after = (odometry.at(np.clip(own.times[k] + offset, *odometry.time[[0, -1]])) for k in (i, j))
+        return replace(links, steps=inverse(before) @ after).loss(poses)
+
+    losses = {offset: loss(offset) for offset in ROUGH_OFFSETS.tolist()}
+    best = min(losses, key=lambda offset: losses[offset])
+    # The noise of the poses is unknown, so its variance is that of the best fit.
+    is_sure = losses[0.0] > losses[best] * np.exp(SURE**2 / (6.0 * max(len(i), 1)))
+    return motion.shifted(best) if is_sure else motion
 
 
 def bridged_gaps(motion: Motion, poses: FloatArray) -> FloatArray:

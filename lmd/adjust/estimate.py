@@ -22,6 +22,7 @@ from lmd.adjust.corners import Poses, fitting, squared_errors
 from lmd.adjust.drive import spread_motion
 from lmd.adjust.gauge import diagonal_blocks, gauge_free, rows_of, worst_sigmas
 from lmd.adjust.intrinsics import Calibrated, Optics
+from lmd.adjust.motion import Clock
 from lmd.adjust.prior import EXACT_SIGMA, Prior
 from lmd.adjust.sightings import Observations, Sightings
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
@@ -85,6 +86,8 @@ class Estimate:
     """
     lenses: Lenses | None = None
     """Nuisance parameters of the cameras; None if cameras are exact."""
+    clock: Clock | None = None
+    """Offset of the odometry's clock; None without odometry."""
 
     def adjusted(self, most: float = FLOOR_PIXELS) -> "Estimate":
         """Estimate in which the poses of the map (the tags of group 0, and their frames) are adjusted without outliers.

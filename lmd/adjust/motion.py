@@ -21,6 +21,7 @@ Source: Barfoot, "State Estimation for Robotics".
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,8 +40,41 @@ METRES_PER_RAD, METRES_PER_SECOND = 0.3, 0.01
 MOST_TURN, MOST_PLACE = 0.2, 0.5
 SHORTEST_GAP = 0.3  # a constant velocity bridges gaps shorter than this, seconds, without evidence from the drive
 LONGEST_STEP = 1.0  # maximum seconds between poses of odometry; longer gaps cut the odometry into pieces
+VELOCITY_SECONDS = 0.05  # velocities by odometry are differences of the poses this long before and after, seconds
+# An offset of clocks is significant above `SURE` standard deviations. Motion does not show the offset if its standard
+# deviation exceeds `HIDDEN`, seconds.
+SURE, HIDDEN = 3.0, 0.05
 # Least value of times since 1970 in ns, us or ms, and the factor that converts them to seconds.
 UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
+
+
+class Clock(NamedTuple):
+    """Offset of the odometry's clock from the camera's clock, estimated from a drive."""
+
+    offset: float
+    """Seconds that are added to the times of the frames to obtain times of the odometry; positive if the camera's clock
+    is behind the odometry's clock.
+    """
+    sigma: float
+    """Standard deviation of the offset, seconds."""
+    is_corrected: bool = False
+    """True if the odometry is taken at the corrected times."""
+
+    @property
+    def is_significant(self) -> bool:
+        """True if the offset is known, and is not 0."""
+        return self.sigma < HIDDEN and abs(self.offset) > SURE * self.sigma
+
+    @property
+    def sentence(self) -> str:
+        """Sentence for the user."""
+        spread, side = f"({1e3 * self.sigma:.1f} ms)", "behind" if self.offset > 0.0 else "ahead of"
+        size = f"{1e3 * abs(self.offset):.1f} ms {side} the odometry's {spread}"
+        if self.is_corrected:
+            return f"the camera's clock is {size}, which is corrected"
+        if self.sigma < HIDDEN:
+            return f"the camera's clock is {size}, which is not significant"
+        return f"the motion does not show an offset of the camera's clock from the odometry's {spread}"
 
 
 @dataclass(frozen=True)
@@ -70,18 +104,25 @@ class Motion:
     length of the gap, seconds, ascending, and the spreads of rotation and of translation that explain the errors.
     Longer gaps are not bridged. None if nothing was measured.
     """
+    odometry: Trajectory | None = None
+    """The odometry; None for a constant velocity."""
+    offset: float = 0.0
+    """Seconds that are added to the times of the frames to obtain times of the odometry, see `Clock`."""
 
     @classmethod
-    def by_odometry(cls, times: FloatArray, odometry: Trajectory) -> "Motion":
+    def by_odometry(cls, times: FloatArray, odometry: Trajectory, offset: float = 0.0) -> "Motion":
         """Make the motion between frames from a trajectory of odometry.
+
+        Args:
+            times: times of the frames, `(F,)`, seconds.
+            odometry: trajectory of the body.
+            offset: seconds that are added to the times of the frames, see `Clock`.
 
         Raises:
             InputError: odometry covers less than half of the frames.
         """
-        from scipy.spatial.transform import Rotation, Slerp
-
         own, poses = odometry.time, inverse(odometry.poses[0]) @ odometry.poses
-        covered = (times >= own[0]) & (times <= own[-1])
+        covered = (times + offset >= own[0]) & (times + offset <= own[-1])
         if 2 * covered.sum() < len(times):
             there = f"{np.nanmin(times):.10g} to {np.nanmax(times):.10g} s" if np.isfinite(times).any() else "no time"
             raise InputError(
@@ -92,9 +133,8 @@ class Motion:
         steps = log(inverse(poses[:-1]) @ poses[1:])
         far = np.linalg.norm(steps[:, 3:], axis=1) + METRES_PER_RAD * np.linalg.norm(steps[:, :3], axis=1)
         far += METRES_PER_SECOND * np.diff(own)
-        at = np.where(covered, times, own[0])
-        place = np.clip(np.searchsorted(own, at, side="right") - 1, 0, len(own) - 2)
-        share = (at - own[place]) / (own[place + 1] - own[place])
+        at = np.where(covered, times + offset, own[0])
+        place, share = odometry.steps_at(at)
 
         def at_frames(added: FloatArray) -> FloatArray:
             """Sums of `added`, one matrix for each step of the odometry, `(T - 1, 6, 6)`, over all steps before each
@@ -106,12 +146,30 @@ class Motion:
         ahead = adjoint_matrix(poses[1:])  # steps are short, so the error of a step is applied at its end
         turned = [ahead[..., part] @ np.swapaxes(ahead[..., part], 1, 2) for part in (slice(0, 3), slice(3, 6))]
         *drift, bias = (at_frames(far[:, None, None] * each) for each in (*turned, ahead))
-        path = np.tile(np.eye(4), (len(times), 1, 1))
-        path[:, :3, :3] = Slerp(own, Rotation.from_matrix(poses[:, :3, :3]))(at).as_matrix()
-        path[:, :3, 3] = (1.0 - share)[:, None] * poses[place, :3, 3] + share[:, None] * poses[place + 1, :3, 3]
+        path = replace(odometry, poses=poses).at(at)
         gaps = np.diff(own) > LONGEST_STEP
         path[~covered | (gaps[place] & (share != 0.0))] = np.nan
-        return cls(times, DRIFT, path, np.stack(drift, axis=1), bias, np.concatenate([[0], np.cumsum(gaps)])[place])
+        piece = np.concatenate([[0], np.cumsum(gaps)])[place]
+        return cls(times, DRIFT, path, np.stack(drift, axis=1), bias, piece, odometry=odometry, offset=offset)
+
+    def shifted(self, offset: float) -> "Motion":
+        """Motion by the odometry with another offset of its clock, seconds, at the present spread."""
+        assert self.odometry is not None
+        return replace(Motion.by_odometry(self.times, self.odometry, offset), spread=self.spread)
+
+    @property
+    def velocities(self) -> FloatArray:
+        """Turn rate, rad/s, and velocity, m/s, of the body at each frame by odometry, in the body's frame, `(F, 6)`; 0
+        for frames without odometry.
+        """
+        assert self.odometry is not None
+        within = self.odometry.time[[0, -1]]
+        at = np.clip(np.nan_to_num(self.times + self.offset), *within)
+        ends = np.clip([at - VELOCITY_SECONDS, at + VELOCITY_SECONDS], *within)
+        before, after = map(self.odometry.at, ends)
+        frames = np.arange(len(at))
+        there = self.relates(frames, frames)[:, None]
+        return np.where(there, log(inverse(before) @ after) / np.diff(ends, axis=0).T, 0.0)
 
     def of(self, frames: IntArray, part: IntArray) -> "Motion":
         """Motion between the frames with indices `frames` `(n,)`; only frames with equal `part` `(n,)` are linked."""

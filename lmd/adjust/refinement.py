@@ -21,6 +21,7 @@ from lmd.adjust.adjustment import Adjustment
 from lmd.adjust.corners import Poses, Reprojection, fitting
 from lmd.adjust.estimate import FLOOR_PIXELS, Estimate, Lenses, constraining, inflation
 from lmd.adjust.intrinsics import Optics, parameter_slopes, prior_sigmas
+from lmd.adjust.motion import Clock
 from lmd.adjust.sightings import MODES, RESIDUALS, Observations, Sightings, shift_basis
 from lmd.core.checks import BoolArray, FloatArray, InputError
 from lmd.detection.corner_errors import inward, shortest_side
@@ -37,6 +38,7 @@ NEAR_PIXELS = 5.0  # maximum error, pixels, of tags whose edges are taken from t
 # The edge is doubted if its relative error exceeds `LEAST_GROWTH` and `SURE_SIGMAS` standard deviations. The prior
 # standard deviation is `GROWTH_SIGMA`. At least `FEWEST_SCALED` tags with known poses are needed.
 LEAST_GROWTH, SURE_SIGMAS, GROWTH_SIGMA, FEWEST_SCALED = 0.004, 4.0, 0.1, 3
+CLOCK_SIGMA, CLOCK_ROUNDS = 1.0, 4  # prior standard deviation of a clock's offset, seconds; number of corrections
 MOST_HALVINGS = 6  # maximum number of halvings of a step that leads to invalid cameras
 
 
@@ -130,12 +132,12 @@ def _stepped(
 
     most = loss(found) + SLACK
     for _ in range(MOST_TRIALS):
-        there, step, variance = joint.joint_step(found.poses, found.floor, damping, nuisances_off(found))
+        there, step, covariance = joint.joint_step(found.poses, found.floor, damping, nuisances_off(found))
         tried = _after(found, step, there)
         some = tried.sightings
         # Another lens may exclude other corners from its image; losses can then not be compared.
         if len(some) != len(used) or loss(tried, some.of(used)) <= most:
-            return tried, step, variance, damping / 10.0
+            return tried, step, np.diag(covariance).reshape(-1, 6), damping / 10.0
         damping = max(10.0 * damping, FIRST_DAMPING)
     return None
 
@@ -208,6 +210,64 @@ def refine(
     return found
 
 
+def _one_more(found: Estimate, slope: FloatArray, sigma: float) -> tuple[float, float]:
+    """Estimate one more unknown, which all images share, together with all other unknowns.
+
+    Each camera's images give an estimate; the estimates are averaged with the inverse of their joint covariance.
+
+    Args:
+        found: estimate with poses.
+        slope: derivative of the residuals of the used sightings with respect to the unknown, `(n, 8, 1)`.
+        sigma: prior standard deviation of the unknown, about 0.
+
+    Returns:
+        value of the unknown; its standard deviation.
+    """
+    used = found.sightings.of(found.used)
+    wider = np.concatenate([used.lens, np.pad(sigma * slope, ((0, 0), (0, 0), (0, 5)))], axis=2)
+    joint = Adjustment(replace(used, lens=wider), found.prior, True, found.inflation)
+    last, cameras = joint.lens_blocks - 1, np.arange(used.cameras)  # the unknown is in the last block of each camera
+    off = np.insert(nuisances_off(found), last * (cameras + 1), 0.0, axis=0)
+    _, step, covariance = joint.joint_step(found.poses, found.floor, 0.0, off)
+    each = 6 * (last + joint.lens_blocks * cameras)
+    weights = np.linalg.solve(covariance[np.ix_(each, each)], np.ones(len(each)))
+    return float(sigma * weights @ step.ravel()[each] / weights.sum()), float(sigma * weights.sum() ** -0.5)
+
+
+def synchronised(found: Estimate, again: Callable[[Estimate], Estimate]) -> Estimate:
+    """Estimate with the offset of the camera's clock from the odometry's clock, see `Clock`. If the offset is
+    significant, the odometry is taken at the corrected times.
+
+    Args:
+        found: adjusted estimate.
+        again: adjusts an estimate whose motion has changed.
+    """
+    for _ in range(CLOCK_ROUNDS):
+        motion, clock = found.prior.motion, _clock(found)
+        found = replace(found, clock=clock)
+        if clock is None or motion is None:
+            break
+        offset = clock.offset if clock.is_significant else 0.0
+        if abs(offset - motion.offset) <= SETTLED_SIGMAS * clock.sigma * clock.is_significant:
+            break
+        found = again(replace(found, prior=replace(found.prior, motion=motion.shifted(offset))))
+    return found
+
+
+def _clock(found: Estimate) -> Clock | None:
+    """Offset of the camera's clock; None without odometry.
+
+    If the camera's clock is behind, images show the body farther along its way than at their times. The derivative of
+    the residuals with respect to the offset is that with respect to the pose of the body, times the body's velocity.
+    """
+    motion, used = found.prior.motion, found.sightings.of(found.used)
+    if motion is None or not motion.is_odometry or not len(used):
+        return None
+    by_frame = Reprojection(used, *found.poses.of(used)).by_frame
+    more, sigma = _one_more(found, by_frame @ motion.velocities[used.frame][..., None], CLOCK_SIGMA)
+    return Clock(motion.offset + more, sigma, motion.offset != 0.0)
+
+
 def edge_doubts(found: Estimate) -> list[str]:
     """List with one sentence that doubts the edge length of the tags, if another edge length of all tags explains the
     images and the known poses better; else an empty list.
@@ -218,20 +278,12 @@ def edge_doubts(found: Estimate) -> list[str]:
     Args:
         found: result of `refine`.
     """
-    lenses, used = _lenses_of(found), found.sightings.of(found.used)
+    used = found.sightings.of(found.used)
     known = found.prior.information[:, 3:].all(axis=1) & (found.group == 0)
     if known.sum() < FEWEST_SCALED or not len(used):
         return []  # only the tags have a scale
-    by_growth = GROWTH_SIGMA * Reprojection(used, *found.poses.of(used)).by_size
-    wider = np.concatenate([used.lens, np.pad(by_growth, ((0, 0), (0, 0), (0, 5)))], axis=2)
-    joint = Adjustment(replace(used, lens=wider), found.prior, True, found.inflation)
-    cameras = np.pad(lenses.off, ((0, 0), (0, 6))).reshape(-1, 6)
-    off = np.concatenate([cameras, nuisances_off(found)[lenses.off.size // 6 :]])
-    _, step, variance = joint.joint_step(found.poses, found.floor, 0.0, off)
-    each = slice(joint.lens_blocks - 1, len(cameras), joint.lens_blocks)  # growth by each camera's images
-    weights = 1.0 / (GROWTH_SIGMA**2 * variance[each, 0])
-    growth = float(GROWTH_SIGMA * (weights * step[each, 0]).sum() / weights.sum())
-    if abs(growth) < max(LEAST_GROWTH, SURE_SIGMAS * float(weights.sum()) ** -0.5):
+    growth, sigma = _one_more(found, Reprojection(used, *found.poses.of(used)).by_size, GROWTH_SIGMA)
+    if abs(growth) < max(LEAST_GROWTH, SURE_SIGMAS * sigma):
         return []
     edge, way = 1e3 * float(np.median(used.edges)), "larger" if growth > 0.0 else "smaller"
     better = (

@@ -75,11 +75,17 @@ def figures_of(found: Estimate) -> dict[str, float]:
     }
 
 
+def clock_figures(found: Estimate) -> dict[str, float]:
+    """Offset of the clocks and its standard deviation, seconds, see `Clock`; empty without odometry."""
+    return {f"clock_{name}": getattr(found.clock, name) for name in ("offset", "sigma")} if found.clock else {}
+
+
 def document_of(found: Estimate, detected: DetectedTags, sizes: Mapping[int, float]) -> dict[str, Any]:
     """Entries of a JSON file: cameras, images, and the estimated edge lengths, metres, keyed by id, of tags whose
     stated size is wrong.
     """
     return {
+        "clock": found.clock and found.clock.sentence,
         "blurred": dict(detected.blurred),
         "copies": dict(detected.copies),
         "intrinsics": [camera.document() for camera in found.calibrated],
@@ -98,6 +104,8 @@ def lines_of(
         lines["corners"] = f"{both(figures_of(found), 'error', 1.0)} pixels off"
         if found.floor > NOTICED:
             lines["corners"] += f", of which {found.floor:.2g} (one standard deviation) are not the detector's"
+    if found.clock is not None:
+        lines["clock"] = found.clock.sentence
     if found.inflation > 1.0:
         more = f"{found.inflation:.1f} times as much as the noise of corners explains"
         lines["blocks"] = f"of time disagree {more}, which these figures count"

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError
-from lmd.geometry.se3 import inverse, log
+from lmd.core.checks import FloatArray, InputError, IntArray
+from lmd.geometry.se3 import inverse, log, pose_of
 
 
 @dataclass(frozen=True)
@@ -26,6 +26,24 @@ class Trajectory:
         if len(self.time) < 2:
             raise InputError(f"a trajectory must have at least 2 frames, got {len(self.time)}.")
         check_order(self.time)
+
+    def at(self, seconds: FloatArray) -> FloatArray:
+        """Poses at times between the first and the last frame, `(n,)`, seconds, by interpolation between the frames at
+        a constant velocity and turn rate, `(n, 4, 4)`.
+        """
+        from scipy.spatial.transform import Rotation, Slerp
+
+        (first, share), places = self.steps_at(seconds), self.poses[:, :3, 3]
+        turns = Slerp(self.time, Rotation.from_matrix(self.poses[:, :3, :3]))(seconds)
+        way = (1.0 - share)[:, None] * places[first] + share[:, None] * places[first + 1]
+        return pose_of(turns.as_matrix(), way)
+
+    def steps_at(self, seconds: FloatArray) -> tuple[IntArray, FloatArray]:
+        """Index of the frame before each time `seconds` `(n,)`, `(n,)`, and share of the step to the next frame that
+        has passed, `(n,)`.
+        """
+        first = np.clip(np.searchsorted(self.time, seconds, side="right") - 1, 0, len(self.time) - 2)
+        return first, (seconds - self.time[first]) / (self.time[first + 1] - self.time[first])
 
     @property
     def twists(self) -> FloatArray:

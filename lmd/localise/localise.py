@@ -16,13 +16,13 @@ from threadpoolctl import threadpool_limits
 from lmd.adjust.adjustment import Adjustment
 from lmd.adjust.candidates import placed_tags
 from lmd.adjust.corners import Poses, agreeing, squared_errors
-from lmd.adjust.drive import Nodes, measured_motion, smoothest, spread_motion, with_motion
+from lmd.adjust.drive import Nodes, measured_motion, smoothest, spread_motion, with_motion, with_rough_clock
 from lmd.adjust.estimate import FLOOR_PIXELS, ONE_THREAD, STEPS, Estimate
 from lmd.adjust.faults import other_sizes, second_places, with_best_edges
 from lmd.adjust.intrinsics import Optics
 from lmd.adjust.motion import Motion, seconds_of
 from lmd.adjust.prior import Mounts
-from lmd.adjust.refinement import edge_doubts, minimised, with_lenses
+from lmd.adjust.refinement import edge_doubts, minimised, synchronised, with_lenses
 from lmd.adjust.sightings import Observations, outside_doubts
 from lmd.core.checks import FloatArray, InputError
 from lmd.detection.corner_errors import CornerErrors
@@ -236,6 +236,8 @@ def smoothed(found: Estimate, motion: Motion, both: FloatArray) -> Estimate | No
     Raises:
         InputError: odometry contradicts the images.
     """
+    there = np.flatnonzero(found.poses.known_frames)
+    motion = with_rough_clock(motion, there, 0 * there, found.poses.frames[there])
     poses, some = _decided(found, motion, both), found.sightings
     there = np.flatnonzero(poses.known_frames)
     if len(there) < FEWEST_FRAMES or not motion.follows(there).any():
@@ -246,8 +248,13 @@ def smoothed(found: Estimate, motion: Motion, both: FloatArray) -> Estimate | No
     rough = with_motion(rough, spread_motion(rough, poses, FLOOR_PIXELS))
     poses, floor = rough.run(poses, FLOOR_PIXELS, STEPS)
     prior = replace(found.prior, motion=measured_motion(rough, poses, floor))
-    linked = replace(found, prior=prior, poses=poses).adjusted()
-    return linked if linked.lenses is None else minimised(linked)
+
+    def again(begun: Estimate) -> Estimate:
+        """Adjust all poses, and the cameras if these are unknown."""
+        now = begun.adjusted()
+        return now if now.lenses is None else minimised(now)
+
+    return synchronised(again(replace(found, prior=prior, poses=poses)), again)
 
 
 def _decided(found: Estimate, motion: Motion, both: FloatArray) -> Poses:

@@ -11,6 +11,7 @@ from lmd.adjust.gauge import worst_sigmas
 from lmd.adjust.motion import seconds_of
 from lmd.adjust.tables import (
     both,
+    clock_figures,
     covariance_columns,
     document_of,
     figures_of,
@@ -98,6 +99,7 @@ def metrics(result: Localisation) -> dict[str, float]:
             figures["smoothed" if prefix else "localised"] = float(found.poses.known_frames.sum())
             place, turn = worst_sigmas(found.frame_covariances).T
             figures |= quantiles(f"{prefix}sigma", place) | quantiles(f"{prefix}sigma_turn", turn)
+            figures |= clock_figures(found)
     return figures
 
 

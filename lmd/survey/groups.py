@@ -18,7 +18,7 @@ import numpy as np
 
 from lmd.adjust.adjustment import Adjustment
 from lmd.adjust.corners import Poses, agreeing, squared_errors
-from lmd.adjust.drive import LONGEST_GAP, Nodes, measured_motion, smoothest, spread_motion
+from lmd.adjust.drive import LONGEST_GAP, Nodes, measured_motion, smoothest, spread_motion, with_rough_clock
 from lmd.adjust.estimate import FLOOR_PIXELS
 from lmd.adjust.motion import Motion
 from lmd.adjust.prior import EXACT_SIGMA, Mounts, Prior
@@ -68,8 +68,10 @@ def join_groups(sightings: Sightings, poses: Poses, group: IntArray, prior: Prio
     parts = _parts(sightings, poses, group, prior.known)
     nodes = Nodes.of(sightings, parts, prior.motion)
     tags = np.where((group < 0)[:, None, None], np.eye(4), poses.tags)
-    there, motion = _adjusted(nodes, smoothest(nodes, replace(poses, tags=tags)))
-    joint = replace(prior.motion, spread=motion.spread, gaps=motion.gaps)
+    rough = smoothest(nodes, replace(poses, tags=tags))
+    joint = with_rough_clock(prior.motion, nodes.frame, nodes.part, rough.frames)
+    there, motion = _adjusted(replace(nodes, motion=joint.of(nodes.frame, nodes.part)), rough)
+    joint = replace(joint, spread=motion.spread, gaps=motion.gaps)
     worlds, joined = _worlds(replace(nodes, motion=motion), there.frames, joint)
     tags = np.where((parts < 0)[:, None, None], np.nan, worlds[parts] @ there.tags)
     frames, views = np.full_like(poses.frames, np.nan), worlds[nodes.part] @ there.frames

@@ -22,7 +22,7 @@ from lmd.adjust.faults import Faults, with_best_edges, with_sizes, without_fault
 from lmd.adjust.intrinsics import Optics
 from lmd.adjust.motion import Motion, seconds_of
 from lmd.adjust.prior import Prior
-from lmd.adjust.refinement import edge_doubts, refine, with_lenses
+from lmd.adjust.refinement import edge_doubts, refine, synchronised, with_lenses
 from lmd.adjust.sightings import QUARTERS, Observations, Sightings, outside_doubts
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.detection.corner_errors import CornerErrors
@@ -145,7 +145,8 @@ def survey(
         found = _estimate(seen, prior, known, start)
         found, odd = with_sizes(found, odd, others=0.0, tried=bool(odd.any()))
         is_stopped = partial(observer, SurveyStage.REFINING)
-        found = refine(with_lenses(found, seen, bool(calibrate)), calibrate is False, is_stopped)
+        refined = partial(refine, keep=calibrate is False, is_stopped=is_stopped)
+        found = synchronised(refined(with_lenses(found, seen, bool(calibrate))), refined)
         doubts = outside_doubts(seen) or ([] if calibrate is False else edge_doubts(found))
         observer(SurveyStage.CHECKING, 0, 0)
         found, faults = without_faults(found, odd)
