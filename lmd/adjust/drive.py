@@ -72,7 +72,7 @@ def spread_motion(joint: Adjustment, poses: Poses, floor: float) -> Motion:
         fit = tried.system(poses, floor, 0.0, 1.0).log_determinant
         return np.array([float((tried.links.weights(squares) * squares).sum()), volume, fit])
 
-    assumed, count = DRIFT if motion.is_odometry else STEADY, ASSUMED_LINKS * size / 2.0
+    assumed, count = STEADY if motion.odometry is None else DRIFT, ASSUMED_LINKS * size / 2.0
     for _ in range(SPREAD_STEPS):
         here, growths = evidence(motion), np.ones(2)
         for which, own in enumerate(motion.spread):
@@ -98,7 +98,7 @@ def measured_motion(joint: Adjustment, poses: Poses, floor: float) -> Motion:
     assert joint.links is not None
     joint.links.check(poses.frames[joint.seen])
     motion = spread_motion(joint, poses, floor)
-    if motion.is_odometry:
+    if motion.odometry is not None:
         return motion
     part = motion.of(joint.seen, np.zeros(len(joint.seen), dtype=np.int64))
     return replace(motion, gaps=bridged_gaps(part, poses.frames[joint.seen]))
@@ -124,10 +124,9 @@ def with_rough_clock(motion: Motion, frames: IntArray, part: IntArray, poses: Fl
         before, after = (odometry.at(np.clip(own.times[k] + offset, *odometry.time[[0, -1]])) for k in (i, j))
         return replace(links, steps=inverse(before) @ after).loss(poses)
 
-    losses = {offset: loss(offset) for offset in ROUGH_OFFSETS.tolist()}
-    best = min(losses, key=lambda offset: losses[offset])
+    best = min(ROUGH_OFFSETS.tolist(), key=loss)
     # The noise of the poses is unknown, so its variance is that of the best fit.
-    is_sure = losses[0.0] > losses[best] * np.exp(SURE**2 / (6.0 * max(len(i), 1)))
+    is_sure = loss(0.0) > loss(best) * np.exp(SURE**2 / (6.0 * max(len(i), 1)))
     return motion.shifted(best) if is_sure else motion
 
 
@@ -215,7 +214,7 @@ def smoothest(nodes: Nodes, poses: Poses) -> Poses:
     follows = np.flatnonzero(motion.follows(np.arange(len(placed))))
     between = np.zeros((len(placed), 2, 2))  # cost of each pose for each pose of the previous node
     seconds = motion.times[follows + 1] - motion.times[follows]
-    moving = 0.0 if motion.is_odometry else MOVING * seconds[:, None, None]
+    moving = 0.0 if motion.odometry else MOVING * seconds[:, None, None]
     expected = views[follows] @ motion.steps(follows, follows + 1)[:, None]
     off = inverse(expected)[:, None] @ views[follows + 1][:, :, None]
     turn = angle_between(off, np.eye(4)) / np.hypot(ROUGH_TURN, moving)

@@ -40,7 +40,7 @@ METRES_PER_RAD, METRES_PER_SECOND = 0.3, 0.01
 MOST_TURN, MOST_PLACE = 0.2, 0.5
 SHORTEST_GAP = 0.3  # a constant velocity bridges gaps shorter than this, seconds, without evidence from the drive
 LONGEST_STEP = 1.0  # maximum seconds between poses of odometry; longer gaps cut the odometry into pieces
-VELOCITY_SECONDS = 0.05  # velocities by odometry are differences of the poses this long before and after, seconds
+VELOCITY_SECONDS = 0.05  # velocities by odometry are differences of poses about this far apart, seconds
 # An offset of clocks is significant above `SURE` standard deviations. Motion does not show the offset if its standard
 # deviation exceeds `HIDDEN`, seconds.
 SURE, HIDDEN = 3.0, 0.05
@@ -61,20 +61,16 @@ class Clock(NamedTuple):
     """True if the odometry is taken at the corrected times."""
 
     @property
-    def is_significant(self) -> bool:
-        """True if the offset is known, and is not 0."""
-        return self.sigma < HIDDEN and abs(self.offset) > SURE * self.sigma
-
-    @property
     def sentence(self) -> str:
         """Sentence for the user."""
-        spread, side = f"({1e3 * self.sigma:.1f} ms)", "behind" if self.offset > 0.0 else "ahead of"
-        size = f"{1e3 * abs(self.offset):.1f} ms {side} the odometry's {spread}"
-        if self.is_corrected:
-            return f"the camera's clock is {size}, which is corrected"
-        if self.sigma < HIDDEN:
-            return f"the camera's clock is {size}, which is not significant"
-        return f"the motion does not show an offset of the camera's clock from the odometry's {spread}"
+        if self.sigma >= HIDDEN and not self.is_corrected:
+            return "the motion does not show an offset of the camera's clock from the odometry's"
+        side, done = (
+            "behind" if self.offset > 0.0 else "ahead of",
+            "corrected" if self.is_corrected else "not significant",
+        )
+        size, spread = f"{1e3 * abs(self.offset):.1f} ms", f"({1e3 * self.sigma:.1f} ms)"
+        return f"the camera's clock is {size} {side} the odometry's {spread}, which is {done}"
 
 
 @dataclass(frozen=True)
@@ -159,28 +155,25 @@ class Motion:
 
     @property
     def velocities(self) -> FloatArray:
-        """Turn rate, rad/s, and velocity, m/s, of the body at each frame by odometry, in the body's frame, `(F, 6)`; 0
-        for frames without odometry.
+        """Turn rate, rad/s, and velocity, m/s, of the body at each frame by odometry, in the body's frame,
+        `(F, 6, 2)`: estimates from even and from odd steps of odometry, whose drift is independent; 0 for frames
+        without odometry.
         """
         assert self.odometry is not None
-        within = self.odometry.time[[0, -1]]
-        at = np.clip(np.nan_to_num(self.times + self.offset), *within)
-        ends = np.clip([at - VELOCITY_SECONDS, at + VELOCITY_SECONDS], *within)
-        before, after = map(self.odometry.at, ends)
-        frames = np.arange(len(at))
-        there = self.relates(frames, frames)[:, None]
-        return np.where(there, log(inverse(before) @ after) / np.diff(ends, axis=0).T, 0.0)
+        own, frames = self.odometry.time, np.arange(len(self.times))
+        step = max(1, min(int(VELOCITY_SECONDS / np.median(np.diff(own))), (len(own) - 1) // 2))
+        steps = Trajectory(own[::step], self.odometry.poses[::step])
+        middle, at = (steps.time[1:] + steps.time[:-1]) / 2.0, np.nan_to_num(self.times + self.offset)
+        result = np.stack(
+            [[np.interp(at, middle[k::2], each[k::2]) for each in steps.twists.T] for k in (0, min(1, len(middle) - 1))]
+        )
+        return np.where(self.relates(frames, frames)[:, None, None], result.transpose(2, 1, 0), 0.0)
 
     def of(self, frames: IntArray, part: IntArray) -> "Motion":
         """Motion between the frames with indices `frames` `(n,)`; only frames with equal `part` `(n,)` are linked."""
         piece = part if self.piece is None else part * (self.piece.max() + 1) + self.piece[frames]
         path, drift, bias = (None if own is None else own[frames] for own in (self.path, self.drift, self.bias_sums))
         return replace(self, times=self.times[frames], piece=piece, path=path, drift=drift, bias_sums=bias)
-
-    @property
-    def is_odometry(self) -> bool:
-        """True if the motion is given by odometry, False for a nearly constant velocity."""
-        return self.path is not None
 
     @property
     def longest(self) -> float:

@@ -21,7 +21,7 @@ from lmd.adjust.adjustment import Adjustment
 from lmd.adjust.corners import Poses, Reprojection, fitting
 from lmd.adjust.estimate import FLOOR_PIXELS, Estimate, Lenses, constraining, inflation
 from lmd.adjust.intrinsics import Optics, parameter_slopes, prior_sigmas
-from lmd.adjust.motion import Clock
+from lmd.adjust.motion import HIDDEN, SURE, Clock
 from lmd.adjust.sightings import MODES, RESIDUALS, Observations, Sightings, shift_basis
 from lmd.core.checks import BoolArray, FloatArray, InputError
 from lmd.detection.corner_errors import inward, shortest_side
@@ -38,7 +38,8 @@ NEAR_PIXELS = 5.0  # maximum error, pixels, of tags whose edges are taken from t
 # The edge is doubted if its relative error exceeds `LEAST_GROWTH` and `SURE_SIGMAS` standard deviations. The prior
 # standard deviation is `GROWTH_SIGMA`. At least `FEWEST_SCALED` tags with known poses are needed.
 LEAST_GROWTH, SURE_SIGMAS, GROWTH_SIGMA, FEWEST_SCALED = 0.004, 4.0, 0.1, 3
-CLOCK_SIGMA, CLOCK_ROUNDS = 1.0, 4  # prior standard deviation of a clock's offset, seconds; number of corrections
+# Number of corrections of the clock; minimum share of the variance of velocities that is motion and not drift.
+CLOCK_ROUNDS, LEAST_SHOWN = 4, 1.0 / 3.0
 MOST_HALVINGS = 6  # maximum number of halvings of a step that leads to invalid cameras
 
 
@@ -210,28 +211,29 @@ def refine(
     return found
 
 
-def _one_more(found: Estimate, slope: FloatArray, sigma: float) -> tuple[float, float]:
-    """Estimate one more unknown, which all images share, together with all other unknowns.
+def _more_unknowns(found: Estimate, slopes: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Normal equations of k <= 6 more unknowns, which all images share, after the elimination of all other unknowns.
 
-    Each camera's images give an estimate; the estimates are averaged with the inverse of their joint covariance.
+    Each camera's images give estimates; these are averaged with the inverse of their joint covariance.
 
     Args:
         found: estimate with poses.
-        slope: derivative of the residuals of the used sightings with respect to the unknown, `(n, 8, 1)`.
-        sigma: prior standard deviation of the unknown, about 0.
+        slopes: derivatives of the residuals of the used sightings with respect to the unknowns, in units of their prior
+            standard deviations, `(n, 8, k)`.
 
     Returns:
-        value of the unknown; its standard deviation.
+        information matrix `(k, k)`; right side `(k,)`.
     """
-    used = found.sightings.of(found.used)
-    wider = np.concatenate([used.lens, np.pad(sigma * slope, ((0, 0), (0, 0), (0, 5)))], axis=2)
+    used, count = found.sightings.of(found.used), slopes.shape[2]
+    wider = np.concatenate([used.lens, np.pad(slopes, ((0, 0), (0, 0), (0, 6 - count)))], axis=2)
     joint = Adjustment(replace(used, lens=wider), found.prior, True, found.inflation)
-    last, cameras = joint.lens_blocks - 1, np.arange(used.cameras)  # the unknown is in the last block of each camera
+    last, cameras = joint.lens_blocks - 1, np.arange(used.cameras)  # unknowns are in the last block of each camera
     off = np.insert(nuisances_off(found), last * (cameras + 1), 0.0, axis=0)
     _, step, covariance = joint.joint_step(found.poses, found.floor, 0.0, off)
-    each = 6 * (last + joint.lens_blocks * cameras)
-    weights = np.linalg.solve(covariance[np.ix_(each, each)], np.ones(len(each)))
-    return float(sigma * weights @ step.ravel()[each] / weights.sum()), float(sigma * weights.sum() ** -0.5)
+    each = (6 * (last + joint.lens_blocks * cameras[:, None]) + np.arange(count)).ravel()
+    shared = np.tile(np.eye(count), (len(cameras), 1))
+    weights = np.linalg.solve(covariance[np.ix_(each, each)], shared)
+    return weights.T @ shared, weights.T @ step.ravel()[each]
 
 
 def synchronised(found: Estimate, again: Callable[[Estimate], Estimate]) -> Estimate:
@@ -247,25 +249,32 @@ def synchronised(found: Estimate, again: Callable[[Estimate], Estimate]) -> Esti
         found = replace(found, clock=clock)
         if clock is None or motion is None:
             break
-        offset = clock.offset if clock.is_significant else 0.0
-        if abs(offset - motion.offset) <= SETTLED_SIGMAS * clock.sigma * clock.is_significant:
+        is_significant = clock.sigma < HIDDEN and abs(clock.offset) > SURE * clock.sigma
+        offset = clock.offset if is_significant else 0.0
+        if abs(offset - motion.offset) <= SETTLED_SIGMAS * clock.sigma * is_significant:
             break
         found = again(replace(found, prior=replace(found.prior, motion=motion.shifted(offset))))
     return found
 
 
 def _clock(found: Estimate) -> Clock | None:
-    """Offset of the camera's clock; None without odometry.
+    """Offset of the camera's clock, with a prior standard deviation of a second; None without odometry.
 
     If the camera's clock is behind, images show the body farther along its way than at their times. The derivative of
     the residuals with respect to the offset is that with respect to the pose of the body, times the body's velocity.
+
+    Drift of odometry looks like changes of the velocity, and would make the offset seem known where the velocity is
+    constant. The velocities from even and from odd steps of odometry have independent drift, so the product of their
+    derivatives has the information that the motion contains (instrumental variables).
     """
     motion, used = found.prior.motion, found.sightings.of(found.used)
-    if motion is None or not motion.is_odometry or not len(used):
+    if motion is None or motion.odometry is None or not len(used):
         return None
     by_frame = Reprojection(used, *found.poses.of(used)).by_frame
-    more, sigma = _one_more(found, by_frame @ motion.velocities[used.frame][..., None], CLOCK_SIGMA)
-    return Clock(motion.offset + more, sigma, motion.offset != 0.0)
+    information, right = _more_unknowns(found, by_frame @ motion.velocities[used.frame])
+    shown, whole = information[0, 1], information.mean()
+    more, sigma = (right.mean() / shown, np.sqrt(whole) / shown) if shown > LEAST_SHOWN * whole else (0.0, 1.0)
+    return Clock(motion.offset + float(more), float(sigma), motion.offset != 0.0)
 
 
 def edge_doubts(found: Estimate) -> list[str]:
@@ -282,7 +291,9 @@ def edge_doubts(found: Estimate) -> list[str]:
     known = found.prior.information[:, 3:].all(axis=1) & (found.group == 0)
     if known.sum() < FEWEST_SCALED or not len(used):
         return []  # only the tags have a scale
-    growth, sigma = _one_more(found, Reprojection(used, *found.poses.of(used)).by_size, GROWTH_SIGMA)
+    by_size = Reprojection(used, *found.poses.of(used)).by_size
+    information, right = (float(each.sum()) for each in _more_unknowns(found, GROWTH_SIGMA * by_size))
+    growth, sigma = GROWTH_SIGMA * right / information, GROWTH_SIGMA * information**-0.5
     if abs(growth) < max(LEAST_GROWTH, SURE_SIGMAS * sigma):
         return []
     edge, way = 1e3 * float(np.median(used.edges)), "larger" if growth > 0.0 else "smaller"

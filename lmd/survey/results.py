@@ -170,7 +170,7 @@ def to_text(survey: Survey) -> str:
     if (motion := found.prior.motion) is not None:
         turn, place = (1e3 * spread for spread in motion.spread)
         lines["motion"] = f"the velocity changes by {place:.2g} mm/s and {turn:.2g} mrad/s within a second"
-        if motion.is_odometry:
+        if motion.odometry is not None:
             lines["motion"] = f"odometry drifts {place:.2g} mm and {turn:.2g} mrad within a metre"
         lines["motion"] += f"; it joins {survey.joined.max() + 1} groups of tags" * bool(survey.joined.max() > 0)
     if "moved/50" in figures:

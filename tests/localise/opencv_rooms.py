@@ -11,6 +11,7 @@ from lmd.core.checks import FloatArray
 from lmd.formats.detections import DetectedTags
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import camera_pose, exp, inverse, log, pose_of
+from lmd.geometry.trajectory import Trajectory
 from lmd.localise.fixed_map import FixedMap
 from lmd.localise.localise import Drive, Localisation, localise
 from lmd.scene.tag import Tag
@@ -38,10 +39,10 @@ class Scenario(NamedTuple):
     mounts: FloatArray | None
     sigma: float
 
-    def localised(self, **more) -> Localisation:
+    def localised(self, odometry: Trajectory | None = None, **more) -> Localisation:
         errors = replace(walks.constant_errors(self.sigma), inward_spread=0.1)
         tag = Tag(float(self.known.edges[0]))
-        return localise(self.detected, self.cameras, tag, errors, self.known, Drive(self.mounts), **more)
+        return localise(self.detected, self.cameras, tag, errors, self.known, Drive(self.mounts, odometry), **more)
 
 
 def camera_of(lens) -> Camera:
