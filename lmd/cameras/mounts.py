@@ -150,7 +150,7 @@ class MountSpace(Checked):
             InputError: the rig has another number of cameras, or a mount is not admissible.
         """
         if len(rig.mounts) != self.count:
-            raise InputError(f"count = {self.count}, but {len(rig.mounts)} cameras are given.", "count")
+            raise InputError(f"count = {self.count}, but the rig has {len(rig.mounts)} cameras.", "count")
         found = [self._nearest_genes(mount) for mount in rig.mounts]
         for i, (genes, mount) in enumerate(zip(found, rig.mounts, strict=True)):
             there = self.mount(genes)

@@ -130,7 +130,7 @@ class BagImages(Checked):
         bytes_each, conversion = ENCODINGS[message.encoding]
         data, row = np.asarray(message.data, dtype=np.uint8), message.width * bytes_each
         if message.step < row or len(data) != message.step * message.height or not len(data):
-            raise self.bag.refused(f"has an image at {stamp} s with {len(data)} bytes, too few or many for its pixels")
+            raise self.bag.refused(f"has an image at {stamp} s with {len(data)} bytes that do not match its pixels")
         rows = data.reshape(message.height, message.step)[:, :row]
         if message.encoding in DEEP:
             return np.ascontiguousarray(rows[:, (0 if message.is_bigendian else 1) :: 2])

@@ -115,7 +115,7 @@ class MountingError(Checked):
             return moved
         apart = problem.scene.footprints.separated(moved[on], fixed=int((on < problem.fixed_count).sum()))
         if apart is None:
-            raise InputError(f"position = {self.position:g} m leaves no free place for some tags.", "position")
+            raise InputError(f"position = {self.position:g} m is too large: some tags find no free place.", "position")
         return moved.put(on, apart)
 
 

@@ -220,7 +220,7 @@ def read_calibration(
     with _damaged(path):
         found = cameras[_chosen(path, list(cameras), name, size)].calibration()
     if size not in (None, known := (found.image_width, found.image_height)):
-        raise InputError(f"image_size must be {list(known)}, as {path} has it, got {list(size)}.", "image_size")
+        raise InputError(f"image_size must be {list(known)}, as {path} states, got {list(size)}.", "image_size")
     return replace(found, note=f"{path}: {found.note}") if found.note else found
 
 

@@ -226,7 +226,7 @@ class _Camera:
         if model == INVERSE and any(lens) and asked is None:
             raise InputError(
                 "distortion_model must be given: its coefficients are of "
-                f"{'the inverse Brown-Conrady model' if word else 'no model that it names'}, which librealsense "
+                f"{'the inverse Brown-Conrady model' if word else 'an unnamed model'}, which librealsense "
                 f"describes as undistorting ({INVERSE}) and computes as distorting (plumb_bob, as ROS does).",
                 "distortion_model",
             )

@@ -136,7 +136,7 @@ def function_of(text: str) -> Callable[[File], Any]:
         InputError: the text is not such a call. A missing function raises the error when it is called.
     """
     if not isinstance(text, str) or (parts := CALL.fullmatch(text)) is None:
-        raise InputError(f"a call of code must be module.function(argument), got {text!r}.")
+        raise InputError(f"a function call in a format must be module.function(argument), got {text!r}.")
 
     def call(file: File) -> Any:
         try:

@@ -96,7 +96,7 @@ def test_genes_mean_mounts_and_mounts_have_genes():
             np.testing.assert_allclose(one.rotation, other.rotation, atol=2e-3)
     with pytest.raises(InputError, match=r"^rig\[0\] is not a pose that the body allows"):
         space().genes(Rig((Mount(CAMERA, (5.0, 0.0, 0.0)),)))
-    with pytest.raises(InputError, match=r"^count = 3, but 1 cameras are given"):
+    with pytest.raises(InputError, match=r"^count = 3, but the rig has 1 cameras"):
         s.genes(Rig((Mount(CAMERA),)))
 
 
