@@ -82,7 +82,7 @@ def reader_of(cfg: DictConfig) -> "tuple[str, Detector]":
         raise InputError(f"detectors must name one detector, got {named}.")
     ((name, detector),) = detectors_of(cfg).items()
     if not hasattr(detector, "corner_errors"):
-        raise InputError(f"detectors: {name} has no corner_errors, the errors of its corners.")
+        raise InputError(f"detectors: the class of {name} must have corner_errors, the errors of its corners.")
     return name, detector
 
 

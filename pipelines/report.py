@@ -30,7 +30,7 @@ def report(cfg: DictConfig) -> None:
     from .stored_runs import Source
 
     if "uri" not in cfg.tracking:
-        raise InputError("A report reads what was tracked: it needs tracking=mlflow.")
+        raise InputError("The report reads runs from mlflow: set tracking=mlflow.")
     reader = MlflowReader(cfg.tracking.uri, cfg.tracking.experiment_name)
     runs, trust = reader.runs(), Trust.of(cfg, HydraConfig.get().runtime)
 

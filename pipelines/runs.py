@@ -43,7 +43,7 @@ def runs(cfg: DictConfig) -> None:
 
     tracker, last = instantiate(cfg.tracking), integer("last", cfg.last, low=1)
     if not isinstance(tracker, MlflowTracker):
-        raise InputError("the list of runs is read from mlflow: it needs tracking=mlflow.")
+        raise InputError("the list of runs is read from mlflow: set tracking=mlflow.")
     if cfg.sync is not None:
         hand_in_below(Path(str(cfg.sync)), tracker.store.uri)
         return

@@ -216,7 +216,7 @@ def test_a_run_with_a_value_that_is_no_number_is_left_out_and_named(tmp_path, ca
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        (["tracking=none"], r"A report reads what was tracked: it needs tracking=mlflow\."),
+        (["tracking=none"], r"The report reads runs from mlflow: set tracking=mlflow\."),
         (["tracking.uri=sqlite:///none.db"], r"tracking\.uri = 'sqlite:///none\.db': there is no file 'none\.db'\."),
         (["tracking.experiment_name=x"], r"has no experiment called 'x' \(tracking\.experiment_name\)\."),
     ],

@@ -45,7 +45,7 @@ def test_the_newest_runs_are_listed_and_a_stranger_writes_no_escapes(uri, tmp_pa
     assert "evil\\x1b[2J" in done.stdout
     assert "\x1b" not in done.stdout
     refused = inside("runs", "tracking=none", cwd=tmp_path, settings=())
-    assert refused.stderr == "error: the list of runs is read from mlflow: it needs tracking=mlflow.\n"
+    assert refused.stderr == "error: the list of runs is read from mlflow: set tracking=mlflow.\n"
 
 
 @pytest.fixture(name="reachable")
