@@ -30,7 +30,6 @@ DRIVE = ("poses=recorded", "poses.block=1", "poses.held_out=null", "pdf=recorded
 # Keys that a file takes for what it does not say.
 ALIGNED = "poses.align=[2.5,1,0.7,-0.5,0.5,-0.5,0.5]"
 KEYS = {
-    "traj_colmap_images_ahead.txt": (ALIGNED, "poses.rate=1"),
     "traj_ahead.tum": (ALIGNED,),
     "traj_same_body.tum": ("poses.frame=body",),
     "cam_fisheye_K_D.yaml": ("camera.image_size=[640,480]",),

@@ -1,7 +1,6 @@
 """Which files of others are read: `python benchmarks/files.py FOLDER`, with `--counts` only how many, and why not.
 
-The folder has the folders calibration, trajectories and layouts, and may have times with the times of trajectories that
-have none, `NAME_times.txt` for all whose names contain NAME.
+The folder has the folders calibration, trajectories and layouts.
 It prints a table in Markdown: each file, and what was read or the sentence that refused it.
 """
 
@@ -29,17 +28,10 @@ def _camera(path: str, name: str | None) -> str:
 
 def trajectory(path: str) -> str:
     """The poses of a file."""
-    times = (Path(path).parents[1] / "times").glob("*_times.txt")
-    named = [file for file in times if file.name.removesuffix("_times.txt") in path and _is_matrices(path)]
-    file = TrajectoryFile(path, times=str(named[0]) if named else None)
+    file = TrajectoryFile(path)
     time = file.trajectory.time
     note = f"; {file.note.partition(' of ')[0]} left out" if file.note else ""
     return f"{len(time)} poses, {time[-1] - time[0]:.0f} s{note}"
-
-
-def _is_matrices(path: str) -> bool:
-    with Path(path).open() as file:
-        return len(file.readline().split()) == KITTI
 
 
 def layout(path: str) -> str:
@@ -47,7 +39,6 @@ def layout(path: str) -> str:
     return f"{len(read_deployment(path))} tags"
 
 
-KITTI = 12  # numbers in a line
 MOST = 2  # cameras of a file that are tried
 READERS: dict[str, Callable[[str], str]] = {"calibration": calibration, "trajectories": trajectory, "layouts": layout}
 

@@ -24,9 +24,13 @@ if TYPE_CHECKING:
 
 def localise(cfg: DictConfig) -> Study:
     """Prepare the localisation of the configured photographs or detections."""
+    from lmd.adjust.motion import seconds_of
+    from lmd.adjust.tables import files_of_model
     from lmd.core.checks import InputError, boolean, seed_number
     from lmd.formats.detection_formats import write_detections
+    from lmd.formats.models import read_model, tum_text
     from lmd.localise import results
+    from lmd.localise.alignment import align
     from lmd.localise.localise import Drive
     from lmd.localise.localise import localise as find
     from lmd.plot.plans import save_localised_figure
@@ -43,6 +47,7 @@ def localise(cfg: DictConfig) -> Study:
         calibrate = boolean("calibrate", settings.calibrate)
     if steady and odometry is not None:
         raise InputError("localise.motion = true and localise.odometry exclude each other: leave one of them out.")
+    model = None if cfg.align is None else read_model(cfg.align)
     seen = detected(cfg, given.cameras, detector, tag)
     source = "photographs" if cfg.detections is None else "detections"
     drive = Drive(given.mounted if isinstance(given, Rig) else None, odometry, steady)
@@ -51,19 +56,23 @@ def localise(cfg: DictConfig) -> Study:
     about = f"localisation of {found.found.poses.known_frames.sum()} of {len(seen.times)} frames"
     files: dict[str, Any] = {
         "poses.csv": results.frame_columns(found, found.found),
-        "poses.tum": results.tum_text(found, found.found),
+        "poses.tum": tum_text(seconds_of(seen.times), found.found.poses.frames),
         "changes.csv": results.change_columns(found),
         "localise.json": results.localise_document(found),
     }
     if (smoothed := found.smoothed) is not None:
         files["smoothed.csv"] = results.frame_columns(found, smoothed)
-        files["smoothed.tum"] = results.tum_text(found, smoothed)
+        files["smoothed.tum"] = tum_text(seconds_of(seen.times), smoothed.poses.frames)
     if cfg.picture:
         title = f"{about} in {cfg.map or 'the map'}"
         files["localise.png"] = lambda path: save_localised_figure(path, found, room, title)
     if cfg.detections is None:
         files["detections.csv"] = lambda path: write_detections(path, seen)
-    report = Report(files, results.metrics(found), text=results.to_text(found))
+    written, unable = files_of_model(found.smoothed or found.found, found.detected, given.cameras)
+    note(unable)
+    aligned, more, told = ({}, {}, "") if model is None else align(model, found)
+    text = f"{results.to_text(found)}\n{told}".rstrip()
+    report = Report({**files, **written, **aligned}, results.metrics(found) | more, text=text)
     return Study("localisation", lambda _: report, about)
 
 

@@ -167,6 +167,7 @@ def _files(
         title: title of the picture.
         detected: detections in all frames; None if they were read from a file.
     """
+    from lmd.adjust.tables import files_of_model
     from lmd.detection.tag_views import FILE as VIEWS
     from lmd.evaluation.audit import view_columns
     from lmd.formats.calibrations import camera_info
@@ -194,6 +195,9 @@ def _files(
     if len(names) > 1:
         rig = Rig.of_poses(list(through), found.found.poses.mounts)
         files[RIG] = partial(write_rig, rig=rig, sources=dict(zip(rig.cameras, names, strict=True)))
+    written, unable = files_of_model(found.found, found.detected, through)
+    note(unable)
+    files |= written
     if detected is not None:
         files["detections.csv"] = lambda path: write_detections(path, detected)
     return files

@@ -9,26 +9,18 @@ from numpy.typing import ArrayLike
 
 from lmd.adjust.estimate import Estimate
 from lmd.adjust.gauge import in_world
+from lmd.adjust.sightings import SQUARE
 from lmd.core.checks import FloatArray
 from lmd.core.words import few
 from lmd.formats.detections import DetectedTags
-from lmd.geometry.se3 import ROW
+from lmd.formats.models import image_names, model_files
+from lmd.geometry.camera import Camera
+from lmd.geometry.se3 import ROW, act, pose_rows
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")  # axes of positions and rotations in the world
 TWISTS = ("tilt_x", "tilt_y", "turn", "right", "up", "out")  # components of a twist in the frame of a tag
 NOTICED = 0.01  # a floor of the corners' standard deviation is printed if it exceeds this, pixels
 a_few = partial(few, most=12)
-
-
-def pose_rows(poses: FloatArray) -> FloatArray:
-    """Position and quaternion of each pose, `(n, 7)`; NaN without a pose."""
-    from scipy.spatial.transform import Rotation
-
-    rows, known = np.full((len(poses), len(ROW)), np.nan), np.isfinite(poses[:, 0, 0])
-    rows[known, :3] = poses[known, :3, 3]
-    if known.any():
-        rows[known, 3:] = Rotation.from_matrix(poses[known, :3, :3]).as_quat(canonical=True)
-    return rows
 
 
 def pose_columns(poses: FloatArray) -> dict[str, ArrayLike]:
@@ -119,3 +111,20 @@ def lines_of(
         "check": " ".join(doubts),
     }
     return lines | {label: text for label, text in rest.items() if text}
+
+
+def files_of_model(found: Estimate, detected: DetectedTags, cameras: Sequence[Camera]) -> tuple[dict[str, Any], str]:
+    """Files and note of `lmd.formats.models.model_files` for the images of an estimate; the points are the corners of
+    the tags.
+
+    Args:
+        found: the estimate.
+        detected: the detections.
+        cameras: cameras of an estimate in which they are exact.
+    """
+    through, poses, some = [one.found for one in found.calibrated] or cameras, found.poses, found.sightings
+    frame, camera = np.nonzero(detected.images & poses.known_frames[:, None])
+    names = np.array(image_names(detected))[frame, camera].tolist()
+    known = poses.known_tags & (found.group == 0)
+    corners = act(poses.tags[known], some.present_edges[known, None, None] / 2.0 * SQUARE)
+    return model_files(through, names, camera, poses.frames[frame] @ poses.mounts[camera], corners.reshape(-1, 3))

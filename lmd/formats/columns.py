@@ -26,10 +26,7 @@ EULER = ("roll", "pitch", "yaw")  # angles of a body in ROS's convention: x ahea
 OWN_ANGLES = ("yaw_from_y", "pitch_up", "roll_left")
 VECTOR = ("rx", "ry", "rz")  # rotation vector, whose length is the angle
 LONGEST_NAME = 200  # maximum number of characters of a column's name; longer names are unknown
-ALONE = (
-    "tum",
-    "kitti",
-)  # layouts that the number of values determines: a wrong reading gives no valid rotation
+ALONE = ("tum",)  # layouts that the number of values determines: a wrong reading gives no valid rotation
 ONCE = (EDGE, FAMILY)  # quantities that several columns may hold; only the first of these columns is read
 SHOWN = 200  # maximum number of characters of a line that a message shows
 _BRACKETS = re.compile(r"[\[(]([^\[(\])]*)[\])]$")

@@ -1,20 +1,19 @@
-"""Files of poses: tables, and two formats without times, KITTI's matrices and COLMAP's images."""
+"""Files of poses: tables with a time in each row."""
 
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, real
-from lmd.core.tables import COMMENT, Table, is_number, radians, seconds
-from lmd.formats.columns import EULER, OWN_ANGLES, POSES, POSITION, QUATERNION, TIME, Lines, Named, named
+from lmd.core.checks import BoolArray, FloatArray, InputError
+from lmd.core.tables import Table, is_number, radians, seconds
+from lmd.formats.columns import EULER, OWN_ANGLES, POSES, POSITION, QUATERNION, TIME, Named, named
 from lmd.formats.registry import read
 from lmd.formats.trees import File
 from lmd.geometry.frames import roll_pitch_yaw
-from lmd.geometry.se3 import are_rotations, camera_pose, inverse, nearest_rotations, pose_of, poses_from_rows
+from lmd.geometry.se3 import camera_pose, pose_of, poses_from_rows
 from lmd.geometry.trajectory import check_order
 
 NANOSECONDS = 1e16  # a larger time is in nanoseconds, as it would be 300 million years in seconds
@@ -28,10 +27,6 @@ STEEP, NEARLY_ALL = np.cos(np.radians(30.0)), 0.9
 OWN_HEADER = (TIME, *POSITION, "yaw", "pitch")  # former header of a file with a camera's angles
 ROS_BODIES = re.compile(r"/?(.*/)?(base_link|base_footprint|base|body|robot)")
 ROS_OPTICAL = re.compile(r".*optical(_frame|_link)?")
-_NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
-# Line of a COLMAP image: IMAGE_ID, quaternion with w first, translation, CAMERA_ID, NAME. A line of 2-D points has
-# only numbers.
-_IMAGE = re.compile(rf"\s*(\d+)((?:\s+{_NUMBER}){{7}})\s+(\d+)\s+(?!{_NUMBER}(?:\s|$))(\S(?:.*\S)?)\s*")
 
 
 @dataclass(frozen=True)
@@ -71,7 +66,7 @@ def read_rows(path: str, **asked: Any) -> Rows:
     out.
 
     Args:
-        asked: `times`, `rate`, `frame` and `columns` of `lmd.formats.trajectories.TrajectoryFile`.
+        asked: `frame` and `columns` of `lmd.formats.trajectories.TrajectoryFile`.
 
     Raises:
         InputError: the file cannot be read, or holds no poses; the message names the file.
@@ -122,37 +117,6 @@ def checked_seconds(source: str, time: FloatArray, unit: float | None, positions
     return time
 
 
-def given_times(count: int, what: str, times: str | None, rate: float | None) -> FloatArray | None:
-    """Times `(count,)`, seconds, for poses from a file without times; None if a `rate` is given, from which the caller
-    derives the times.
-
-    Args:
-        what: name of the format without times, for messages.
-        times: file with the time of each pose, one per line.
-        rate: poses per second, instead of `times`.
-
-    Raises:
-        InputError: neither or both of `times` and `rate` are given, or the number of times is not `count`.
-    """
-    if (times is None) == (rate is None):
-        if times is None:
-            raise InputError(f"rate (poses a second) or times (a file) must be given: {what} no times.", "rate")
-        raise InputError("rate must be left out if times is given.", "rate")
-    if rate is not None:
-        real("rate", rate, above=0.0)
-        return None
-    rows = Lines.of(times, File(times, "times").text, "times").rows
-    if not rows or len(rows[0][1]) != 1 or not is_number(rows[0][1][0]):
-        raise InputError(f"times: {times} must have one number per line, in seconds.", "times")
-    time = Table.of(times, [TIME], rows).numbers([TIME])[:, 0]
-    if len(time) != count:
-        raise InputError(f"times: {times} has {len(time)} times for {count} poses.", "times")
-    try:
-        return checked_seconds(str(times), time, None, None)
-    except InputError as error:
-        raise InputError(f"times: {times}: {str(error).removeprefix(f'{times}: ')}", "times") from None
-
-
 def steep(sines: FloatArray, path: object) -> str:
     """Question to the user if nearly all views look up or down, as happens if body poses are read as camera poses; else
     an empty text.
@@ -169,13 +133,9 @@ def steep(sines: FloatArray, path: object) -> str:
 
 
 def of_table(file: File) -> Rows:
-    """Rows of poses from a table with a time in each line, or from KITTI's matrices."""
+    """Rows of poses from a table with a time in each line."""
     found = named(file.path, file.text, POSES, file.asked["columns"], file.argument)
     table, unit = found.table, found.time_unit
-    if found.layout.name == "kitti":
-        return _of_matrices(file, table)
-    if name := next((name for name in ("times", "rate") if file.asked[name] is not None), ""):
-        raise InputError(f"{name} must be left out: {file.path} has a time in each line.", name)
     if not {TIME, *POSITION} <= found.columns.keys():
         raise _lacking(found)
     time, place = table.numbers([TIME], None)[:, 0], table.numbers(POSITION, None)
@@ -257,94 +217,3 @@ def _lacking(found: Named) -> InputError:
     said = ", ".join(found.columns.get(name, name) for name in found.table.texts)[:300]
     needed = "a pose has time, x, y, z and qx, qy, qz, qw (or roll, pitch, yaw)"
     return InputError(f"it lacks {', '.join(missing)}: {needed}, but its columns are {said}.{hint}")
-
-
-def _of_matrices(file: File, table: Table) -> Rows:
-    """Poses from matrices [R p], row by row; rotations are made orthonormal.
-
-    Raises:
-        InputError: a matrix is not a rigid motion, or the times are missing.
-    """
-    numbers, rate = table.numbers(list(table.texts)).reshape(-1, 3, 4), file.asked["rate"]
-    turns = numbers[:, :, :3]
-    if (bad := np.flatnonzero(~are_rotations(turns))).size:
-        raise InputError(f"line {table.lines[bad[0]]}: the first three columns of its 3 x 4 matrix are not a rotation.")
-    time = given_times(len(numbers), f"{file.path} has 12 numbers a line, as KITTI, and", file.asked["times"], rate)
-    if time is None:
-        time = np.arange(len(numbers)) / float(rate)
-    return Rows(table.path, table.lines, time, pose_of(nearest_rotations(turns), numbers[:, :, 3]))
-
-
-class Image(NamedTuple):
-    """Image in COLMAP's `images.txt`."""
-
-    number: int
-    """Number of the image, COLMAP's IMAGE_ID."""
-    line: int
-    """Line in the file, from 1."""
-    numbers: list[float]
-    """Quaternion, w first, and translation: world to camera."""
-    camera: str
-    """COLMAP's CAMERA_ID, and the folder of the image, which together identify the camera."""
-    name: str
-    """Name of the image's file."""
-
-
-def images_of(file: File) -> list[Image]:
-    """Images in COLMAP's `images.txt`, in the order of their numbers; empty for any other file.
-
-    Raises:
-        InputError: a line is not an image.
-    """
-    lines = [(i, line) for i, line in enumerate(file.text.splitlines(), 1) if not line.lstrip().startswith(COMMENT)]
-    first = next((i for i, (_, line) in enumerate(lines) if line.strip()), None)
-    if first is None or _IMAGE.fullmatch(lines[first][1]) is None:
-        return []
-    images, after_image = [], False
-    for line, said in lines[first:]:
-        if (found := _IMAGE.fullmatch(said)) is not None:
-            camera = f"{found[3]} {found[4].rpartition('/')[0]}".strip()
-            images.append(Image(int(found[1]), line, [float(text) for text in found[2].split()], camera, found[4]))
-        elif said.strip() and not after_image:  # the line after an image lists its points, or is empty
-            raise InputError(f"line {line} is not an image of COLMAP: IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME.")
-        after_image = found is not None
-    return sorted(images)
-
-
-def of_images(file: File) -> Rows:
-    """Poses of COLMAP's images, camera to world, in the order of their numbers.
-
-    With a rate, the time of an image follows from its number, so that an image that was not registered leaves a gap.
-
-    Raises:
-        InputError: the times are missing, or numbers and names have different orders.
-    """
-    images, rate = images_of(file), file.asked["rate"]
-    for one, other in pairwise(images):
-        if one.number == other.number:
-            raise InputError(f"line {other.line}: the image {other.number} occurs twice.")
-        if one.camera != other.camera:
-            told = f"{one.camera} and {other.camera} (CAMERA_ID and folder)"
-            raise InputError(f"its images are of several cameras, {told}: keep the images of one camera.")
-        if _in_words(one.name) > _in_words(other.name):
-            raise InputError(
-                f"the order of its images is not clear: {one.name} has the number {one.number}, and {other.name} "
-                f"has {other.number}. Renumber them in the order in which they were taken."
-            )
-    lines = [image.line for image in images]
-    world_to_camera = poses_from_rows(np.array([image.numbers for image in images])[:, [4, 5, 6, 1, 2, 3, 0]], lines)
-    time = given_times(len(images), f"{file.path} has images of COLMAP, and", file.asked["times"], rate)
-    by = "by their times" if time is not None else f"at {rate:g} image numbers per second"
-    if time is None:
-        numbers = np.array([float(image.number) for image in images])
-        time = (numbers - numbers[0]) / float(rate)
-    note = (
-        f"{file.path} has the poses of {len(images)} images of COLMAP, world to camera, which are inverted, in the "
-        f"order of their numbers, from {images[0].name} to {images[-1].name}, {by}"
-    )
-    return Rows(str(file.path), lines, time, inverse(world_to_camera), "optical", notes=(note,))
-
-
-def _in_words(name: str) -> list[tuple[int, str]]:
-    """Sort key for names with numbers, by which img9 comes before img10."""
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d{1,18})", name)]

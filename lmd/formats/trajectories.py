@@ -35,8 +35,6 @@ class TrajectoryFile(Checked):
             as in `lmd.geometry.frames.rotation`, also as time,x,y,z,yaw,pitch. Units are seconds, metres and radians.
         frame: frame of the orientations: `optical` (x right, y down, z the optical axis) or `body` (x along the optical
             axis, y left, z up; yaw, pitch and roll are then ROS's). Not used with a `mount`.
-        times: file with the time of each pose, one per line, for a trajectory without times (KITTI, COLMAP).
-        rate: number of poses per second, instead of `times`.
         align: pose of the recording's frame in the room: [x, y, z, yaw] for a frame with z up, yaw counter-clockwise
             seen from above; or [x, y, z, qx, qy, qz, qw]. Or at least three points, each given by its coordinates in
             the recording's frame and then in the room's frame.
@@ -51,8 +49,6 @@ class TrajectoryFile(Checked):
 
     path: str | None
     frame: Annotated[str, partial(choice, options=list(FRAMES))] = "optical"
-    times: str | None = None
-    rate: float | None = None
     align: Sequence[Any] | None = None
     mount: str | Mapping[str, Any] | Sequence[float] | None = None
     columns: str | Sequence[str] | None = None
@@ -62,8 +58,7 @@ class TrajectoryFile(Checked):
         """Poses of the camera in the room, and the rows of the file with the recorded poses."""
         if self.path is None:
             raise InputError("path is missing: a file of poses is needed.", "path")
-        asked = {name: getattr(self, name) for name in ("times", "rate", "frame", "columns")}
-        rows = read_rows(self.path, **asked)
+        rows = read_rows(self.path, frame=self.frame, columns=self.columns)
         if rows.frame == "optical" and self.frame == "body":
             raise InputError(f"frame must be optical: {self.path} has the poses of a camera.", "frame")
         poses = rows.poses

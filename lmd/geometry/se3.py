@@ -61,6 +61,17 @@ def poses_from_rows(rows: FloatArray, lines: Sequence[int] | None = None) -> Flo
     return pose_of(Rotation.from_quat(rows[:, 3:]).as_matrix(), rows[:, :3])
 
 
+def pose_rows(poses: FloatArray) -> FloatArray:
+    """Position and quaternion of each pose, `(n, 7)`; NaN without a pose."""
+    from scipy.spatial.transform import Rotation
+
+    rows, known = np.full((len(poses), len(ROW)), np.nan), np.isfinite(poses[:, 0, 0])
+    rows[known, :3] = poses[known, :3, 3]
+    if known.any():
+        rows[known, 3:] = Rotation.from_matrix(poses[known, :3, :3]).as_quat(canonical=True)
+    return rows
+
+
 def are_rotations(matrices: FloatArray) -> BoolArray:
     """Mask `(...)` of those matrices `(..., 3, 3)` that are rotations within `MATRIX_TOLERANCE`."""
     error = np.abs(np.swapaxes(matrices, -1, -2) @ matrices - np.eye(3)).max(axis=(-1, -2))

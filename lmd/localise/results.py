@@ -8,7 +8,6 @@ from numpy.typing import ArrayLike
 
 from lmd.adjust.estimate import Estimate
 from lmd.adjust.gauge import worst_sigmas
-from lmd.adjust.motion import seconds_of
 from lmd.adjust.tables import (
     both,
     clock_figures,
@@ -17,7 +16,6 @@ from lmd.adjust.tables import (
     figures_of,
     lines_of,
     pose_columns,
-    pose_rows,
     quantiles,
 )
 from lmd.core.words import few, labelled
@@ -25,7 +23,6 @@ from lmd.localise.changes import Change
 from lmd.localise.images import State
 from lmd.localise.localise import Localisation
 
-TUM = "# timestamp tx ty tz qx qy qz qw"
 NAMED = 5  # largest number of refused frames, and of tags without a detection, that are named
 
 
@@ -45,13 +42,6 @@ def frame_columns(result: Localisation, found: Estimate) -> dict[str, ArrayLike]
         **pose_columns(frames),
         **covariance_columns(frames, found.frame_covariances),
     }
-
-
-def tum_text(result: Localisation, found: Estimate) -> str:
-    """Text in TUM's format with the poses of all frames that have a time, seconds."""
-    rows = np.column_stack([seconds_of(result.detected.times), pose_rows(found.poses.frames)])
-    lines = [f"{time:.7f} " + " ".join(f"{x:.9f}" for x in row) for time, *row in rows[np.isfinite(rows).all(axis=1)]]
-    return "\n".join([TUM, *lines, ""])
 
 
 def change_columns(result: Localisation) -> dict[str, ArrayLike]:

@@ -23,9 +23,9 @@ OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # fro
 ALL = [(of, name) for of in ("poses", "tags", "detections") for name in TABLES[of]]
 
 
-def read(of, path, columns=None, rate=None, frame="optical", **_):
+def read(of, path, columns=None, frame="optical", **_):
     if of == "poses":
-        return TrajectoryFile(str(path), frame, rate=rate, columns=columns).trajectory
+        return TrajectoryFile(str(path), frame, columns=columns).trajectory
     return read_deployment(path, columns=columns) if of == "tags" else read_detections(path)
 
 
@@ -39,7 +39,7 @@ def check_poses(found, row):
     drive = TABLES["drives"][row["drive"]]
     time, rows = np.array(drive["time"]), np.array(drive["poses"])
     turns = Rotation.from_quat(rows[:, 3:]).as_matrix() @ (OPTICAL if row.get("body") else np.eye(3))
-    np.testing.assert_allclose(found.time, time - (time[0] - row["start"] if "start" in row else 0.0), atol=1e-6)
+    np.testing.assert_allclose(found.time, time, atol=1e-6)
     np.testing.assert_allclose(found.poses[:, :3, 3], rows[:, :3], atol=1e-6)
     np.testing.assert_allclose(found.poses[:, :3, :3], turns, atol=1e-6)
 
@@ -100,7 +100,7 @@ def test_the_order_of_columns_does_not_matter(of, name, seed, tmp_path_factory):
     CHECKS[of](read(of, path, **row | {"frame": frame}), row)
 
 
-WORDLESS = ("tum", "kitti", "rtabmap", "ros2 topic echo of a pose")
+WORDLESS = ("tum", "rtabmap", "ros2 topic echo of a pose")
 
 
 def test_every_word_for_columns_has_a_file():
@@ -153,17 +153,6 @@ def test_angles_of_a_camera_are_about_its_axis(tmp_path):
         np.testing.assert_allclose(
             one.poses[0, :3, 2], [np.sin(0.3) * np.cos(0.1), np.cos(0.3) * np.cos(0.1), np.sin(0.1)]
         )
-
-
-def test_times_come_from_a_file(tmp_path):
-    row = TABLES["poses"]["kitti"]
-    (tmp_path / "times").write_text("1.7e9\n1.70000000025e9\n1.7000000005e9\n")
-    path = write(tmp_path, row["text"])
-    check_poses(TrajectoryFile(str(path), times=str(tmp_path / "times")).trajectory, {"drive": row["drive"]})
-    (tmp_path / "times").write_text("0\n1\n")
-    file = TrajectoryFile(str(path), times=str(tmp_path / "times"))
-    with pytest.raises(InputError, match="has 2 times for 3 poses"):
-        _ = file.trajectory
 
 
 def test_tags_come_back_from_a_file(tmp_path):

@@ -19,6 +19,7 @@ from lmd.localise.images import State
 from lmd.scene.deployment import COLUMNS, UP_COLUMNS
 
 FILES = {"poses.csv", "poses.tum", "changes.csv", "localise.json", "localise.png", ".hydra"}
+FILES |= {"colmap", "transforms.json"}
 GIVEN = ["detections=seen.csv", "camera.path=camera.yaml", "tracking=none"]
 pytestmark = pytest.mark.slow
 

@@ -25,7 +25,7 @@ SETTINGS = ["photographs=photos", "camera.path=camera.yaml", f"tag.edge={EDGE}",
             "hydra.run.dir=out"]  # fmt: skip
 READ = [setting for setting in SETTINGS if not setting.startswith(("photographs", "hydra"))]
 FILES = {"map.csv", "measured.csv", "frames.csv", "detections.csv", "survey.json", "survey.png"}
-FILES |= {"in_view.csv", "camera.yaml", "map.npz"}
+FILES |= {"in_view.csv", "camera.yaml", "map.npz", "colmap", "transforms.json"}
 pytestmark = pytest.mark.slow
 
 

@@ -33,7 +33,7 @@ def read_camera(path):
 
 def read_trajectory(path):
     row = TABLES["poses"].get(path.name, {})
-    return TrajectoryFile(str(path), rate=row.get("rate"), columns=row.get("columns")).trajectory
+    return TrajectoryFile(str(path), columns=row.get("columns")).trajectory
 
 
 def read_tags(path):
@@ -78,7 +78,7 @@ READERS = {
 }
 SAMPLES = {
     "calibration": keyed("calibration"),
-    "trajectory": texts("poses", "degrees", "ros2 topic echo of odometry", "kitti", "colmap", "tum", "vins", "euroc"),
+    "trajectory": texts("poses", "degrees", "ros2 topic echo of odometry", "tum", "vins", "euroc"),
     "tag map": keyed("tag_map")
     | texts("tags", "size of a list", "quaternions", "header with spaces", "clover", "clover without names", "list")
     | texts("tags", "fiducial_slam", "rtabmap priors", "rtabmap ini", "rtabmap poses"),
