@@ -275,7 +275,9 @@ def _want_blocks(k: Integer, state: Any, scratch: Any) -> None:
 
 @inlined
 def _hide_from(p: Integer, one: Any, pose: Any, two: Any, other: Any, positions: FloatArray) -> Any:
-    """Result of `hide_between` for two landmarks, given by model of sight and pose, as seen from position p."""
+    """Result of `hide_between` for two landmarks as seen from position p: `one` and `two` are their models of sight,
+    `pose` and `other` their poses.
+    """
     (place, facing), (there, turned), at = pose, other, column3(positions, p)
     a, b = minus3(place, at), minus3(there, at)
     return hide_between(one, two, a, dot3(a, a), b, dot3(b, b), facing, turned)
@@ -317,8 +319,8 @@ def _note_hiding(i: Integer, p: Integer, one: Any, two: Any, role: Any, scratch:
 
 @inlined
 def turns(reachable: Any, was: Any, now: Any) -> Any:
-    """True if a landmark appears or disappears when the number of landmarks that hide it changes from `was` to
-    `now`.
+    """True if a landmark appears or disappears when the number of landmarks that hide this landmark changes from `was`
+    to `now`; `reachable` is True if some axis covers the landmark, occlusion ignored.
     """
     return reachable & ((was == 0) != (now == 0))
 

@@ -239,7 +239,9 @@ def _exchange_sets(state: Any, k: Integer, p: Integer, w: Integer, scratch: Any)
 
 @inner
 def _exchange_group(k: Integer, positions: FloatArray, mine: Any, other: Any) -> None:
-    """Exchange the sets of landmark k at `positions` between the state of a group, `mine`, and its scratch, `other`."""
+    """Swap the sets of landmark k at `positions`: the sets in `mine`, the state of a mount group, for the sets in
+    `other`, the group's scratch.
+    """
     covered, occluded, tried_covered, tried_occluded = mine[COVERED], mine[OCCLUDED], other[COVERED], other[OCCLUDED]
     for q in positions:
         for m in range(covered.shape[2]):

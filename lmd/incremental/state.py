@@ -2,7 +2,8 @@
 which is working memory with the move tried last. Words in capitals, such as `FRESH`, name rows of the arrays.
 
 Fields of one name have one meaning for a camera and for a rig. Arrays of equal type and shape are rows of one array,
-with a constant for each row. numba passes an n-dimensional array as 5 + 2n numbers to functions that are not inlined.
+with a constant for the index of each row, as numba passes every n-dimensional array as 5 + 2n numbers to functions that
+are not inlined.
 """
 
 from typing import Any, NamedTuple
@@ -175,7 +176,7 @@ class Scratch(NamedTuple):
     target: np.ndarray
     """`(6,)` position (metres) and unit normal of the place tried."""
     numbers: np.ndarray
-    """`(5,)` int64 lengths of the lists, entries `BLOCK_COUNT` to `TOUCHED_COUNT`."""
+    """`(5,)` int64 lengths of the `lists` that are in use, entries `BLOCK_COUNT` to `TOUCHED_COUNT`."""
     units: np.ndarray
     """`(Q,)` quantised P_n with the landmark at the place tried, or upper bounds on P_n."""
     flags: np.ndarray
@@ -197,7 +198,7 @@ class Scratch(NamedTuple):
     known: np.ndarray
     """`(Q, K)` True if position and landmark are one of the `pairs`."""
     changes: np.ndarray
-    """`(2, K, Q)` int8 changes of `State.hides` by the move, for the `pairs`."""
+    """`(2, K, Q)` int8: for the `pairs`, the changes by the move of the numbers in `State.hides`."""
     hides: np.ndarray
     """`(2, Q)` int16: for each position, number of landmarks that hide the moving landmark at the place tried (row
     `HIDDEN`), and number of landmarks that it hides there (row `HIDING`).

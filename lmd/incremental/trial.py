@@ -66,7 +66,7 @@ def shown_of(state: Any, k: Integer, p: Integer, w: Integer) -> Any:
 
 @dispatched
 def turned(state: Any, i: Integer, p: Integer, w: Integer, scratch: Any) -> Any:
-    """Result of `shown_of` for landmark i of `Scratch.pairs` before and after the move."""
+    """Results of `shown_of` for landmark i, which occurs in `Scratch.pairs`: before the move, and after the move."""
 
 
 @dispatched_call
@@ -106,7 +106,7 @@ def list_changing(state: Any, k: Integer, scratch: Any) -> Any:
 
 @dispatched
 def exchange_sets(state: Any, k: Integer, p: Integer, w: Integer, scratch: Any) -> Any:
-    """Exchange word w of the sets of landmark k at position p between state and scratch.
+    """Swap word w of the sets of landmark k at position p: state and scratch get each other's word.
 
     Returns:
         two sets: orientations with which the landmark is seen before the exchange, and after the exchange.
@@ -115,7 +115,8 @@ def exchange_sets(state: Any, k: Integer, p: Integer, w: Integer, scratch: Any) 
 
 @dispatched_call
 def exchange_views(state: Any, k: Integer, scratch: Any) -> None:
-    """Exchange the data of landmark k, except its sets, between state and scratch, and apply the changes of the pairs.
+    """Swap the data of landmark k, except its sets, in the state for the data in the scratch, and apply the changes of
+    the pairs.
 
     A second call undoes the first call.
     """
@@ -142,8 +143,8 @@ def begin_place(k: Integer, field: Any, state: Any, scratch: Any) -> None:
 
 @inner
 def begin_move(k: Integer, pose: Any, surface: Integer, field: Any, state: Any, scratch: Any) -> None:
-    """Begin a trial with landmark k at `pose` `(6,)`: find the pairs of the old place, and copy all values of the
-    state.
+    """Begin a trial with landmark k at `pose` `(6,)`: find the pairs of the old place, and copy all values of the state
+    to the scratch.
 
     `pose` is position (metres) and unit normal.
     """
@@ -244,7 +245,7 @@ def finish_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 @inner
 def exchange(k: Integer, field: Any, state: Any, scratch: Any) -> None:
-    """Exchange the data of landmark k and of the pairs between state and scratch, and update the counts."""
+    """Swap the data of landmark k and of the pairs in the state for the data in the scratch, and update the counts."""
     landmark, position = scratch.pairs[LANDMARK], scratch.pairs[POSITION]
     words = np.uint64(state.counts.digits.shape[1])
     for p in scratch.lists[LISTED][: list_changing(state, k, scratch)]:

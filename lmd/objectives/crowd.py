@@ -36,8 +36,8 @@ class WorstGroups(NamedTuple):
         return self.target.relevance  # type: ignore[no-any-return]
 
     def of_worst(self, units: IntArray) -> Any:
-        """Target of the groups that are the worst for the values `units` `(Q,)`; at these values it has the slope of
-        this target.
+        """Target over those groups only that are the worst for the values `units` `(Q,)`; at these values, it has the
+        derivatives of this target.
         """
         terms = np.array([contribution(self.target, p, units[p]) for p in range(len(units))])
         sums = np.bincount(self.groups, terms, self.number)
@@ -136,7 +136,7 @@ def target_of(objective: Objective, field: Field, evaluator: Evaluator, relevanc
 
 
 def slope_target(target: Target, units: IntArray) -> Target:
-    """Target whose fitness is a sum over positions, and which has the slope of `target` at the values `units`
+    """Target whose fitness is a sum over positions, and which has the derivatives of `target` at the values `units`
     `(Q,)`.
     """
     return target.of_worst(units) if isinstance(target, WorstGroups) else target

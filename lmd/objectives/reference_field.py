@@ -103,7 +103,7 @@ def _leave(field, k, state, scratch):  # type: ignore[no-untyped-def]
 @accept.register(ReferenceField)
 @undo.register(ReferenceField)
 def _exchange(field, k, state, scratch):  # type: ignore[no-untyped-def] # noqa: ARG001
-    """Exchange the place of landmark k and the values between state and scratch."""
+    """Swap the place of landmark k and the values in the state for those in the scratch."""
     pairs = (
         (state.poses[:, k], scratch.pose),
         (state.surfaces[k : k + 1], scratch.surface),

@@ -96,7 +96,7 @@ class Optimiser(ABC):
             raise InputError(f"{type(self).__name__} places landmarks, not cameras; use a black box.")
 
     def figures(self) -> Mapping[str, float]:
-        """Further metrics of the run, recorded beside the fitness; none by default."""
+        """Further metrics of the run, recorded in addition to the fitness; none by default."""
         return {}
 
     @abstractmethod

@@ -37,8 +37,8 @@ class Budget(Checked):
         return math.inf if self.evaluations is None else self.evaluations
 
     def used(self, evaluations: float, seconds: float) -> float:
-        """Fraction of the budget that is spent, the larger of the fractions of both limits; 1 or more if the budget is
-        used up.
+        """Fraction of the budget that is spent: the larger of the spent fractions of evaluations and of time; 1 or more
+        if the budget is used up.
         """
         return max(evaluations / self.limit, seconds / (self.seconds or math.inf))
 
@@ -110,7 +110,7 @@ class Ledger:
         best = array("best_fitness", state["best_fitness"], np.float64, len(evaluations), low=-math.inf)
         seconds = array("wall_time", state["wall_time"], np.float64, len(evaluations), low=0.0)
         if (evaluations[1:] < evaluations[:-1]).any() or (best[1:] < best[:-1]).any():
-            raise InputError("the history must not fall.")
+            raise InputError("the best fitness must not fall.")
         ledger = cls()
         for spent, fitness, by_then in zip(evaluations.tolist(), best.tolist(), seconds.tolist(), strict=True):
             ledger.seconds = by_then

@@ -198,7 +198,8 @@ def _folds(count: int) -> list[IntArray]:
 
 
 def _log_likelihood(probability: FloatArray, count: float, index: IntArray) -> FloatArray:
-    """Log probabilities of the cells that contain held-out samples, `(S,)`.
+    """Log probabilities of the cells that contain held-out samples, `(S,)`; `probability` was fitted to `count`
+    samples.
 
     The density is mixed with one additional uniform sample, so that the log probability of an outlier is finite.
     """

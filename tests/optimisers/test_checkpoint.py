@@ -216,7 +216,7 @@ def test_a_tampered_document_is_refused_or_harmless(case, tmp_path_factory, data
         ("evaluations", math.nan, r"evaluations must not have the value nan"),
         ("best_fitness", math.inf, r"best_fitness must not have the value inf"),
         ("wall_time", -1.0, r"wall_time must not have the value -1"),
-        ("evaluations", 1.0, r"the history must not fall"),
+        ("evaluations", 1.0, r"the best fitness must not fall"),
     ],
 )
 def test_what_kernels_would_trust_is_checked(case, tmp_path, key, value, message):

@@ -118,7 +118,7 @@ class Filtered(AtLeast):
 
     def _validate(self) -> None:
         if not isinstance(self.drives, Drives):
-            raise InputError(f"drives must be Drives, got {self.drives!r}.", "drives")
+            raise InputError(f"drives must be a Drives object, got {self.drives!r}.", "drives")
 
     @property
     def sampling(self) -> Sampling | None:

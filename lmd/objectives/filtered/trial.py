@@ -120,8 +120,8 @@ def settle_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 @inner
 def exchange_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
-    """Carry out or undo the move tried last: exchange the place of landmark k, and the data that depend on the place,
-    between state and scratch.
+    """Carry out or undo the move tried last: swap the place of landmark k, and the data that depend on the place, in
+    the state for those in the scratch.
     """
     for i in range(6):
         state.poses[i, k], scratch.pose[i] = scratch.pose[i], state.poses[i, k]

@@ -100,7 +100,7 @@ def resolves_ambiguity(precision: Precision) -> bool:
 
 @inlined
 def mirrored_square(tag: Square) -> Number:
-    """Residual S of a tag (see the module), times its distance cubed, in units of f^2."""
+    """Residual S of a tag (see the module), times the cube of the tag's distance, in units of f^2."""
     offset, right, up = tag
     squared, along, above = np.maximum(dot3(offset, offset), TINY), dot3(offset, right), dot3(offset, up)
     p, q = along * along / squared, above * above / squared  # p^2 and q^2, times the squared half edge
@@ -109,7 +109,7 @@ def mirrored_square(tag: Square) -> Number:
 
 @inlined
 def residual_ratio(tag: Square, least: Number) -> Number:
-    """Ratio of a tag's residual S to the required residual `least`, times the distance cubed."""
+    """Ratio of a tag's residual S to the required residual `least`, times the cube of the tag's distance."""
     squared = dot3(tag[0], tag[0])
     return np.minimum(mirrored_square(tag) / least, MOST * (squared * np.sqrt(squared)))
 
@@ -129,8 +129,8 @@ def _no_camera_residual(least: None, tag: Square) -> Number:
 
 @inlined
 def mirrored_numbers(tag: Square, least: Number) -> tuple[Number, Number, Number, Number, Number]:
-    """Five numbers of a tag, each times its distance cubed: the ratio of S to the required residual `least`, then M and
-    h. S and M are in units of f^2.
+    """Five numbers of a tag, each times the cube of the tag's distance: the ratio of S to the required residual
+    `least`, then M and h (three numbers). S and M are in units of f^2.
     """
     offset, right, up = tag
     squared, along, above = dot3(offset, offset), dot3(offset, right), dot3(offset, up)

@@ -138,9 +138,10 @@ def _gains(
         start, stop: range of the poses.
         points, normals: positions, metres, and unit normals of the poses, `(N, 3)`.
         prices: weight of each view (position and axis) in the mean, relevance times probability, `(P, D)`.
+        parts: tuple of the arguments listed next (`positions` to `known`), in this order.
         positions: positions of the camera, metres, `(P, 3)`.
         sight, obstacles, axes, bands: see `kernels.evaluate_range`.
-        precision: size of the tags.
+        precision: size of the tags, and weight of their corners; its limits are not used.
         sums: information of each view, `(P, D, WIDTH)`.
         known: `log_det` of each view, `(P, D)`.
         out: receives the gains.
@@ -218,7 +219,7 @@ def _rig_gains(
         tags: centres and sides of the tags at the poses, see `tags_of`.
         prices: weight of each view (position and orientation) in the mean, relevance times probability, `(P, D)`.
         positions: positions of the body, `(P, 3)`, metres.
-        precision: size of the tags.
+        precision: size of the tags, and weight of their corners; its limits are not used.
         sums: information of each view, `(P D, BODY_WIDTH)`.
         known: `body_log_det` of each view, `(P, D)`.
         views: working memory.

@@ -242,7 +242,7 @@ def _find_mirrored(work: FloatArray, least: float, filled: Integer) -> None:
 
 @inner
 def _seen_by_group(shown: GroupCoverage, p: Integer, k: Integer, w: Integer) -> np.uint64:
-    """Orientations of word w with which any camera of a group covers landmark k from position p."""
+    """Orientations of word w with which at least one camera of a group covers landmark k from position p."""
     seen = ZERO
     for m in range(len(shown.sets)):
         seen |= shown.sets[m, p, k, w]
@@ -263,7 +263,7 @@ def _add_of_group(
 
 @inner
 def seen_by_any(every: tuple[GroupCoverage, ...], p: Integer, k: Integer, w: Integer) -> np.uint64:
-    """Orientations of word w with which any camera covers landmark k from position p."""
+    """Orientations of word w with which at least one camera covers landmark k from position p."""
     seen = ZERO
     for shown in literal_unroll(every):
         seen |= _seen_by_group(shown, p, k, w)

@@ -84,7 +84,7 @@ def _decide_word(
     of these views to `LOCALISED`.
 
     Args:
-        k, q, w: indices of the landmark, of the position and of the word.
+        where: k, q and w: indices of the landmark, of the position and of the word.
         lost, gained: views in which some landmark disappears, and views in which some landmark appears, for some
             camera.
         has: views that cover n landmarks or more.

@@ -40,7 +40,8 @@ def slopes(
     first: int, field: Any, state: Any, scratch: Any, target: Any, surfaces: SurfaceArrays, difference: float,
     width: float, out: FloatArray,
 ) -> None:  # fmt: skip
-    """Write the slope of the smoothed objective along u and v into `out` `(K, 2)`, for landmarks from `first` on.
+    """Write the slope (partial derivatives) of the smoothed objective along u and v into `out` `(K, 2)`, for landmarks
+    from `first` on.
 
     Args:
         first: index of the first landmark that is not fixed.

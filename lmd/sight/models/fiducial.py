@@ -15,8 +15,7 @@ seen if
 Let (u, v, w) be the tag's centre in the camera frame, and t, s the tag's unit vectors to the right and up. The Jacobian
 J maps metres in the plane of the tag to pixels. The column for t is (f_u (t_u - t_w u / w) / w, f_v (t_v - t_w v / w) /
 w). The column for s has s_u, s_v and s_w in place of t_u, t_v and t_w. The smaller eigenvalue of J^T J is at least T if
-2 T <= |J|^2 and T^2
-- |J|^2 T + det(J)^2 >= 0. Moreover |det J| = f_u f_v |n . d| / w^3.
+2 T <= |J|^2 and T^2 - |J|^2 T + det(J)^2 >= 0. Moreover |det J| = f_u f_v |n . d| / w^3.
 
 Each border of a pinhole image bounds a half-space in the camera frame, so the corner farthest out decides. With lens
 distortion, the centre and each corner are projected one by one and must lie within `Camera.widest_angle` of the axis,
