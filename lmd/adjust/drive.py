@@ -105,8 +105,9 @@ def measured_motion(joint: Adjustment, poses: Poses, floor: float) -> Motion:
 
 
 def with_rough_clock(motion: Motion, frames: IntArray, part: IntArray, poses: FloatArray) -> Motion:
-    """Motion by odometry at the times of the images according to the offset of the clocks, see `Clock`, at which
-    odometry fits the poses best. A motion at a constant velocity, or with clocks that agree well enough, is unchanged.
+    """Motion with the odometry taken at the times of the images plus that offset of the clocks, see `Clock`, at which
+    the odometry fits the poses best. A constant-velocity motion, or one whose offset is not significant, is returned
+    unchanged.
 
     Args:
         motion: motion between all frames.

@@ -149,7 +149,7 @@ class Motion:
         return cls(times, DRIFT, path, np.stack(drift, axis=1), bias, piece, odometry=odometry, offset=offset)
 
     def shifted(self, offset: float) -> "Motion":
-        """Motion by the odometry with another offset of its clock, seconds, at the present spread."""
+        """Motion with another `offset` of the odometry's clock, seconds, and with the present spread."""
         assert self.odometry is not None
         return replace(Motion.by_odometry(self.times, self.odometry, offset), spread=self.spread)
 

@@ -261,7 +261,8 @@ def _clock(found: Estimate) -> Clock | None:
     """Offset of the camera's clock, with a prior standard deviation of a second; None without odometry.
 
     If the camera's clock is behind, images show the body farther along its way than at their times. The derivative of
-    the residuals with respect to the offset is that with respect to the pose of the body, times the body's velocity.
+    the residuals with respect to the offset is their derivative with respect to the pose of the body, times the body's
+    velocity.
 
     Drift of odometry looks like changes of the velocity, and would make the offset seem known where the velocity is
     constant. The velocities from even and from odd steps of odometry have independent drift, so the product of their
