@@ -288,7 +288,7 @@ def carry_out(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 @borrowing
 def fill(field: Any, state: Any, scratch: Any) -> None:
-    """Count all landmarks in a `state` in which none is counted, one after the other, and compute P_n."""
+    """Count all landmarks, one after the other, in a `state` in which no landmark is counted yet, and compute P_n."""
     for k in range(np.uint64(state.poses.shape[1])):
         for i in range(6):
             scratch.target[i] = state.poses[i, k]

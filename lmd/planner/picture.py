@@ -147,8 +147,8 @@ class RoomPicture:
         return fresh
 
     def _halves(self, deployment: Deployment) -> FloatArray:
-        """Half of the side of each tag's square of paper, `(K,)`, metres; for landmarks that are points, half of the
-        size at which they are drawn.
+        """Half the edge length of each tag's paper, `(K,)`, metres; for landmarks that are points, half the edge length
+        of the square that is drawn.
         """
         papers = self._problem.scene.footprints.papers(deployment)
         return np.where(papers > 0.0, papers / 2.0, POINT_SIZE * self._diagonal)

@@ -289,8 +289,8 @@ def _written(value: object) -> str:
 
 
 def save_sensitivity_figure(path: str | Path, found: "Sensitivity", title: str) -> None:
-    """Write a PNG of 1500 x 500 pixels that shows the shares of localised and of covered views with other values of the
-    assumptions, with missed landmarks, and with lost landmarks.
+    """Write a PNG of 1500 x 500 pixels with three panels that show the shares of localised and of covered views: for
+    other values of the assumptions, if covered landmarks are missed at random, and if landmarks are lost.
     """
     from lmd.evaluation.sensitivity import SHARE_COLUMNS
 

@@ -293,8 +293,8 @@ def covering(
     """Axes from which the landmark is covered, among the axes `left`, which are still to be tested; both sets are bits
     of word w.
 
-    Arguments as in `covers_one`, except that `well` is a bit set. All axes of half a word are tested: for a cheap test
-    this is faster than iterating over the set bits.
+    Arguments as in `covers_one`, except that `well` is a bit set. If any bit of `left` is set in a half of the word,
+    all axes of this half are tested: for a cheap test this is faster than iterating over the set bits.
     """
     visible = ZERO
     for first in range(np.uint64(0), np.uint64(BITS), np.uint64(LANES)):

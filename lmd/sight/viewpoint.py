@@ -144,8 +144,8 @@ def gather(
 def load_deployment(
     b: Integer, landmarks: FloatArray, normals: FloatArray, sight: Any, room: Any, poses: FloatArray
 ) -> None:
-    """Write deployment b into `poses` `(6, K)` and, unless the `room` is clear, into the ends of `room`, see
-    `is_shown`.
+    """Write the poses of deployment b into `poses` `(6, K)` and, unless the room has no obstacles, the results of
+    `obstacles.find_ends` for its landmarks into the last entry of the tuple `room`, see `is_shown`.
 
     `landmarks` and `normals` are `(B, 3, K)`.
     """

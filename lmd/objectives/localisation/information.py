@@ -108,7 +108,9 @@ def half_of(precision: Precision, k: Integer) -> Any:
 
 @overridable
 def within(limit: float | None, variance: Number, fixed: Number) -> Any:
-    """True if a variance is finite and at most the limit; `fixed` is True if the variance is finite."""
+    """True if a variance is finite and at most the limit; `fixed` is True if the variance is finite. Always True
+    without a limit (None).
+    """
     return fixed & (variance <= limit)
 
 

@@ -63,8 +63,8 @@ class GroupCoverage(NamedTuple):
 def coverage_by_group(
     evaluator: Evaluator, groups: tuple[MountGroup, ...], positions: FloatArray, deployment: Deployment
 ) -> tuple[GroupCoverage, ...]:
-    """Coverage of a deployment from `positions` `(P, 3)`, for each of `groups`: mount groups of the evaluator, or
-    variants of these.
+    """Coverage of a deployment from `positions` `(P, 3)`, for each of `groups`: the evaluator's mount groups, or mount
+    groups derived from these.
     """
     blockers, slack = evaluator.scene.room.blockers(), np.zeros(len(deployment))
     poses = deployment.positions, deployment.normals, slack
@@ -73,7 +73,7 @@ def coverage_by_group(
 
 
 def mounts_of(evaluator: Evaluator, groups: tuple[MountGroup, ...]) -> tuple[Mounts, ...]:
-    """`Mounts` for each of `groups`: mount groups of the evaluator, or variants of these."""
+    """`Mounts` for each of `groups`: the evaluator's mount groups, or mount groups derived from these."""
     cameras = evaluator.scene.cameras
     each = enumerate(zip(groups, dict.fromkeys(cameras), strict=True))
     return tuple(Mounts(j, p.sight, p.offsets, p.axes, gain_of(kind, cameras[0])) for j, (p, kind) in each)

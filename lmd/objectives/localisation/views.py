@@ -65,7 +65,8 @@ class CameraViews(NamedTuple):
 
     lists: WordArray
     """`(4, BITS)` lists of indices: orientation of each view (row `ORIENTATION`), view of each orientation (`NUMBER`),
-    view of each listed pair (`WHOSE`); row `TAKEN` has the set of the orientations and the number of pairs.
+    view of each listed pair (`WHOSE`); row `TAKEN` has the set of the orientations that have a view, and the number of
+    listed pairs.
     """
     rows: FloatArray
     """`(WIDTH BITS,)` sums of the landmarks' information in each view."""
