@@ -138,7 +138,7 @@ def undo(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 @dispatched
 def smoothed(target: Any, p: Integer, units: Any, margin: Any, width: float, share: float) -> Any:
-    """Contribution of the value `units` at position p to the smoothed fitness.
+    """Contribution of the quantised value `units` at position p to the smoothed fitness.
 
     The step at the threshold is smoothed over `width`, and `share` times the value itself is added. The contribution
     increases monotonically with `units`, up to (1 + share) times the relevance of the position.
@@ -147,7 +147,7 @@ def smoothed(target: Any, p: Integer, units: Any, margin: Any, width: float, sha
 
 @dispatched
 def contribution(target: Any, p: Integer, units: Integer) -> Any:
-    """Contribution of the value `units` at position p to the fitness, see `fitness_of`."""
+    """Contribution of the quantised value `units` at position p to the fitness, see `fitness_of`."""
 
 
 @overridable
@@ -168,8 +168,8 @@ def combined(target: Any, terms: FloatArray, total: Any) -> Any:  # noqa: ARG001
 
 @overridable
 def fitness_of(target: Any, units: Any) -> Any:
-    """Fitness of a deployment with the values `units` `(Q,)`: the sum of the contributions, unless the class of the
-    target registers another function.
+    """Fitness of a deployment with the quantised values `units` `(Q,)`: the sum of the contributions, unless the class
+    of the target registers another function.
     """
     total = 0.0
     for p in range(len(units)):
@@ -179,7 +179,7 @@ def fitness_of(target: Any, units: Any) -> Any:
 
 @kernel
 def total_fitness(target: Any, units: Any) -> Any:
-    """Fitness of a deployment with the values `units` `(Q,)`."""
+    """Fitness of a deployment with the quantised values `units` `(Q,)`."""
     return fitness_of(target, units)
 
 

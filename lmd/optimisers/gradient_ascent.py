@@ -48,7 +48,8 @@ class GradientAscent(DeploymentSearch):
 
     Args:
         step: first and smallest step of a landmark, metres; the central difference uses the present step.
-        widths: successive widths of the smooth step that replaces the threshold in an ascent, in units of the values.
+        widths: successive widths of the smooth step that replaces the threshold in an ascent, on the scale of the
+            values, 0 to 1.
         seed: see `Optimiser`.
 
     Raises:

@@ -123,7 +123,8 @@ def updated(p: Any, i: Any, scale: float) -> tuple[Number, ...]:
 def update_beyond_rounding(
     rows: FloatArray, sums: FloatArray, lane: Integer, step: Integer, scale: float, least: float, work: FloatArray
 ) -> None:
-    """Update a covariance in place by an image, ignoring directions whose information is below the rounding error.
+    """Update a covariance in place with the information of an image, ignoring directions whose information is below the
+    rounding error.
 
     The information is decomposed into directions d h h^T, the largest pivot first. Each direction updates the
     covariance as a scalar measurement: P <- P - P h h^T P / (h^T P h + 1 / (scale d)).
@@ -181,7 +182,7 @@ MOVES = 5  # numbers of a move, see `Drives.moves`
 
 
 class Tolerance(NamedTuple):
-    """Limits of a pose that counts as known, and the unit of the information."""
+    """Limits on the covariance of a pose that counts as known, and the unit of the information."""
 
     position: float
     """Greatest trace of the covariance of the position, m^2."""

@@ -51,7 +51,7 @@ def slopes(
         target: functions that compute the fitness from the values, a `Target`.
         surfaces: surfaces of the landmarks.
         difference: step d of the difference quotient, metres.
-        width: width of the smooth step at the threshold, in units of the values.
+        width: width of the smooth step at the threshold, on the scale of the values, 0 to 1.
         out: slopes, `(K, 2)`, 1/metre.
     """
     units, accepted, known = scratch.units, state.units, placed(state)

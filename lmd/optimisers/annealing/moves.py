@@ -25,9 +25,9 @@ class Settings(NamedTuple):
     temperature: float
     """Temperature: the loss in the smoothed objective that is accepted with probability 1/e."""
     width: float
-    """Width of the smooth step that replaces the threshold, in the unit of the values."""
+    """Width of the smooth step that replaces the threshold, on the scale of the values, 0 to 1."""
     margin: float
-    """Distance of the middle of the smooth step above the true threshold, in the unit of the values."""
+    """Distance of the middle of the smooth step above the true threshold, on the scale of the values, 0 to 1."""
     share: float
     """Weight of the value itself, which is added to the smooth step."""
     step: float
@@ -237,11 +237,11 @@ class Stage(Checked):
     temperature: Course
     """Loss in the smoothed objective that is accepted with probability 1/e; the objective is a mean over positions."""
     width: Course
-    """Width of the smooth step that replaces the threshold, in the unit of the values."""
+    """Width of the smooth step that replaces the threshold, on the scale of the values, 0 to 1."""
     step: Course
     """Standard deviation of a local move along u and along v, metres."""
     margin: Finite = 0.0
-    """Distance of the middle of the smooth step above the threshold, in the unit of the values."""
+    """Distance of the middle of the smooth step above the threshold, on the scale of the values, 0 to 1."""
     share: NotNegative = 0.02
     """Weight of the mean value, which is added to the smooth step."""
     jump: Share = 0.1
