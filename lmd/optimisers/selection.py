@@ -226,7 +226,7 @@ def composition(
         least = float(stock.prices(poses).min())
         if tag.budget is not None:
             raise InputError(f"budget = {tag.budget:g} is too little: the cheapest tag costs {least:.3g}.", "budget")
-        raise InputError(f"paper = {tag.paper:g} square metres is too little: the smallest takes {least:.3g}.", "paper")
+        raise InputError(f"paper = {tag.paper:g} m2 is too little: the smallest tag takes {least:.3g} m2.", "paper")
     found = poses.edges[chosen]
     return tuple(int((found == edge).sum()) for edge in edges)
 

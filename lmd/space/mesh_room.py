@@ -53,7 +53,7 @@ class MeshRoom(Gridded):
         ):
             ranges = ", ".join(f"{a:.4g} to {b:.4g}" for a, b in zip(lowest, highest, strict=True))
             raise InputError(
-                f"{name} and clearance = {self.reachable.clearance:g} leave nothing of the mesh, whose x, y and z go "
+                f"{name} and clearance = {self.reachable.clearance:g} leave no volume in the mesh, whose x, y and z go "
                 f"from {ranges} m.",
                 name,
             )

@@ -53,7 +53,7 @@ class Prism(Gridded):
             )
         if (low > high).any():
             raise InputError(
-                f"reachable.clearance = {self.reachable.clearance:g} leaves nothing of the {self.describe()}.",
+                f"reachable.clearance = {self.reachable.clearance:g} leaves no volume in the {self.describe()}.",
                 "reachable.clearance",
             )
         self._set_grid(

@@ -96,7 +96,7 @@ def test_selection_takes_no_more_paper_than_there_is_and_leaves_less_than_a_tag(
     assert area - footprints.edge**2 < used <= area
     counts = composition(scene(replace(TAG, counts=None, paper=area)), COVERAGE, threads=1)
     assert 0.0 < (np.array(counts) * (1.25 * np.array(EDGES)) ** 2).sum() <= area
-    with pytest.raises(InputError, match=r"^paper = 0\.001 square metres is too little: the smallest takes 0\.00391"):
+    with pytest.raises(InputError, match=r"^paper = 0\.001 m2 is too little: the smallest tag takes 0\.00391"):
         composition(scene(replace(TAG, paper=0.001)), COVERAGE)
     costs = (1.0, 2.0, 10.0)
     bought = composition(scene(replace(TAG, counts=None, costs=costs, budget=15.0)), COVERAGE, threads=1)
