@@ -82,7 +82,7 @@ def normalised(
         }
         for name, noise in noises.items():
             model = TagErrors(noise, 0.0, np.zeros((len(tags), 6, 6)))
-            covariances, _ = pose_covariances([camera], np.eye(4)[None], poses, tags, tag, mask[None], model)
+            covariances, *_ = pose_covariances([camera], np.eye(4)[None], poses, tags, tag, mask[None], model)
             blocks = [own for own, _ in PARTS.values()]
             pairs = [(errors[f], covariances[f]) for f in enough]
             nees[name + label] = np.array([[e[b] @ np.linalg.solve(c[b, b], e[b]) for b in blocks] for e, c in pairs])
@@ -146,7 +146,7 @@ def print_simulated(views: int) -> None:
     enough = np.flatnonzero(seen.sum(axis=1) >= LEAST)[:views]
     poses, seen = poses[enough], seen[enough]
     model = TagErrors(noise, 0.0, np.zeros((len(tags), 6, 6)))
-    covariances, _ = pose_covariances([camera], np.eye(4)[None], poses, tags, tag, seen[None], model)
+    covariances, *_ = pose_covariances([camera], np.eye(4)[None], poses, tags, tag, seen[None], model)
     points, rng = corners(tags.places, tags.normals, tags.ups, tags.edges_of(tag)), np.random.default_rng(SEED)
     nees = []
     for pose, mask, covariance in zip(poses, seen, covariances, strict=True):

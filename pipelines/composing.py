@@ -41,7 +41,7 @@ OPEN = {
     "flight": ("trajectory", "sensor", "estimator", "odometry", "start"),
     "images": ("imaging", "detectors"),
     "views": ("views", "board"),
-    **{name: (name,) for name in ("optimiser", "recording", "uncertainty")},
+    **{name: (name,) for name in ("acceptance", "optimiser", "recording", "uncertainty")},
 }
 NAME = re.compile(r"[\w.-]+")  # characters that mlflow accepts in the name of a metric
 

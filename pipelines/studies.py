@@ -7,6 +7,7 @@ of the command, and the configurations of the deployments, keyed by name.
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from math import inf
 from time import monotonic
 from typing import TYPE_CHECKING, Any
@@ -19,7 +20,10 @@ from .score import mounting_of
 from .study import Report, Study, title_of
 
 if TYPE_CHECKING:
+    from lmd.core.checks import FloatArray
     from lmd.evaluation.relaxation import TimeLimit
+    from lmd.problem import Problem
+    from lmd.scene.deployment import Deployment
 
 Own = Mapping[str, DictConfig]
 
@@ -80,9 +84,8 @@ def bound(cfg: DictConfig, own: Own) -> Study:
         limit = TimeLimit(seconds, tell)
         search = Search(settings.spacing, settings.iterations, settings.tolerance, limit)
         target = None if settings.target is None else real("target", settings.target, low=0.0, high=1.0)
-    if target is not None:
-        problem.scene.check_one_size("bound.target, a least number of landmarks,")
-    with keyed("bound"):
+        if target is not None:
+            problem.scene.check_one_size("bound.target, a least number of landmarks,")
         search = affordable(problem, problem.count, search)
     if search.spacing > settings.spacing:
         note(f"bound.seconds = {seconds:g} is too little for bound.spacing: poses are {search.spacing:.3g} m apart")
@@ -133,29 +136,18 @@ def uncertainty(cfg: DictConfig, own: Own) -> Study:
     """Study of uncertainty: describe the standard deviations of the pose from one image, by tables, fitted formulas
     ("laws") and code.
     """
-    import numpy as np
-
-    from lmd.core.checks import InputError
     from lmd.evaluation.uncertainty import UncertaintyStudy
     from lmd.evaluation.uncertainty import uncertainty as find
     from lmd.evaluation.uncertainty_law import uncertainty_law
-    from lmd.localise.fixed_map import surveyed_covariance
 
-    if len(own) > 1:
-        raise InputError("studies=[uncertainty] describes one deployment: leave deployments out.")
-    (alone,) = own.values()
-    problem = build_problem(alone)
-    refuse_crowd(problem, "uncertainty")
+    problem, deployment, places, joint = _hung(cfg, own, "uncertainty")
     study: UncertaintyStudy = instantiate(cfg.uncertainty)
-    error, deployment = mounting_of(alone), problem.draw(np.random.default_rng(cfg.seed))
 
     def run(_: object) -> Report:
         from lmd.export.filter_code import CLASS, FilterLaws, java
         from lmd.plot.pose_errors import save_uncertainty_figure
 
-        places, path = error.covariances(problem, deployment), alone.deployment.get("path")
-        with keyed("uncertainty", map="deployment.path"):
-            joint = None if path is None else surveyed_covariance(path, deployment)
+        with keyed("uncertainty"):
             found = find(problem, deployment, study, cfg.seed, places, joint)
             law = uncertainty_law(found)
         distance, tag = found.views.distance[found.views.pose == "one"], problem.scene.tag
@@ -176,3 +168,55 @@ def uncertainty(cfg: DictConfig, own: Own) -> Study:
         return Report(files, found.metrics(), lines=law.lines(found))
 
     return Study("uncertainty", run, problem=problem)
+
+
+def acceptance(cfg: DictConfig, own: Own) -> Study:
+    """Study of acceptance: choose stations that show a tag that hangs wrongly, or judge measured stations."""
+    from scipy.linalg import block_diag
+
+    from lmd.core.words import few
+    from lmd.evaluation.acceptance import Acceptance, HungMap
+    from lmd.evaluation.losses import TAGS_LISTED
+    from lmd.evaluation.uncertainty import UncertaintyStudy
+    from lmd.formats.tag_map import TagMap
+
+    problem, deployment, places, joint = _hung(cfg, own, "acceptance")
+    settings: Acceptance = instantiate(cfg.acceptance)
+    tags = TagMap(problem.scene.room, problem.scene.tag, deployment)
+
+    def run(_: object) -> Report:
+        from lmd.export.stations import write_stations
+
+        errors, _ = UncertaintyStudy().errors(problem, deployment, cfg.seed)
+        hung = HungMap(problem, deployment, errors, block_diag(*places) if joint is None else joint, settings)
+        with keyed("acceptance"):
+            if settings.measured is not None:
+                files, figures, text = hung.judged(settings.measured)
+                return Report(files, figures, text=text)
+            stations, shown = hung.chosen(cfg.seed)
+        page = partial(write_stations, tags=tags, stations=stations)
+        missed = few(shown.id[~(shown.least_shift <= settings.shift)], TAGS_LISTED) or "none"
+        text = f"{len(stations)} stations show a tag that is {settings.shift:g} m off; tags not shown: {missed}"
+        return Report({"stations.csv": stations, "stations_tags.csv": shown, "stations.pdf": page}, text=text)
+
+    return Study("acceptance", run, problem=problem)
+
+
+def _hung(cfg: DictConfig, own: Own, study: str) -> "tuple[Problem, Deployment, FloatArray, FloatArray | None]":
+    """Problem and deployment of a study that takes a single deployment, the covariance of the mounting error of each
+    tag, and the covariance of all tags if the deployment is a surveyed map.
+    """
+    import numpy as np
+
+    from lmd.core.checks import InputError
+    from lmd.localise.fixed_map import surveyed_covariance
+
+    if len(own) > 1:
+        raise InputError(f"studies=[{study}] describes one deployment: leave deployments out.")
+    (alone,) = own.values()
+    problem, path = build_problem(alone), alone.deployment.get("path")
+    refuse_crowd(problem, study)
+    deployment = problem.draw(np.random.default_rng(cfg.seed))
+    with keyed(map="deployment.path"):
+        joint = None if path is None else surveyed_covariance(path, deployment)
+    return problem, deployment, mounting_of(alone).covariances(problem, deployment), joint

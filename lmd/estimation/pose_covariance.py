@@ -89,7 +89,7 @@ def pose_covariances(
     tag: Tag,
     seen: BoolArray,
     errors: TagErrors,
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Covariance of the body's pose as estimated from the images of C cameras in each of F frames.
 
     Args:
@@ -102,16 +102,15 @@ def pose_covariances(
 
     Returns:
         covariance of the body twist (w, v), `(F, 6, 6)`, infinite if the pose is undetermined; largest standard
-        deviation of a coordinate of a corner in the images of each tag, pixels, `(F, K)`, 0 for tags not in view.
+        deviation of a coordinate of a corner in the images of each tag, pixels, `(F, K)`, 0 for tags not in view;
+        Jacobian H^-1 B of the estimated body twist with respect to the error (p, r) of a tag in the map, for each pair
+        of a frame and a tag in view, `(P, 6, 6)`, 0 if the pose is undetermined.
     """
     edges, frames, shown = deployment.edges_of(tag), len(poses), np.asarray(seen.any(axis=0))
     number = np.cumsum(shown).reshape(shown.shape) - 1  # of each pair of a frame and a tag in view
     information, noise = np.zeros((2, frames, 6, 6))
-    shifts, sigmas, by_map = (
-        np.zeros((frames, 1 + len(cameras), 6)),
-        np.zeros(shown.shape),
-        np.zeros((shown.sum(), 6, 6)),
-    )
+    shifts, sigmas = np.zeros((frames, 1 + len(cameras), 6)), np.zeros(shown.shape)
+    by_map = np.zeros((shown.sum(), 6, 6))
     for c, (camera, mounted, mask) in enumerate(zip(cameras, extrinsics, seen, strict=True)):
         frame, which = np.nonzero(mask)
         summed = sums_by(frame, frames)
@@ -136,11 +135,11 @@ def pose_covariances(
         shifts[:, 1 + c] = errors.shift * summed(moved)
         by_map[number[frame, which]] += weighted @ by_place
         sigmas[frame, which] = np.maximum(sigmas[frame, which], sigma)
-    fixed, found = determines_pose(information), np.full(information.shape, np.inf)
-    solved = np.linalg.inv(information[fixed])
+    fixed, solved = determines_pose(information), np.zeros(information.shape)
+    solved[fixed] = np.linalg.inv(information[fixed])
     total = noise + _by_map(by_map, shown, errors) + np.swapaxes(shifts, 1, 2) @ shifts
-    found[fixed] = solved @ total[fixed] @ solved
-    return found, sigmas
+    found, pulls = solved @ total @ solved, solved[np.nonzero(shown)[0]] @ by_map
+    return np.where(fixed[:, None, None], found, np.inf), sigmas, pulls
 
 
 def _by_map(by_map: FloatArray, shown: BoolArray, errors: TagErrors) -> FloatArray:

@@ -167,10 +167,9 @@ def uncertainty(
     poses = draw_poses(problem.scene, study.views, seed)
     errors, about = study.errors(problem, deployment, seed)
     errors = replace(errors, joint=joint, places=errors.places if places is None else places)
-    scene = problem.scene
+    scene, body = problem.scene, (problem.scene.cameras, problem.scene.extrinsics)
     seen = visible_to_each(problem.evaluator, deployment, poses[:, :3, 3], axis_and_right(poses))
-    body = scene.cameras, scene.extrinsics
-    found, sigmas = pose_covariances(*body, poses, deployment, scene.tag, seen, errors)
+    found, sigmas, _ = pose_covariances(*body, poses, deployment, scene.tag, seen, errors)
     covariances, shown = in_world(poses, found), seen.any(axis=0)
     counts, (frame, tag) = shown.sum(axis=1), np.nonzero(shown)
     away = np.linalg.norm(deployment.places[tag] - poses[frame, :3, 3], axis=1)

@@ -1,7 +1,7 @@
 """First page of the mounting plan: floor plan of the room with symbols, and the order in which tags are hung."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -110,8 +110,10 @@ def scale_of(room: Space, width: float, height: float, scales: tuple[int, ...]) 
     return fits[0] if fits else scales[-1]
 
 
-def draw_floor_plan(canvas: Any, tags: TagMap, left: float, top: float, scale: int) -> None:
-    """Draw the room and its names from above, x to the right, with the upper left corner at (left, top), mm."""
+def draw_floor_plan(canvas: Any, tags: TagMap, left: float, top: float, scale: int) -> Callable[..., FloatArray]:
+    """Draw the room and its names from above, x to the right, with the upper left corner at (left, top), mm; return the
+    function that maps world points `(..., 3)` to the page, mm, `(..., 2)`.
+    """
     import shapely
 
     low, high = tags.room.bounds()
@@ -172,8 +174,9 @@ def draw_floor_plan(canvas: Any, tags: TagMap, left: float, top: float, scale: i
     below = float(origin[1]) - AROUND
     kinds = [kind for kind in KINDS if any(fixture.kind == kind for fixture in fixtures)]
     for angle, name in ((0.0, "x"), (math.pi / 2.0, "y")):
-        _draw_arrow(canvas, left, below - 2.0, ARROW, angle, name)
+        draw_arrow(canvas, left, below - 2.0, ARROW, angle, name)
     draw_legend(canvas, left + 16.0, below, kinds)
+    return place
 
 
 def numbers_of(places: IntArray) -> str:
@@ -260,7 +263,7 @@ def _write_ids(canvas: Any, text: str, at: FloatArray, way: FloatArray, taken: l
     write_text(canvas, low[0] + half[0], low[1] + 0.15 * ID, text, size=ID, align="centre")
 
 
-def _draw_arrow(canvas: Any, x: float, y: float, length: float, angle: float, name: str) -> None:
+def draw_arrow(canvas: Any, x: float, y: float, length: float, angle: float, name: str) -> None:
     """Draw an arrow from (x, y), at `angle` from the page's x axis, rad, with a name beyond its tip."""
     canvas.saveState()
     canvas.translate(x, y)

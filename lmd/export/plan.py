@@ -172,8 +172,7 @@ def _draw_overview(canvas: Any, size: tuple[float, float], tags: TagMap, pages: 
         [numbers_of(own), shortened(tags.place_of(int(tags.order[own[0]]))), str(len(own)), str(pages[index])]
         for index, own in tags.tags_by_surface.items()
     ]
-    room = size[0] - 3.0 * MARGIN - ORDER.width, size[1] - 2.0 * MARGIN - HEAD
-    scale = scale_of(tags.room, *room, SCALES)
+    scale = scale_of(tags.room, size[0] - 3.0 * MARGIN - ORDER.width, size[1] - 2.0 * MARGIN - HEAD, SCALES)
     title = f"{len(tags.ids)} tags of {tags.tag.family}, {tags.edges_in_words}"
     facts = f"seen from above, scale 1 : {scale}; {tags.room.describe()}; triangles and ids are tags on walls"
     if (np.abs(tags.deployment.normals[:, 2]) > FLAT).any():
@@ -212,10 +211,9 @@ def _draw_surface(canvas: Any, size: tuple[float, float], tags: TagMap, view: Vi
 
 def _draw_free(canvas: Any, size: tuple[float, float], tags: TagMap, places: IntArray) -> None:
     own = tags.order[places]
-    positions = MM_PER_M * tags.deployment.positions[own]
     rows = [
         [*_named(tags, place, k), *(f"{value:.0f}" for value in at), "", "", ""]
-        for place, k, at in zip(places, own, positions, strict=True)
+        for place, k, at in zip(places, own, MM_PER_M * tags.deployment.positions[own], strict=True)
     ]
     title, facts = "free in the room", f"on no surface, tags: {len(own)}; {tags.room.describe()}"
     begin_titled(canvas, size, title, facts)

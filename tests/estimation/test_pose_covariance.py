@@ -71,7 +71,7 @@ def moved(tags, motions):
 def normalised(tags, poses, seen, extrinsics, errors, rng):
     """NEES of the pose, its rotation and its position in each frame, `(F, 3)`."""
     cameras = [CAMERA] * len(extrinsics)
-    covariances, _ = pose_covariances(cameras, extrinsics, poses, tags, TAG, seen, errors)
+    covariances, *_ = pose_covariances(cameras, extrinsics, poses, tags, TAG, seen, errors)
     known = points_of(tags)
     spread = np.linalg.cholesky(errors.places + 1e-18 * np.eye(6))
     found = []
@@ -79,7 +79,9 @@ def normalised(tags, poses, seen, extrinsics, errors, rng):
         true = moved(tags, (spread @ rng.standard_normal((COUNT, 6, 1)))[..., 0])
         shots = []
         for mounted, mask in zip(extrinsics, seen[:, f], strict=True):
-            _, single = pose_covariances([CAMERA], ALONE, (pose @ mounted)[None], tags, TAG, mask[None, None], errors)
+            _, single, _ = pose_covariances(
+                [CAMERA], ALONE, (pose @ mounted)[None], tags, TAG, mask[None, None], errors
+            )
             image = np.full((COUNT, 4, 2), np.nan)
             if mask.any():
                 exact = project(CAMERA, pose @ mounted, true[mask].reshape(-1, 3)).reshape(-1, 4, 2)
@@ -134,7 +136,7 @@ def test_the_bounds_refuse_covariances_that_ignore_the_map():
 def test_weights_by_noise_without_other_errors_give_the_cramer_rao_bound():
     tags, poses, seen = scene(3, TURNED)
     cameras = [CAMERA, CAMERA]
-    found, _ = pose_covariances(cameras, TURNED, poses, tags, TAG, seen, TagErrors(0.5, 0.0, ZERO, "noise"))
+    found, *_ = pose_covariances(cameras, TURNED, poses, tags, TAG, seen, TagErrors(0.5, 0.0, ZERO, "noise"))
     points = points_of(tags).reshape(-1, 3)
     bound = np.linalg.inv(pose_information(cameras, TURNED, poses, points, seen.repeat(4, axis=2)) / 0.25)
     assert np.abs(found / bound - 1.0).max() < 1e-6
@@ -169,7 +171,7 @@ def test_views_without_tags_have_no_covariance_and_positions_turn_to_the_world()
     tags, poses, seen = scene(5)
     seen = seen.copy()
     seen[:, 0] = False
-    covariances, _ = pose_covariances([CAMERA], ALONE, poses, tags, TAG, seen, TagErrors(0.5, 0.0, ZERO))
+    covariances, *_ = pose_covariances([CAMERA], ALONE, poses, tags, TAG, seen, TagErrors(0.5, 0.0, ZERO))
     found = in_world(poses, covariances)
     assert np.isinf(found[0]).all()
     turn = poses[1, :3, :3]

@@ -12,7 +12,8 @@ from lmd.geometry.camera import Camera
 pytestmark = pytest.mark.slow
 # Studies of `evaluate`, and `optimise` with cameras.
 ALIASES = {
-    name: ("evaluate", f"studies=[{name}]") for name in ("bound", "accuracy", "uncertainty", "detect", "observe")
+    name: ("evaluate", f"studies=[{name}]")
+    for name in ("bound", "accuracy", "uncertainty", "detect", "observe", "acceptance")
 }
 ALIASES["cameras"] = ("optimise", "varies=cameras")
 HEADER = "id,x,y,z,nx,ny,nz\n"
@@ -126,6 +127,8 @@ CASES = [
     ("uncertainty", "deployment=uniform uncertainty.views=10", "uncertainty.views: only "),
     ("uncertainty", "deployment=uniform visibility=paper tag.edge=null", "tag.edge must be given, in metres"),
     ("uncertainty", "deployment=uniform visibility.crowd=2", "uncertainty does not work with visibility.crowd"),
+    ("acceptance", f"{TAGS} acceptance.measured=none.csv", "acceptance.measured: there is no file 'none.csv'"),
+    ("acceptance", f"{TAGS} acceptance.mean=1e-9", "acceptance.mean = 1e-09 m is below the least bound of"),
     ("view", "export=[nosuch]", "export must be one of ros2_tf, "),
     ("view", "visibility.crowd=2", "view does not work with visibility.crowd"),
     ("cameras", f"visibility.crowd=2 {LITTLE}", "optimise varies=cameras does not work with visibility.crowd"),

@@ -59,6 +59,11 @@ COMMANDS = {
         "uncertainty.csv uncertainty_law.csv uncertainty_law.json uncertainty.png VisionUncertainty.java",
         r"corners +errors of aruco in 40 rendered images",
     ),
+    "evaluate acceptance": (
+        f"studies=[acceptance] {COARSE} tag.edge=0.3 acceptance.headings=4 acceptance.shift=0.1 acceptance.mean=0.1",
+        "stations.csv stations_tags.csv stations.pdf",
+        r"\d+ stations show a tag that is 0.1 m off",
+    ),
     "evaluate detect": (
         f"studies=[detect] {FRAMES} frames=24 pictures=1 detectors=[aruco,apriltag_decimate2] workers=2 "
         f'"deployments=[uniform,{MINE}]"',
