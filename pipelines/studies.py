@@ -141,7 +141,7 @@ def uncertainty(cfg: DictConfig, own: Own) -> Study:
     from lmd.evaluation.uncertainty_law import uncertainty_law
 
     problem, deployment, places, joint = _hung(cfg, own, "uncertainty")
-    study: UncertaintyStudy = instantiate(cfg.uncertainty)
+    study: UncertaintyStudy = instantiate(settings_of(cfg, "uncertainty"))
 
     def run(_: object) -> Report:
         from lmd.export.filter_code import CLASS, FilterLaws, java
@@ -181,7 +181,7 @@ def acceptance(cfg: DictConfig, own: Own) -> Study:
     from lmd.formats.tag_map import TagMap
 
     problem, deployment, places, joint = _hung(cfg, own, "acceptance")
-    settings: Acceptance = instantiate(cfg.acceptance)
+    settings: Acceptance = instantiate(settings_of(cfg, "acceptance"))
     tags = TagMap(problem.scene.room, problem.scene.tag, deployment)
 
     def run(_: object) -> Report:

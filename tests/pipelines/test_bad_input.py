@@ -128,6 +128,7 @@ CASES = [
     ("uncertainty", "deployment=uniform visibility=paper tag.edge=null", "tag.edge must be given, in metres"),
     ("uncertainty", "deployment=uniform visibility.crowd=2", "uncertainty does not work with visibility.crowd"),
     ("acceptance", f"{TAGS} acceptance.measured=none.csv", "acceptance.measured: there is no file 'none.csv'"),
+    ("acceptance", f"{TAGS} acceptance=null", "acceptance must be a mapping of settings"),
     ("acceptance", f"{TAGS} acceptance.mean=1e-9", "acceptance.mean = 1e-09 m is below the least bound of"),
     ("view", "export=[nosuch]", "export must be one of ros2_tf, "),
     ("view", "visibility.crowd=2", "view does not work with visibility.crowd"),
