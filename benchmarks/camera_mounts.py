@@ -2,7 +2,8 @@
 
 Each folder is one that this left, with 1, 2, 3 or 4 cameras:
 
-    python -m pipelines.optimise varies=cameras experiment=frc_2025_cameras budget.evaluations=600 validate=false
+    python -m pipelines.optimise varies=cameras experiment=frc_field_cameras \
+        'room.path=${lmd.conf:experiment/2025-reefscape-welded.json}' budget.evaluations=600 validate=false
 
 For each number of cameras a Markdown table compares the mounts that were found with the usual ones (at 0.5 m in the
 middle of the front, the back, the left and the right face, level or raised by 15 degrees) and with the best of 500
@@ -18,7 +19,6 @@ import math
 from pathlib import Path
 
 import numpy as np
-from hydra import compose, initialize_config_dir
 
 from lmd.cameras.problem import CameraProblem
 from lmd.core.checks import BoolArray, FloatArray
@@ -30,12 +30,13 @@ from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import axis_and_right, pose_of
 from lmd.optimisers.genetic import RandomSearch
 from lmd.optimisers.ledger import Budget
-from lmd.pipelines.app import CONF
+from lmd.pipelines.composing import compose
 from lmd.pipelines.optimise import build_camera_problem
 from lmd.render.renderer import Renderer
 from lmd.scene.rig import Mount, Rig
 from lmd.sight.views import visible
 
+FIELD = "room.path=${lmd.conf:experiment/2025-reefscape-welded.json}"
 HELD_OUT = Sample(groups=8, positions=512, divisions=16)
 SEED = 1  # of what was not climbed: random mounts, held-out poses, renderings
 # The middles of the faces, in the order in which cameras come, and the turns.
@@ -48,8 +49,7 @@ N = 2  # tags
 
 def problem_of(count: int) -> CameraProblem:
     """The problem of the experiment."""
-    with initialize_config_dir(CONF, version_base="1.3"):
-        cfg = compose("place_cameras", ["experiment=frc_2025_cameras", f"cameras.count={count}"])
+    cfg = compose("optimise", "varies=cameras", "experiment=frc_field_cameras", FIELD, f"cameras.count={count}")
     return build_camera_problem(cfg)[0]
 
 

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, IntArray
+from lmd.core.checks import FloatArray
 from lmd.core.tables import write_table
-from lmd.evaluation.validation import Sample, sampled_evaluators
+from lmd.evaluation.validation import Sample, recorded_evaluators, sampled_evaluators
 from lmd.objectives.base import Objective
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.localisation.evaluation import localised_views
@@ -59,7 +59,8 @@ def accuracy_metrics(problem: Problem, deployment: Deployment, seed: int, sample
     """Metrics of accuracy: the mean of P_n; for each of `TOLERANCES`, the fraction of the views whose predicted error
     is within it; and the median and the 90 % quantile of the predicted error over the views, metres.
 
-    Views without a finite error count as infinite; infinite quantiles are left out.
+    For a recording the views are its poses, weighted by their durations, and `longest_uncovered_seconds` is the longest
+    time without a view of n landmarks. Views without a finite error count as infinite; infinite quantiles are left out.
 
     Args:
         problem: problem with the scene, n, and the noise of a corner.
@@ -67,19 +68,23 @@ def accuracy_metrics(problem: Problem, deployment: Deployment, seed: int, sample
         seed: seed of the random poses.
         sample: number of random poses.
     """
-    parts = []
-    scene = problem.scene.sized(deployment.edges)
-    for evaluator in sampled_evaluators(scene, len(deployment), seed, sample, problem.evaluator.threads):
-        errors, covered = predicted_errors(problem, deployment, evaluator)
-        parts.append((errors, np.broadcast_to(evaluator.scene.probability(evaluator.positions), errors.shape), covered))
-    errors, weights, covered = (np.concatenate([part[i].reshape(-1) for part in parts]) for i in range(3))
+    scene, parts, lasting, longest = problem.scene.sized(deployment.edges), [], None, dict[str, float]()
+    if (along := errors_along(problem, deployment)) is not None:
+        errors, covered, lasting = (along[name].to_numpy() for name in ("predicted_error", "covered", "seconds"))
+        spans = np.flatnonzero(np.diff(covered < 0.5, prepend=False, append=False)).reshape(-1, 2)
+        clock = np.append(along.time, along.time.iloc[-1] + lasting[-1])
+        weights, longest = lasting, {"longest_uncovered_seconds": float(np.diff(clock[spans]).max(initial=0.0))}
+    else:
+        for evaluator in sampled_evaluators(scene, len(deployment), seed, sample, problem.evaluator.threads):
+            errors, covered = predicted_errors(problem, deployment, evaluator)
+            weights = np.broadcast_to(evaluator.scene.probability(evaluator.positions), errors.shape)
+            parts.append((errors, weights, covered))
+        errors, weights, covered = (np.concatenate([part[i].reshape(-1) for part in parts]) for i in range(3))
     weights = weights / weights.sum()
-    metrics = {"covered_share": float(covered.mean())}
+    metrics = {"covered_share": float(np.average(covered, weights=lasting)), **longest}
     metrics |= {_share_name(limit): float(weights[errors <= limit].sum()) for limit in TOLERANCES}
-    order: IntArray = np.argsort(errors)
-    below = np.cumsum(weights[order])
     for name, level in (("median", 0.5), ("90", 0.9)):
-        error = errors[order[min(int(np.searchsorted(below, level)), len(order) - 1)]]
+        error = _quantiles(errors[None], weights[None], level)[0]
         if np.isfinite(error):
             metrics[f"predicted_error_{name}"] = float(error)
     return metrics
@@ -94,35 +99,54 @@ def save_accuracy_map(path: str | Path, problem: Problem, deployment: Deployment
     evaluator = problem.evaluator
     errors, _ = predicted_errors(problem, deployment, evaluator)
     weight, errors = evaluator.by_place(problem.scene.probability(evaluator.positions), errors)
-    median = _medians(errors, weight)
+    median = _quantiles(errors, weight)
     columns = dict(zip("xyz", problem.places.T, strict=True))
     columns |= {_share_name(limit): averaged(errors <= limit, weight) for limit in TOLERANCES}
     columns["predicted_error_median"] = np.where(np.isfinite(median), median, np.nan)
     write_table(path, columns)
 
 
+def errors_along(problem: Problem, deployment: Deployment) -> "pd.DataFrame | None":
+    """Table with a row for each recorded pose: `time`, `seconds` until the next pose, place `x`, `y` (m), `covered` (1
+    if the view covers n landmarks, otherwise 0) and `predicted_error` (m, may be infinite). None for a problem without
+    a recording, or with a crowd.
+    """
+    import pandas as pd
+
+    recorded, parts = problem.scene.recorded, []
+    if recorded is None or problem.scene.crowd is not None:
+        return None
+    for evaluator in recorded_evaluators(problem, deployment, recorded.records):
+        errors, covered = predicted_errors(problem, deployment, evaluator)
+        parts.append([*evaluator.positions.T[:2], covered, errors[np.arange(len(errors)), evaluator.axis_of]])
+    columns = dict(zip(("x", "y", "covered", "predicted_error"), np.concatenate(parts, axis=1), strict=True))
+    return pd.DataFrame({"time": recorded.trajectory.time[:-1], "seconds": recorded.records.seconds, **columns})
+
+
 def plan_of_errors(problem: Problem, deployment: Deployment) -> "pd.DataFrame":
     """Table with the columns `x,y,predicted_error_median`, metres; the median is taken over all heights and
-    orientations at the place (x, y).
+    orientations at the place (x, y). For a recording, the table is that of `errors_along`.
 
     The median is infinite where fewer than half of the views cover n landmarks.
     """
     import pandas as pd
 
+    if (along := errors_along(problem, deployment)) is not None:
+        return along
     evaluator = problem.evaluator
     errors, _ = predicted_errors(problem, deployment, evaluator)
     places, place = np.unique(evaluator.positions[:, :2].round(9), axis=0, return_inverse=True)
     weight = np.broadcast_to(problem.scene.probability(evaluator.positions), errors.shape)
     columns = [(errors[place == i], weight[place == i]) for i in range(len(places))]
-    medians = [_medians(*(part.reshape(1, -1) for part in (e, w / len(e))))[0] for e, w in columns]
+    medians = [_quantiles(*(part.reshape(1, -1) for part in (e, w / len(e))))[0] for e, w in columns]
     return pd.DataFrame({"x": places[:, 0], "y": places[:, 1], "predicted_error_median": medians})
 
 
-def _medians(errors: FloatArray, weight: FloatArray) -> FloatArray:
-    """Weighted median of each row of `errors` `(P, V)`; the result has the shape `(P,)`. The weights, `(1, V)` or `(P,
-    V)`, have the sum 1 in each row.
+def _quantiles(errors: FloatArray, weight: FloatArray, level: float = 0.5) -> FloatArray:
+    """Weighted quantile of each row of `errors` `(P, V)`; the result has the shape `(P,)`. The weights, `(1, V)` or
+    `(P, V)`, have the sum 1 in each row.
     """
     order = np.argsort(errors, axis=1)
     ordered = np.take_along_axis(np.broadcast_to(weight, errors.shape), order, axis=1)
-    middle = (np.cumsum(ordered, axis=1) >= 0.5).argmax(axis=1)[:, None]
-    return np.asarray(np.take_along_axis(errors, np.take_along_axis(order, middle, axis=1), axis=1)[:, 0])
+    place = (np.cumsum(ordered, axis=1) >= level).argmax(axis=1)[:, None]
+    return np.asarray(np.take_along_axis(errors, np.take_along_axis(order, place, axis=1), axis=1)[:, 0])

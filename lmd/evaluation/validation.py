@@ -243,24 +243,33 @@ def describe_held_out(figures: Mapping[str, float]) -> dict[str, str]:
 def exact_values(problem: Problem, deployment: Deployment, records: "Records") -> FloatArray:
     """Value of the objective at each of R recorded poses, with only the recorded orientation, `(R,)`; with a crowd, the
     mean over its states.
-
-    Records are evaluated in groups of 64, one orientation for each position, as a word has 64 bits.
     """
-    parts = []
+    landmarks = deployment.positions[None], deployment.normals[None]
+    every = (recorded_evaluators(problem, deployment, records, state) for state in range(problem.state_count))
+    values = [np.concatenate([problem.objective.values(one, *landmarks)[0] for one in each]) for each in every]
+    return np.asarray(np.mean(values, axis=0))
+
+
+def recorded_evaluators(
+    problem: Problem, deployment: Deployment, records: "Records", state: int = 0
+) -> Iterator[Evaluator]:
+    """Yield evaluators for groups of 64 recorded poses, as a word has 64 bits. Each position has its own orientation
+    with the probability 1.
+
+    Args:
+        problem: problem with the scene.
+        deployment: K landmarks.
+        records: recorded poses.
+        state: index of the crowd state, if the scene has a crowd.
+    """
     for start in range(0, len(records), BITS):
         poses = records[start : start + BITS].poses
         yaw, pitch, roll = angles_of(np.swapaxes(poses[:, :3, :3], 1, 2))
         alike = np.full(len(poses), 1.0 / len(poses))
         pdf = OrientationPdf(yaw, pitch, alike, roll=roll, by_position=lambda positions: np.eye(len(positions)))
         scene = replace(problem.scene.sized(deployment.edges), pdf=pdf)
-        landmarks = deployment.positions[None], deployment.normals[None]
-        values = []
-        for state in range(problem.state_count):
-            states = None if scene.crowd is None else np.full(len(poses), state)
-            evaluator = Evaluator(scene, poses[:, :3, 3], problem.evaluator.threads, states=states)
-            values.append(problem.objective.values(evaluator, *landmarks)[0])
-        parts.append(np.mean(values, axis=0))
-    return np.concatenate(parts)
+        states = None if scene.crowd is None else np.full(len(poses), state)
+        yield Evaluator(scene, poses[:, :3, 3], problem.evaluator.threads, states=states)
 
 
 def _share_and_error(values: FloatArray, records: "Records") -> tuple[float, float | None]:

@@ -29,7 +29,8 @@ from lmd.core.files import read_bytes, read_keys
 from lmd.core.memory import check_memory
 from lmd.core.optional import optional
 from lmd.formats.registry import read
-from lmd.formats.trees import File
+from lmd.formats.tag_maps import read_deployment
+from lmd.formats.trees import File, number_at
 from lmd.space.free_region import OccupancyGrid, plan_of_grid
 from lmd.space.parts import check_metres
 from lmd.space.prism import Prism, from_floor_plan
@@ -163,6 +164,41 @@ def _picture(path: Path) -> tuple[FloatArray, BoolArray]:
             f"its format is not {' or '.join(FORMATS)}" if type(error).__name__ == "UnidentifiedImageError" else error
         )
         raise InputError(f"image: {str(path)!r} cannot be read as a picture ({reason}).") from None
+
+
+# Groups of tags around the bodies on a field, by season: the coral stations of 2025, whose walls cut the corners of the
+# field, and its reefs; the hubs of 2026.
+REEFSCAPE = (1,), (2,), (12,), (13,), range(6, 12), range(17, 23)
+REBUILT = (2, 3, 4, 5, 8, 9, 10, 11), (18, 19, 20, 21, 24, 25, 26, 27)
+SIZE = "field.{0}|field-dimensions.{0}"  # path to a length in an old or a new layout
+# Distance of faces behind their tags, so that no rounding puts a tag inside; longest field, and length of what is cut
+# off, metres.
+BEHIND_M, FAR_M = 0.002, 100.0
+
+
+def read_field(file: File) -> ReadPlan:
+    """Read the field of a layout of WPILib: the rectangle of its size, grown to contain all tags.
+
+    A layout with the tags of a known season has the bodies of that season, from floor to ceiling. The faces of a body
+    are the planes of its tags.
+
+    Raises:
+        InputError: the size of the field is missing or implausible, or the tags cannot be read.
+    """
+    import shapely
+
+    tags = read_deployment(file.path)
+    faces, normals = (tags.positions - BEHIND_M * tags.normals)[:, :2], tags.normals[:, :2]
+    sides = normals @ [[0.0, 1.0], [-1.0, 0.0]]
+    reach = FAR_M * np.stack([sides, -sides, -sides - normals, sides - normals], axis=1)
+    behind = dict(zip(tags.ids.tolist(), shapely.polygons(faces[:, None] + reach), strict=True))
+    bodies = {22: REEFSCAPE, 32: REBUILT}.get(len(tags), ()) if sorted(behind) == list(range(1, len(tags) + 1)) else ()
+    solid = [shapely.intersection_all([behind[number] for number in body]) for body in bodies]
+    with said_of(f"path: {str(file.path)!r}", "path"):
+        size = [real(one, number_at(file.data, SIZE.format(one)), above=0.0, high=FAR_M) for one in ("length", "width")]
+    whole = shapely.box(*np.minimum(faces.min(axis=0), 0.0), *np.maximum(faces.max(axis=0), size))
+    field = shapely.simplify(whole.difference(shapely.union_all(solid)), BEHIND_M)
+    return ReadPlan.of(str(file.path), shapely.orient_polygons(field), lambda _: (), f"a field of {size} m")
 
 
 # Values of `conf/room/floor_plan.yaml`, which a plan from a file replaces.

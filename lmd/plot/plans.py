@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from lmd.localise.localise import Localisation
     from lmd.survey.survey import Survey
 
+ABOVE_ALL = 1e9  # stands for an infinite error, mm
 NO_MEDIAN_COLOUR = "#c8c8c8"  # colour of places without a finite median
 PLANNED, UNSEEN = "#9e9e9e", "#ff7f0e"
 POSITION = "#1f77b4"
@@ -81,7 +82,8 @@ def save_accuracy_figure(path: str | Path, deployments: Mapping[str, tuple[Probl
     """Write a PNG with a panel for each deployment: the room from above, with the landmarks of the deployment, and with
     the median predicted error of the position as colour. All panels have one colour scale.
 
-    The median is taken over all orientations and heights at each place of the plan.
+    The median is taken over all orientations and heights at each place of the plan. A recording is drawn as its path,
+    with a colour for each step of `TOLERANCES`.
 
     Args:
         path: path of the PNG.
@@ -89,30 +91,34 @@ def save_accuracy_figure(path: str | Path, deployments: Mapping[str, tuple[Probl
         title: title of the figure.
     """
     from matplotlib import colormaps
-    from matplotlib.colors import LogNorm
+    from matplotlib.colors import BoundaryNorm, LogNorm
 
-    from lmd.evaluation.accuracy import plan_of_errors
+    from lmd.evaluation.accuracy import TOLERANCES, plan_of_errors
 
-    # The medians as tables, y by x, in millimetres; NaN where the grid has no position.
-    each = (plan_of_errors(problem, deployment) for problem, deployment in deployments.values())
-    plans = [1e3 * one.pivot(index="y", columns="x", values="predicted_error_median") for one in each]
-    known = np.concatenate([plan.to_numpy().ravel() for plan in plans])
+    tables = [plan_of_errors(problem, deployment) for problem, deployment in deployments.values()]
+    known = 1e3 * np.concatenate([table.iloc[:, -1] for table in tables])  # millimetres
     known = known[np.isfinite(known)]
     low, high = (known.min(), known.max()) if len(known) else (1.0, 10.0)
+    along, steps = "time" in tables[0], [0.0, *np.multiply(1e3, TOLERANCES), 1e3]
+    norm = BoundaryNorm(steps, 256, extend="max") if along else LogNorm(low, high)
     colours = colormaps[f"{common.COLOUR_MAP}_r"].with_extremes(over=NO_MEDIAN_COLOUR)  # bright is good
     length, width, _ = np.max([common.size_of(problem.scene.room) for problem, _ in deployments.values()], axis=0)
-    size = (1.0 + 5.0 * len(plans), 2.2 + 5.0 * width / length)
-    figure, (panels,) = new_panels(size, title, 1, len(plans), sharex=True, sharey=True)
-    for axes, plan, (heading, (problem, deployment)) in zip(panels, plans, deployments.items(), strict=True):
-        shown = np.where(np.isinf(plan), 2.0 * high, plan)  # infinite values have no logarithm
-        style = {"cmap": colours, "norm": LogNorm(low, high), "shading": "nearest"}
-        mesh = axes.pcolormesh(plan.columns, plan.index, shown, **style)
+    size = (1.0 + 5.0 * len(tables), 2.2 + 5.0 * width / length)
+    figure, (panels,) = new_panels(size, title, 1, len(tables), sharex=True, sharey=True)
+    for axes, table, (heading, (problem, deployment)) in zip(panels, tables, deployments.items(), strict=True):
+        table["shown"] = (1e3 * table.iloc[:, -1]).replace(np.inf, ABOVE_ALL)  # infinite values have no logarithm
+        if along:
+            mesh = axes.scatter(table.x, table.y, 12.0, table.shown, cmap=colours, norm=norm)
+        else:
+            plan = table.pivot(index="y", columns="x", values="shown")
+            mesh = axes.pcolormesh(plan.columns, plan.index, plan, shading="nearest", cmap=colours, norm=norm)
         draw_plan(axes, problem.scene.room, lw=1.0)
         common.draw_tags(axes, deployment, common.landmark_groups(len(deployment), problem.fixed_count))
         common.from_above(axes, title=literal(heading), ylabel=common.AXIS_LABELS[1] if axes is panels[0] else "")
     label = "median predicted error of the position [mm];\ngrey where most views see too few landmarks"
     bar = figure.colorbar(mesh, ax=list(panels), label=label, extend="max", orientation="horizontal", aspect=60)
-    common.set_log_ticks(bar, low, high)
+    if not along:
+        common.set_log_ticks(bar, low, high)
     figure.savefig(path)
 
 

@@ -205,7 +205,7 @@ class RecordedPoses(Checked):
             )
 
     @cached_property
-    def _records(self) -> Records:
+    def records(self) -> Records:
         """All records; the last pose of the trajectory only marks the end of the last record."""
         time = self.trajectory.time
         block = np.floor((time[:-1] - time[0]) / self.block).astype(np.int64)
@@ -214,17 +214,17 @@ class RecordedPoses(Checked):
     @cached_property
     def _is_kept_back(self) -> BoolArray:
         every = self.held_out or math.inf
-        return np.asarray(self._records.block % every == every - 1)
+        return np.asarray(self.records.block % every == every - 1)
 
     @property
     def training(self) -> Records:
         """Records used for the optimisation of a deployment."""
-        return self._records[~self._is_kept_back]
+        return self.records[~self._is_kept_back]
 
     @property
     def kept_back(self) -> Records:
         """Records that are held out."""
-        return self._records[self._is_kept_back]
+        return self.records[self._is_kept_back]
 
     def visited(self, room: Space) -> RecordedRoom:
         """Room with the positions of the recording.

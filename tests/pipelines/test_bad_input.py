@@ -89,7 +89,7 @@ CASES = [
     ("evaluate", "room.keepout=[]", "room.keepout is not a known setting"),
     ("optimise", "optimiser.populaton=3 optimiser=ega", "optimiser.populaton is not a known setting; did you"),
     ("optimise", "varies=rooms", "varies must be one of tags, cameras, got 'rooms'"),
-    ("optimise", "experiment=frc_2025 deployment=random", "deployment.path is not a known setting"),
+    ("optimise", "experiment=frc_field deployment=random", "deployment.path is not a known setting"),
     ("optimise", "deployment.count=1000000000000", f"deployment.count = 1000000000000 landmarks {MANY}"),
     ("optimise", "budget.evaluations=null", "budget.evaluations or seconds must be given"),
     ("optimise", "export=[wpilib]", "tag.edge must be given, in metres"),

@@ -79,7 +79,8 @@ def test_a_run_with_sizes_is_evaluated_as_it_was_found(tmp_path):
     assert again["fitness"] == found["fitness"] > 0.0
 
 
-FRC = ("room=frc_2025", "camera=ov9281", "pdf=yaw", "tag.edge=0.1", "visibility=fiducial", "objective=localisation")
+FRC = ("room=floor_plan", "room.path=${lmd.conf:experiment/2025-reefscape-welded.json}", "room.height=3",
+       "camera=ov9281", "pdf=yaw", "tag.edge=0.1", "visibility=fiducial", "objective=localisation")  # fmt: skip
 
 
 @SIGHT  # two scenes with obstacles or many positions: some 15 s each
