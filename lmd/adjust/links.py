@@ -150,7 +150,7 @@ class Links:
         if off > MOST_OFF or np.abs(at.bias).max() > MOST_BIAS:
             raise InputError(
                 "odometry contradicts the motion in the images: give mount or frame=body if its poses are of a body "
-                "and not of the (first) camera, and check that it was recorded on this drive.",
+                "and not of the (first) camera, and check that its drive and clock (to 0.5 s) are theirs.",
                 "odometry",
             )
 

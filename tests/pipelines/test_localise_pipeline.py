@@ -89,7 +89,9 @@ def test_a_drive_is_smoothed_by_odometry(room):
     for k, (pose, turn) in enumerate(zip(walk.frames, turns, strict=True)):
         lines += [",".join(map(str, [k, *pose[:3, 3], *turn]))]
     (cwd / "odometry.csv").write_text("\n".join(lines))
-    given = ["map=survey", "localise.odometry=odometry.csv", "hydra.run.dir=smooth"]
+    page = (processes.ROOT / "docs" / "clocks.md").read_text(encoding="utf-8")
+    command = page.partition("pipelines.localise ")[2].partition("```")[0].replace("\\\n", " ")
+    given = command.replace("outputs/surveyed", "survey").replace("outputs/localised", "smooth").split()
     result = processes.inside("localise", *given, cwd=cwd, settings=GIVEN)
     assert result.returncode == 0, result.stderr
     one, other = (pd.read_csv(cwd / "smooth" / name) for name in ("poses.csv", "smoothed.csv"))
@@ -97,6 +99,9 @@ def test_a_drive_is_smoothed_by_odometry(room):
     away = [np.linalg.norm(table[["x", "y", "z"]] - walk.frames[table.time, :3, 3], axis=1) for table in (one, other)]
     assert np.nanmedian(away[1]) < np.nanmedian(away[0])
     assert "\nsmoothed " in result.stdout
+    said = json.loads((cwd / "smooth" / "localise.json").read_text())["clock"]
+    assert said in result.stdout
+    assert f"| `{said[:34]} ...` |" in page
 
 
 def away(table, frames):
