@@ -2,6 +2,7 @@
 
 import json
 import math
+import shlex
 from pathlib import Path
 
 import cv2
@@ -97,19 +98,17 @@ def test_tags_that_rounding_puts_into_a_reef_touch_it_and_deeper_ones_are_named(
     assert "where no camera sees them: 17, 18, 19, 20" in capsys.readouterr().err
 
 
-def with_hubs(length, width, *corners):
-    """A field of 2026: the hubs are 47 inches wide by the manual, and their tags stand out by some millimetres."""
-    return shapely.box(0, 0, length, width).difference(
-        shapely.union_all([shapely.box(x, y, x + 1.1938, y + 1.1938) for x, y in corners])
-    )
+def hub(x, y):
+    return shapely.box(x, y, x + 1.1938, y + 1.1938)
 
 
 @pytest.mark.parametrize(
     ("name", "wanted"),
     [
         ("2025-reefscape-welded", shapely.Polygon(OUTLINE, [REEF, OTHER])),
-        ("2026-rebuilt-welded", with_hubs(16.541, 8.069, (4.0284, 3.4376), (11.3187, 3.4376))),
-        ("2026-rebuilt-andymark", with_hubs(16.518, 8.043, (4.0149, 3.4247), (11.3092, 3.4247))),
+        # The hubs are 47 inches wide by the manual, and their tags stand out by some millimetres.
+        ("2026-rebuilt-welded", shapely.box(0, 0, 16.541, 8.069) - hub(4.0284, 3.4376) - hub(11.3187, 3.4376)),
+        ("2026-rebuilt-andymark", shapely.box(0, 0, 16.518, 8.043) - hub(4.0149, 3.4247) - hub(11.3092, 3.4247)),
     ],
 )
 def test_a_layout_is_a_field_with_the_bodies_of_its_season(name, wanted, tmp_path):
@@ -132,7 +131,6 @@ def test_along_a_path_tags_are_counted_and_errors_predicted_as_by_hand():
     seen = [[tag for tag in hung if reads(*tag, pose[:3, 3], pose[:3, 2], pose[:3, 0], hubs)] for pose in poses]
     counts = np.array([len(each) for each in seen])
     assert ((counts >= 2) == along.covered).all()
-    assert 0.1 < along.covered.mean() < 0.9
     ratios = []
     for k in np.flatnonzero((counts >= 2) & np.isfinite(along.predicted_error))[::8]:
         points, turn = np.concatenate([square for *_, square in seen[k]]), poses[k, :3, :3].T
@@ -154,3 +152,13 @@ def test_along_a_path_tags_are_counted_and_errors_predicted_as_by_hand():
     runs = (along.covered != along.covered.shift()).cumsum()
     longest = along[along.covered == 0].groupby(runs).seconds.sum().max()
     assert figures["longest_uncovered_seconds"] == pytest.approx(longest)
+
+
+def test_the_commands_of_the_page_build_their_problems():
+    block = (ROOT / "docs" / "frc.md").read_text().split("```sh\n")[1].split("```")[0].replace("\\\n", "")
+    for line in block.replace("LAYOUT.json", str(FIELD)).replace(".path=", f".path={ROOT}/examples/frc/").splitlines():
+        _, _, module, *words = shlex.split(line.replace(f"{ROOT}/examples/frc/{FIELD}", str(FIELD)), comments=True)
+        own = [word.split()[-1].rstrip("']") for word in words if word.startswith("deployments=")]
+        shared = [word for word in words if not word.startswith(("deployments=", "varies="))]
+        problem = build_problem(composing.composed(module.removeprefix("pipelines."), *shared, *own))
+        assert len(problem.draw(np.random.default_rng(0))) == 22
