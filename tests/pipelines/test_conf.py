@@ -108,7 +108,8 @@ def test_every_promise_of_operations_names_a_test():
 @pytest.mark.parametrize("experiment", sorted({*EXPERIMENTS} - {*SWEEPS}))
 def test_every_experiment_composes_and_builds(experiment):
     for app in ("optimise", "evaluate"):
-        build_problem(composed(app, f"experiment={experiment}"))
+        path = [f"poses.path={SETTINGS.parents[1] / 'examples/frc/bump.path'}"] * (experiment == "frc_path")
+        build_problem(composed(app, f"experiment={experiment}", *path))
 
 
 @pytest.mark.parametrize("experiment", SWEEPS)
