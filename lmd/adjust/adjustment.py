@@ -58,26 +58,30 @@ class System(NamedTuple):
 
     @property
     def informed(self) -> tuple[IntArray, FloatArray]:
-        """Indices of the n rows of `matrix` whose unknowns have information, `(n,)`, and `matrix` restricted to these
-        rows and columns, `(n, n)`.
+        """Indices, `(n,)`, of the unknowns about which measurements or priors give information; and `matrix` restricted
+        to the rows and columns of these unknowns, `(n, n)`.
         """
         rows = np.flatnonzero(np.diag(self.matrix) > 0.0)
         return rows, self.matrix[np.ix_(rows, rows)]
 
     @property
     def covariance(self) -> FloatArray:
-        """Covariance of the kept unknowns, `(6 kept, 6 kept)`; NaN for those without information."""
+        """Covariance of the kept unknowns, `(6 kept, 6 kept)`; NaN for unknowns about which there is no information."""
         (rows, matrix), whole = self.informed, np.full_like(self.matrix, np.nan)
         whole[np.ix_(rows, rows)] = np.linalg.inv(matrix)
         return whole
 
     @property
     def log_determinant(self) -> float:
-        """Log-determinant of the matrix of all unknowns that have information."""
+        """Logarithm of the determinant of the normal matrix of all unknowns, frames included, about which there is
+        information.
+        """
         return float(np.linalg.slogdet(self.informed[1])[1]) + self.frames.log_determinant
 
     def reached(self, kept: FloatArray) -> FloatArray:
-        """Product H_fk x, `(F, 6, ...)`, for values x of all kept unknowns, `(kept, 6, ...)`."""
+        """Product H_fk x, `(F, 6, ...)`: the change of the frames' equations for values x of all kept unknowns,
+        `(kept, 6, ...)`.
+        """
         return np.concatenate([part.reached(kept) for part in self.frames.parts])
 
 
@@ -188,7 +192,7 @@ class Adjustment:
         return Poses(poses.tags @ exp(kept[: len(poses.tags)]), frames, mounts)
 
     def step(self, poses: Poses, floor: float, damping: float) -> Poses:
-        """Poses after one step; unknowns without information do not change."""
+        """Poses after one Levenberg-Marquardt step. Unknowns about which there is no information do not change."""
         system, kept = self.system(poses, floor, damping), np.zeros(6 * self.kept)
         rows, matrix = system.informed
         matrix[np.diag_indices_from(matrix)] *= 1.0 + LEAST_DAMPING
@@ -202,8 +206,8 @@ class Adjustment:
         their prior standard deviations.
 
         Args:
-            poses, floor: best poses, and best standard deviation of corners in addition to the detector's own, for the
-                present nuisance parameters.
+            poses: best poses for the present nuisance parameters.
+            floor: best standard deviation of corners in addition to the detector's own, for these parameters, pixels.
             damping: relative increase of the diagonals of the blocks (Levenberg-Marquardt).
             off: distance of the nuisance parameters from their prior means, `(n, 6)`.
 
@@ -219,7 +223,7 @@ class Adjustment:
 
     def loss(self, poses: Poses, floor: float, sightings: Sightings | None = None) -> float:
         """Total loss of sightings, priors and links of motion. If `sightings` are given, they replace the sightings of
-        the adjustment; they must be its detections, seen through cameras with other parameters.
+        the adjustment: they are the same detections, converted with other parameters of the cameras.
         """
         some = self.sightings if sightings is None else sightings
         return self._loss(squared_errors(some, poses), self._prior_loss(poses), floor)
@@ -286,8 +290,8 @@ class Adjustment:
         return system.frames.covariances(system.reached(root), self.inflation**-2.0 if self.links is None else 1.0)
 
     def _update_share(self, poses: Poses, floor: float) -> None:
-        """Set `share`, the fraction of the sightings' squared errors that is expected to remain after the fit, if links
-        of motion or a map also constrain the unknowns.
+        """Set `share`, the fraction of the sightings' squared errors that is expected to remain after the fit. Without
+        links of motion and without a map as the prior, `share` keeps its value.
         """
         if self.links is not None or self.prior.joint is not None:
             here, there = (self.system(poses, floor, 0.0, weight).log_determinant for weight in (1.0, 1.0 + CHANGE))
@@ -296,8 +300,8 @@ class Adjustment:
 
 
 def _orthonormal(poses: FloatArray) -> FloatArray:
-    """Poses with rotations that are made orthonormal again, as products of poses accumulate rounding errors; NaN stays
-    NaN.
+    """Poses whose rotations are made orthonormal again, because products of poses accumulate rounding errors. Poses of
+    NaN stay NaN.
     """
     result, known = poses.copy(), np.isfinite(poses).all(axis=(1, 2))
     result[known] = pose_of(nearest_rotations(poses[known, :3, :3]), poses[known, :3, 3])

@@ -90,9 +90,9 @@ class Candidates:
         self._order, self._begins = np.argsort(self.owner, kind="stable"), np.cumsum(self.counts) - self.counts
 
     def _judges(self, owner: IntArray) -> tuple[Sightings, IntArray, Callable[[FloatArray], Reprojection]]:
-        """Sightings with which P candidate poses of the owners `owner` `(P,)` are compared; for each sighting, the
-        index of its candidate pose; and a function that computes the reprojection of these sightings from the poses
-        `(P, 4, 4)`.
+        """Data for comparing P candidate poses, whose owners are `owner` `(P,)`, with the sightings of these owners.
+        Returns: the sightings, repeated for each candidate; for each of them, the index of the candidate; and a
+        function that computes the reprojection of these sightings from the candidate poses `(P, 4, 4)`.
         """
         pose = np.repeat(np.arange(len(owner)), self.counts[owner])
         pairs = self._order[self._begins[owner[pose]] + rank_within(pose)]
@@ -105,13 +105,16 @@ class Candidates:
         return some, pose, at
 
     def agreed(self, poses: FloatArray) -> FloatArray:
-        """For each of M owners, number of its sightings that agree with its pose `(M, 4, 4)`; `(M,)`."""
+        """Number of sightings of each owner that agree with the pose of this owner, `(M,)`; `poses` `(M, 4, 4)` has one
+        pose for each of the M owners.
+        """
         some, pose, at = self._judges(np.arange(len(self.owners)))
         return np.asarray(np.bincount(pose, agreeing(some, at(poses).squared), minlength=len(self.owners)))
 
     def best(self, poses: FloatArray, owner: IntArray, count: int) -> IntArray:
-        """Indices of the `count` poses with the least robust losses for each owner, sorted by owner, then by loss, from
-        poses `(P, 4, 4)` and their owners `(P,)`.
+        """Choose, for each owner, the `count` candidate poses with the least robust losses. `poses` `(P, 4, 4)` are the
+        candidates of all owners, `owner` `(P,)` their owners. Returns indices of the candidates, sorted by owner, then
+        by loss.
         """
         _, pose, at = self._judges(owner)
         losses = np.bincount(pose, np.log1p(at(poses).squared / (4.0 * NARROW**2)), minlength=len(poses))
@@ -119,8 +122,9 @@ class Candidates:
         return np.asarray(order[rank_within(owner[order]) < count])
 
     def proposals(self, single: FloatArray) -> tuple[FloatArray, IntArray]:
-        """Poses proposed by those sightings of each owner that are largest in the image, `(P, 4, 4)`, after
-        Gauss-Newton steps with robust losses of decreasing scale; and the owner of each pose, `(P,)`.
+        """Candidate poses of all owners, `(P, 4, 4)`, and the owner of each candidate, `(P,)`. For each owner, the
+        sightings that are largest in the image propose poses; the best proposals are refined by Gauss-Newton steps with
+        robust losses of decreasing scale.
 
         Args:
             single: two poses of the tag of each sighting in its camera, `(N, 2, 4, 4)`.
@@ -187,8 +191,8 @@ def placed_tags(some: Sightings, poses: Poses, fewest: int, share: float) -> Flo
 
 
 def rank(sightings: Sightings, owner: IntArray) -> IntArray:
-    """Rank of each sighting by its size in the image among the sightings of its owner (its frame or tag), 0 for the
-    largest, `(N,)`.
+    """Place of each sighting in the order of decreasing sizes in the image, among the sightings of its owner (its frame
+    or tag): 0 for the largest, `(N,)`.
     """
     order = np.lexsort((-sightings.sizes, owner))
     result = np.empty(len(sightings), dtype=np.int64)
@@ -197,7 +201,7 @@ def rank(sightings: Sightings, owner: IntArray) -> IntArray:
 
 
 def rank_within(owner: IntArray) -> IntArray:
-    """Rank of each entry among the entries with an equal owner; `owner` is sorted."""
+    """For each entry of the sorted array `owner`, the number of equal entries before it."""
     return np.asarray(np.arange(len(owner)) - np.searchsorted(owner, owner))
 
 

@@ -198,8 +198,8 @@ def floor_of(error: FloatArray, noise: FloatArray, most: float) -> float:
 
 
 def efficiency(square: FloatArray) -> tuple[float, float]:
-    """Mean slope of the robust estimating equations and variance of their right side (sandwich formula), from chi^2 of
-    N sightings, `square` `(N,)`.
+    """The two factors by which robust weights change the covariance (sandwich formula): mean slope of the robust
+    estimating equations, and variance of their right side. `square` `(N,)` has chi^2 of N sightings.
 
     With weights w(chi^2), the slope is the mean of w + 2 w' chi^2 / 8, and the variance is the mean of w^2 chi^2 / 8.
     Least squares that give all sightings the weight slope^2 / variance have the covariance of the robust fit.
@@ -241,11 +241,13 @@ def newton_step(
     summed: Callable[[FloatArray], FloatArray],
     damping: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Gauss-Newton steps `(n, m)`, and normal matrices `(n, m, m)`, of the poses of n owners (frames or tags) of
-    sightings.
+    """Gauss-Newton steps `(n, m)` and normal matrices `(n, m, m)` of n poses. Each pose is that of a frame or tag, the
+    *owner* of some of the N sightings.
 
     Args:
-        jacobian, error, weight: values of each sighting, `(N, r, m)`, `(N, r)` and `(N,)`.
+        jacobian: derivatives of each sighting's r residuals with respect to the pose of its owner, `(N, r, m)`.
+        error: residuals of each sighting, `(N, r)`.
+        weight: weight of each sighting, `(N,)`.
         summed: sum over the sightings of each owner, see `sums_by`.
         damping: matrix that is added to each normal matrix, `(m, m)`.
     """

@@ -105,14 +105,14 @@ def measured_motion(joint: Adjustment, poses: Poses, floor: float) -> Motion:
 
 
 def with_rough_clock(motion: Motion, frames: IntArray, part: IntArray, poses: FloatArray) -> Motion:
-    """Motion with the odometry taken at the times of the images plus that offset of the clocks, see `Clock`, at which
-    the odometry fits the poses best. A constant-velocity motion, or one whose offset is not significant, is returned
-    unchanged.
+    """Motion with the offset of the odometry's clock, see `Clock`, at which the odometry fits rough poses best. The
+    motion is returned unchanged if it is a constant velocity, or if the best offset is not significant.
 
     Args:
         motion: motion between all frames.
         frames: indices of n frames, `(n,)`.
-        part: part of each of these frames, `(n,)`; only frames with equal parts share a world frame.
+        part: index of the part (group of tags) to which each of these frames belongs, `(n,)`; only frames of one part
+            share a world frame.
         poses: rough poses of these frames, `(n, 4, 4)`.
     """
     if motion.odometry is None:
@@ -144,7 +144,7 @@ def bridged_gaps(motion: Motion, poses: FloatArray) -> FloatArray:
     clock = clock + motion.piece * (np.nanmax(clock) + 10.0 * LONGEST_GAP)
 
     def nearest(seconds: FloatArray) -> IntArray:
-        """Index of the frame nearest to each time in `clock`."""
+        """For each of the times `seconds`, index of the frame whose time in `clock` is nearest."""
         after = np.clip(np.searchsorted(clock, seconds), 1, len(clock) - 1)
         return np.asarray(after - (seconds - clock[after - 1] < clock[after] - seconds))
 
@@ -169,12 +169,12 @@ def bridged_gaps(motion: Motion, poses: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Nodes:
-    """Nodes: pairs of a frame and a part (a group of tags, see `lmd.survey.groups`) that the frame shows; sorted by
-    part, then by time.
+    """Nodes, sorted by part, then by time. A node is a frame together with one part (a group of tags, see
+    `lmd.survey.groups`) of which the frame shows tags.
     """
 
     sightings: Sightings
-    """Sightings with nodes in place of frames."""
+    """Sightings whose `frame` is the index of a node instead of a frame."""
     frame: IntArray
     """`(n,)` index of each node's frame."""
     part: IntArray
@@ -200,8 +200,9 @@ class Nodes:
 
 
 def smoothest(nodes: Nodes, poses: Poses) -> Poses:
-    """Poses of the nodes, each in the world frame of its part: the smoothest sequence that can be chosen from the rough
-    poses of the frames and from the poses that the sightings largest in the image propose.
+    """Poses with one pose for each node, in the world frame of the node's part. A node keeps its rough pose if several
+    of its sightings agree with that pose. Else its largest sighting in the image proposes two poses, and the pose that
+    makes the sequence of nodes smoothest is taken.
     """
     some, motion, placed = nodes.sightings, nodes.motion, poses.frames[nodes.frame]
     order = np.lexsort((-some.sizes, some.frame))

@@ -52,7 +52,7 @@ class Lenses:
     """Prior standard deviations of each camera's P intrinsics and two shifts, see `Optics.values`, `(P + 2,)` each."""
     off: FloatArray
     """Differences between the refined and the given values of each camera, in prior standard deviations, `(C, 6 L)`;
-    the values fill L blocks of six.
+    zeros are appended to the values to fill L blocks of six.
     """
 
 
@@ -141,7 +141,9 @@ class Estimate:
         return np.asarray((self.group == 0) & np.isfinite(of_tags).all(axis=1))
 
     def _blocks(self, first: int, last: int, size: int = 6) -> FloatArray:
-        """Diagonal blocks, `(n, size, size)`, of the covariance of the kept unknowns `first` to `last` (excluded)."""
+        """Covariances of single poses: the diagonal blocks, `(n, size, size)`, of the covariance of the kept unknowns.
+        Only the blocks of six with the indices `first` to `last` (excluded) are used.
+        """
         return diagonal_blocks(self.covariance[6 * first : 6 * last, 6 * first : 6 * last], size)
 
     @property
@@ -205,7 +207,7 @@ class Estimate:
 
     @property
     def are_astray(self) -> BoolArray:
-        """Mask of the tags with at least `FEWEST_MISFITS` outliers, which are also most of their sightings, `(K,)`."""
+        """Mask of the tags most of whose sightings are outliers, at least `FEWEST_MISFITS` sightings, `(K,)`."""
         counts = self.sightings.counts(self.misfits)
         return np.asarray((counts >= FEWEST_MISFITS) & (counts > self.sightings.counts(self.used)))
 
@@ -237,8 +239,8 @@ def constraining(sightings: Sightings, used: BoolArray, prior: Prior) -> BoolArr
 
 
 def inflation(found: Estimate) -> float:
-    """Factor, at least 1, by which errors that are correlated in time enlarge the standard deviations of positions: the
-    geometric mean over tags, from blocks of time.
+    """Factor, at least 1, by which errors that are correlated in time enlarge the standard deviations of the tags'
+    positions. It is computed from blocks of time, as the geometric mean of the factors of single tags.
 
     The factor is 1 if there are too few frames for blocks. If frames are linked, only frames with two or more tags are
     used, in the largest part of the map that such frames connect.

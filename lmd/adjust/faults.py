@@ -65,7 +65,7 @@ class Faults(NamedTuple):
     sizes: dict[int, float]
     """Estimated edge lengths of the tags whose stated size is wrong, metres, keyed by id."""
     misread: IntArray
-    """`(K,)` number of sightings with each id that fit no pose of the tag."""
+    """For each tag, number of sightings with its id that fit none of its poses, `(K,)`."""
 
 
 def second_places(found: Estimate, gross: BoolArray) -> list[SecondPlace]:
@@ -91,8 +91,8 @@ def second_places(found: Estimate, gross: BoolArray) -> list[SecondPlace]:
 
 
 def _change(first: IntArray, second: IntArray) -> int | None:
-    """Frame at which a tag was moved, given the frames that show it at its `first` and at its `second` pose; None if
-    these frames are not separated in time.
+    """Index of the first frame after a tag was moved, from the frames that show it at its `first` pose and those that
+    show it at its `second` pose; None if the frames alternate between the two poses.
     """
     begins = int(np.quantile(second, OUT_OF_ORDER_SHARE / 2.0))
     mixed = (first >= begins).mean() > OUT_OF_ORDER_SHARE
@@ -103,8 +103,9 @@ def _change(first: IntArray, second: IntArray) -> int | None:
 def with_best_edges(
     seen: Observations, begun: Callable[[Observations], tuple[Begun, int]], plan: FloatArray | None = None
 ) -> tuple[Begun, BoolArray]:
-    """Call `begun` with the stated edge lengths and with those of `odd_sizes`. Returns: the result with which more
-    sightings agree; the mask of the tags whose edge length in this result differs from the stated one, `(K,)`.
+    """Call `begun` twice: with the stated edge lengths and with the edge lengths that `odd_sizes` estimates. Returns:
+    the result with which more sightings agree; the mask of the tags whose edge length in this result differs from the
+    stated one, `(K,)`.
 
     Args:
         seen: detections.
@@ -137,8 +138,8 @@ def odd_sizes(sightings: Sightings, plan: FloatArray | None = None) -> tuple[Flo
 
 
 def _together(sightings: Sightings) -> Iterator[tuple[int, int, FloatArray, FloatArray]]:
-    """Pairs of tags i < j that images show together: i, j, and the tags' centres in the cameras' frames, `(n, 3)` each,
-    metres.
+    """Iterate over the pairs of tags i < j that n images show together. Yields i, j, and the centres of tag i and
+    of tag j in the frame of the camera of each image, `(n, 3)` each, metres.
     """
     count, every = len(sightings.ids), np.arange(len(sightings))
     centres = single_poses(sightings).poses[:, 0, :3, 3]
@@ -156,8 +157,8 @@ def _together(sightings: Sightings) -> Iterator[tuple[int, int, FloatArray, Floa
 
 
 def _losses(one: FloatArray, two: FloatArray, expected: float | None) -> FloatArray:
-    """Robust loss, `(...,)`, of the relative differences between the n distances from the centres `one` to the centres
-    `two`, `(..., n, 3)` each, and the distance `expected`; None for the median of the distances.
+    """Robust loss, `(...,)`, of n measured distances between two tags with the centres `one` and `two`, `(..., n, 3)`
+    each. The distances are compared with the distance `expected`, or with their median if it is None.
     """
     away = np.log(np.maximum(np.linalg.norm(two - one, axis=-1), 1e-9))
     off = away - (np.median(away, axis=-1, keepdims=True) if expected is None else np.log(expected))
@@ -165,9 +166,10 @@ def _losses(one: FloatArray, two: FloatArray, expected: float | None) -> FloatAr
 
 
 def _planned_sizes(sightings: Sightings, plan: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """For each tag, logarithm of the factor on its edge length at which its measured distances from other tags equal
-    those in the map; and mask of the tags that no image shows with another tag of the map; `(K,)` each. The other tag
-    of each pair has either its stated size or an equal factor.
+    """Factors on edge lengths, from the distances between tags. Returns: for each tag, logarithm of the factor on its
+    edge length at which its measured distances from other tags fit those in the map best; and mask of the tags that no
+    image shows with another tag of the map; `(K,)` each. In each pair, the other tag keeps its size or gets an equal
+    factor.
     """
     pairs = [pair for pair in _together(sightings) if np.isfinite(plan[[pair[0], pair[1]]]).all()]
     factors, alone = np.ones(len(plan)), np.ones(len(plan), dtype=bool)
@@ -185,8 +187,8 @@ def _planned_sizes(sightings: Sightings, plan: FloatArray) -> tuple[FloatArray, 
 
 
 def _relative_sizes(sightings: Sightings) -> tuple[FloatArray, BoolArray]:
-    """Logarithm of the size of each tag relative to most others, and mask of the tags whose relative size is unknown,
-    `(K,)` each.
+    """Logarithm of the factor on each tag's edge length relative to most other tags, and mask of the tags for which
+    this factor is unknown, `(K,)` each.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree

@@ -20,7 +20,7 @@ def rows_of(tags: IntArray) -> IntArray:
 
 
 def diagonal_blocks(covariance: FloatArray, size: int = 6) -> FloatArray:
-    """Blocks `(size, size)` on the diagonal of a matrix, `(n, size, size)`."""
+    """The n square blocks on the diagonal of a matrix, `(n, size, size)`."""
     count = len(covariance) // size
     each = np.arange(count)
     return np.asarray(covariance.reshape(count, size, count, size)[each, :, each])
@@ -105,7 +105,7 @@ def align_tags(here: FloatArray, there: FloatArray) -> FloatArray | None:
 
     def squares(motion: FloatArray) -> FloatArray:
         """Squared difference of each tag's two poses after a motion, `(K,)`: the squared distance of the centres plus
-        the squared angle between the normals, each relative to its scale.
+        the squared angle between the normals, divided by the squares of `PLACE_SCALE` and of `NORMAL_SCALE`.
         """
         moved = motion @ here
         away = np.linalg.norm(moved[:, :3, 3] - there[:, :3, 3], axis=1) / PLACE_SCALE
@@ -122,7 +122,7 @@ def align_tags(here: FloatArray, there: FloatArray) -> FloatArray | None:
 
 
 def angle_between_normals(here: FloatArray, there: FloatArray) -> FloatArray:
-    """Angles between the normals of tags, rad, `(K,)`."""
+    """Angle between the normals of the two poses, `here` and `there`, of each tag, rad, `(K,)`."""
     return np.asarray(np.arccos(np.clip((here[:, :3, 2] * there[:, :3, 2]).sum(axis=1), -1.0, 1.0)))
 
 

@@ -32,7 +32,7 @@ class Optics:
     camera: Camera
     """The camera."""
     shifts: tuple[float, float] = (0.0, 0.0)
-    """Shifts s_1 and s_2 inward, pixels, see `lmd.adjust.refinement`."""
+    """Parameters s_1 and s_2 of the shift of edges inward, pixels, see `lmd.adjust.refinement`."""
 
     @property
     def values(self) -> FloatArray:
@@ -141,7 +141,9 @@ def prior_sigmas(camera: Camera, rough: bool = False) -> FloatArray:
 
 
 def _bundle(camera: Camera) -> FloatArray:
-    """Directions of the rays through a grid of image points, without points beyond the lens's image, `(n, 3)`."""
+    """Directions of the rays through a grid of image points, `(n, 3)`; image points to which the lens maps no ray are
+    left out.
+    """
     places = np.linspace(0.0, 1.0, GRID_SIDE)
     image = np.stack(np.meshgrid(places * camera.image_width, places * camera.image_height), axis=-1)
     bundle = bearings(camera, image.reshape(-1, 2))

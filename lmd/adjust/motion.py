@@ -133,8 +133,8 @@ class Motion:
         place, share = odometry.steps_at(at)
 
         def at_frames(added: FloatArray) -> FloatArray:
-            """Sums of `added`, one matrix for each step of the odometry, `(T - 1, 6, 6)`, over all steps before each
-            frame, `(F, 6, 6)`.
+            """For each frame, sum of the matrices of all steps of odometry before it, `(F, 6, 6)`; `added`
+            `(T - 1, 6, 6)` has one matrix for each step.
             """
             sums = np.concatenate([0.0 * added[:1], np.cumsum(added, axis=0)])
             return np.asarray(sums[place] + share[:, None, None] * added[place])
@@ -155,9 +155,9 @@ class Motion:
 
     @property
     def velocities(self) -> FloatArray:
-        """Turn rate, rad/s, and velocity, m/s, of the body at each frame by odometry, in the body's frame,
-        `(F, 6, 2)`: estimates from even and from odd steps of odometry, whose drift is independent; 0 for frames
-        without odometry.
+        """Turn rate, rad/s, and velocity, m/s, of the body at each frame by odometry, in the body's frame, `(F, 6, 2)`.
+        The last axis has two estimates with independent drift: from even steps and from odd steps of odometry. They are
+        0 for frames without odometry.
         """
         assert self.odometry is not None
         own, frames = self.odometry.time, np.arange(len(self.times))

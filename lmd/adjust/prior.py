@@ -40,10 +40,10 @@ class Kept:
 
 @dataclass(frozen=True)
 class Sheets:
-    """Those M of the K tags of a survey that are on sheets."""
+    """Tags on sheets: those M of the K tags of a survey that were printed on a sheet with other tags."""
 
     tag: IntArray
-    """`(M,)` indices of the tags in the survey."""
+    """`(M,)` index of each of these tags among the K tags of the survey."""
     board: IntArray
     """`(M,)` index of the sheet on which each tag is."""
     poses: FloatArray
@@ -72,8 +72,9 @@ class Sheets:
         return one, other
 
     def fitted(self, tags: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Twists d_k from the tags' known poses on their sheets to the poses `tags` `(K, 4, 4)`, `(M, 6)`, and chi^2 of
-        each twist, `(M,)`. Each sheet is placed where it fits its tags best.
+        """Twists d_k of the tags on sheets, `(M, 6)`, and chi^2 of each twist, `(M,)`. Each sheet is placed where it
+        fits the poses `tags` `(K, 4, 4)` of its tags best; d_k is the twist from the pose that the sheet gives a tag to
+        the tag's pose in `tags`.
 
         Each tag proposes a pose of its sheet; the fit starts with the proposal on which the tags of the sheet agree
         best.
@@ -179,8 +180,8 @@ class Prior:
     """Motion between the frames; None if frames are independent of each other."""
     joint: FloatArray | None = field(default=None, repr=False)
     """`(6 K, 6 K)` information (inverse covariance) on the twists of all tags from their expected poses, if the errors
-    of different tags are correlated. It replaces the values of `information`, which then only select the tags with a
-    prior. None for independent tags.
+    of different tags are correlated. It replaces `information`, which then only tells which tags have a prior. None for
+    independent tags.
     """
 
     @property
@@ -226,8 +227,8 @@ class Prior:
         return loss
 
     def add_to(self, kept: Kept, poses: Poses, is_robust: bool) -> None:
-        """Add the information on tags and mounts to the normal equations `kept`, linearised at `poses`; robust weights,
-        if asked for, do not apply to exact poses.
+        """Add the information on tags and mounts to the normal equations `kept`, linearised at `poses`. With
+        `is_robust`, tags get robust weights, except tags with exact poses or correlated errors.
         """
         count, off = len(self.tags), self.off(poses.tags)
         if self.joint is not None:

@@ -71,8 +71,8 @@ def _lenses_of(found: Estimate) -> Lenses:
 
 
 def _through(found: Estimate, lenses: Lenses) -> Estimate:
-    """Estimate whose cameras have the nuisance parameters `lenses`; sightings are computed anew for these cameras, with
-    the present shapes of tags.
+    """Copy of the estimate whose cameras have the nuisance parameters `lenses`. Its sightings are computed anew for
+    these cameras; shapes of tags are kept.
     """
     names = ("edges", "shapes", "shape_sigma", "size_sigmas", "taken")
     some = replace(lenses.seen.through(lenses.optics), **{name: getattr(found.sightings, name) for name in names})
@@ -89,7 +89,9 @@ def nuisances_off(found: Estimate) -> FloatArray:
 
 
 def minimised(found: Estimate, is_stopped: Callable[[int, int], bool] = _never) -> Estimate:
-    """Estimate after joint steps of all unknowns, which end when a step is small."""
+    """Estimate after joint Levenberg-Marquardt steps of all unknowns, nuisance parameters included. The steps end when
+    one is small, or when `is_stopped` returns True.
+    """
     now, damping, cameras = found, 0.0, _lenses_of(found).off.size // 6
     for done in range(MOST_ROUNDS):
         some, squares = now.sightings, now.squares
@@ -144,8 +146,8 @@ def _stepped(
 
 
 def _after(found: Estimate, step: FloatArray, poses: Poses) -> Estimate:
-    """Estimate after a step `(n, 6)` of the nuisance parameters; the step of the cameras' parameters is halved until
-    the cameras are valid.
+    """Estimate with the poses `poses`, after a step `step` `(n, 6)` of the nuisance parameters. The part of the step
+    that changes cameras is halved until the changed cameras are valid.
     """
     lenses, some = _lenses_of(found), found.sightings
     cameras = lenses.off.size // 6
@@ -197,7 +199,7 @@ def refine(
     """Estimate poses and nuisance parameters together.
 
     Args:
-        found: see `with_lenses`.
+        found: estimate with nuisance parameters as unknowns, as `with_lenses` returns.
         keep: True to keep cameras and shapes as they are; their uncertainty still enters the covariance.
         is_stopped: function that is called before each round, with the number of the round and the maximum number of
             rounds; it returns True to stop with the present estimate.
@@ -258,7 +260,8 @@ def synchronised(found: Estimate, again: Callable[[Estimate], Estimate]) -> Esti
 
 
 def _clock(found: Estimate) -> Clock | None:
-    """Offset of the camera's clock, with a prior standard deviation of a second; None without odometry.
+    """Estimate the offset of the odometry's clock from the camera's clock; its prior standard deviation is one second.
+    None without odometry.
 
     If the camera's clock is behind, images show the body farther along its way than at their times. The derivative of
     the residuals with respect to the offset is their derivative with respect to the pose of the body, times the body's

@@ -80,7 +80,8 @@ class Sightings:
     """`(N,)` standard deviation of a coordinate of a corner according to the detector, pixels."""
     lens: FloatArray
     """`(N, 8, 6 L)` derivatives of e with respect to the camera's nuisance parameters, in units of their prior standard
-    deviations, see `lmd.adjust.refinement`; the parameters fill L blocks of six, L = 0 without nuisance parameters.
+    deviations, see `lmd.adjust.refinement`. Zeros are appended to the parameters to fill L blocks of six; L = 0 without
+    nuisance parameters.
     """
     shapes: FloatArray
     """`(K, 6)` deformations of the tags along `SHAPES`, metres."""
@@ -138,8 +139,8 @@ class Sightings:
 
 
 def shift_basis(pitch: FloatArray) -> FloatArray:
-    """Factors 1 and (2 / pitch)^2 of the two shift parameters s_1 and s_2 (see `lmd.adjust.refinement`) at each pitch
-    `(N,)`; `(N, 2)`.
+    """Factors, `(N, 2)`, by which the two shift parameters s_1 and s_2 (see `lmd.adjust.refinement`) are multiplied at
+    each pitch `(N,)`: 1 and (2 / pitch)^2.
     """
     return np.stack([np.ones_like(pitch), (SMALL_PITCH / pitch) ** 2], axis=1)
 
@@ -193,8 +194,8 @@ class Observations:
             raise InputError(f"cameras must have one camera for each of {named}, got {len(self.optics)}.", "cameras")
 
     def renumbered(self, quarters: IntArray | int) -> "Observations":
-        """Detections with renumbered corners: the corner with index 0 gets the index `quarters`, one number for all
-        tags or for each tag, `(K,)`.
+        """Detections with renumbered corners: the corner with index 0 gets the index `quarters`, which is one number
+        for all tags, or an array `(K,)` with a number for each tag.
         """
         every = np.broadcast_to(quarters, len(self.ids))
         return replace(self, detected=self.detected.renumbered(self.ids, every))

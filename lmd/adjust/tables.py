@@ -58,7 +58,7 @@ def plain(values: ArrayLike) -> list[Any]:
 
 
 def figures_of(found: Estimate) -> dict[str, float]:
-    """Metrics of an estimate: counts, and errors in pixels."""
+    """Metrics of an estimate, keyed by name: number of inliers, errors in pixels, and the factor `inflation`."""
     return {
         "sightings": float(found.used.sum()),
         "corner_floor": found.floor,
@@ -114,13 +114,13 @@ def lines_of(
 
 
 def files_of_model(found: Estimate, detected: DetectedTags, cameras: Sequence[Camera]) -> tuple[dict[str, Any], str]:
-    """Files and note of `lmd.formats.models.model_files` for the images of an estimate; the points are the corners of
-    the tags.
+    """Files of a model for other programs, and a note on them, see `lmd.formats.models.model_files`. The model has the
+    images of an estimate; its points are the corners of the tags.
 
     Args:
         found: the estimate.
         detected: the detections.
-        cameras: cameras of an estimate in which they are exact.
+        cameras: cameras of the model if the estimate did not refine them.
     """
     through, poses, some = [one.found for one in found.calibrated] or cameras, found.poses, found.sightings
     frame, camera = np.nonzero(detected.images & poses.known_frames[:, None])

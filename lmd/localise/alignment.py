@@ -90,7 +90,9 @@ def align(model: Model, result: Localisation) -> tuple[dict[str, Any], dict[str,
 
 
 def _rows(model: Model, detected: DetectedTags, names: NDArray[np.str_]) -> IntArray:
-    """Index in the model of each image of C cameras in F frames, `(C, F)` as `names`; -1 for images that it lacks."""
+    """For each image of C cameras in F frames, its index in the model, `(C, F)` like `names`; -1 for images that the
+    model lacks.
+    """
     if isinstance(model.names, list):
         parts = 1 + (len(names) > 1)  # folders count only if they are those of cameras
         index = {tuple(name.split("/")[-parts:]): row for row, name in enumerate(model.names)}
@@ -102,14 +104,18 @@ def _rows(model: Model, detected: DetectedTags, names: NDArray[np.str_]) -> IntA
 
 
 def _rms(owner: IntArray, squares: FloatArray, count: int) -> FloatArray:
-    """Root mean square of each of `count` owners, without squares that are NaN; NaN for an owner without any."""
+    """For each of `count` owners, root of the mean of its values in `squares`; `owner` has the index of the owner of
+    each value. Values of NaN are left out; the result is NaN for an owner without other values.
+    """
     known = np.isfinite(squares)
     number = np.bincount(owner[known], minlength=count)
     return np.asarray(np.sqrt(np.bincount(owner[known], squares[known], count) / np.where(number, number, np.nan)))
 
 
 def _rough(poses: FloatArray, there: FloatArray) -> FloatArray:
-    """Similarity from poses to `there`, `(n, 4, 4)` each, by medians of rotations, scales and centres."""
+    """Rough similarity that maps the poses `poses` to the poses `there`, `(n, 4, 4)` each, from medians of their
+    rotations, scales and centres.
+    """
     turns = there[:, :3, :3] @ np.swapaxes(poses[:, :3, :3], 1, 2)
     turn = Rotation.align_vectors(np.median(turns, axis=0).T, np.eye(3))[0].as_matrix()
     here, centres = poses[:, :3, 3] @ turn.T, there[:, :3, 3]
@@ -121,16 +127,17 @@ def _rough(poses: FloatArray, there: FloatArray) -> FloatArray:
 def _fitted(
     poses: FloatArray, bodies: FloatArray, mounts: FloatArray, own: FloatArray
 ) -> tuple[FloatArray, BoolArray, FloatArray, FloatArray, FloatArray]:
-    """Fit the similarity.
+    """Fit the similarity that maps poses of the model to the localised poses.
 
     Args:
         poses: poses of n images in the model, `(n, 4, 4)`.
         bodies, mounts: localised poses of the bodies, and poses of the cameras on them, `(n, 4, 4)` each.
-        own: covariance of the twist of each body, `(n, 6, 6)`.
+        own: covariance of each localised pose, as that of a twist, `(n, 6, 6)`.
 
     Returns:
-        similarity; mask of the images that fit, and chi^2 of all, `(n,)` each; variances of twists of the model,
-        `(6,)`; change of the logarithm of the scale with the twist of each image, `(n, 6)`.
+        similarity; mask of the images that fit, and chi^2 of all, `(n,)` each; variances of the model's errors, as
+        components of a twist, `(6,)`; derivatives of the logarithm of the scale with respect to twists of the localised
+        poses, `(n, 6)`.
 
     Raises:
         InputError: less than half of the images fit.

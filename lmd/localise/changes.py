@@ -88,7 +88,7 @@ class Comparison(NamedTuple):
     """
 
     def changes(self, here: FixedMap) -> list[Change]:
-        """Tags that were moved, and new tags."""
+        """Changes of the map `here`: tags that were moved, and new tags."""
         found, counts = self.found, self.found.sightings.counts(self.found.used)
         poses, covariances, squares = found.poses.tags, found.covariances, self.squares.tolist()
         return [

@@ -95,8 +95,8 @@ class FixedMap:
 
 
 def spread(matrix: FloatArray, chosen: IntArray, places: IntArray, count: int) -> FloatArray:
-    """Matrix with six rows for each of `count` tags: the rows and columns of the tags `chosen` in `matrix` are copied
-    to the tags with the indices `places`; all other entries are 0.
+    """Square matrix with six rows and columns for each of `count` tags. The rows and columns of the tags `chosen` in
+    `matrix` become those of the tags with the indices `places`; all other entries are 0.
     """
     result, rows, own = np.zeros((6 * count, 6 * count)), rows_of(places), rows_of(chosen)
     result[np.ix_(rows, rows)] = matrix[np.ix_(own, own)]

@@ -100,8 +100,8 @@ def _blame(sightings: Sightings, poses: Poses, sigmas: FloatArray) -> FloatArray
 
 
 def _proposed(sightings: Sightings, poses: Poses, single: FloatArray) -> tuple[Poses, FloatArray]:
-    """The `poses` with the best pose of each frame; and for each frame its rival, the best pose that clearly differs
-    from its best pose, `(F, 4, 4)`.
+    """Copy of `poses` in which each frame has its best pose; and for each frame its rival, the best of the poses that
+    clearly differ from that pose, `(F, 4, 4)`.
     """
     known = np.flatnonzero(poses.known_tags[sightings.tag])
     best, other = np.full((2, sightings.frames, 4, 4), np.nan)

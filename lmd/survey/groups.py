@@ -46,7 +46,7 @@ class Relation(NamedTuple):
     way: FloatArray
     """Rigid motion from the world frame of the part `other` to the world frame of the part `one`, `(4, 4)`."""
     agreed: int
-    """Number of frames of each part that agree on `way`."""
+    """Number of frames that agree on `way`: of the two parts, the part with fewer such frames counts."""
     seconds: float
     """Median time between the frames of the two parts, seconds."""
 
@@ -111,8 +111,8 @@ def _parts(sightings: Sightings, poses: Poses, group: IntArray, known: BoolArray
 
 
 def _adjusted(nodes: Nodes, poses: Poses) -> tuple[Poses, Motion]:
-    """Poses of the nodes after each part was adjusted by itself; and the motion model, with its spread estimated from
-    the parts.
+    """Adjust each part by itself. Returns: the adjusted poses of the nodes; the motion model, with its spread estimated
+    from the parts.
     """
     some, motion = nodes.sightings, nodes.motion
     of_tag = np.full(len(poses.tags), -1)

@@ -30,7 +30,7 @@ TURNS = ("a quarter turn clockwise", "half a turn", "a quarter turn counter-cloc
 
 
 def _tags(poses: FloatArray, ids: IntArray, counts: IntArray, edges: FloatArray) -> Deployment:
-    """Deployment of tags with the poses `poses`, ids, numbers of inliers `counts`, and edge lengths."""
+    """Deployment of tags with given poses, ids, edge lengths, and numbers of inliers, `counts`."""
     labels = Labels(ids, {SIGHTINGS: [str(count) for count in counts.tolist()]})
     places = poses[:, :3, 3]
     surveyed = Surveyed(places, places, poses[:, :3, 1])

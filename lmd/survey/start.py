@@ -66,8 +66,9 @@ def initialise(sightings: Sightings, prior: Prior) -> Start:
 
 
 def in_one_world(sightings: Sightings, start: Start, prior: Prior, origin: int | None) -> tuple[Poses, IntArray, Prior]:
-    """Initial poses of the body in the world of the prior, with groups joined by motion, and the prior with the
-    estimated spread of the motion; arguments as in `lmd.survey.world.into_world`.
+    """Move initial poses into the world frame of the prior, and join groups by motion. Returns: initial poses with one
+    body for all cameras; group of each tag; prior, in which the spread of the motion, if any, is estimated.
+    For `origin` see `lmd.survey.world.into_world`.
 
     Raises:
         InputError: a camera was never placed together with the first camera, or the prior determines no world frame.
@@ -186,7 +187,7 @@ class Placing:
         return False
 
     def waiting(self, by_frame: bool) -> IntArray:
-        """Sightings from which a frame or a tag could be placed.
+        """Indices of the sightings from which a frame or a tag could be placed.
 
         If `by_frame`, these are sightings of placed tags in frames that are not placed; otherwise sightings of tags
         that are not placed, in placed frames.

@@ -68,7 +68,9 @@ class HeldOut(NamedTuple):
     errors: FloatArray
     """`(n,)` RMS reprojection errors of the n sightings in held-out frames, pixels."""
     shifts: FloatArray
-    """Distance of each of the M held-out frames from its position in the survey of all frames, metres, `(M,)`."""
+    """For each of the M held-out frames, distance between its localised position and its position in the survey of all
+    frames, metres, `(M,)`.
+    """
 
 
 @dataclass(frozen=True)
@@ -92,8 +94,8 @@ class Survey:
     turns: IntArray
     """`(2, K)` quarter turns of tags relative to the plan, see `lmd.survey.world.turns_of`."""
     joined: IntArray
-    """Index of the group to which each tag would belong if only images, and not motion, connected the tags of the map,
-    `(K,)`; -1 if motion does not link the frames.
+    """Index of each tag's group if groups are formed by images alone, without the links of motion, `(K,)`; -1 if motion
+    does not link the frames.
     """
     doubts: tuple[str, ...] = ()
     """Sentences on values that the photographs contradict: calibrations, mounts, the tags' edge length."""
