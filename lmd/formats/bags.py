@@ -1,7 +1,8 @@
 """Bags of ROS 2, read without ROS: a folder with `metadata.yaml`, an MCAP file, or a database (`.db3`).
 
-Messages are read with the message definitions of `lmd`, as the library `rosbags` would generate code from the
-definitions in a bag. A bag is refused if its definition of a message type has another hash.
+Messages are read with the message definitions of `lmd`, because the library `rosbags` would generate code from the
+definitions in a bag. A bag is refused if the hash of its definition of a message type differs from that of `lmd`'s
+definition.
 """
 
 import math
@@ -128,7 +129,7 @@ def _reader() -> Any:
 
 
 def is_bag(path: Any) -> bool:
-    """Return True for the path of a bag: a file with the suffix of bags, or a folder with a `metadata.yaml`."""
+    """Return True for the path of a bag: a file with a suffix of bags, or a folder that contains `metadata.yaml`."""
     with suppress(OSError, TypeError, ValueError):
         return Path(path).suffix.lower() in SUFFIXES or (Path(path) / METADATA).is_file()
     return False
@@ -166,7 +167,7 @@ class Bag:
         Args:
             topic: topic or list of topics that the user wants; None for all topics with messages of `kinds`.
             kinds: types of the topics' messages.
-            count: required number of topics.
+            count: number of topics that must be found.
 
         Raises:
             InputError: the bag lacks a topic, or the number of topics is not `count`.
@@ -214,7 +215,7 @@ class Bag:
             raise self.refused(f"has a damaged message of {kind} ({_reason(error)})") from None
 
     def refused(self, why: str, argument: str | None = None) -> InputError:
-        """Make an error about this bag; the reason `why` is the predicate of a sentence."""
+        """Make an error about this bag. `why` is the reason, written as the predicate of a sentence about the bag."""
         return InputError(f"{self.argument}: the bag {str(self.path)!r} {why}.", argument or self.argument)
 
     def _check_type(self, connection: Any) -> None:

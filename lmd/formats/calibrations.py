@@ -142,12 +142,14 @@ class CalibrationFile(File):
 
     @cached_property
     def text(self) -> str:
-        """Text of the file, up to the end of the first message of ROS; empty for an archive of arrays."""
+        """Text of the file; of a file with several messages of ROS, only the first message. Empty for an archive of
+        arrays.
+        """
         return FIRST_MESSAGE.split(super().text)[0] if self.arrays is None else ""
 
     @cached_property
     def data(self) -> Keys:
-        """Keys and values of YAML, JSON, XML or arrays.
+        """Content of the file as keys and values: from YAML, JSON or XML, or the arrays of an archive, keyed by name.
 
         Raises:
             InputError: the text is none of these.
@@ -161,7 +163,7 @@ class CalibrationFile(File):
 
 
 class ReadCamera(NamedTuple):
-    """Camera in a file; the file is interpreted when one of the functions is called."""
+    """Camera in a file. Its values are interpreted only when one of the two functions is called."""
 
     calibration: Callable[[], Calibration]
     """Function that returns the calibration."""
@@ -188,7 +190,7 @@ def lens_model(word: Any, models: Mapping[str, str]) -> str:
 
 
 def no_size() -> InputError:
-    """Make an error about a file that lacks the size of the image."""
+    """Make the error for a calibration file that does not state the size of the images."""
     return InputError(
         "image_size must be given, [width, height] in pixels: image_width or image_height is missing.", "image_size"
     )
@@ -263,8 +265,8 @@ def read_cameras(
 
 
 def camera_info(camera: Camera) -> dict[str, Any]:
-    """Keys and values of a calibration file in ROS's format, whose pixel coordinates count from the centre of the first
-    pixel.
+    """Keys and values of a calibration file in ROS's format for a camera. In this format, pixel coordinates count from
+    the centre of the first pixel.
     """
     (focal_u, focal_v), (u, v) = camera.focal_pixels.tolist(), camera.principal_point
     lens = list(camera.distortion or UNDISTORTED)

@@ -1,8 +1,8 @@
 """Tables of poses and of tags in text files: names and units of columns, and the reader.
 
 A text names its columns in the first line, or in a comment above the values. For other texts the user names either the
-columns, or the program that wrote the text (a row of `LAYOUTS`). Otherwise only TUM's format and lines of `ros2 topic
-echo` are read, as their values would show wrong columns.
+columns, or the program that wrote the text (a row of `LAYOUTS`). If the user names neither, only TUM's format and lines
+of `ros2 topic echo` are read, because in these two formats the values show whether the columns are the expected ones.
 """
 
 import re
@@ -42,7 +42,9 @@ class Quantity(NamedTuple):
     name: str
     """Standard name of the column, in which {} stands for the axis."""
     pattern: re.Pattern[str]
-    """Pattern of the column's names in files, in small letters; it has the groups `axis` and `unit`."""
+    """Pattern that the column's names in files match, in small letters. Its groups `axis` and `unit` are the axis and
+    the unit in a name.
+    """
     units: Mapping[str, float]
     """Size of each unit in seconds, metres or radians, keyed by the unit's name; empty for a quantity without a
     unit.
@@ -83,7 +85,7 @@ class Layout(NamedTuple):
     more: bool = False
     """True if further values, which are ignored, may follow in a line."""
     ragged: bool = False
-    """True if the number of further values may differ between lines."""
+    """True if the lines may have different numbers of further values."""
     header: str = ""
     """Regular expression that matches the first line of the program's files, which names columns without their
     units.
@@ -267,7 +269,7 @@ def _asked(lines: Lines, of: str, columns: str | Sequence[str]) -> Layout:
 
 
 def _commented(lines: Lines, of: str) -> Layout | None:
-    """Layout of the columns that the last comment with names of columns states; None if no comment names columns.
+    """Layout of the columns, from the last comment that names columns; None if no comment does.
 
     A comment names the columns if its words name a pose, if it has as many words as a line has values, or if it begins
     with the number and the position of a tag.
@@ -302,7 +304,7 @@ def _by_content(lines: Lines, of: str) -> Layout:
     """Layout of the columns of a text, determined from its values.
 
     Raises:
-        InputError: the values do not determine the columns; the message suggests columns.
+        InputError: the values do not determine the columns; the message proposes names of columns.
     """
     layouts, first = [layout for layout in LAYOUTS if layout.of == of], lines.rows[0][1]
     for layout in layouts:

@@ -63,7 +63,8 @@ class DetectionsFile(File):
 
     @cached_property
     def data(self) -> Mapping[str, Any]:
-        """Values of JSON, from the whole text or from each line; empty for a text that is not JSON.
+        """Content of the JSON in the text, under the key "": one document, or a list of documents if each line is one.
+        Empty for a text that is not JSON.
 
         Raises:
             InputError: the text begins like JSON, but is broken.
@@ -128,13 +129,13 @@ class KeyedDetections:
     corners: str
     """Key of a tag's four corners: pairs, or mappings with x and y."""
     times: Mapping[str, int]
-    """Keys of the time of a result, in the order in which they are tried, each with the number of its time units in a
-    second.
+    """Keys under which a result may state its time, in the order in which they are tried. The value of each key is the
+    number of its time units in a second.
     """
     tag_family: str = ""
     """Key of a tag's family; empty if tags have none."""
     least: float = -np.inf
-    """Minimum coordinate of a corner; smaller coordinates, which count from the middle of the image, are refused."""
+    """Minimum coordinate of a corner. Smaller coordinates are refused, as they count from the middle of the image."""
 
     def read(self, file: Any) -> DetectedTags:
         """Detections of all results in a file.
@@ -203,7 +204,7 @@ def read_detections(path: Any, topic: Any = None) -> DetectedTags:
 
 
 def read_csv(file: File) -> DetectedTags:
-    """Read detections from a table, see `read_detections`."""
+    """Read detections from a table with commas, whose columns `read_detections` describes."""
     table = read_table(file.path, name=file.argument)
     time, camera = (next((known for known in known_as if known in table), "") for known_as in (TIMES, CAMERAS))
     values = table.numbers(("id", *CORNER_COLUMNS), None)
@@ -249,7 +250,9 @@ def _detections(file: File, seen: Sequence[SeenTag]) -> DetectedTags:
 
 
 def _results(documents: Any, key: str, camera: str = "", depth: int = DEEPEST) -> Iterator[tuple[str, Any]]:
-    """Results within JSON documents: the mappings that have the key `key`, each after the name of its camera."""
+    """Find the results within JSON documents, at any depth: pairs of a camera's name and a mapping that has the key
+    `key`.
+    """
     if isinstance(documents, Mapping):
         if key in documents:
             yield camera, documents
@@ -281,7 +284,7 @@ def read_bag(file: File) -> DetectedTags:
 
 
 def _as_first_written(texts: Sequence[str]) -> list[str]:
-    """Texts of times, in which texts of equal numbers are replaced by the first such text: 9.50 becomes 9.5 if 9.5 came
+    """Times as texts. Texts that stand for one number are replaced by the first of them: 9.50 becomes 9.5 if 9.5 came
     before.
     """
     written: dict[Decimal | str, str] = {}
@@ -300,7 +303,7 @@ def write_detections(path: Path, detected: DetectedTags) -> None:
 
 
 def with_images(detected: DetectedTags, path: Any) -> DetectedTags:
-    """Add frames for all images, listed in a CSV with a row for each image, to detections.
+    """Add frames to detections, so that all images have a frame. The images are listed in a CSV, one in each row.
 
     The CSV has the columns of `read_detections` for time and camera. Other columns are ignored. Images without a tag
     become frames as well.
@@ -332,8 +335,8 @@ def with_images(detected: DetectedTags, path: Any) -> DetectedTags:
 
 
 def _with_images(detected: DetectedTags, images: Sequence[tuple[str, str]]) -> DetectedTags:
-    """Add frames for all `images`, each given by its time and camera, to detections; the name of a single camera is not
-    needed.
+    """Add frames to detections, so that all `images` have a frame. Each image is given by its time and camera; the
+    camera may be empty if there is only one.
 
     Images of cameras without detections are left out.
     """

@@ -62,7 +62,9 @@ class DetectedTags:
 
     @property
     def images(self) -> BoolArray:
-        """Mask `taken`, `(F, C)`; all True if `taken` is None."""
+        """Mask of the frames in which each camera has an image, `(F, C)`: `taken`, or True everywhere if `taken` is
+        None.
+        """
         return np.ones((len(self.times), len(self.cameras)), dtype=bool) if self.taken is None else self.taken
 
     @classmethod
@@ -107,10 +109,10 @@ class DetectedTags:
         return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 
     def renumbered(self, ids: IntArray, quarters: IntArray) -> "DetectedTags":
-        """All detections, with renumbered corners for the tags `ids` `(K,)`, ascending.
+        """All detections. The corners of the tags `ids` `(K,)`, ascending, are numbered from another corner.
 
         Args:
-            quarters: index that corner 0 of each tag gets, `(K,)`.
+            quarters: new index of each tag's corner 0, from 0 to 3, `(K,)`.
         """
         place = np.minimum(np.searchsorted(ids, self.ids), len(ids) - 1)
         back = np.where(ids[place] == self.ids, quarters[place], 0)
@@ -135,8 +137,8 @@ def signed_area(corners: FloatArray) -> FloatArray:
 
 
 def without_copies(detected: DetectedTags) -> DetectedTags:
-    """Detections without those in copies, that is, in images that equal an earlier image of their camera; the result's
-    `copies` names them.
+    """Detections without those in copies. A copy is an image that equals an earlier image of its camera. The field
+    `copies` of the result names the copies.
 
     An image is a copy of an earlier image if both show equal tags, with corners at most `SAME` apart. Errors of corners
     are independent in two photographs, but equal in a photograph and its copy.

@@ -94,7 +94,9 @@ def _lines(file: File) -> Drawing:
 
 
 def _with_subclasses(content: bytes) -> bytes:
-    """Content of a DXF drawing in which all polylines have subclass markers; some programs omit these markers."""
+    """Content of a DXF drawing, with subclass markers added to the polylines that lack them, as some programs omit
+    them.
+    """
     lines = content.replace(b"\r\n", b"\n").split(b"\n")
     if b"LWPOLYLINE" not in content or b"AcDbPolyline" in content:
         return content
@@ -113,7 +115,7 @@ def _with_subclasses(content: bytes) -> bytes:
 
 
 def _counted(layers: Counter[str]) -> str:
-    """Names of the layers, each with the number of its shapes."""
+    """Text with the names of the layers, and the number of shapes on each layer."""
     return few([f"{name} ({number})" for name, number in layers.most_common()], most=8)
 
 

@@ -71,7 +71,7 @@ class KeyedCameras(Keyed):
 
     called: str = ""
     """Template for the name of a camera, in which `{key}`, `{index}` (from 0), `{number}` (from 1) and keys of the
-    entry are replaced; the second camera with a name gets `/2`.
+    entry are replaced by their values. If several cameras get one name, `/2` is appended to the name of the second.
     """
     named: str = ""
     """Names of quantities, separated by blanks, that are also the keys of these quantities in the entry."""
@@ -120,7 +120,7 @@ class KeyedCameras(Keyed):
         return found
 
     def compared(self, entry: Keys) -> Keys:
-        """Entry with its keys in the form in which they are compared, see `loose`."""
+        """Entry with its keys in the form in which they are compared: if `loose`, in small letters and without `_`."""
         return {plain(name): value for name, value in entry.items()} if self.loose else entry
 
 
@@ -134,7 +134,7 @@ class _Camera:
     asked: Keys
 
     def path(self, path: str) -> str:
-        """The given path without `?`, and with the entry's key in place of `{key}`."""
+        """Path in which `{key}` is replaced by the entry's key, and a `?`, the mark of optional values, is removed."""
         path = path.rstrip("?").replace("{key}", self.key)
         return plain(path) if self.form.loose else path
 
@@ -196,7 +196,7 @@ class _Camera:
         return [] if value == [] or (value is MISSING and optional) else list(self.numbers(path, None))
 
     def _side(self, name: str, index: int) -> float | None:
-        """Width or height of the image, pixels; None if neither the file nor the user gives it."""
+        """Width (`index` 0) or height (1) of the image, pixels; None if neither the file nor the user gives it."""
         if name in self.form.at and self.value(self.form.at[name]) is not MISSING:
             return self.numbers(self.form.at[name])[0]
         if "size" in self.form.at and self.value(self.form.at["size"]) is not MISSING:
@@ -205,8 +205,8 @@ class _Camera:
         return None if size is None else float(size[index])
 
     def _model(self) -> tuple[str, str, list[str]]:
-        """Words of the file that name the lens model; the lens model; and the names of the quantities in the lists at
-        `values`.
+        """Three results: the words by which the file names the lens model; the lens model; and the names of the
+        quantities in the lists at `values`.
         """
         said = [self.value(path) for path in self.form.model]
         needed = [path for path, word in zip(self.form.model, said, strict=True) if word is MISSING and path[-1] != "?"]
@@ -299,8 +299,8 @@ class _Camera:
 
 
 def _nearest(model: str, lens: Sequence[float], values: Mapping[str, float], size: Sequence[Any]) -> Restated:
-    """Lens and intrinsics of a camera; if `lmd.geometry.lens` lacks the lens model, the lens and intrinsics of a model
-    that it has are fitted to it.
+    """Lens and intrinsics of a camera. If `lmd.geometry.lens` does not support the camera's lens model, a lens of a
+    supported model, and its intrinsics, are fitted to the camera.
     """
     focal, centre = (values["fx"], values["fy"]), (values["cx"], values["cy"])
     if model in MODELS:

@@ -63,7 +63,8 @@ class KeyedTags(Keyed):
     where: Mapping[str, Any] = field(default_factory=dict)
     """Values that an entry must have to be a tag, keyed by the path of the value."""
     first: str = ""
-    """Path of a number n; only the first n entries, in the order of their keys, are read."""
+    """Path to the number of tags, n: only the first n entries, in the order of their keys, are read. Empty to read all.
+    """
     corner: Sequence[str] = ()
     """Paths to the length and to the width of a field. Positions count from the field's middle in the file, and from
     its corner in the map that is read.
@@ -171,7 +172,7 @@ MOST_ROWS = 200  # maximum number of rows, and of columns, of a TagSLAM board
 
 
 def parameters_of(keys: Keys) -> Keys:
-    """Parameters of the node with tags in a file of ROS 2; the keys themselves for any other file.
+    """Parameters of the node that has tags, in a parameter file of ROS 2. Any other file is returned unchanged.
 
     Raises:
         InputError: several nodes have tags, or none of several nodes has tags.
@@ -238,15 +239,15 @@ def _placed(tag: Keys) -> Keys:
 
 
 def _listed(listed: Any) -> Iterator[tuple[str, list[Keys]]]:
-    """Names and tags of the bundles of ROS 1, from a list of entries, each with a name and a layout."""
+    """Name and tags of each bundle in a configuration for ROS 1: a list whose entries have a name and a layout."""
     for i, bundle in enumerate(mappings("tag_bundles", listed)):
         if bundle.get("layout"):
             yield str(bundle.get("name", f"without a name, number {i}")), mappings("layout", bundle["layout"])
 
 
 def _named(bundles: Keys) -> Iterator[tuple[str, list[Keys]]]:
-    """Names and tags of the bundles of ROS 2. As parameters of ROS 2 cannot be lists of mappings, each tag has a key of
-    its own.
+    """Name and tags of each bundle in a configuration for ROS 2. There each tag has a key of its own, as parameters of
+    ROS 2 cannot be lists of mappings.
     """
     for name in bundles.get("bundle_names") or [name for name in bundles if isinstance(bundles[name], dict)]:
         bundle = mapping(str(name), bundles[name])

@@ -80,7 +80,7 @@ def check_gltf(file: Path, content: bytes, most: int) -> None:
 
 
 def _unread(header: dict[str, Any], pieces: list[dict[str, Any]]) -> str:
-    """Name of a feature that the glTF uses and trimesh does not read; empty if there is none."""
+    """Name of a feature of glTF that the file uses, but that trimesh does not read; empty if there is none."""
     instanced = "EXT_mesh_gpu_instancing"
     needed = [str(name) for name in header.get("extensionsRequired", [])]
     needed += [instanced for node in header.get("nodes", []) if instanced in node.get("extensions", {})]
@@ -197,7 +197,9 @@ def read_mesh_room(
 
 
 def _hint(size: FloatArray) -> str:
-    """Advice about the unit of a file, from its extents along x, y and z, `size` `(3,)`, in the unit of the file."""
+    """Advice on the unit that a file probably has, for a message. `size` `(3,)` is the extent of its mesh along x, y
+    and z, in the file's own unit.
+    """
     told = [
         f"a file in {unit} needs {per:g}, which makes {box_text(per * size)}"
         for unit, per in UNITS.items()
@@ -258,7 +260,7 @@ def _check_corners(file: Path, name: str, vertices: FloatArray, faces: IntArray)
 
 def _with_triangles(content: bytes, source: str) -> bytes:
     """Content of an OBJ in which faces with more than three corners are cut into triangles; faces that cannot be cut
-    stay.
+    are unchanged.
     """
     lines = content.decode("utf-8", "surrogateescape").splitlines()
     places: list[list[float]] = []
@@ -314,8 +316,8 @@ def _cut_face(line: str, words: list[str], places: list[list[float]]) -> list[st
 
 
 def _check_ply(name: str, content: bytes, triangles: int) -> None:
-    """Raise `InputError` for a PLY with faces of more than three corners, from the `triangles` that the reader made of
-    all faces.
+    """Raise `InputError` for a PLY in which a face has more than three corners. `triangles` is the number of triangles
+    that the reader made of all faces: it exceeds the number of faces if a face was cut.
     """
     found = _PLY_FACES.search(content[: content.find(b"end_header")])
     if found is not None and triangles > int(found[1]):

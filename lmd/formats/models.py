@@ -46,11 +46,13 @@ class Model(NamedTuple):
     poses: FloatArray
     """Poses, camera to the frame of the model, `(n, 4, 4)`."""
     moved: Callable[[FloatArray], Mapping[str, Any]]
-    """Function that returns the contents of the model's files after a similarity, keyed by file name."""
+    """Function of a similarity (a matrix): it returns the contents of the model's files, moved by the similarity, keyed
+    by file name.
+    """
 
 
 def similar(similarity: FloatArray, poses: FloatArray) -> FloatArray:
-    """Poses `(n, 4, 4)` after a similarity of the world."""
+    """Poses `(n, 4, 4)` after the world, with its cameras, is moved by a similarity."""
     turn = similarity[:3, :3] / np.cbrt(np.linalg.det(similarity[:3, :3]))
     return pose_of(turn @ poses[:, :3, :3], act(similarity, poses[:, :3, 3]))
 
@@ -88,7 +90,9 @@ def read_model(path: Any) -> Model:
 
 
 def _colmap(folder: Path) -> Model:
-    """Model in COLMAP's text files; all except poses and places of points is written again as it is."""
+    """Model from COLMAP's text files. Its function `moved` changes only the poses and the positions of points in the
+    files.
+    """
     cameras, images, points = (File(folder / name, "model").text.splitlines(keepends=True) for name in FILES)
     found = {number: image for number, line in enumerate(images) if (image := IMAGE.fullmatch(line)) is not None}
     if not found:
@@ -110,7 +114,9 @@ def _colmap(folder: Path) -> Model:
 
 
 def _nerfstudio(path: Path) -> Model:
-    """Model in nerfstudio's `TRANSFORMS`; all except poses and `OF_FRAME` is written again as it is."""
+    """Model from nerfstudio's file `TRANSFORMS`. Its function `moved` changes the poses in the file, and drops the keys
+    `OF_FRAME`; all else is unchanged.
+    """
     keys = File(path, "model").data
     frames = [dict(frame) for frame in keys["frames"]]
     matrices = np.array([frame["transform_matrix"] for frame in frames], dtype=np.float64)
@@ -127,7 +133,9 @@ def _nerfstudio(path: Path) -> Model:
 
 
 def tum_text(seconds: FloatArray, poses: FloatArray) -> str:
-    """Text in TUM's format with those poses `(n, 4, 4)` that are known at a known time, seconds, `(n,)`."""
+    """Text of a trajectory in TUM's format, without the poses that are unknown or have no time. The poses are
+    `(n, 4, 4)`, the times `(n,)`, seconds.
+    """
     rows = np.column_stack([seconds, pose_rows(poses)])
     lines = [f"{time:.7f} " + " ".join(f"{x:.9f}" for x in row) for time, *row in rows[np.isfinite(rows).all(axis=1)]]
     return "\n".join(["# timestamp tx ty tz qx qy qz qw", *lines, ""])
@@ -143,8 +151,8 @@ def _image_line(number: Any, row: FloatArray, camera: Any, name: str) -> str:
 
 
 def _intrinsics(camera: Camera) -> tuple[str, str, dict[str, float]]:
-    """Names of the lens model in COLMAP and in nerfstudio, empty if the program lacks it; size of the image and
-    parameters, keyed by nerfstudio's names, in COLMAP's order.
+    """Name of the camera's lens model in COLMAP; its name in nerfstudio; and the size of the image and the parameters,
+    keyed by nerfstudio's names, in COLMAP's order. A name is empty if the program lacks the lens model.
     """
     (focal_u, focal_v), (u, v), lens = camera.focal_pixels.tolist(), camera.principal_point, camera.distortion
     size = {"w": round(camera.image_width), "h": round(camera.image_height)}

@@ -1,4 +1,5 @@
-"""Tag of a map that another program wrote: its family and number from that program's names, and checks of its pose.
+"""Tag in a map that another program wrote: reading of its family and number from the names that this program uses, and
+checks of its pose.
 
 All readers return tag poses with one convention: x to the right of the tag, y up, z along the normal towards the
 viewer.
@@ -151,7 +152,7 @@ def mappings(name: str, value: Any) -> list[Keys]:
 
 
 def _kind(value: Any) -> str:
-    """Short description of a value, which may be a deep tree, for a message."""
+    """Short description of a value for a message; the value itself may be too long to show."""
     if isinstance(value, Mapping | list | tuple):
         return "a mapping" if isinstance(value, Mapping) else "a list"
     return "nothing" if value is None else repr(value)[:80]
@@ -220,7 +221,7 @@ def transform_of(values: Any, called: str, source: str = "") -> FloatArray:
         source: prefix of messages, such as `tag 7: `.
 
     Raises:
-        InputError: the numbers are not a rigid motion, or are written column by column.
+        InputError: the numbers are not a rigid motion, or are written column by column instead of row by row.
     """
     pose = np.array(vector(called, values, 16)).reshape(4, 4)
     if np.abs(pose[3] - LAST_ROW).max() > LAST_ROW_TOLERANCE:
@@ -237,7 +238,8 @@ def tag_of_corners(number: int, corners: FloatArray, family: str | None) -> Plac
     """Tag with four corners `(4, 3)`, metres, clockwise from the top left.
 
     Raises:
-        InputError: there are not four corners, they do not form a square, or their order is not around the square.
+        InputError: there are not four corners, they do not form a square, or they are not in order around the square's
+            outline.
     """
     if corners.shape != (4, 3):
         raise InputError(f"the marker {number} must have four corners, it has {len(corners)}.")

@@ -64,7 +64,7 @@ def read_occupancy_grid(path: str | Path) -> OccupancyGrid:
     """Read an occupancy grid: a YAML file and its picture.
 
     In the modes `trinary` and `scale`, cells between the thresholds are neither free nor occupied, as in AMCL. In the
-    mode `raw` the thresholds apply to the occupancy, as in map_saver.
+    mode `raw`, the grey values are occupancies in per cent, to which the thresholds apply, as in map_saver.
 
     Raises:
         InputError: a file is missing or cannot be read, or a key is missing or wrong.
@@ -248,8 +248,8 @@ class Reading(Checked):
     gap: NotNegative = 1.3
     """Maximum width of the gaps between walls of a drawing, such as doors, that are treated as closed, metres."""
     least_width: NotNegative = 0.4
-    """Minimum length of the longest part of a wall without doors and windows, metres; shorter walls carry no landmarks
-    unless the user names them.
+    """Minimum free width of a wall, metres: the length of its longest part without doors and windows. Walls with less
+    free width carry no landmarks unless the user names them.
     """
 
 
@@ -269,8 +269,9 @@ def read_plan_room(
 
     Args:
         path: file of a format of this module; None for a plan from the other arguments.
-        outline, holes: see `FloorPlan`; with a `path`, None or the values of `EXAMPLE`.
-        keep_out: see `FloorPlan`; with a `path`, additional to the keep-outs of the file; those of `EXAMPLE` are
+        outline, holes: see `FloorPlan`. With a `path` they come from the file; both must then be None, or have the
+            values of the configured example, `EXAMPLE`.
+        keep_out: see `FloorPlan`. With a `path` they are added to the keep-outs of the file; those of `EXAMPLE` are
             ignored.
         surfaces: see `FloorPlan`; with a `path`, None for all walls with at least the free width `least_width`.
         height, margin, reachable, spacing: see `FloorPlan` and `Prism`.
@@ -303,8 +304,8 @@ def read_plan_room(
 
 
 def _walls(found: ReadPlan, height: float, margin: float, least_width: float) -> tuple[list[str], list[dict[str, Any]]]:
-    """Names of the walls with at least the free width `least_width`; and the keep-outs of doors and windows, each as a
-    mapping of its arguments.
+    """Names of the walls whose free width is at least `least_width`; and the keep-outs of doors and windows, each as a
+    mapping with the arguments of `KeepOut`.
     """
     walls: list[str] = []
     parts: list[dict[str, Any]] = []

@@ -35,7 +35,7 @@ class Rows:
 
     Args:
         path: the file, for messages.
-        lines: line of each row in the file, from 1.
+        lines: number of the line in the file from which each row comes, from 1.
         time: times, seconds, `(T,)`; increasing after `read_rows`.
         poses: poses of the recorded body, in the frame of the recording, `(T, 4, 4)`.
         frame: frame of the orientations, `optical` or `body`; None if the file does not define it.
@@ -53,7 +53,9 @@ class Rows:
     notes: tuple[str, ...] = ()
 
     def kept(self, chosen: BoolArray, reason: str) -> "Rows":
-        """Rows selected by `chosen`, with a note about the omitted rows; the object itself if all rows are selected."""
+        """Rows selected by the mask `chosen`, with a note that gives the `reason` why the others are omitted; the
+        object itself if all rows are selected.
+        """
         if chosen.all():
             return self
         lines = [line for line, keep in zip(self.lines, chosen, strict=True) if keep]
@@ -62,7 +64,7 @@ class Rows:
 
 
 def read_rows(path: str, **asked: Any) -> Rows:
-    """Read poses in any known format; rows with the time of the previous row, as a coarse clock gives them, are left
+    """Read poses in any known format; a row whose time equals that of the previous row, as from a coarse clock, is left
     out.
 
     Args:
@@ -158,7 +160,7 @@ def of_table(file: File) -> Rows:
 
 def _oriented(found: Named, place: FloatArray, frame: str) -> tuple[FloatArray, str | None, bool, str]:
     """Poses from the columns of a table; the frame of their orientations; True if the orientations are given by angles;
-    and a note.
+    and a note for the user.
     """
     table, columns, path = found.table, found.columns, found.table.path
     if set(QUATERNION) <= columns.keys():
@@ -189,7 +191,9 @@ def _oriented(found: Named, place: FloatArray, frame: str) -> tuple[FloatArray, 
 
 
 def _frame_of_ros(table: Table, frame: str) -> tuple[str | None, str]:
-    """Frame of the orientations by ROS's `child_frame_id` (REP 103, REP 105), or None; and a note."""
+    """Frame of the orientations, `optical` or `body`, as the name of ROS's `child_frame_id` tells it (REP 103, REP
+    105), or None; and a note for the user.
+    """
     found = {text for name in table.texts if name.lower().endswith("child_frame_id") for text in table.texts[name]}
     name = found.pop() if len(found) == 1 else ""
     if ROS_OPTICAL.fullmatch(name):

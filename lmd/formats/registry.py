@@ -43,7 +43,8 @@ class Writer(NamedTuple):
 
     Args:
         file: name of the file.
-        write: function of the path of the file, the map `tags` and, for printed files, the paper size `paper`.
+        write: function that writes the file. Its arguments are the path, the map `tags` and, for printed files, the
+            paper size `paper`.
         only_apriltag: True if readers of the format support only the families of AprilTag.
         only_opencv: True if readers of the format support only families that OpenCV has.
         on_paper: True if the file is to be printed.
@@ -100,10 +101,10 @@ class Format(Checked):
     """Reason for the refusal, with advice on a supported format, without the full stop; may be a function of a `File`.
     """
     row: str = ""
-    """Row of the documentation's table of formats, with ` | ` between cells; the row names arguments of the reader, as
-    in `name=cam1`.
+    """Rows of the documentation's table of formats, as a text: one line for each kind of file in this format, with
+    ` | ` between the cells. A row also names arguments of the reader, as in `name=cam1`.
 
-    The text has one line for each kind of file; it is empty for a format that shares the row of another format.
+    The text is empty if the row of another format also stands for this format.
     """
     writer: Writer | None = None
     """Writer of the format; None if the format is only read."""
@@ -124,13 +125,13 @@ def ends(*suffixes: str) -> Callable[[File], bool]:
 
 
 def anything(_: File) -> bool:
-    """Accept every file: the test of the format that is tried last among the formats of one kind."""
+    """Return True for every file. This is the test of a format that is tried after all others of its family."""
     return True
 
 
 def function_of(text: str) -> Callable[[File], Any]:
-    """Make a function of a `File` that calls `module.function(a, b)` with attributes of the file or settings in
-    `asked`.
+    """Make a function of a `File` from a text such as `module.function(a, b)`. It calls this function; `a` and `b` are
+    names of settings in `asked`, or of attributes of the file.
 
     Raises:
         InputError: the text is not such a call. A missing function raises the error when it is called.
@@ -153,8 +154,8 @@ def function_of(text: str) -> Callable[[File], Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class Keyed:
-    """Description of a format of keys and values: where in a file the entries (such as cameras or tags) and their
-    values are. For paths see `lmd.formats.trees`.
+    """Description of a format of keys and values: the paths to the entries (such as cameras or tags) of a file, and to
+    the values of an entry. `lmd.formats.trees` explains paths.
     """
 
     at: Mapping[str, str]
@@ -171,7 +172,7 @@ class Keyed:
     """Function call, as a text, that returns the tree of keys and values; empty for the tree of the file itself."""
 
     def entries(self, file: File) -> tuple[Any, list[tuple[str, Mapping[str, Any]]]]:
-        """Tree of keys and values in a file, and the entries of the tree, each with its key."""
+        """The tree of keys and values in a file; and a list of the tree's entries, as pairs of key and entry."""
         tree: Any = function_of(self.source)(file) if self.source else {}
         if not self.source:
             tree = matches(file.text, self.patterns) if self.patterns else file.data
@@ -299,8 +300,8 @@ def outside() -> tuple[Format, ...]:
 
 
 def _takes(form: Format, file: File) -> bool:
-    """True if a format of another package recognises a file; False also if its test raises an `InputError`, as the file
-    is neither YAML nor JSON.
+    """True if a format of another package recognises a file; False also if its test raises an `InputError`, for example
+    because it expects YAML and the file is none.
     """
     try:
         return form.recognises(file)

@@ -77,7 +77,9 @@ def read_chain(path: Any, names: Any = None, **shared: Any) -> dict[str, FloatAr
 
 
 def _poses(argument: str, path: Any, **shared: Any) -> dict[str, dict[str, FloatArray]]:
-    """Poses of the cameras in a calibration, keyed by camera, then by frame of reference."""
+    """Poses of the cameras in a calibration file: for each camera, keyed by its name, the poses keyed by frame of
+    reference (see `KeyedCameras`).
+    """
 
     def poses(camera: ReadCamera) -> dict[str, FloatArray]:
         try:

@@ -6,7 +6,7 @@ the field on the right of the blue alliance.
 A path of PathPlanner has no times. The speed along the path is the largest that keeps the limits of the path and of its
 zones (speed, acceleration along the path, turn rate) and the speeds at both ends. Between rotation targets the heading
 follows a cosine of the way, as in PathPlanner. The limits of wheels and motors, of the grip in bends, and of the turn
-rate's own acceleration are left out, so that PathPlanner takes longer where a robot turns as it drives.
+rate's own acceleration are left out. So PathPlanner's own times are longer where a robot turns while it drives.
 """
 
 from pathlib import Path
@@ -61,7 +61,7 @@ def _all(keys: Keys, path: str) -> list[Keys]:
 
 
 def _joined(file: File) -> FloatArray:
-    """Motion in an auto of PathPlanner, along one path after the other."""
+    """Motion of a robot in an auto of PathPlanner, along one path after the other; rows as in `_sampled`, `(T, 4)`."""
     clock, parts = 0.0, list[FloatArray]()
     for step in _steps(mapping("command", file.data.get("command"))):
         if isinstance(step, str):
@@ -78,7 +78,8 @@ def _joined(file: File) -> FloatArray:
 def _steps(command: Keys) -> list[str | float]:
     """Names of paths, and durations of waits, that follow each other in a command of an auto.
 
-    Of commands that run at once only one counts, the first with a path; without a path, the first that waits.
+    Of commands that run at the same time only one counts: the first that follows a path or, if none does, the first
+    that waits.
     """
     kind, data = command.get("type"), mapping("data", command.get("data"))
     if kind == "path":
@@ -92,7 +93,7 @@ def _steps(command: Keys) -> list[str | float]:
 
 
 def _timed(file: File) -> FloatArray:
-    """Motion along a path of PathPlanner."""
+    """Motion of a robot along a path of PathPlanner, at equal steps of time from 0; rows as in `_sampled`, `(T, 4)`."""
     data, waypoints = file.data, _all(file.data, "waypoints.*")
     if not 1 <= (last := len(waypoints) - 1) <= MOST:
         raise InputError(f"it must have at least two waypoints and at most {MOST}, but has {last + 1}.")
@@ -122,12 +123,16 @@ def _place(keys: Keys, name: str) -> list[float]:
 
 
 def _inside(zone: Keys, along: Any) -> Any:
-    """Mask of the points of a path, given in waypoints, that are in a zone."""
+    """Mask of the points that are in a zone of a path. `along` locates each point: the index of its waypoint from 0,
+    with fractions between two waypoints.
+    """
     return (along >= number_at(zone, ZONE[0])) & (along <= number_at(zone, ZONE[1]))
 
 
 def _limits(data: Keys, along: FloatArray) -> FloatArray:
-    """Values of `LIMITS` at each point of a path, `(3, N)`; the first of several zones counts."""
+    """The three `LIMITS` at each of N points of a path, `(3, N)`, located by `along` as in `_inside`. Where zones
+    overlap, the first one counts.
+    """
     found = np.ones((len(LIMITS), len(along)))
     whole = dict(zip(ZONE, (0.0, MOST, data.get("globalConstraints")), strict=True))
     for zone in (whole, *reversed(_all(data, "constraintZones.*"))):
@@ -139,7 +144,9 @@ def _limits(data: Keys, along: FloatArray) -> FloatArray:
 
 
 def _headings(data: Keys, along: FloatArray, places: FloatArray, way: FloatArray) -> FloatArray:
-    """Heading at each point of a path, `(N,)`, rad."""
+    """Heading of the robot at each of N points of a path, rad, `(N,)`. The points are located by `along` as in
+    `_inside`; `places` are x and y, and `way` is the length of path before each, metres.
+    """
     ends = [(at, number_at(data, state.format("rotation"))) for at, state in zip(along[[0, -1]], ENDS, strict=True)]
     targets = [[number_at(one, name) for name in TARGET] for one in _all(data, "rotationTargets.*")]
     for zone in _all(data, "pointTowardsZones.*"):

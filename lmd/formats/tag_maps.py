@@ -39,7 +39,7 @@ IS_YAML = re.compile(r"%YAML|---|(?!Unnamed: )\s*['\"]?[\w/*:]+['\"]?\s*:(?:\s|$
 
 
 class TagMapFile(File):
-    """File of a tag map; the keys are empty for a text that is neither YAML nor JSON."""
+    """File of a tag map. Its keys (`data`) are empty for a text that is neither YAML nor JSON, such as a table."""
 
     @cached_property
     def data(self) -> Keys:
@@ -109,13 +109,16 @@ def _deployment(path: Any, tags: Sequence[PlacedTag], note: str) -> Deployment:
 
 
 def write_map_covariance(path: Path, ids: IntArray, positions: FloatArray, covariance: FloatArray) -> None:
-    """Write the joint covariance of the tags' twists, each in the frame of its tag, with rotations before shifts.
+    """Write the joint covariance of the errors in the poses of all tags. The error of a pose is a twist in the frame of
+    its tag, three rotations before three shifts.
 
     Args:
         path: file.
         ids: `(K,)` ids of the tags, ascending.
-        positions: `(K, 3)` positions of the tags, metres; with them a reader refuses the file beside another map.
-        covariance: `(6 K, 6 K)`; the upper triangle is written, row by row.
+        positions: `(K, 3)` positions of the tags, metres. By them a reader notices, and refuses, a file that belongs to
+            another map.
+        covariance: joint covariance of the K twists, rad and metres, `(6 K, 6 K)`; its upper triangle is written, row
+            by row.
     """
     upper = covariance[np.triu_indices(len(covariance))]
     with path.open("wb") as file:

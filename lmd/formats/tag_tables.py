@@ -77,7 +77,7 @@ def read_tag_text(file: File) -> Found:
 
 
 def _landmarks(table: Table) -> list[PlacedTag]:
-    """Tags among the poses that RTAB-Map exports: the poses with a negative id."""
+    """Tags among the poses that RTAB-Map exports. Poses of tags have a negative id."""
     numbers = table.numbers([ID], None)[:, 0].tolist()
     chosen = [i for i, number in enumerate(numbers) if number < 0.0]
     if not chosen:
@@ -164,7 +164,8 @@ def deployment_of(table: Table, axes: Sequence[str] | None) -> tuple[Deployment,
 
 
 def _numbered(table: Table) -> tuple[Table, list[str]]:
-    """Table whose column of ids has the tags' numbers, and the families that the table names.
+    """Table in which the column `id` has the number of each tag, even if the file has names such as tag36h11:7; and the
+    families that the table names.
 
     Raises:
         InputError: a table of poses lacks a column with the numbers of the tags, or has two such columns that differ.
@@ -217,7 +218,8 @@ def _list_of(keys: Keys) -> str | None:
 
 
 def listed(file: File) -> Found:
-    """Read tags from a list, see `is_list`: entries are rows, and keys are columns.
+    """Read tags from a list or a mapping that `is_list` accepts. Each entry is taken as a row of a table, whose columns
+    are the keys.
 
     Raises:
         InputError: a tag lacks a value that another tag has, or a value is refused.

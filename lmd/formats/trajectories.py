@@ -164,8 +164,8 @@ def alignment(align: Sequence[Any]) -> FloatArray:
 
 
 def _fitted(points: FloatArray) -> FloatArray:
-    """Rigid motion `(4, 4)` that maps the first to the second point of each pair, `points` `(N, 6)`, after a check that
-    the pairs determine the motion and agree on it.
+    """Rigid motion `(4, 4)` fitted to N pairs of points, `points` `(N, 6)`: it maps the first point of a pair to the
+    second. The pairs must determine the motion and agree on it.
     """
     if len(points) < FEWEST:
         raise InputError(f"align must have at least {FEWEST} points, got {len(points)}.", "align")

@@ -1,5 +1,5 @@
-"""Content of files as trees of keys and values, also that of texts, XML, arrays and Python literals; and paths to the
-values.
+"""Trees of keys and values, made from the content of files (YAML, JSON, XML, arrays, Python literals, other texts); and
+paths to values in a tree.
 
 A path is a text of keys with dots between them, such as `pose.translation`; a key of a file may also contain dots. A
 number is an index into a list, or into the numbers in a text. A list of one entry stands for the entry, as XML does not
@@ -60,10 +60,11 @@ def _at(tree: Any, path: str) -> Any:
 
 
 def entries(tree: Any, path: str, around: Keys | None = None, key: str = "") -> Iterator[tuple[str, Keys]]:
-    """Entries at a path, each with its key. An entry that lacks keys gets them from the mappings around it.
+    """Entries at a path, each with its key. An entry also gets the keys of the mappings around it that it lacks.
 
     A step `*` stands for each entry of a list or a mapping, `/PATTERN/` for each key that matches a regular expression.
-    Entries of one mapping get no keys from each other. An entry without keys becomes the value of the key `value`.
+    An entry gets no keys from other entries of its mapping. An entry that is not a mapping becomes the value of the key
+    `value`.
     """
     step, _, rest = path.partition(".")
     own, outer = dict(tree) if isinstance(tree, Mapping) else {}, around or {}
@@ -83,8 +84,8 @@ def entries(tree: Any, path: str, around: Keys | None = None, key: str = "") -> 
 
 
 def _anywhere(tree: Any, wanted: str, name: str = "", levels: int = LEVELS) -> Iterator[tuple[str, Keys]]:
-    """Mappings at any depth that have a wanted key, each after its name (the keys above it, joined by `/`); long lists
-    are not searched.
+    """Mappings at any depth that have a wanted key, as pairs of name and mapping. The name consists of the keys above
+    the mapping, joined by `/`. Long lists are not searched.
     """
     if isinstance(tree, Mapping) and wanted in tree:
         yield name, tree
@@ -143,10 +144,12 @@ def matches(text: str, patterns: Mapping[str, str]) -> dict[str, Any]:
 
 
 def xml_of(text: str) -> ElementTree.Element | None:
-    """Root element of XML; None for a text that is not XML; entities are refused, as they could expand to gigabytes.
+    """Root element of XML; None for a text that does not begin with `<`. Entities are refused, as they could expand to
+    gigabytes.
 
     Raises:
-        InputError: the text has entities, or is broken.
+        InputError: the text begins with `<`, but is not valid XML, or has a document type, entities, or too many
+            levels.
     """
     if not text.lstrip().startswith("<"):
         return None
@@ -164,8 +167,8 @@ def xml_of(text: str) -> ElementTree.Element | None:
 
 
 def tree_of(element: ElementTree.Element) -> Any:
-    """Tree of an XML element: attributes, and children as a list for each name; a single child with only a text becomes
-    this text. An element without attributes and children becomes its text.
+    """Tree of an XML element: a mapping of its attributes and, for each name of children, the list of these children. A
+    single child that has only a text becomes this text. An element without attributes and children becomes its text.
     """
     if not element.attrib and not len(element):
         return (element.text or "").strip().strip('"')
@@ -200,7 +203,8 @@ def arrays_of(path: Any, name: str, largest: float, most: float = LARGEST_ARRAY)
         most: maximum number of entries of an array that is kept.
 
     Raises:
-        InputError: the file cannot be read, is too large, or holds only objects or large arrays.
+        InputError: the file cannot be read, is too large, or holds no array with at most `most` entries (Python objects
+            do not count).
     """
     content = read_bytes(path, name, largest)
     if not content.startswith(b"PK\x03\x04"):
@@ -262,7 +266,7 @@ class File:
 
     @cached_property
     def root(self) -> ElementTree.Element | None:
-        """Root element of XML; None for a text that is not XML.
+        """Root element of the file's XML; None for a text that does not begin with `<`, see `xml_of`.
 
         Raises:
             InputError: the text begins like XML but is broken, or has entities.
