@@ -1,3 +1,3 @@
-"""Incremental evaluation of moves of one landmark at a time: counts and probabilities are exact, but updated instead of
-recomputed.
+"""Incremental evaluation: after the move of one landmark, counts and probabilities are updated instead of recomputed,
+and equal the recomputed ones exactly.
 """

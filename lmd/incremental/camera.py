@@ -263,7 +263,7 @@ def _find_pairs(state: Any, k: Integer, role: Any, field: Any, scratch: Any) -> 
 @inner
 def _want_blocks(k: Integer, state: Any, scratch: Any) -> None:
     """Set `WANTED` to True only for the blocks that contain a position from which landmark k hides another landmark or
-    is hidden by another landmark; these blocks are few.
+    is hidden by one. Only these blocks have to be searched, and there are few of them.
     """
     hiding, hidden, wanted = state.hides[HIDING], state.hides[HIDDEN], scratch.flags[WANTED]
     for b in scratch.lists[BLOCKS][: scratch.numbers[BLOCK_COUNT]]:
@@ -275,8 +275,8 @@ def _want_blocks(k: Integer, state: Any, scratch: Any) -> None:
 
 @inlined
 def _hide_from(p: Integer, one: Any, pose: Any, two: Any, other: Any, positions: FloatArray) -> Any:
-    """Result of `hide_between` for two landmarks as seen from position p: `one` and `two` are their models of sight,
-    `pose` and `other` their poses.
+    """Two flags for two landmarks as seen from position p: True if the first hides the second, and True if the second
+    hides the first. `one` and `two` are their models of sight, `pose` and `other` their poses.
     """
     (place, facing), (there, turned), at = pose, other, column3(positions, p)
     a, b = minus3(place, at), minus3(there, at)
@@ -301,8 +301,8 @@ def _note_neighbour(state: Any, groups: Any, near: Any, role: Any, place: Any, f
 
 @inlined
 def _note_hiding(i: Integer, p: Integer, one: Any, two: Any, role: Any, scratch: Any) -> None:
-    """Record that, from position p, the moving landmark at its place hides landmark i (if `one`), and that landmark i
-    hides the moving landmark (if `two`).
+    """Record the occlusion as seen from position p: the moving landmark, at the place with the `role` (old place or
+    place tried), hides landmark i if `one` is True, and is hidden by landmark i if `two` is True.
     """
     changes, hides = scratch.changes, scratch.hides
     if role != OLD_PLACE:

@@ -1,5 +1,5 @@
-"""Field (incremental evaluator) of coverage: it updates P_n at every position when single landmarks move, for a camera
-or a rig.
+"""Field (incremental evaluator) of coverage, for a camera or a rig: it updates P_n, the probability that n landmarks
+are covered, at every position when single landmarks move.
 """
 
 from typing import Any, NamedTuple
@@ -51,8 +51,8 @@ class OneCamera(NamedTuple):
     obstacles: Any
     """Obstacles of the room seen from the positions, see `lmd.sight.obstacles`."""
     axes: np.ndarray
-    """`(6, 64 W)` optical axis and image's right of each orientation, unit vectors, padded with zeros to whole
-    words.
+    """`(6, 64 W)` directions of the optical axis and of the image's right for each orientation, unit vectors, padded
+    with zeros to whole words.
     """
     tables: np.ndarray
     """`(2, cells + 1, W)` tables `CERTAIN` and `POSSIBLE`, see `lmd.sight.directions`."""
@@ -87,8 +87,8 @@ class RigCameras(NamedTuple):
     """Data of a rig's cameras for Q positions of the rig's body and all orientations of the PDF."""
 
     groups: tuple[MountGroup, ...]
-    """Mounts, grouped by kind of camera; row q G + g of `MountGroup.obstacles` belongs to the camera at offset g of
-    `MountGroup.places`, with the body at position q.
+    """Mounts, grouped by kind of camera. A group has G offsets `MountGroup.places`; the obstacles seen by the camera at
+    offset g, with the body at position q, are in row q G + g of `MountGroup.obstacles`.
     """
 
     @property
@@ -123,7 +123,7 @@ class RigCameras(NamedTuple):
 
 
 class CoverageField(NamedTuple):
-    """Constant data of the incremental evaluator of coverage; a `lmd.incremental.field.Field`."""
+    """Constant data of the field of coverage (an incremental evaluator); a `lmd.incremental.field.Field`."""
 
     positions: np.ndarray
     """`(3, Q)` positions in blocks of `BLOCK` neighbours, the last block padded with copies; metres."""
@@ -136,11 +136,13 @@ class CoverageField(NamedTuple):
     cameras: OneCamera | RigCameras
     """Single camera, or cameras of a rig."""
     counted_once: np.ndarray
-    """`(Q, W)` bit sets of the axes whose counts begin at 1 instead of 0, for fixed landmarks that are not in the
-    deployment, see `stacked`.
+    """`(Q, W)` bit sets of the orientations for which the count of covered landmarks begins at 1 instead of 0, because
+    enough fixed landmarks outside the deployment are covered; see `stacked`.
     """
     weights: np.ndarray
-    """Quantised probability (an integer) of each axis, `(1, 64 W)` or `(Q, 64 W)`, see `kernels.evaluate_range`."""
+    """Quantised probability (an integer) of each axis, `(1, 64 W)`, or of each axis at each position, `(Q, 64 W)`; see
+    `kernels.evaluate_range`.
+    """
     n: int
     """Number of landmarks that must be covered."""
 
@@ -167,14 +169,14 @@ class CoverageField(NamedTuple):
 
     @property
     def stack(self) -> int:
-        """See `Stacking.stack`; 0 for tags of several sizes."""
+        """See `Stacking.stack`; 0 for tags of several sizes, which form no stacks."""
         return self.n if all(np.ndim(half_edge(sight)) == 0 for sight in self.cameras.sights) else 0
 
     def stacked(self, fixed: Deployment | None) -> "CoverageField":
         """See `Stacking.stacked`.
 
-        Without occlusion, a stack of n landmarks is covered if one landmark at its place is covered, so n becomes 1.
-        Axes from which n fixed landmarks are covered count as axes from which one stack is covered.
+        Without occlusion, a stack of n landmarks is covered if one landmark at its place is covered, so n becomes 1. An
+        axis that covers n of the `fixed` landmarks counts as an axis that covers one stack.
         """
         counted_once = self.counted_once
         if fixed is not None:
@@ -197,7 +199,9 @@ undo.register(CoverageField)(exchange_place)
 
 
 def coverage_field(evaluator: Evaluator, n: int) -> CoverageField:
-    """Make the field (incremental evaluator) of P_n at the positions of an evaluator."""
+    """Make the field (incremental evaluator) of P_n, the probability that n landmarks are covered, at the positions of
+    an evaluator.
+    """
     e, (order, index_of), blockers = evaluator, evaluator.blocks, evaluator.scene.room.blockers()
     ordered = e.positions[order]
     cameras: OneCamera | RigCameras

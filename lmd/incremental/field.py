@@ -35,8 +35,8 @@ class Field(Protocol):
 
     @property
     def size(self) -> int:
-        """Number Q of positions of the field, at least the number P of the evaluator's positions, as some positions are
-        copies.
+        """Number Q of positions of the field. It is at least the number P of the evaluator's positions, because the
+        field may contain copies of positions.
         """
 
     @property
@@ -62,7 +62,9 @@ class Stacking(Protocol):
         """Field in which each landmark of a state represents a stack; `fixed` landmarks are counted in addition."""
 
     def shrunk(self, size: float) -> Field:
-        """Field with the occluding bodies of landmarks scaled by `size`; used to separate the landmarks of a stack."""
+        """Field in which the bodies of landmarks that block the view are scaled by `size`; used to separate the
+        landmarks of a stack.
+        """
 
 
 def stack_of(field: Field) -> int:
@@ -116,8 +118,7 @@ def bound(field: Any, k: Integer, pose: Any, surface: Integer, state: Any, scrat
     """Try a move of landmark k to `pose` on a surface: write upper bounds on the values after the move into
     `scratch.units`.
 
-    `pose` `(6,)` is position (metres) and unit normal. Bounds are cheap, and most moves can be rejected by their
-    bounds.
+    `pose` `(6,)` is position (metres) and unit normal. Bounds are cheap to compute, and suffice to reject most moves.
     """
 
 
@@ -133,15 +134,18 @@ def accept(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 @dispatched_call
 def undo(field: Any, k: Integer, state: Any, scratch: Any) -> None:
-    """Undo the last accepted move with this scratch; all later moves must have been undone."""
+    """Undo the move that was accepted last with this `scratch`. Moves that were accepted later, with other scratches,
+    must have been undone before.
+    """
 
 
 @dispatched
 def smoothed(target: Any, p: Integer, units: Any, margin: Any, width: float, share: float) -> Any:
     """Contribution of the quantised value `units` at position p to the smoothed fitness.
 
-    The step at the threshold is smoothed over `width`, and `share` times the value itself is added. The contribution
-    increases monotonically with `units`, up to (1 + share) times the relevance of the position.
+    A smooth step of the given `width`, with its middle `margin` above the threshold, replaces the sharp step; `share`
+    times the value is added. The contribution increases monotonically with `units`, up to (1 + share) times the weight
+    of the position.
     """
 
 
@@ -152,16 +156,16 @@ def contribution(target: Any, p: Integer, units: Integer) -> Any:
 
 @overridable
 def placed(state: Any) -> Any:
-    """Part of a state that has `poses` and `surfaces`: the state itself, unless the state's class registers another
-    function.
+    """The part of a state that has the attributes `poses` and `surfaces`: the state itself, unless the state's class
+    registers another function.
     """
     return state
 
 
 @overridable
 def combined(target: Any, terms: FloatArray, total: Any) -> Any:  # noqa: ARG001 # for other targets
-    """Smoothed fitness from the contributions `terms` `(Q,)` of the positions: their sum `total`, unless the class of
-    the target registers another function. That function must increase monotonically with every term.
+    """Smoothed fitness, from the contributions `terms` `(Q,)` of the positions and their sum `total`. It is `total`,
+    unless the class of the target registers another function, which must increase monotonically with every term.
     """
     return total
 
@@ -211,8 +215,8 @@ def move_to(places: Any, field: Any, state: Any, scratches: Any, pose: Any) -> N
 def perform(steps: Any, poses: FloatArray, field: Any, state: Any, scratches: Any, units: Any) -> None:
     """Execute steps of moves one after the other.
 
-    Python calls a field through this kernel only, as each further kernel would be compiled for every class of field,
-    which takes long.
+    Python calls a field through this kernel only, because each further kernel would be compiled for every class of
+    field, which takes long.
 
     Args:
         steps: `(S, 4)` int64: one of `BOUND`, `SETTLE`, `ACCEPT`, `UNDO`; landmark; surface; index of the scratch.

@@ -1,4 +1,5 @@
-"""Occlusion between the moving landmark and other landmarks: the module finds pairs of another landmark and a position.
+"""Occlusion between the moving landmark and other landmarks: functions that find the pairs of another landmark and a
+position from which one of the two landmarks hides the other.
 
 Only blocks of positions are searched that are at most the horizon (a distance) from both landmarks, in two stages:
 
@@ -104,7 +105,7 @@ OLD_PLACE, NEW_PLACE, FIRST_PLACE = np.int64(0), np.int64(1), np.int64(2)
 
 @inlined
 def line_radius(sight: Any) -> Any:
-    """Greatest distance from a line of sight at which a landmark can block the line, metres."""
+    """Greatest distance at which a landmark can stand from a line of sight and still block it, metres."""
     return math.sqrt(sight.reach) * (1.0 + SINGLE_ERROR) + TOLERANCE
 
 
@@ -210,7 +211,7 @@ def search(groups: Any, k: Integer, role: Any, field: Any, state: Any, scratch: 
 
 @inlined
 def touch(p: Integer, scratch: Any) -> None:
-    """Mark position p as `TOUCHED`."""
+    """Mark position p as `TOUCHED`, and add it to the list of these positions."""
     numbers = scratch.numbers
     if not scratch.flags[TOUCHED, p]:
         scratch.flags[TOUCHED, p], scratch.lists[TOUCHED_LIST, numbers[TOUCHED_COUNT]] = True, p
@@ -219,7 +220,7 @@ def touch(p: Integer, scratch: Any) -> None:
 
 @inlined
 def note_pair(i: Integer, p: Integer, scratch: Any) -> None:
-    """Append landmark i and position p to `Scratch.pairs`."""
+    """Append the pair of landmark i and position p to `Scratch.pairs`."""
     known, pairs, numbers = scratch.known, scratch.pairs, scratch.numbers
     if not known[p, i]:
         known[p, i], pairs[LANDMARK, numbers[PAIR_COUNT]], pairs[POSITION, numbers[PAIR_COUNT]] = True, i, p

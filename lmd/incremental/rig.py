@@ -90,8 +90,8 @@ def _clear_views(scratch: Any) -> None:
 
 @allocating
 def _find_covered(k: Integer, group: Any, positions: FloatArray, body: FloatArray, scratch: Any, rig: Any) -> None:
-    """Write into `COVERED` the orientations, among `ASKED`, with which each camera covers the place tried, and add
-    these orientations to `FRESH`.
+    """Find the orientations with which each camera covers the place tried, but test only the orientations in `ASKED`.
+    Write them to `COVERED`, and add them to `FRESH`.
 
     `OCCLUDED` is cleared.
 
@@ -172,7 +172,7 @@ def _join(positions: FloatArray, scratch: Any) -> None:
 
 @inner
 def _see_with(groups: Any, k: Integer, positions: FloatArray, field: Any, state: Any, scratch: Any) -> None:
-    """Run `see` for all mount groups of a rig."""
+    """Run `see`, which finds the orientations that cover the place tried, for all mount groups of a rig."""
     fresh = scratch.sets[FRESH]
     for q in positions:
         for w in range(np.uint64(fresh.shape[1])):
@@ -193,8 +193,8 @@ def list_near(scratch: Any, all_of_them: bool) -> Any:
     """Write into `LISTED` the positions near the old place and near the place tried; return the number of these
     positions.
 
-    With `all_of_them` all these positions are listed, else only the touched positions and the positions with
-    orientations in `ASKED`.
+    If `all_of_them` is False, only those of these positions are listed that are touched or have orientations in
+    `ASKED`.
     """
     listed, first, last, count = scratch.lists[LISTED], scratch.lists[FIRST], scratch.lists[LAST], ZERO
     asked, touched = scratch.sets[ASKED], scratch.flags[TOUCHED]
@@ -239,8 +239,8 @@ def _exchange_sets(state: Any, k: Integer, p: Integer, w: Integer, scratch: Any)
 
 @inner
 def _exchange_group(k: Integer, positions: FloatArray, mine: Any, other: Any) -> None:
-    """Swap the sets of landmark k at `positions`: the sets in `mine`, the state of a mount group, for the sets in
-    `other`, the group's scratch.
+    """Swap the sets of landmark k at `positions` between `mine`, the state of a mount group, and `other`, the scratch
+    of this group.
     """
     covered, occluded, tried_covered, tried_occluded = mine[COVERED], mine[OCCLUDED], other[COVERED], other[OCCLUDED]
     for q in positions:

@@ -36,7 +36,9 @@ from lmd.sight.mount_occlusion import hidden_bits, hiding_bound, may_hide_around
 def _hidden_bits(
     group: Any, m: Integer, w: Integer, left: Any, i: Integer, k: Integer, body: Vector, one: Any, other: Any
 ) -> Any:
-    """Result of `hidden_bits`; this function is not inlined, which shortens compilation."""
+    """Orientations with which landmark i hides landmark k, see `hidden_bits`. This function only calls `hidden_bits`;
+    it is not inlined, which shortens compilation.
+    """
     return hidden_bits(group, m, w, left, i, k, body, one, other)
 
 
@@ -63,8 +65,8 @@ def _drop_hidden(
 def _find_pair(
     groups: Any, near: Any, q: Integer, body: Vector, place: Any, role: Any, state: Any, scratch: Any
 ) -> None:
-    """Record in `flipped` the orientations with which landmark k at `place` hides landmark i, for the body at position
-    q.
+    """Update the set `flipped` of landmark i, which has the orientations with which the move changes whether i is
+    hidden, by the orientations with which landmark k at `place` hides i. The body is at position q.
     """
     (group, mine, other), (c, _, i, k, _) = groups, near
     pose, changed, covered, occluded = pose_of(i, state), False, mine[COVERED], mine[OCCLUDED]
@@ -108,8 +110,8 @@ def _note_neighbour(state: Any, groups: Any, near: Any, role: Any, place: Any, f
 
 @inner
 def find_occluded(k: Integer, group: Any, field: Any, state: Any, scratch: Any) -> None:
-    """Write into `OCCLUDED` the orientations, in both `COVERED` and `ASKED`, with which another landmark hides the
-    place tried.
+    """Find the orientations with which another landmark hides the place tried, and write them to `OCCLUDED`; only
+    orientations that are in both `COVERED` and `ASKED` are tested.
     """
     other, size, body = scratch.groups[group.number], np.uint64(len(scratch.units)), field.positions
     asked, tried_covered, tried_occluded = scratch.sets[ASKED], other.sets[COVERED], other.sets[OCCLUDED]
@@ -129,7 +131,9 @@ def find_occluded(k: Integer, group: Any, field: Any, state: Any, scratch: Any) 
 
 @inner
 def _find_pairs_of(kinds: Any, k: Integer, role: Any, field: Any, state: Any, scratch: Any) -> None:
-    """Run `find_pairs` for all mount groups of a rig."""
+    """Run `find_pairs` for all mount groups of a rig, to find the other landmarks that landmark k hides or is hidden
+    by.
+    """
     for group in literal_unroll(kinds):
         if group.sight.reach >= 0.0:
             groups = group, state.groups[group.number], scratch.groups[group.number]

@@ -21,12 +21,16 @@ ENOUGH = 2  # axes that cover n landmarks or more
 
 
 class Counts(NamedTuple):
-    """Number of landmarks covered at each of Q positions for each axis; the bits of W words stand for the axes."""
+    """Numbers of landmarks covered at each of Q positions for each axis, as bit sets; the bits of W words stand for the
+    axes.
+    """
 
     digits: np.ndarray
-    """`(Q, W, J)` bit sets: the J binary digits of the numbers, the lowest digit first."""
+    """`(Q, W, J)` bit sets: the J binary digits of the numbers of covered landmarks, the lowest digit first."""
     sets: np.ndarray
-    """`(3, Q, W)` bit sets of axes by their number of landmarks, rows `SHORT`, `JUST` and `ENOUGH`."""
+    """`(3, Q, W)` bit sets of the axes that cover n - 1 landmarks (row `SHORT`), n landmarks (row `JUST`), and n
+    landmarks or more (row `ENOUGH`).
+    """
 
 
 def new_counts(counted_once: np.ndarray, count: int, n: int) -> Counts:
@@ -46,8 +50,8 @@ def new_counts(counted_once: np.ndarray, count: int, n: int) -> Counts:
 
 @inlined
 def enough_with(p: Integer, w: Integer, was: Any, now: Any, counts: Any) -> Any:
-    """Axes from which n landmarks or more are covered after a move. For the moving landmark, the set of axes that cover
-    it changes from `was` to `now`.
+    """Axes that cover n landmarks or more after a move. Before the move, the axes `was` cover the moving landmark;
+    after the move, the axes `now` do.
     """
     short, just, enough = counts.sets[SHORT], counts.sets[JUST], counts.sets[ENOUGH]
     return (enough[p, w] & ~(was & ~now & just[p, w])) | (now & ~was & short[p, w])
@@ -129,7 +133,9 @@ SURE = 5  # depth, metres: an axis with the place well in view, at a depth from 
 
 
 class State(NamedTuple):
-    """Coverage of K landmarks by a camera from Q positions in the field's order, with W words of axes."""
+    """Coverage of K landmarks by a camera from Q positions, which are in the field's order; W words have a bit for each
+    axis.
+    """
 
     poses: np.ndarray
     """`(6, K)` positions, metres, and unit normals of the landmarks."""
@@ -161,7 +167,10 @@ class RigState(NamedTuple):
     units: np.ndarray
     """See `State`."""
     groups: tuple[np.ndarray, ...]
-    """`(2, K, Q, M, W)` sets of orientations, rows `COVERED` and `OCCLUDED`, for each group of M mounts."""
+    """For each group of M mounts, `(2, K, Q, M, W)` sets of orientations: those with which each camera covers each
+    landmark, occlusion ignored (row `COVERED`), and those of them with which another landmark hides it (row
+    `OCCLUDED`).
+    """
     shown: np.ndarray
     """`(K, Q, W)` orientations of the body with which some camera sees a landmark, occlusion taken into account."""
 
@@ -176,29 +185,37 @@ class Scratch(NamedTuple):
     target: np.ndarray
     """`(6,)` position (metres) and unit normal of the place tried."""
     numbers: np.ndarray
-    """`(5,)` int64 lengths of the `lists` that are in use, entries `BLOCK_COUNT` to `TOUCHED_COUNT`."""
+    """`(5,)` int64 numbers: the lengths of those parts of `lists` and `pairs` that are in use, and the index of the
+    surface of the place tried (entry `SURFACE`).
+    """
     units: np.ndarray
-    """`(Q,)` quantised P_n with the landmark at the place tried, or upper bounds on P_n."""
+    """`(Q,)` quantised P_n with the landmark at the place tried, or upper bounds on these values."""
     flags: np.ndarray
-    """`(4, Q)` bool flags for each block or position, rows `AIMED` to `REACHED`."""
+    """`(4, Q)` bool flags: rows `AIMED` and `WANTED` for each block of positions, rows `TOUCHED` and `REACHED` for each
+    position.
+    """
     lists: np.ndarray
-    """`(9, max(Q W, K) + 1)` uint64 lists, rows `LISTED` to `PLACES`."""
+    """`(9, max(Q W, K) + 1)` uint64: one list in each row, from `LISTED` to `PLACES`, see these constants."""
     offsets: np.ndarray
     """`(4, L)` float32, L > K a multiple of `LANES`: vectors from a place to the landmarks in `OTHERS`, and the lengths
     of the vectors, metres.
     """
     sets: np.ndarray
-    """`(2, Q, W)` sets of orientations, rows `FRESH` and `ASKED`."""
+    """`(2, Q, W)` sets of orientations: those that are tested (row `ASKED`), and those of them that cover the place
+    tried (row `FRESH`; for a single camera, occlusion is ignored).
+    """
     digits: np.ndarray
-    """`(Q, W, J)` binary digits of the counts without the moving landmark, at `TOUCHED` positions."""
+    """`(Q, W, J)` binary digits of the numbers of covered landmarks without the moving landmark, at positions marked as
+    `TOUCHED`.
+    """
     pairs: np.ndarray
     """`(2, K Q)` uint32 pairs of another landmark and a position at which the move changes the landmark's occlusion,
     rows `LANDMARK` and `POSITION`.
     """
     known: np.ndarray
-    """`(Q, K)` True if position and landmark are one of the `pairs`."""
+    """`(Q, K)` True if this position and this landmark are one of the `pairs`."""
     changes: np.ndarray
-    """`(2, K, Q)` int8: for the `pairs`, the changes by the move of the numbers in `State.hides`."""
+    """`(2, K, Q)` int8: for each of the `pairs`, the change that the move causes in the numbers of `State.hides`."""
     hides: np.ndarray
     """`(2, Q)` int16: for each position, number of landmarks that hide the moving landmark at the place tried (row
     `HIDDEN`), and number of landmarks that it hides there (row `HIDING`).
@@ -217,13 +234,15 @@ class GroupScratch(NamedTuple):
     """Working memory for one mount group of a rig, with the move tried last."""
 
     sets: np.ndarray
-    """`(2, Q, M, W)` sets of orientations for the place tried, rows `COVERED` and `OCCLUDED`, limited to the
-    orientations in `ASKED`.
+    """`(2, Q, M, W)` sets of orientations, limited to those in `ASKED`: orientations with which each camera covers the
+    place tried (row `COVERED`), and those of them with which another landmark hides it (row `OCCLUDED`).
     """
     flipped: np.ndarray
-    """`(K, Q, M, W)` orientations with which the move changes `OCCLUDED`, for the pairs in `RigScratch`."""
+    """`(K, Q, M, W)` orientations that the move adds to or removes from the row `OCCLUDED` of the state, for the pairs
+    in `RigScratch`.
+    """
     occluders: np.ndarray
-    """`(1,)` number of `pairs`."""
+    """`(1,)` number of entries of `pairs` that are in use."""
     pairs: np.ndarray
     """`(2, K C Q)` uint32 pairs of a landmark that may hide the place tried and one of the cameras' centres
     (`MountGroup.centres`) at a position: rows `LANDMARK` and `POSITION`, the latter with the number c Q + q of centre c
@@ -234,7 +253,9 @@ class GroupScratch(NamedTuple):
     that was evaluated last, and bounds on the depth of this place along the optical axis; rows `X` to `SURE`.
     """
     lists: np.ndarray
-    """`(2, Q + 1)` uint64 lists: rows of the direction tables, and positions that need the exact test."""
+    """`(2, Q + 1)` uint64: a list of rows of the direction tables, and a list of the positions that need the exact
+    test.
+    """
     reached: np.ndarray
     """`(Q,)` True if some orientation may cover the place tried."""
 

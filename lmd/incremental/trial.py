@@ -66,7 +66,9 @@ def shown_of(state: Any, k: Integer, p: Integer, w: Integer) -> Any:
 
 @dispatched
 def turned(state: Any, i: Integer, p: Integer, w: Integer, scratch: Any) -> Any:
-    """Results of `shown_of` for landmark i, which occurs in `Scratch.pairs`: before the move, and after the move."""
+    """Orientations of word w with which landmark i, which occurs in `Scratch.pairs`, is seen from position p: two sets,
+    before and after the move.
+    """
 
 
 @dispatched_call
@@ -78,7 +80,8 @@ def find_pairs(state: Any, k: Integer, role: Any, field: Any, scratch: Any) -> N
 
 @dispatched_call
 def bound_views(state: Any, k: Integer, field: Any, scratch: Any) -> Any:
-    """Bound P_n at positions that are not touched.
+    """Begin to bound P_n at positions that are not touched: write the bounds, or list the positions for which they
+    still have to be computed.
 
     Returns:
         number of positions in `LISTED`, touched positions included, for which `see` and `_find_units` are still needed.
@@ -87,7 +90,9 @@ def bound_views(state: Any, k: Integer, field: Any, scratch: Any) -> Any:
 
 @dispatched_call
 def see(state: Any, k: Integer, positions: np.ndarray, field: Any, scratch: Any) -> None:
-    """Write into `FRESH` the orientations, among `ASKED`, with which landmark k is covered at the place tried."""
+    """Find the orientations with which landmark k is covered at the place tried, and write them to `FRESH`; only the
+    orientations in `ASKED` are tested.
+    """
 
 
 @dispatched
@@ -115,8 +120,8 @@ def exchange_sets(state: Any, k: Integer, p: Integer, w: Integer, scratch: Any) 
 
 @dispatched_call
 def exchange_views(state: Any, k: Integer, scratch: Any) -> None:
-    """Swap the data of landmark k, except its sets, in the state for the data in the scratch, and apply the changes of
-    the pairs.
+    """Swap the data of landmark k, except its sets, between state and scratch, and apply the changes of the occlusion
+    of other landmarks (`pairs`).
 
     A second call undoes the first call.
     """
@@ -159,8 +164,8 @@ def begin_move(k: Integer, pose: Any, surface: Integer, field: Any, state: Any, 
 
 @inner
 def _count_others(k: Integer, state: Any, scratch: Any) -> None:
-    """Count, into `digits`, the landmarks other than k at touched positions; for the pairs, the occlusion after the
-    move is used.
+    """Count the landmarks other than k that are seen from touched positions, and write the counts to `digits`.
+    Landmarks in `pairs` are counted with their occlusion after the move.
     """
     landmark, position = scratch.pairs[LANDMARK], scratch.pairs[POSITION]
     counts, digits = state.counts.digits, scratch.digits
@@ -180,8 +185,8 @@ def _count_others(k: Integer, state: Any, scratch: Any) -> None:
 
 @inner
 def ask_touched(k: Integer, n: Integer, or_more: bool, state: Any, scratch: Any) -> None:
-    """Set `ASKED` at touched positions to the orientations with which n - 1 other landmarks are seen, or at least n - 1
-    if `or_more`.
+    """Select for the test in `see`, at touched positions, the orientations (`ASKED`) with which n - 1 other landmarks
+    are seen, or at least n - 1 if `or_more` is True.
     """
     asked, digits = scratch.sets[ASKED], scratch.digits
     _count_others(k, state, scratch)
@@ -192,8 +197,8 @@ def ask_touched(k: Integer, n: Integer, or_more: bool, state: Any, scratch: Any)
 
 @inner
 def _find_units(k: Integer, positions: FloatArray, n: Integer, weights: Any, state: Any, scratch: Any) -> None:
-    """Compute P_n at `positions` from the sets `FRESH` of landmark k; for the pairs, the occlusion after the move is
-    used.
+    """Compute P_n at `positions` from the orientations with which landmark k is seen at the place tried (`FRESH`).
+    Landmarks in `pairs` are counted with their occlusion after the move.
     """
     enough, asked = state.counts.sets[ENOUGH], scratch.sets[ASKED]
     touched, digits = scratch.flags[TOUCHED], scratch.digits
@@ -211,7 +216,7 @@ def _find_units(k: Integer, positions: FloatArray, n: Integer, weights: Any, sta
 
 @inner
 def see_whole(k: Integer, field: Any, state: Any, scratch: Any) -> None:
-    """Run `see` for all orientations, not only for those that matter to the trial."""
+    """Run `see` for all orientations, including those that cannot change the result of the trial."""
     positions, asked = scratch.lists[LISTED][: list_changing(state, k, scratch)], scratch.sets[ASKED]
     for p in positions:
         for w in range(np.uint64(asked.shape[1])):
@@ -245,7 +250,7 @@ def finish_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 @inner
 def exchange(k: Integer, field: Any, state: Any, scratch: Any) -> None:
-    """Swap the data of landmark k and of the pairs in the state for the data in the scratch, and update the counts."""
+    """Swap the data of landmark k and of the `pairs` between state and scratch, and update the counts."""
     landmark, position = scratch.pairs[LANDMARK], scratch.pairs[POSITION]
     words = np.uint64(state.counts.digits.shape[1])
     for p in scratch.lists[LISTED][: list_changing(state, k, scratch)]:
@@ -264,7 +269,7 @@ def exchange(k: Integer, field: Any, state: Any, scratch: Any) -> None:
 
 @inner
 def exchange_place(field: Any, k: Integer, state: Any, scratch: Any) -> None:
-    """Exchange the place of landmark k in the state for the place in `scratch`.
+    """Swap the place of landmark k, and the data that depend on the place, between state and scratch.
 
     The exchange undoes the last `carry_out` with this scratch; all later moves must have been undone.
     """

@@ -81,7 +81,9 @@ def with_error(figures: Mapping[str, float], key: str) -> str:
 
 
 class Selection(Protocol):
-    """Monotone submodular surrogate of an objective: the gain of each further landmark, given the chosen landmarks."""
+    """Interface of surrogates for greedy selection. A surrogate is a monotone submodular function that replaces an
+    objective: it holds the landmarks chosen already, and returns the gain of a further landmark.
+    """
 
     @property
     def label(self) -> str:
@@ -91,7 +93,7 @@ class Selection(Protocol):
         """Gain of each pose, `(N,)`; the gain of a pose does not increase when further landmarks are chosen."""
 
     def add(self, pose: Deployment) -> None:
-        """Add a landmark to the chosen landmarks."""
+        """Add the landmark at `pose` to the chosen landmarks, on which later gains depend."""
 
 
 class Objective(Protocol):
@@ -142,13 +144,13 @@ class Objective(Protocol):
         """
 
     def shares(self, values: FloatArray) -> Mapping[str, FloatArray | BoolArray]:
-        """Contribution of each position to those figures (metrics) that are means over positions: arrays of the shape
-        of `values`, keyed by the figure's name.
+        """For those figures (metrics) that are means over positions: the contribution of each position to the mean, as
+        arrays of the shape of `values`, keyed by the figure's name.
         """
 
     def figures(self, values: FloatArray, relevance: FloatArray) -> dict[str, float]:
-        """Figures (metrics) of a deployment, computed from the values and the relevance of the grid's positions, `(P,)`
-        each.
+        """Figures (metrics) of a deployment, computed from the values of the grid's positions and from their weights
+        `relevance`, `(P,)` each.
         """
 
     def describe(self, figures: Mapping[str, float], positions: int, count: int) -> dict[str, str]:

@@ -61,9 +61,10 @@ def _worth_of_mean(target, p, units):  # type: ignore[no-untyped-def]
 
 @dataclass(frozen=True)
 class Coverage(AtLeast):
-    """Multiple coverage probability: the fraction of positions, weighted by relevance, whose P_n reaches thold_p.
+    """Multiple coverage probability: the weighted fraction of the positions at which P_n reaches thold_p. P_n(p), the
+    value of position p, is the probability that the camera covers at least n landmarks at p.
 
-    This is Eq. argmaxH of the paper, normalised. The value of a position p is P_n(p).
+    This is Eq. argmaxH of the paper, normalised; the weights are the relevance of the positions.
 
     Args:
         n: least number of landmarks that the camera must see at the same time.
@@ -103,8 +104,8 @@ class Coverage(AtLeast):
         return {"qualified_ratio": self.qualified(values), "average_coverage_probability": values}
 
     def figures(self, values: FloatArray, relevance: FloatArray) -> dict[str, float]:
-        """The paper's three indices of coverage, fractions in [0, 1], and the paper's cost H (a sum of relevance, Eq.
-        H2).
+        """The paper's three indices of coverage, which are fractions in [0, 1], and the paper's cost H, which is a sum
+        of relevance (Eq. H2).
         """
         return {
             **{key: float(share.mean()) for key, share in self.shares(values).items()},
@@ -144,9 +145,9 @@ class Coverage(AtLeast):
 
 @dataclass(frozen=True)
 class MeanCoverage(Coverage):
-    """Relevance-weighted mean of P_n over all positions.
+    """Mean of P_n (see `Coverage`) over all positions, weighted by relevance.
 
-    Arguments as in `Coverage`; `thold_p` is used only for the metric "qualified ratio".
+    Arguments as in `Coverage`; `thold_p` affects only the metric "qualified ratio".
     """
 
     headline = figure_of("average_coverage_probability")
@@ -168,7 +169,7 @@ class MeanCoverage(Coverage):
 class CappedCount:
     """Weighted sum of min(number of covered landmarks, n) over positions and axes; a `Selection`.
 
-    For n >= 2 the indicator of n covered landmarks is not submodular, as the first landmark gains nothing. The sum
+    For n >= 2 the indicator of n covered landmarks is not submodular, because the first landmark gains nothing. The sum
     above is submodular if no landmark hides another.
 
     Args:

@@ -36,8 +36,8 @@ class WorstGroups(NamedTuple):
         return self.target.relevance  # type: ignore[no-any-return]
 
     def of_worst(self, units: IntArray) -> Any:
-        """Target over those groups only that are the worst for the values `units` `(Q,)`; at these values, it has the
-        derivatives of this target.
+        """Target that sums over the positions of only those groups that are the worst for the values `units` `(Q,)`. At
+        these values, its fitness and the fitness of this target have equal derivatives.
         """
         terms = np.array([contribution(self.target, p, units[p]) for p in range(len(units))])
         sums = np.bincount(self.groups, terms, self.number)
@@ -78,8 +78,8 @@ def _worst_of_units(target: Any, units: Any) -> Any:
 
 @inner
 def _mean_of_worst(sums: FloatArray, worst: Integer) -> Any:
-    """Mean of the `worst` smallest of S sums, times S, as each sum is a part of the fitness. The function overwrites
-    `sums`.
+    """Mean of the `worst` smallest of the S `sums`, times S. Without this factor the mean would be the fitness of a
+    single group, a part of the whole. The function overwrites `sums`.
     """
     total, number = 0.0, len(sums)
     for _ in range(worst):
@@ -136,8 +136,8 @@ def target_of(objective: Objective, field: Field, evaluator: Evaluator, relevanc
 
 
 def slope_target(target: Target, units: IntArray) -> Target:
-    """Target whose fitness is a sum over positions, and which has the derivatives of `target` at the values `units`
-    `(Q,)`.
+    """Target for the computation of slopes at the values `units` `(Q,)`: its fitness is a sum over positions, and has
+    at these values the derivatives of the fitness of `target`.
     """
     return target.of_worst(units) if isinstance(target, WorstGroups) else target
 
@@ -178,7 +178,9 @@ def worst_share(shares: FloatArray, evaluator: Evaluator) -> FloatArray:
 
 
 def _states(evaluator: Evaluator) -> tuple[IntArray, IntArray]:
-    """Crowd states of the positions of an evaluator, and the index of each position's state among them, `(P,)`."""
+    """Crowd states that occur at the positions of an evaluator, and for each position the index of its state among
+    these, `(P,)`.
+    """
     assert evaluator.states is not None, "there is a crowd"
     present, index = np.unique(evaluator.states, return_inverse=True)
     return present, index.reshape(-1)

@@ -97,7 +97,7 @@ def _try(field, k, pose, surface, state, scratch):  # type: ignore[no-untyped-de
 
 @settle.register(ReferenceField)
 def _leave(field, k, state, scratch):  # type: ignore[no-untyped-def]
-    """Do nothing, as the bounds are exact values."""
+    """Do nothing: for this field the bounds are exact values already."""
 
 
 @accept.register(ReferenceField)

@@ -1,4 +1,6 @@
-"""Random positions and orientations on which the fitness is computed, as an optimiser would overfit the room's grid."""
+"""Random positions and orientations on which the fitness is computed, because an optimiser would overfit the room's
+grid.
+"""
 
 import math
 from dataclasses import dataclass, replace
@@ -37,8 +39,8 @@ class Sampling(Checked):
         object.__setattr__(self, "divisions", divisions_of(self.divisions))
 
     def evaluator(self, scene: Scene, repeats: int, rng: np.random.Generator, threads: int | None) -> Evaluator:
-        """Evaluator at random positions, of which `repeats` are drawn in each cell of the grid. Positions are in the
-        order of the cells, and this order is repeated `repeats` times.
+        """Evaluator at random positions, `repeats` in each cell of the grid. The positions come in `repeats` rounds;
+        each round has one position in each cell, in the order of the cells.
 
         Raises:
             InputError: there is not enough memory for the positions.

@@ -18,7 +18,8 @@ AWAY = np.array([0.0, 0.0, 1e6, 0.0, 0.0, 1.0])
 
 
 def without_landmarks(field: Field, target: Target, deployment: Deployment) -> FloatArray:
-    """Fitness without landmarks i and j, `(K, K)`; on the diagonal, fitness without landmark i.
+    """Fitness without each pair of landmarks: entry (i, j) is the fitness without landmarks i and j, and entry (i, i)
+    without landmark i; `(K, K)`.
 
     Args:
         field: incremental evaluator of the values.

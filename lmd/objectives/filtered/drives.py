@@ -63,7 +63,7 @@ class Drives(Checked):
 
     @cached_property
     def axes(self) -> FloatArray:
-        """Optical axis and image's right in all frames, unit vectors, `(F, 6)`."""
+        """Directions of the optical axis and of the image's right in all frames, unit vectors, `(F, 6)`."""
         return axis_and_right(self.poses)
 
     @cached_property
@@ -76,8 +76,9 @@ class Drives(Checked):
 
     @cached_property
     def moves(self) -> FloatArray:
-        """Motion from the previous frame to each frame, `(F, 5)`: displacement, world frame, metres, and variance of
-        the odometry along each axis, m^2, and about each axis, rad^2. The first frame of a drive has zeros.
+        """Motion from the previous frame to each frame, `(F, 5)`. The columns are the displacement in the world frame,
+        metres (three numbers), and the variance of the odometry along each axis, m^2, and about each axis, rad^2. The
+        first frame of a drive has zeros.
         """
         moves = np.zeros((len(self.poses), 5))
         for first, drive in zip(self.first, self.trajectories, strict=False):
@@ -99,8 +100,8 @@ class Drives(Checked):
 
     @property
     def vaguest(self) -> float:
-        """Greatest variance that a pose reaches without tags, along or about an axis, m^2 or rad^2; lever arms are
-        ignored.
+        """Greatest variance that a pose reaches without tags, along or about an axis, m^2 or rad^2: the initial
+        variance plus the odometry's. Errors of the position that follow from errors of the rotation are ignored.
         """
         drift = np.add.reduceat(self.moves[:, 3:], self.first[:-1]).max(axis=0)
         return float((self.start[[0, 15]] + drift).max())

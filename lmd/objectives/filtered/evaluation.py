@@ -79,8 +79,9 @@ def frame_information(
 
 
 def _cameras(scene: Scene, axes: FloatArray) -> tuple[Any, FloatArray, FloatArray]:
-    """Cameras of the scene, and the offset from the body `(C, F, 3)`, metres, and the axes `(C, F, 6)` of each camera
-    in each frame; `axes` `(F, 6)` are the axes of the body in each frame.
+    """Cameras of the scene, and two arrays for each camera and frame: the offset of the camera from the body, `(C, F,
+    3)`, metres, and the axes of the camera, `(C, F, 6)`. The argument `axes` `(F, 6)` has the axes of the body in each
+    frame.
     """
     if scene.rig is None:
         return scene.cameras, np.zeros((1, len(axes), 3)), axes[None]

@@ -37,7 +37,8 @@ class FilteredState(NamedTuple):
     units: np.ndarray
     """`(F,)` quantised value of each frame, 0 or `PROBABILITY_ONE`."""
     covered: np.ndarray
-    """`(F, W)` uint64 bit sets of the landmarks that the camera covers in the frame, occlusion by landmarks ignored."""
+    """`(F, W)` uint64 bit sets of the landmarks that the camera covers in each frame if no landmark hides another one.
+    """
     hidden: np.ndarray
     """`(F, K)` int16: for a covered landmark, the number of landmarks that hide it; 0 for landmarks that are not
     covered.
@@ -72,14 +73,15 @@ class FilteredScratch(NamedTuple):
     changed: np.ndarray
     """`(F,)` uint8, 1 for changed frames: frames in which the move changes the landmarks in view."""
     starts: np.ndarray
-    """`(D,)` int64 index of the first changed frame of each drive, at which the filter restarts; the end of the drive
-    if no frame changes.
+    """`(D,)` int64 index of the first changed frame of each drive, from which the drive is filtered again; the end of
+    the drive if no frame changes.
     """
     pairs: np.ndarray
-    """`(3, F K)` int32: frame, another landmark, and change of the number of landmarks that hide this other landmark.
+    """`(3, F K)` int32 list of pairs, with the rows: frame, another landmark, and change of the number of landmarks
+    that hide this other landmark in this frame.
     """
     numbers: np.ndarray
-    """`(1,)` int64: number of pairs."""
+    """`(1,)` int64: number of entries of `pairs` that are in use."""
     others: np.ndarray
     """`(2, K)` int64 indices of the landmarks near the old place and near the place tried."""
     offsets: np.ndarray
@@ -110,7 +112,7 @@ class FilteredField(NamedTuple):
     positions: np.ndarray
     """`(3, L)` positions of the frames, metres; L >= F is a multiple of `BLOCK`, the last frame is repeated."""
     axes: np.ndarray
-    """`(6, L)` optical axis and image's right in the frames, unit vectors."""
+    """`(6, L)` directions of the optical axis and of the image's right in the frames, unit vectors."""
     cosine: float
     """Lower bound on the cosine of the angle between the optical axis and the direction of a covered landmark."""
     boxes: np.ndarray
@@ -118,7 +120,7 @@ class FilteredField(NamedTuple):
     sight: Any
     """Compiled model of sight."""
     horizon: float
-    """See `lmd.scene.criteria.horizon_of`; metres."""
+    """Distance from the camera beyond which a landmark has no effect, metres, see `lmd.scene.criteria.horizon_of`."""
     obstacles: Any
     """Obstacles of the room seen from the frames."""
     precision: Precision

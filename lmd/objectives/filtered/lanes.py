@@ -106,7 +106,9 @@ def inverted(p: Any) -> tuple[Number, ...]:
 
 @inlined
 def updated(p: Any, i: Any, scale: float) -> tuple[Number, ...]:
-    """Covariance after an image with the information `scale` times `i`, 21 numbers."""
+    """Covariance of a pose after an image has updated the covariance `p`. The information of the image is `scale` times
+    `i`, 21 numbers.
+    """
     (
         l0, l1, l2, l3, l4, l5, l6, l7, l8, l9, l10, l11, l12, l13, l14, l15, l16, l17, l18, l19, l20
     ) = inverted(p)  # fmt: skip
@@ -163,13 +165,13 @@ def update_beyond_rounding(
 
 @inlined
 def position_variance(p: Any) -> Number:
-    """Variance of the position, m^2: the trace of the block of v in a covariance of 21 numbers."""
+    """Variance of the position, m^2: the trace of the block of position errors (v) in a covariance of 21 numbers."""
     return p[0] + p[3] + p[5]
 
 
 @inlined
 def rotation_variance(p: Any) -> Number:
-    """Variance of the rotation, rad^2: the trace of the block of w in a covariance of 21 numbers."""
+    """Variance of the rotation, rad^2: the trace of the block of rotation errors (w) in a covariance of 21 numbers."""
     return p[15] + p[18] + p[20]
 
 

@@ -122,7 +122,7 @@ class Filtered(AtLeast):
 
     @property
     def sampling(self) -> Sampling | None:
-        """See `Objective.sampling`: None, as the frames of the drives are the sample."""
+        """See `Objective.sampling`. It is None, because the frames of the drives are the sample."""
         return None
 
     @property

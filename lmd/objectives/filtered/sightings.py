@@ -44,7 +44,7 @@ def bit_of(k: Integer) -> Any:
 
 @inlined
 def _is_covered(state: Any, f: Integer, k: Integer) -> Any:
-    """True if the camera covers landmark k in frame f, occlusion by landmarks ignored."""
+    """True if the camera covers landmark k in frame f if no landmark hides another one."""
     return state.covered[f, word_of(k)] & bit_of(k) != ZERO
 
 
@@ -63,7 +63,7 @@ def tried_pose(scratch: Any) -> Any:
 
 @inlined
 def hide_each_other(i: Integer, pose: Any, k: Integer, other: Any, f: Integer, field: Any) -> Any:
-    """Result of `hide_between` for landmarks i and k with their poses, as seen in frame f."""
+    """Two flags for landmarks i and k at their poses, seen in frame f: True if i hides k, and True if k hides i."""
     a, b = offset_of(pose[0], f, field), offset_of(other[0], f, field)
     mine, theirs = sized(field.sight, i), sized(field.sight, k)
     return hide_between(mine, theirs, a, dot3(a, a), b, dot3(b, b), pose[1], other[1])
@@ -93,7 +93,7 @@ def add_landmark(row: FloatArray, sign: float, f: Integer, k: Integer, pose: Any
 
 @inner
 def _mark_ahead(field: Any, scratch: Any) -> None:
-    """Mark the frames whose field of view may contain the place tried."""
+    """Mark the frames in which the place tried may lie in the camera's field of view."""
     ahead, (place, _) = scratch.covered, tried_pose(scratch)
     for f in range(np.uint64(len(ahead))):
         offset = offset_of(place, f, field)
@@ -244,8 +244,8 @@ def see(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 @inlined
 def _meet(j: Integer, f: Integer, k: Integer, covered: Any, field: Any, state: Any, scratch: Any) -> Any:
-    """Count landmark j if it hides landmark k at the place tried in frame f. List j if k hides j at the old place or at
-    the place tried.
+    """Process another landmark j, as seen in frame f: count it if it hides landmark k at the place tried, and list it
+    if k hides it at the old place or at the place tried.
     """
     seen, hiding, change, other = _is_covered(state, f, j), False, np.int64(0), pair3(state.poses, j)
     before, after = scratch.near[0, word_of(j)] & bit_of(j), scratch.near[1, word_of(j)] & bit_of(j)

@@ -115,7 +115,7 @@ def bound_move(field: Any, k: Integer, pose: FloatArray, surface: Integer, state
 
 @inner
 def settle_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
-    """Do nothing, as the bounds are exact values."""
+    """Do nothing: for this field the bounds are exact values already."""
 
 
 @inner

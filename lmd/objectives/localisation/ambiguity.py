@@ -100,7 +100,9 @@ def resolves_ambiguity(precision: Precision) -> bool:
 
 @inlined
 def mirrored_square(tag: Square) -> Number:
-    """Residual S of a tag (see the module), times the cube of the tag's distance, in units of f^2."""
+    """Residual S of a tag (see the module), times the cube of the tag's distance, in units of f^2, the squared focal
+    length.
+    """
     offset, right, up = tag
     squared, along, above = np.maximum(dot3(offset, offset), TINY), dot3(offset, right), dot3(offset, up)
     p, q = along * along / squared, above * above / squared  # p^2 and q^2, times the squared half edge
@@ -171,5 +173,7 @@ def _body_has_any_pose(least: None, sums: Any, v: Integer, step: Integer) -> boo
 
 
 def width_of(precision: Precision) -> int:
-    """Number of columns in `sums` for a rig."""
+    """Number of sums that are kept for each view of a rig; there are more if the two poses of a single tag must be
+    distinguished.
+    """
     return MIRRORED_WIDTH if resolves_ambiguity(precision) else BODY_WIDTH

@@ -56,7 +56,7 @@ def _see_touched(known: State, k: Integer, n: Integer, positions: WordArray, cov
 
 @see_rest.register(State)
 def _see_rest(known: State, k: Integer, cover: Any, trial: Scratch) -> None:
-    """Do nothing, as the trial finds all orientations."""
+    """Do nothing: for a single camera, `see_place` has found all orientations already."""
 
 
 @find_turns.register(State)

@@ -1,8 +1,9 @@
 """P_n and L (the probability of a localised view) of whole deployments at each position, in compiled code.
 
-Landmarks are counted by the operations of `lmd.sight.kernels`. For the views that cover n landmarks, the numbers of the
-landmarks (`information`, `ambiguity`) are summed and compared with the required precision. Positions are divided among
-the threads. The module `rig` evaluates rigs, whose cameras have another position for every orientation of the body.
+Landmarks are counted by the operations of `lmd.sight.kernels`. For the views that cover n landmarks, the information of
+the landmarks (`information`, `ambiguity`) is summed and compared with the required precision. Positions are divided
+among the threads. The module `rig` evaluates rigs, whose cameras have another position for every orientation of the
+body.
 """
 
 from typing import Any, NamedTuple
@@ -30,9 +31,9 @@ class ViewValues(NamedTuple):
     """Values of the views of B deployments at P positions."""
 
     covered: IntArray
-    """`(B, P)` quantised P_n of each deployment at each position."""
+    """`(B, P)` quantised P_n, the probability that n landmarks are covered, of each deployment at each position."""
     localised: IntArray
-    """`(B, P)` quantised L of each deployment at each position."""
+    """`(B, P)` quantised L, the probability of a localised view, of each deployment at each position."""
     variances: FloatArray
     """`(B, P, D)` variance of the camera's position in each view, in units of `deviation_per_variance` squared; empty
     unless `keep` was set.

@@ -28,13 +28,13 @@ class LocalisationState(NamedTuple):
     units: np.ndarray
     """`(Q,)` quantised value of each position."""
     located: np.ndarray
-    """`(Q,)` quantised L at each position."""
+    """`(Q,)` quantised L, the probability of a localised view, at each position."""
     localised: np.ndarray
     """`(Q, W)` uint64 sets of orientations with which the camera or the body is localised."""
     sums: np.ndarray
     """`(64 Q W, width)` sums of the information of the landmarks in each view, by position, then orientation.
 
-    `(1, width)` if a view only needs n landmarks.
+    The shape is `(1, width)`, and the array is unused, if a view only needs n landmarks.
     """
     coverage: State | RigState
     """State of the field of coverage."""
@@ -51,7 +51,9 @@ class LocalisationScratch(NamedTuple):
     located: np.ndarray
     """`(Q,)` quantised L at each position after the move, or upper bounds on L."""
     sets: np.ndarray
-    """`(3, Q, W)` uint64 bit sets of orientations, rows `LOCALISED`, `LOST` and `GAINED`."""
+    """`(3, Q, W)` uint64 bit sets of orientations. Row `LOCALISED` has the localised views after the move; the rows
+    `LOST` and `GAINED` have the views in which another landmark disappears or appears.
+    """
     coverage: Scratch | RigScratch
     """Scratch (working memory) of the field of coverage; its `units` are quantised P_n."""
     views: CameraViews | BodyViews
@@ -61,15 +63,15 @@ class LocalisationScratch(NamedTuple):
 class LocalisationField(NamedTuple):
     """Constant data of the field of localisation; a `lmd.incremental.field.Field`.
 
-    The field has no stacks (groups of coincident landmarks), as landmarks at one point do not localise the camera.
+    The field has no stacks (groups of coincident landmarks), because landmarks at one point do not localise the camera.
     """
 
     coverage: CoverageField
-    """Field that updates P_n."""
+    """Field of coverage, which updates P_n, the probability that n landmarks are covered."""
     precision: Precision
     """Limits that a localised view must satisfy."""
     asks: bool
-    """Result of `Precision.asks` for `precision`."""
+    """True if a view needs more than n covered landmarks, see `Precision.asks`."""
     weight: float
     """Weight w of P_n in the values, (1 - w) L + w P_n."""
     mounts: tuple[Mounts, ...]
@@ -90,7 +92,7 @@ class LocalisationField(NamedTuple):
         return self.state_with(self.coverage.state(deployment))
 
     def state_with(self, known: State | RigState) -> LocalisationState:
-        """State of localisation for a deployment; `known` is the deployment's state of coverage."""
+        """State of localisation for a deployment, made from `known`, the state of coverage for this deployment."""
         size, words = known.counts.sets.shape[1:]
         width = width_of(self.precision) if self.mounts else WIDTH
         check_views(8.0 * width if self.asks else 0.0, size, BITS * words)

@@ -190,8 +190,8 @@ def share_of(moment: Number, weight: Number) -> Number:
 
 @inlined
 def _schur(sums: Any, v: Integer, step: Integer, first: int, last: int) -> tuple[Number, Number, Number, Number]:
-    """Four numbers: det A; the sum of the principal 2 x 2 minors of the matrix S det A; the determinant of this matrix;
-    and tr A.
+    """Four numbers, from which `inverse_trace` computes the trace of S^-1: det A; the sum of the principal 2 x 2 minors
+    of the matrix S det A; the determinant of this matrix; and tr A.
 
     A begins at number `first` and C at `last`: (0, 9) for the position, (9, 0) for the rotation.
     """
@@ -207,7 +207,9 @@ def _schur(sums: Any, v: Integer, step: Integer, first: int, last: int) -> tuple
 
 @inlined
 def inverse_trace(det: Number, minors: Number, rest: Number, trace: Number) -> tuple[Number, Number]:
-    """Trace of S^-1, and a flag that is False if the trace is infinite, as the corners leave a motion undetermined."""
+    """Trace of S^-1, and a flag. The flag is False if the trace is infinite, because the corners leave a motion
+    undetermined.
+    """
     fixed = (det > SINGULAR * (trace * trace * trace)) & (minors > 0.0) & (rest > 0.0)
     return minors * det / rest, fixed
 
@@ -221,7 +223,9 @@ def variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
 
 @inlined
 def rotation_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
-    """Variance of the camera's rotation, and the flag of `inverse_trace`; A and C are exchanged."""
+    """Variance of the camera's rotation, and the flag of `inverse_trace`. The formula is that of the position with A
+    and C exchanged.
+    """
     det, minors, rest, trace = _schur(sums, v, step, 9, 0)
     return inverse_trace(det, minors, rest, trace)
 
@@ -254,7 +258,9 @@ def gain_of(camera: Camera, first: Camera) -> float:
 
 @inlined
 def about_body(moments: tuple[Number, ...], arm: Vector) -> tuple[Number, ...]:
-    """The 21 numbers of the body from the 15 `information.moments` of a camera at the offset `arm` [m]."""
+    """Information about the body's pose (21 numbers), from the `information.moments` (15 numbers) of a camera at the
+    offset `arm` from the body's origin, metres.
+    """
     x, y, z = arm
     axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz = moments
     bxx, bxy, bxz = cxz * y - cxy * z, cxx * z - cxz * x + gz, cxy * x - cxx * y - gy
@@ -271,8 +277,8 @@ def about_body(moments: tuple[Number, ...], arm: Vector) -> tuple[Number, ...]:
 
 @inlined
 def _body_schur(c: Any, rows: Any, a: Any) -> tuple[Number, Number, Number, Number]:
-    """Four numbers, with S = C - B A^-1 B^T: det A; the sum of the principal 2 x 2 minors of the matrix S det A; the
-    determinant of this matrix; and tr A.
+    """Four numbers, from which `inverse_trace` computes the trace of S^-1, with S = C - B A^-1 B^T: det A; the sum of
+    the principal 2 x 2 minors of the matrix S det A; the determinant of this matrix; and tr A.
 
     C and A are symmetric, six numbers each; B is given by its three rows.
     """
@@ -304,7 +310,9 @@ def body_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]
 
 @inlined
 def body_rotation_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
-    """Variance of the body's rotation, and the flag of `inverse_trace`; C and A' are exchanged, and B is transposed."""
+    """Variance of the body's rotation, and the flag of `inverse_trace`. The formula is that of the position with C and
+    A' exchanged and B transposed.
+    """
     x, far = v + 6 * step, 3 * step
     columns = read3(sums, x, far), read3(sums, x + step, far), read3(sums, x + 2 * step, far)
     det, minors, rest, trace = _body_schur(read6(sums, v + 15 * step, step), columns, read6(sums, v, step))

@@ -1,6 +1,6 @@
 """Expected log determinant of the information about the pose: the surrogate of localisation for greedy selection.
 
-The accuracy of localisation is not submodular in the landmarks, as the first landmark alone has no value. The log
+The accuracy of localisation is not submodular in the landmarks, because the first landmark alone has no value. The log
 determinant of the sum of prior and information is submodular if no landmark hides another: each further landmark adds
 less. The surrogate is the mean over positions and orientations. The prior is the information about the pose before the
 image. With a prior standard deviation of a few tolerances, the selected landmarks spread over the room. With a wide
@@ -167,7 +167,9 @@ def _gains(
 
 @kernel
 def _add(start: Integer, stop: Integer, points: FloatArray, normals: FloatArray, parts: Any) -> None:
-    """Add a landmark to `sums` and `known` for the camera positions `start` to `stop - 1`; arguments as in `_gains`."""
+    """Update `sums` and `known` by an added landmark, for the camera positions `start` to `stop - 1`; arguments as in
+    `_gains`.
+    """
     positions, sight, obstacles, axes, bands, precision, sums, known = parts
     place, normal = row3(points, 0), row3(normals, 0)
     ends, moment = new_ends(obstacles, 1), np.zeros(WIDTH)
@@ -247,7 +249,7 @@ def _rig_add(
     every: tuple[GroupCoverage, ...], tags: FloatArray, positions: FloatArray, precision: Precision, sums: FloatArray,
     known: FloatArray, views: BodyViews,
 ) -> None:  # fmt: skip
-    """Add the single pose in `every` to `sums` and `known`; arguments as in `_rig_gains`."""
+    """Update `sums` and `known` by an added landmark, the only pose in `every`; arguments as in `_rig_gains`."""
     words, which, bits = np.uint64(known.shape[1]) // VIEW, np.zeros(1, dtype=np.int64), views.lists[ORIENTATION]
     for p in range(np.uint64(len(positions))):
         place = row3(positions, p)

@@ -1,5 +1,5 @@
-"""Pairs of a landmark and a view of a rig, in which the landmark is seen: pairs are listed first, then the information
-of all pairs is summed.
+"""Pairs of a landmark and a view of a rig that shows the landmark: pairs are listed first, then the information of all
+pairs is summed.
 
 The loop over listed pairs vectorises: number j of pair e lies at `work[j * BITS + e]`.
 """
@@ -37,7 +37,9 @@ FIRST_MOMENT = np.uint64(13)
 
 
 class Mounts(NamedTuple):
-    """Those fields of a `MountGroup` that localisation needs; the tuple is small, as many calls copy it."""
+    """The fields of a `MountGroup` that localisation needs. They are copied in many calls, so the tuple has no further
+    fields.
+    """
 
     number: int
     """Index of the mount group in the rig."""
@@ -81,7 +83,7 @@ def mounts_of(evaluator: Evaluator, groups: tuple[MountGroup, ...]) -> tuple[Mou
 
 @inlined
 def numbers_of(precision: Precision) -> np.uint64:
-    """Number of those sums of a view that the test for `precision` uses."""
+    """Number of sums per view that the test for `precision` uses; a view may have further sums."""
     return np.uint64(BODY_NUMBERS + MIRRORED if resolves_ambiguity(precision) else BODY_NUMBERS)
 
 
@@ -115,7 +117,9 @@ def prefetch_sums(sums: FloatArray, first: Integer, views: BodyViews, count: Int
 
 @inner
 def load_sums(sums: FloatArray, first: Integer, precision: Precision, views: BodyViews, count: Integer) -> None:
-    """Add the rows of `sums` `(V, width)` to the views; the first orientation of the word has the row `first`."""
+    """Add rows of `sums` `(V, width)` to the sums of the views of one word of orientations; row `first` belongs to the
+    first orientation of the word.
+    """
     bits, rows = views.lists[ORIENTATION], views.rows
     for v in range(count):
         for j in range(numbers_of(precision)):
@@ -124,7 +128,7 @@ def load_sums(sums: FloatArray, first: Integer, precision: Precision, views: Bod
 
 @inner
 def store_sums(sums: FloatArray, first: Integer, precision: Precision, views: BodyViews, count: Integer) -> None:
-    """Add the views to the rows of `sums`; arguments as in `load_sums`."""
+    """Add the sums of the views to the rows of `sums`; arguments as in `load_sums`."""
     bits, rows = views.lists[ORIENTATION], views.rows
     for v in range(count):
         for j in range(numbers_of(precision)):
@@ -140,7 +144,7 @@ def tags_of(precision: Precision, positions: FloatArray, normals: FloatArray) ->
 
 @inlined
 def tag_of(tags: FloatArray, k: Integer) -> Square:
-    """Row k of `tags_of`, as three vectors."""
+    """Tag k in the rows of `tags_of`: three vectors, the centre and the vectors to the midpoints of two edges."""
     return row3(tags, k), (tags[k, 3], tags[k, 4], tags[k, 5]), (tags[k, 6], tags[k, 7], tags[k, 8])
 
 
@@ -226,7 +230,7 @@ def _square(work: FloatArray, i: Integer) -> Square:
 
 @inlined
 def _shares(found: Any, weight: float) -> Vector:
-    """Results of `share_of` for three numbers."""
+    """Contribution to the sums (`share_of`) of each of three numbers in `found`."""
     return share_of(found[0], weight), share_of(found[1], weight), share_of(found[2], weight)
 
 
@@ -254,7 +258,7 @@ def _add_of_group(
     shown: GroupCoverage, p: Integer, which: np.ndarray, w: Integer, place: Vector, tags: FloatArray,
     precision: Precision, views: BodyViews,
 ) -> None:  # fmt: skip
-    """Add the landmarks `which` to the views of the cameras of one mount group, see `add_of_all`."""
+    """Add the landmarks with the indices `which` to the views of the cameras of one mount group, see `add_of_all`."""
     for k in which:
         tag = tag_of(tags, k)
         for m in range(len(shown.sets)):
@@ -275,8 +279,8 @@ def add_of_all(
     every: tuple[GroupCoverage, ...], p: Integer, which: np.ndarray, w: Integer, place: Vector, tags: FloatArray,
     precision: Precision, views: BodyViews,
 ) -> None:  # fmt: skip
-    """Add the landmarks `which` to the views of all cameras, with the body at position p, whose coordinates are
-    `place`.
+    """Add the landmarks with the indices `which` to the views of all cameras, for the body at position p, whose
+    coordinates are `place`.
 
     `every` has the coverage for each mount group, `tags` is the result of `tags_of`.
     """

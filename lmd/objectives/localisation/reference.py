@@ -128,8 +128,8 @@ def mirrored_probabilities(
 
 
 def density(lens: Any, axes: FloatArray, offset: FloatArray) -> FloatArray:
-    """Result of `lmd.scene.criteria.pixel_density` for axes `(..., 6)` and offsets `(..., 3)`; `lens` is None for a
-    pinhole.
+    """Pixel density (`lmd.scene.criteria.pixel_density`) for axes `(..., 6)` and offsets `(..., 3)`; `lens` is None for
+    a pinhole.
     """
     axis, right = axes[..., :3], axes[..., 3:]
     if lens is None:
@@ -158,7 +158,7 @@ def decided(
 def _judged(
     scene: Scene, deployment: Deployment, asked: Precision, position: FloatArray, axes: FloatArray
 ) -> tuple[BoolArray, FloatArray]:
-    """Mask of the views within the limits `asked`, and variance of the camera's position, `(A,)` each."""
+    """Mask of the views within the limits `asked`, and variance of the camera's position in each view, `(A,)` each."""
     has_precision, one, trace = meets, has_one_pose, variance
     if scene.rig is not None:
         has_precision, one, trace = body_meets, body_has_one_pose, body_variance

@@ -133,12 +133,12 @@ class RigImages(NamedTuple):
     positions: FloatArray
     """`(N, 3)` position of the body, metres."""
     axes: FloatArray
-    """`(N, 6)` x axis and right of the body, unit vectors."""
+    """`(N, 6)` directions of the body's x axis and of its right, unit vectors."""
     seen: BoolArray
     """`(C, N, K)` mask of the landmarks that each camera covers."""
 
     def some(self, which: BoolArray) -> "RigImages":
-        """Reduce the images to the views selected by the mask `which` `(N,)`."""
+        """Copy with only the views in the mask `which` `(N,)`."""
         rows: dict[str, Any] = {name: getattr(self, name)[which] for name in self._fields[:-1]}
         return RigImages(**rows, seen=self.seen[:, which])
 
@@ -155,8 +155,8 @@ def images_of(evaluator: Evaluator, deployment: Deployment, here: slice = slice(
 
 
 def covers(seen: BoolArray, n: int) -> BoolArray:
-    """Mask `(N,)` of the views in which at least n landmarks are covered, each by at least one camera; `seen` is `(C,
-    N, K)`.
+    """Mask `(N,)` of the views in which at least n landmarks are each covered by at least one camera; `seen` is `(C, N,
+    K)`.
     """
     return np.asarray(seen.any(axis=0).sum(axis=1) >= n)
 
@@ -206,7 +206,9 @@ def _add_images(
     mounts: Mounts, positions: FloatArray, tags: FloatArray, seen: BoolArray, precision: Precision, views: BodyViews,
     sums: FloatArray,
 ) -> None:  # fmt: skip
-    """Add the landmarks in the mask `seen` `(N, K)` of a camera to `sums` `(N, width)`; `mounts` has N orientations."""
+    """Add to `sums` `(N, width)` the landmarks that one camera of the rig covers in each of N views, the mask `seen`
+    `(N, K)`; `mounts` has the pose of this camera in each view.
+    """
     for i in range(np.uint64(len(positions))):
         bit = ONE << i % VIEW
         fill_views(bit, precision, views)

@@ -105,7 +105,9 @@ def _find_turns_of_rig(known: RigState, trial: RigScratch, lost: WordArray, gain
 
 @inlined
 def _tag(k: Integer, pose: Any, precision: Precision) -> Square:
-    """Row of `pairs.tags_of` for landmark k with a `pose`, as three vectors."""
+    """Landmark k at `pose` as three vectors: its centre, and the vectors from the centre to the midpoints of its right
+    and upper edges, metres.
+    """
     right, up = upright_sides(half_of(precision, k), pose[1])
     return pose[0], right, up
 

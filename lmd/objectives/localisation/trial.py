@@ -59,13 +59,15 @@ GAINED = 2  # views of touched positions in which another landmark appears for s
 
 @inlined
 def mixed(located: Any, covered: Any, weight: float) -> Any:
-    """Quantised value (1 - weight) L + weight P_n, which is monotone in L and in P_n."""
+    """Quantised value (1 - weight) L + weight P_n of a position, from its quantised L (`located`) and P_n (`covered`).
+    The value never decreases when L or P_n increases.
+    """
     return located + np.int64(weight * (covered - located))
 
 
 @inner
 def _find_turns(state: Any, scratch: Any) -> None:
-    """Fill `LOST` and `GAINED` at touched positions: views in which a landmark other than the moving landmark
+    """Fill `LOST` and `GAINED` at touched positions: the views in which another landmark (not the moving one)
     disappears or appears.
     """
     lost, gained, trial = scratch.sets[LOST], scratch.sets[GAINED], scratch.coverage
@@ -85,8 +87,8 @@ def _decide_word(
 
     Args:
         where: k, q and w: indices of the landmark, of the position and of the word.
-        lost, gained: views in which some landmark disappears, and views in which some landmark appears, for some
-            camera.
+        lost, gained: views in which at least one camera ceases to see another landmark, and views in which at least one
+            camera begins to see another landmark.
         has: views that cover n landmarks or more.
         several: views that cover two landmarks or more.
         field, state, scratch: field, state and scratch of localisation.
@@ -109,8 +111,8 @@ def _sum_up(q: Integer, located: np.int64, covered: np.int64, weight: float, val
 
 @inner
 def _decide(k: Integer, positions: WordArray, field: Any, state: Any, scratch: Any) -> None:
-    """Compute the values at `positions` after the move, from the sets `FRESH` of landmark k and from the pairs with
-    changed occlusion.
+    """Compute the values at `positions` after the move, from the orientations with which landmark k is seen at the
+    place tried (`FRESH`), and from the changed occlusion of other landmarks.
     """
     known, trial, n, weights = state.coverage, scratch.coverage, field.coverage.n, field.coverage.weights
     counts, enough, digits = known.counts, known.counts.sets[ENOUGH], trial.digits
@@ -169,8 +171,8 @@ def finish_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 @inner
 def _change_sums(k: Integer, sign: float, field: Any, state: Any, scratch: Any) -> None:
-    """Update the sums by the move tried last (`sign` 1), or undo that update (`sign` -1); landmark k is at its old
-    place.
+    """Update the sums by the move tried last (`sign` 1), or undo that update (`sign` -1). When the function is called,
+    the state must have landmark k at its old place.
     """
     if not field.asks:
         return

@@ -69,7 +69,7 @@ class CameraViews(NamedTuple):
     listed pairs.
     """
     rows: FloatArray
-    """`(WIDTH BITS,)` sums of the landmarks' information in each view."""
+    """`(WIDTH BITS,)` sums of the landmarks' information in each view: number j of view v is entry `j * BITS + v`."""
     met: np.ndarray
     """`(BITS,)` uint8, 1 for a view within the limits of `Precision`."""
     weights: FloatArray
@@ -81,7 +81,7 @@ class CameraViews(NamedTuple):
     its old place, row `TRIED` for the place tried.
     """
     found: np.ndarray
-    """`(P,)` uint8, 1 if `moments` belong to the move tried last."""
+    """`(P,)` uint8, 1 for positions whose `moments` have been computed for the move tried last."""
     other: FloatArray
     """`(WIDTH,)` moments (`information.moments`) of a landmark other than the moving landmark."""
 
@@ -92,11 +92,15 @@ class BodyViews(NamedTuple):
     lists: WordArray
     """See `CameraViews`."""
     rows: FloatArray
-    """`(MIRRORED_WIDTH BITS,)` sums of the landmarks' information in each view."""
+    """`(MIRRORED_WIDTH BITS,)` sums of the landmarks' information in each view: number j of view v is entry `j * BITS +
+    v`.
+    """
     met: np.ndarray
     """See `CameraViews`."""
     work: FloatArray
-    """`(WORK BITS,)` numbers of listed pairs of a landmark and a view, see `pairs.AT`."""
+    """`(WORK BITS,)` floats: `WORK` numbers for each listed pair of a landmark and a view. Number j of pair e is entry
+    `j * BITS + e`; `pairs.AT` describes the numbers.
+    """
 
 
 Views: TypeAlias = CameraViews | BodyViews
@@ -168,7 +172,9 @@ def seen_twice(was: np.uint64, now: np.uint64, digits: WordArray) -> np.uint64:
 
 @inlined
 def landmark_moments(offset: Vector, normal: Vector, precision: Precision, k: Integer, row: FloatArray) -> None:
-    """Write into `row` `(WIDTH,)` the moments of landmark k with an offset and a unit normal."""
+    """Write into `row` `(WIDTH,)` the moments (`information.moments`) of landmark k, given its offset from the camera,
+    metres, and its unit normal.
+    """
     right, up = upright_sides(half_of(precision, k), normal)
     (
         row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9], row[10], row[11], row[12],
@@ -256,8 +262,8 @@ def add_to_sums(
 
 @dispatched_call
 def see_place(known: Any, k: Integer, n: Integer, localised: WordArray, cover: Any, trial: Any) -> Any:
-    """Write into `FRESH` the orientations, among those that can change a decision, with which landmark k is seen at the
-    place tried.
+    """Find the orientations with which landmark k is seen at the place tried, and write them to the row `FRESH` of the
+    scratch. An orientation may be left out if it cannot change whether its view is localised.
 
     Args:
         known, trial: state and scratch of coverage.
@@ -267,26 +273,28 @@ def see_place(known: Any, k: Integer, n: Integer, localised: WordArray, cover: A
         cover: field of coverage.
 
     Returns:
-        number of positions in `LISTED` at which values may change.
+        number of positions in the row `LISTED`: the positions whose values may change.
     """
 
 
 @dispatched_call
 def see_touched(known: Any, k: Integer, n: Integer, positions: WordArray, cover: Any, trial: Any) -> None:
-    """Repeat `see_place` at the touched `positions`."""
+    """Repeat `see_place` at the `positions` marked as `TOUCHED`: those from which the move changes the occlusion of a
+    landmark.
+    """
 
 
 @dispatched_call
 def see_rest(known: Any, k: Integer, cover: Any, trial: Any) -> None:
-    """Complete `FRESH` by all other orientations with which the landmark is seen at the place tried, before a move is
-    carried out.
+    """Add to `FRESH` the orientations with which landmark k is seen at the place tried and which `see_place` has left
+    out; called before a move is carried out.
     """
 
 
 @dispatched_call
 def find_turns(known: Any, trial: Any, lost: WordArray, gained: WordArray) -> None:
-    """Add to `lost` `(Q, W)` the orientations with which a landmark disappears for some camera, and to `gained` `(Q,
-    W)` the orientations with which a landmark appears.
+    """Add to `lost` `(Q, W)` the orientations with which at least one camera ceases to see another landmark, and to
+    `gained` `(Q, W)` the orientations with which at least one camera begins to see another landmark.
     """
 
 
@@ -301,8 +309,8 @@ def clear_moments(views: Any, p: Integer) -> None:
 def sum_views(
     known: Any, k: Integer, p: Integer, w: Integer, left: np.uint64, field: Any, state: Any, scratch: Any
 ) -> Any:
-    """Set up a view for each orientation whose bit is set in `left`, which belongs to word w, and compute the sums of
-    the view after the move.
+    """Set up a view for each orientation whose bit is set in `left` (bits of word w), and compute the sums of these
+    views after the move.
 
     Returns:
         number of views that were set up.
@@ -314,7 +322,7 @@ def change_sums(
     known: Any, k: Integer, p: Integer, w: Integer, changed: np.uint64, sign: float, field: Any, state: Any,
     scratch: Any,
 ) -> None:  # fmt: skip
-    """Add the changes by a move, times `sign`, to the sums of the views `changed` (bits of word w)."""
+    """Change the sums of the views `changed` (bits of word w) by the effect of a move, times `sign`."""
 
 
 @dispatched
