@@ -1,4 +1,4 @@
-"""Body of a robot. It consists of boxes whose faces may carry cameras, and may fill only a limited part of each
+"""Body of a robot. It consists of boxes, whose faces may carry cameras. The body may fill only a limited part of a
 camera's image.
 
 Coordinates are in the body frame of `lmd.scene.rig`: x forward, y to the left, z up.
@@ -45,8 +45,8 @@ class Box(Checked):
         object.__setattr__(self, "faces", checked_names("faces", self.faces, FACES) if self.faces else ())
 
     def surfaces(self) -> list[Surface]:
-        """Whole rectangles of the faces that may carry cameras; seen from outside the box, u points to the right and v
-        up.
+        """Faces of the box that may carry cameras, as whole rectangles. Seen from outside the box, u points to the
+        right and v up.
 
         On the top and the bottom face, v points forward.
         """
@@ -135,8 +135,8 @@ class Body(Checked):
         return tuple(left)
 
     def own_part(self, centre: FloatArray, rays: FloatArray) -> float:
-        """Fraction of the rays `(R, 3)` from a camera's centre `(3,)` that hit the body; 1 if the centre is inside the
-        body.
+        """Fraction of R rays that start at a camera's centre and hit the body; 1 if the centre is inside the body. The
+        centre `(3,)` and the directions `(R, 3)` of the rays are in the body frame.
         """
         low, high = self.corners
         if ((centre > low) & (centre < high)).all(axis=1).any():

@@ -74,8 +74,8 @@ class MountSpace(Checked):
         return ("along", "up", *turns, *(("lens",) if len(self.lenses) > 1 else ()))
 
     def mount(self, genes: FloatArray) -> Mount | None:
-        """Decode the genes `(G,)` in [0, 1] of one camera; None if the body fills too much of the camera's image at
-        every angle to which the camera is turned.
+        """Decode the genes `(G,)` in [0, 1] of one camera; None if the body still fills too much of the camera's image
+        after all steps of turning the camera.
         """
         s, of = self._surfaces, dict(zip(self.names, genes.tolist(), strict=True))
         edges = np.append(0.0, s.shares)
@@ -162,9 +162,7 @@ class MountSpace(Checked):
         return np.stack(found)
 
     def _nearest_genes(self, mount: Mount) -> FloatArray:
-        """Genes `(G,)` of the admissible mount nearest to `mount`; this is another mount if `mount` is outside the
-        search space.
-        """
+        """Genes `(G,)` of `mount` or, if it is outside the search space, of the nearest mount inside."""
         s, place = self._surfaces, np.array(mount.translation)
         foot = place - self.body.standoff * s.normal  # (W, 3)
         every = np.arange(len(foot))

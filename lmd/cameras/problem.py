@@ -27,7 +27,7 @@ PARTS_PER_THREAD = 4  # number of chunks per thread
 
 
 class CameraViews:
-    """Cache of the views of single cameras: a camera is evaluated only if its mount is new.
+    """Cache of the views of single cameras: a camera is evaluated only if its mount has not been evaluated before.
 
     Args:
         evaluator: evaluator of a rig, with the positions and orientations of the body.
@@ -45,9 +45,7 @@ class CameraViews:
         self._kept: OrderedDict[Mount, np.ndarray] = OrderedDict()
 
     def _alone(self, camera: Camera) -> Evaluator:
-        """Evaluator of a scene with the given camera instead of the rig; the positions of this evaluator are
-        not used.
-        """
+        """Evaluator of the scene with the given single camera in place of the rig. Its own positions are not used."""
         if camera not in self._of_camera:
             scene = replace(self._evaluator.scene, camera=camera)
             self._of_camera[camera] = Evaluator(scene, self._evaluator.positions[:1], threads=1)
@@ -82,7 +80,7 @@ class CameraViews:
         return packed(found)
 
     def units(self, mounts: Sequence[Mount], n: int) -> np.ndarray:
-        """Quantised value of P_n at each position for the rig that consists of all `mounts`, `(P,)`."""
+        """Quantised probability P_n at each of P positions, `(P,)`, for the rig that consists of all `mounts`."""
         union = np.uint64(0)
         for mount in mounts:
             union = union | self.visible_tags(mount)  # type: ignore[assignment] # an array from the first on
@@ -135,7 +133,9 @@ class CameraProblem(Problem):
         return isinstance(self.objective, Coverage)
 
     def _corners(self) -> tuple[Mount, ...]:
-        """Mounts at the corners of the body's faces; if all these corners are in the room, so is the body."""
+        """Mounts at the corners of the body's faces, to test that the body is in the room: it is if all these corners
+        are.
+        """
         at = [
             face.point(a, b) + self.space.body.standoff * face.normal
             for face in self.space.body.surfaces()
@@ -156,7 +156,7 @@ class CameraProblem(Problem):
         return True
 
     def values_of(self, mounts: Sequence[Mount]) -> FloatArray:
-        """Value of the objective, for the rig of these mounts, at each of the Q positions that the fitness depends on,
+        """Values of the objective for the rig with these mounts, at the Q positions that the fitness depends on,
         `(Q,)`.
         """
         if self.counts:
@@ -167,8 +167,8 @@ class CameraProblem(Problem):
         return np.asarray(self.objective.values(evaluator, *landmarks)[0])
 
     def fitness_of_cameras(self, mounts: Sequence[Mount] | None) -> float:
-        """Fitness of the rig of these mounts; -inf if the mounts are not admissible. As the test `stay` is slow, it is
-        made only if the fitness is a new best.
+        """Fitness of the rig of these mounts; -inf if the mounts are not admissible. The slow test `stay` is made only
+        if the fitness is a new best.
         """
         if mounts is None:
             return -np.inf

@@ -39,11 +39,13 @@ class Fit:
     accuracy: float
     """Fraction of the views for which the limits predict detection or no detection correctly."""
     precision: float
-    """Precision: fraction of the tags predicted as detected that the detector found."""
+    """Precision: of the tags that were predicted as detected, the fraction that the detector found."""
     recall: float
-    """Recall: fraction of the tags that the detector found that are predicted as detected."""
+    """Recall: of the tags that the detector found, the fraction that was predicted as detected."""
     circles: tuple[float, ...] = ()
-    """Diameter of each camera's image circle, pixels; infinite if none was found; empty for views without `placed`."""
+    """Diameter of each camera's image circle, pixels; infinite if none was found. Empty if the views are not from a
+    recording (`TagViews.placed` is None).
+    """
 
     @property
     def known_circles(self) -> dict[int, float]:
@@ -63,7 +65,7 @@ class DetectorCalibration:
     """Limits of one detector with the data that support them."""
 
     views: TagViews
-    """Views to which the limits are fitted."""
+    """Views of single tags, to which the limits are fitted."""
     fit: Fit
     """Fitted limits and their scores."""
     rooms: dict[str, float]
@@ -121,7 +123,7 @@ def predicted_in_frames(limits: Limits, renderer: Renderer, poses: FloatArray) -
     Args:
         limits: limits of the detector.
         renderer: camera and tags.
-        poses: poses X of the camera, `(N, 4, 4)`.
+        poses: poses of the camera, camera to world, `(N, 4, 4)`.
     """
     found = limits.found(*qualities(renderer, poses)) & renderer.inside(poses, limits.margin)
     return np.asarray(found & ~overlapping(renderer.room))
@@ -147,8 +149,9 @@ def frame_scores(predicted: BoolArray, seen: Matches) -> dict[str, float]:
 def fit(views: TagViews, rng: np.random.Generator, margin: float) -> Fit:
     """Fit limits to one half of the views and score them on the other half.
 
-    Views without `placed` are halved at random. The minimised value is max(false positives, false negatives), which
-    balances the two kinds of error, so that predicted probabilities such as P(>= n) are unbiased.
+    Views that are not from a recording (`placed` is None) are halved at random. The minimised value is max(false
+    positives, false negatives), which balances the two kinds of error, so that predicted probabilities such as P(>= n)
+    are unbiased.
 
     The views of a recording are halved in time, as consecutive images are similar. The minimised value is the total
     number of errors: balancing the errors would compensate for tags that are missed because of glare or occlusion,
@@ -157,8 +160,8 @@ def fit(views: TagViews, rng: np.random.Generator, margin: float) -> Fit:
     Args:
         views: at least two views; views of a recording must be from images taken at two or more different times.
         rng: random generator that halves the views.
-        margin: margin of the limits, pixels, as views without `placed` do not determine the margin; for a recording,
-            lower bound of the fitted margin.
+        margin: margin to the border of the image in the limits, pixels. It is kept for views that are not from a
+            recording, as these do not determine it; for a recording it is the lower bound of the fitted margin.
 
     Raises:
         InputError: there are too few views, or the margin is negative.
@@ -193,8 +196,8 @@ def predicted_views(views: TagViews, limits: Limits, circles: tuple[float, ...])
 def _best(views: TagViews, margin: float) -> tuple[Limits, tuple[float, ...]]:
     """Limits and image circles with the fewest errors on `views`.
 
-    Limits that are optimised jointly form a group. A group is an array of masks: for each combination of values of its
-    limits, the mask of the views that meet these limits.
+    Limits that are optimised jointly form a group. A group is an array of masks. It has a mask for each combination of
+    values of its limits: of the views that meet the limits with these values.
     """
     placed, margins, circles = views.placed, np.array([margin]), []
     sharp = views.pitch >= np.hypot(PITCHES[:, None, None], BLURS[:, None] * views.sigma)  # (A, K, M)
@@ -234,14 +237,14 @@ def _circles(views: TagViews, placed: Placed) -> list[FloatArray]:
 def _searched(
     groups: list[BoolArray], start: list[Choice], seen: BoolArray, kinds: tuple[Errors, ...]
 ) -> tuple[int, list[Choice]]:
-    """Minimise the objectives `kinds` in turn; the search for each objective starts at the optimum of the previous
-    objective.
+    """Minimise several objectives, the functions `kinds`, one after the other. The search for each starts at the
+    optimum of the previous one.
 
-    The search is a coordinate descent: groups are optimised in turn, each over all of its choices, until no group
-    improves.
+    The search is a coordinate descent: groups are optimised in turn, each over all combinations of values of its
+    limits, until no group lowers the objective.
 
     Returns:
-        minimum of the last objective; chosen indices in each group of limits.
+        minimum of the last objective; and for each group, the indices of the chosen combination of values.
     """
     chosen, least = list(start), 0
     for errors in kinds:

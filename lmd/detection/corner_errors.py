@@ -30,7 +30,7 @@ def pitch(
 
     Args:
         camera: intrinsics and lens.
-        pose: poses X of the camera, camera to world, `(..., 4, 4)`.
+        pose: poses of the camera, camera to world, `(..., 4, 4)`.
         centres: centres of the tags, world frame, metres, `(K, 3)`.
         normals: unit normals of the front faces, `(K, 3)`.
         tag: tag type, with the number of modules, and with the edge length unless `edges` are given.
@@ -77,8 +77,8 @@ def incidence(pose: FloatArray, centres: FloatArray, normals: FloatArray) -> Flo
 def _stretch(
     camera: Camera, pose: FloatArray, centres: FloatArray, normals: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Values |J|_F^2 and |det J| of each tag, see `pitch`, pixels^2 / metre^2, `(..., K)` each; NaN for tags that are
-    not imaged.
+    """Values |J|_F^2 and |det J| of each tag, pixels^2 / metre^2, `(..., K)` each, with the Jacobian J of `pitch`. NaN
+    for tags behind the camera or outside the view of its lens.
     """
     y, n = to_camera(pose, centres), np.asarray(normals @ pose[..., :3, :3])
     if camera.lens is not None:
@@ -140,7 +140,9 @@ class CornerErrors(Checked):
                 )
 
     def _at(self, pitch: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean and standard deviation of the logarithm of the error at each pitch, in the shape of `pitch`."""
+        """Parameters of the log-normal distribution at each pitch, in the shape of `pitch`: mean and standard deviation
+        of the logarithm of the error.
+        """
         at, known = np.log(pitch), np.log(self.pitch)
         mean, high = (np.interp(at, known, np.log(values)) for values in (self.median, self.high))
         return mean, (high - mean) / NORMAL_QUANTILE_90
@@ -182,8 +184,8 @@ LEAST_TAGS, MOST_CLASSES, OBLIQUE_CLASSES = 40, 12, 3
 
 
 def inward(image: FloatArray) -> FloatArray:
-    """Displacement of tag corners `(N, 4, 2)` in an image if all edges of a tag move by one pixel towards its middle,
-    pixels.
+    """Displacement of the corners of N tags, pixels, `(N, 4, 2)`, if all edges of a tag move by one pixel towards its
+    middle. `image` are the corners in the image, `(N, 4, 2)`.
     """
     (along, other) = (np.roll(image, way, axis=1) - image for way in (1, -1))
     along, other = (edge / np.linalg.norm(edge, axis=-1, keepdims=True) for edge in (along, other))
@@ -192,7 +194,7 @@ def inward(image: FloatArray) -> FloatArray:
 
 
 def shortest_side(image: FloatArray) -> FloatArray:
-    """Length of the shortest side of tags with corners at `(N, 4, 2)`, pixels, `(N,)`."""
+    """Length of the shortest side of each tag, pixels, `(N,)`, from the corners in the image, `(N, 4, 2)`."""
     return np.asarray(np.linalg.norm(image - np.roll(image, 1, axis=1), axis=-1).min(axis=1))
 
 

@@ -75,7 +75,7 @@ def read_family(name: str, value: Any, table: str, other: str) -> str:
         value: name of the family.
         table: name of the field, in the entries of `FAMILIES`, that holds the library's own name of a family; the field
             is empty for families that the library lacks.
-        other: library that the error message proposes for a family that this library does not read.
+        other: name of another library, which the error message proposes.
 
     Raises:
         InputError: the library does not read the family.
@@ -148,7 +148,7 @@ class AprilTagDetector(Checked):
 
 @lru_cache(maxsize=8)
 def _aruco(family: str, preset: str) -> Any:
-    """Detector of OpenCV. The detector is cached here instead of in `ArucoDetector`, which can thus be pickled."""
+    """Detector object of OpenCV, cached here and not in `ArucoDetector`, so that an `ArucoDetector` can be pickled."""
     aruco = optional("cv2", "detection").aruco
     parameters = aruco.DetectorParameters()
     parameters.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
@@ -182,14 +182,14 @@ CORNER_TOLERANCE = 5.0
 
 @dataclass(frozen=True)
 class Matches:
-    """Tags that a detector found in one frame or in N frames; the arrays have a leading axis for the N frames."""
+    """Tags that a detector found in one frame or in N frames; for N frames the arrays have a leading axis."""
 
     detected: BoolArray
     """True for tags detected with their id and with corners within the tolerance, `(..., K)`."""
     corners: FloatArray
     """Detected corners, in the convention of `Detections`, `(..., K, 4, 2)`; NaN for tags not detected."""
     false: IntArray
-    """Number of detections whose id and corners match no tag of the room, `(...)`."""
+    """Number of false detections: those that match no tag of the room in both id and corners, `(...)`."""
 
     @classmethod
     def stacked(cls, frames: Sequence["Matches"]) -> Self:
@@ -203,7 +203,9 @@ class Matches:
 
     @classmethod
     def beside(cls, parts: Sequence["Matches"]) -> Self:
-        """Concatenate the matches of C cameras with K tags along the axis of the tags, `(N, C K)`."""
+        """Join the matches of C cameras, each with N frames and K tags, along the axis of the tags, to arrays
+        `(N, C K)`.
+        """
         detected = np.concatenate([part.detected for part in parts], axis=1)
         corners = np.concatenate([part.corners for part in parts], axis=1)
         return cls(detected, corners, np.sum([part.false for part in parts], axis=0))
@@ -219,7 +221,8 @@ def match(
     Args:
         detections: detections of the frame.
         ids: ids of the K tags, all different, `(K,)`.
-        expected: exact corners, convention and order as in `Detections`, pixels, `(K, 4, 2)`; NaN is never matched.
+        expected: exact corners, convention and order as in `Detections`, pixels, `(K, 4, 2)`; tags with NaN are never
+            matched.
         tolerance: largest distance between detected and exact corner, pixels.
     """
     corners = np.full((len(ids), 4, 2), np.nan)

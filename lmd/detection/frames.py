@@ -45,8 +45,8 @@ def draw_crowd(scene: Scene, positions: FloatArray, seed: int) -> tuple[Scene, l
         seed: seed of the crowds.
 
     Returns:
-        scene with N crowd states; for each frame, the cylinders of people in the camera's way, `(M, 5)`; None without a
-        crowd.
+        scene with N crowd states, one for each frame; and for each frame the cylinders of the people around the camera,
+        `(M, 5)`, or None for a scene without a crowd.
     """
     if scene.crowd is None:
         return scene, None
@@ -68,8 +68,8 @@ def tagged_room(room: Space, deployment: Deployment, tag: Tag) -> TaggedRoom:
 
 
 def qualities(renderer: Renderer, poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Arguments of `Limits.found` for each of K tags in N frames: pitch, incidence angle, apparent edge, and standard
-    deviation of the blur.
+    """Image quality of each of K tags in N frames, `(N, K)` each: pitch, incidence angle, apparent edge, and standard
+    deviation of the blur. `Limits.found` decides from these values which tags are detected.
 
     Args:
         renderer: camera and tags.
@@ -84,13 +84,17 @@ def qualities(renderer: Renderer, poses: FloatArray) -> tuple[FloatArray, FloatA
 
 
 def blur(camera: Camera, depth: FloatArray, imaging: Imaging) -> FloatArray:
-    """Standard deviation of the total blur, pixels, at `depth` [m], in the shape of `depth`."""
+    """Standard deviation of the total blur of points at the depths `depth`, metres, in front of the camera; pixels, in
+    the shape of `depth`.
+    """
     sigma = blur_sigma(camera, depth, imaging.psf_sigma) if imaging.defocus else np.full_like(depth, imaging.psf_sigma)
     return np.hypot(sigma, imaging.motion_blur / math.sqrt(12.0))  # motion blur has a uniform distribution
 
 
 def overlapping(room: TaggedRoom) -> BoolArray:
-    """Mask of the tags that overlap another tag in one plane, quiet zones included, `(K,)`."""
+    """Mask of the tags that overlap another tag in the plane of both, `(K,)`. Quiet zones (white margins) are part of
+    the tags.
+    """
     right = np.cross(room.ups, room.normals)
     offset = room.centres[None] - room.centres[:, None]  # from k to j, (K, K, 3)
     a, b, c = (np.abs((offset * axis[:, None]).sum(axis=-1)) for axis in (right, room.ups, room.normals))
@@ -122,7 +126,7 @@ def detect_in_frames(
         poses: poses X of the camera in the frames, `(N, 4, 4)`.
         first: number of the first frame.
         seed: seed of the noise.
-        people: for each frame, the cylinders of people in the camera's way, `(M, 5)`; None without a crowd.
+        people: for each frame, the cylinders of the people around the camera, `(M, 5)`; None without a crowd.
 
     Returns:
         matches in the frames, keyed by the name of the detector.

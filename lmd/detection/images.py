@@ -42,7 +42,7 @@ class Images(Protocol):
 
     @property
     def remarks(self) -> Sequence[str]:
-        """Remarks on files that are not read: sentences without a full stop."""
+        """Remarks for the user on files that are not read, each a sentence without a full stop."""
 
     @property
     def is_random_access(self) -> bool:
@@ -180,11 +180,11 @@ def pixels_of(content: bytes) -> tuple[int, ...] | None:
 
 
 def blur_of(image: UInt8Array, found: Detections, modules: int) -> float:
-    """Blur of an image, pixels: standard deviation of the blur across the second most blurred edge of each tag; median
-    over the tags.
+    """Blur of an image, pixels. For each tag it is the standard deviation of the blur across the tag's second most
+    blurred edge; the median over the tags is returned.
 
-    Across the edge between the detected corners, the distance between 16 and 84 % of the step from black to white is
-    two standard deviations of the blur. Motion blurs only the edges perpendicular to the motion.
+    Across an edge, the grey level rises from black to white. The distance between 16 and 84 % of this step is two
+    standard deviations of the blur. Motion blurs only the edges perpendicular to the motion.
 
     Args:
         image: grey image, `(h, w)`.
@@ -192,7 +192,7 @@ def blur_of(image: UInt8Array, found: Detections, modules: int) -> float:
         modules: number N of modules along an edge in the tags' family.
 
     Returns:
-        NaN if no tag is large enough.
+        blur, pixels; NaN if no tag is large enough.
     """
     from scipy.ndimage import map_coordinates
 
@@ -224,7 +224,9 @@ def blur_of(image: UInt8Array, found: Detections, modules: int) -> float:
 
 
 def blurred(blurs: FloatArray) -> BoolArray:
-    """Mask of the blurred frames, given the blur of each frame `(F,)`, pixels; NaN counts as sharp."""
+    """Mask of the frames that are much more blurred than the median, `(F,)`. `blurs` is the blur of each frame, pixels,
+    `(F,)`; NaN counts as sharp.
+    """
     known = blurs[np.isfinite(blurs)]
     usual = np.median(known) if known.size else np.inf
     return np.asarray(np.nan_to_num(blurs) > max(TIMES * usual, LEAST))

@@ -37,8 +37,8 @@ Factor = Annotated[tuple[float, float], partial(span, low=1e-3)]
 
 @dataclass(frozen=True)
 class ViewRanges(Checked):
-    """Ranges from which the parameters of random views are drawn uniformly; for `sigma`, the logarithm is drawn
-    uniformly.
+    """Ranges of the parameters of random views. Each parameter is drawn uniformly from its range; of `sigma`, the
+    logarithm is drawn uniformly.
 
     Raises:
         InputError: a range is empty or out of bounds.
@@ -82,9 +82,7 @@ class Mosaics(Checked):
     def views(
         self, cameras: Sequence[Camera], tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator
     ) -> TagViews:
-        """Views by a single camera, see `sample_views`; light and blur are drawn at random, and `imaging` is
-        ignored.
-        """
+        """Rendered views by a single camera, see `sample_views`. Light and blur are random, so `imaging` is ignored."""
         return sample_views(only(cameras), tag, detector, self.count, rng, self.sampling)
 
 
@@ -193,7 +191,9 @@ def _detect(
 
 
 def _errors(detections: Detections, ids: NDArray[np.int64], expected: FloatArray) -> FloatArray:
-    """Corner errors of a mosaic's tags, pixels, `(M,)`; NaN for tags that are not detected. Ids may repeat."""
+    """Corner errors of a mosaic's tags, pixels, `(M,)`; NaN for tags that are not detected. Several tags may have one
+    id.
+    """
     error = np.full(len(ids), np.nan)
     for number, found in zip(detections.ids, detections.corners, strict=True):
         near = np.linalg.norm(found - expected, axis=-1).max(axis=1) <= CORNER_TOLERANCE

@@ -165,7 +165,7 @@ def detected_in_photographs(
     Args:
         given: folder of images, a video or a bag; for several cameras, a folder with a folder for each camera, or a
             bag.
-        cameras: cameras with the sizes of their images.
+        cameras: the cameras; images must have the sizes that these state.
         detector: detector of the tags.
         modules: number of modules on an edge in the tags' family.
         each: function that applies a function to all jobs, and returns the results in the order of the jobs.
@@ -236,7 +236,7 @@ def detected_in(
 
 
 def read(job: Chunk) -> "list[tuple[Detections, float]]":
-    """Detections in each image, and the blur of the image."""
+    """Read the images of a chunk; return the detections in each image and its blur, pixels, see `blur_of`."""
     found = []
     for image in job.images.read(job.first, job.last, job.camera):
         detections = job.detector.detect(image)

@@ -50,7 +50,7 @@ class CameraPrediction:
     and no whole tags.
     """
     people: Sequence[FloatArray] | None = None
-    """For each of the N frames, the cylinders of people in the camera's way, `(M, 5)`; None without a crowd."""
+    """For each of the N frames, the cylinders of people who may hide tags, `(M, 5)`; None without a crowd."""
 
     @cached_property
     def corners(self) -> FloatArray:
@@ -59,7 +59,7 @@ class CameraPrediction:
 
     @cached_property
     def whole(self) -> BoolArray:
-        """Mask of the *whole* tags, which show their front and have all corners in the image, `(N, K)`."""
+        """Mask of the *whole* tags, `(N, K)`: those that face the camera and have all corners in the image."""
         inside = self.renderer.inside(self.poses)
         return inside if self.taken is None else inside & self.taken[:, None]
 
@@ -115,7 +115,7 @@ class Prediction:
         return overlapping(self.parts[0].renderer.room)
 
     def by_any(self, which: BoolArray) -> BoolArray:
-        """Mask of the tags for which the mask `which` `(N, C K)` is True for any camera, `(N, K)`."""
+        """Mask of the tags for which the mask `which` `(N, C K)` is True in at least one of the C cameras, `(N, K)`."""
         return np.asarray(which.reshape(len(which), len(self.parts), -1).any(axis=1))
 
 
@@ -198,7 +198,9 @@ def _shares(prediction: Prediction, seen: Matches, members: BoolArray) -> dict[s
 
 
 def _by_class(prediction: Prediction, seen: Matches, name: str, values: FloatArray, bounds: FloatArray) -> pd.DataFrame:
-    """Table of whole tags in bins of `values` `(N, K)`."""
+    """Table of whole tags, with a row for each bin of `values` `(N, K)`; `bounds` are the edges of the bins. Columns as
+    in `by_pitch`.
+    """
     error = corner_error(seen.corners, prediction.corners)
     place = np.searchsorted(bounds, values, side="right") - 1
     quantiles = quantiles_by(values, error, bounds, tuple(QUANTILES.values()))

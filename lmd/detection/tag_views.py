@@ -33,11 +33,13 @@ class Placed:
     camera: IntArray
     """Index of the camera in its rig, `(M,)`."""
     moment: IntArray
-    """Rank of the image's time among the times of all images, `(M,)`."""
+    """Index of the image's time among the times of all images, in ascending order, `(M,)`."""
     border: FloatArray
-    """Minimum distance of the tag's corners from the border of the image, pixels, `(M,)`."""
+    """Distance from the border of the image to the corner of the tag that is nearest to it, pixels, `(M,)`."""
     circle: FloatArray
-    """Diameter of the smallest `Camera.image_circle` that contains the tag, pixels, `(M,)`; NaN without distortion."""
+    """Diameter of the smallest `Camera.image_circle` that contains the tag, pixels, `(M,)`; NaN if the camera's lens
+    has no distortion.
+    """
 
     def __getitem__(self, which: object) -> "Placed":
         return Placed(*(getattr(self, field.name)[which] for field in fields(self)))
@@ -60,7 +62,9 @@ class TagViews:
     error: FloatArray
     """Root mean square error of the corners, pixels, `(M,)`; NaN for tags not detected."""
     placed: Placed | None = None
-    """Position and time in a recording; None for single views, rendered or photographed."""
+    """Place of each tag in its image, and time of the image, for views from a recording; None for other views, such as
+    rendered ones.
+    """
 
     def __len__(self) -> int:
         return len(self.pitch)
@@ -98,7 +102,7 @@ class SurveyedViews:
     """
 
     folder: str | None
-    """Folder of the survey, which contains `in_view.csv`."""
+    """Folder of the survey; it contains the file `in_view.csv`, from which the views are read."""
 
     def __post_init__(self) -> None:
         if self.folder is None:

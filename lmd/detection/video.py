@@ -109,7 +109,7 @@ class Video(Checked):
 
     @property
     def remarks(self) -> list[str]:
-        """See `Images.remarks`."""
+        """Remarks for the user, see `Images.remarks`."""
         index, remarks = self._index, []
         if index.stated > len(index.times) + ROUNDED:
             remarks.append(f"ends after {len(index.times)} of the {index.stated} frames that its header states")
@@ -124,8 +124,8 @@ class Video(Checked):
 
     @cached_property
     def _index(self) -> "_Index":
-        """Index of all frames. To build it the whole video is read, as the header may state no number of frames or a
-        wrong one.
+        """Index of all frames. The whole video is read to build the index, as the number of frames in the header may be
+        missing or wrong.
         """
         cv2, video = optional("cv2", "detection"), self._opened()
         try:
@@ -230,9 +230,9 @@ class _Index:
     stated: int
     """Number of frames that the header states; 0 if it states none."""
     is_timed: bool
-    """True if the video stores times."""
+    """True if the video stores the times of its frames."""
     seeks: bool
-    """True if the decoder can seek frames by their time."""
+    """True if the decoder can jump to a frame by its time, without reading the frames before it."""
 
 
 @contextmanager

@@ -40,7 +40,7 @@ def check_printing(name: str) -> None:
 
 
 def not_printed() -> dict[str, str]:
-    """Printed formats that cannot be written, as a package is missing, keyed by name; the values are the reasons."""
+    """Reasons why printed formats cannot be written, keyed by the format's name: each names a missing package."""
     reasons = {}
     for name, form in all_formats().items():
         if form.on_paper:
@@ -83,7 +83,7 @@ class Export(Checked):
         object.__setattr__(self, "formats", tuple(self.formats))
 
     def check(self, tag: Tag) -> None:
-        """Raise `InputError` if tags like `tag` cannot be written in each of `formats`."""
+        """Raise `InputError` if one of `formats` cannot hold tags of the family and size of `tag`."""
         if self.formats:
             tag.check_edge()
         for name in self.formats:
@@ -96,15 +96,15 @@ class Export(Checked):
                 raise InputError(f"formats has {name}: {one_edge(tag.sizes)}.", "formats")
 
     def unfit(self, tags: TagMap) -> dict[str, str]:
-        """Formats among `formats` that cannot hold the tags, keyed by name; the values are the reasons."""
+        """Reasons why some of `formats` cannot hold the tags, keyed by the format's name."""
         several = [tag.size for tag, _ in tags.by_size]
         return {
             name: one_edge(several) for name in self.formats if len(several) > 1 and all_formats()[name].edges == ONE
         }
 
     def silent(self, tags: TagMap) -> tuple[str, ...]:
-        """Names of the formats among `formats` whose files state no tag sizes, if the tags have several sizes; else
-        empty.
+        """Names of those of `formats` whose files state no tag size, if the tags have several sizes; empty if they have
+        one.
         """
         several = len(tags.by_size) > 1
         return tuple(name for name in self.formats if several and all_formats()[name].edges == NONE)

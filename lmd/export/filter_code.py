@@ -27,13 +27,17 @@ class FilterLaws:
     these names.
     """
     rules: Mapping[str, Mapping[str, Rule]]
-    """Rules `squared` and `photonvision` for the standard deviations of `horizontal` position and `heading`."""
+    """Common simple formulas ("rules") for the standard deviations of `horizontal` position and `heading`: for each of
+    these keys, the rules `squared` and `photonvision`.
+    """
     reach: float
     """Distance of a single tag above which the pose that it gives is ambiguous, metres; infinite without a limit."""
     nearest: float
-    """Smallest mean distance of the tags in view, among the views to which the laws were fitted, metres."""
+    """Smallest distance of the views to which the laws were fitted, metres; the distance of a view is the mean distance
+    of the tags in it.
+    """
     farthest: float
-    """Greatest mean distance of the tags in view among these views, metres."""
+    """Greatest distance of the views to which the laws were fitted, metres."""
     about: str
     """Description of the room, the tags and the camera, on one line."""
 

@@ -101,8 +101,8 @@ ARROW = 6.3  # length of the arrows of the axes
 
 
 def scale_of(room: Space, width: float, height: float, scales: tuple[int, ...]) -> int:
-    """First of `scales` (1 : scale) at which the floor plan fits into `width` x `height`, mm; the last of `scales` if
-    the plan fits at none.
+    """Scale 1 : s of the floor plan on the page: the first s in `scales` at which the plan fits into `width` x
+    `height`, mm, or the last if it fits at none.
     """
     low, high = room.bounds()
     across, up = (1000.0 * (high - low)[:2]).tolist()
@@ -180,8 +180,8 @@ def draw_floor_plan(canvas: Any, tags: TagMap, left: float, top: float, scale: i
 
 
 def numbers_of(places: IntArray) -> str:
-    """Text with the first and the last of `places`, ascending positions in the order of hanging, which count from 0;
-    the text counts from 1.
+    """Text such as `3 to 7`: the first and the last of `places`, ascending positions in the order of hanging. `places`
+    count from 0, the text from 1.
     """
     first, last = int(places[0]) + 1, int(places[-1]) + 1
     return f"{first}" if first == last else f"{first} to {last}"
@@ -204,8 +204,8 @@ def _write_along(
     bold: bool = False,
     needed: bool = True,
 ) -> None:
-    """Write a text beside the line between `ends` `(2, 2)`, in the direction `way` from the line, without overlap with
-    the boxes in `taken`.
+    """Write a text beside a line with the ends `ends` `(2, 2)`, on the side to which `way` points. If possible, the
+    text overlaps none of the boxes in `taken`.
 
     The text is parallel to the line, or horizontal if the line is too short. The box of the text is added to `taken`. A
     text that had to move away from its wall is connected to the wall by a line. A text that finds no free space nearby
@@ -248,8 +248,8 @@ def _draw_tag(canvas: Any, at: FloatArray, normal: FloatArray) -> None:
 
 
 def _write_ids(canvas: Any, text: str, at: FloatArray, way: FloatArray, taken: list[Any]) -> None:
-    """Write ids in front of a tag, without overlap with the boxes in `taken`; the box of the ids is added to
-    `taken`.
+    """Write ids in front of a tag at `at`, where they overlap none of the boxes in `taken` if possible; their own box
+    is added to `taken`.
     """
     import shapely
 

@@ -69,7 +69,7 @@ def width_of(text: str, size: float, bold: bool = False) -> float:
 
 
 def shortened(text: str) -> str:
-    """Name shortened to at most `LONGEST` letters."""
+    """The given name, cut to at most `LONGEST` letters."""
     return text if len(text) <= LONGEST else f"{text[: LONGEST - 1]}\N{HORIZONTAL ELLIPSIS}"
 
 
@@ -165,8 +165,8 @@ def label_size(tag: Tag) -> float:
 
 
 def layout(tag: Tag, paper: str) -> Layout:
-    """Layout, portrait or landscape, with the most tags on a sheet; for a tag larger than a sheet, a page of the tag's
-    own size.
+    """Layout with the most tags on a sheet, in portrait or landscape orientation. A tag larger than a sheet gets a page
+    of its own size.
     """
     if (fullest := _fullest(tag, paper)).per_sheet:
         return fullest
@@ -175,7 +175,9 @@ def layout(tag: Tag, paper: str) -> Layout:
 
 
 def largest_whole(tag: Tag, paper: str) -> float:
-    """Largest edge length, metres, at which a tag with the family and margins of `tag` fits on a sheet."""
+    """Largest edge length, metres, at which a tag fits on a sheet; family and relative margins of the tag are those of
+    `tag`.
+    """
     low, high = 0.0, max(PAPERS[paper]) / MM_PER_M
     while high - low > ROUNDING:
         middle = (low + high) / 2.0

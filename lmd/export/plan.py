@@ -39,7 +39,7 @@ LIGHT = 0.85  # grey level of tags' squares, and of lines below rows
 
 class Table(NamedTuple):
     """Table on the right of a page. `widths` are those of the columns, mm; `head` has the lines of the head; `boxes`
-    are the indices of the columns in which boxes to tick are drawn.
+    are the indices of the columns that have boxes to tick.
     """
 
     widths: tuple[float, ...]
@@ -132,7 +132,7 @@ class View:
 
     @property
     def direction(self) -> str:
-        """Viewing direction, in words."""
+        """Direction from which the surface is viewed, in words: from above, from below or from the front."""
         up = self.surface.normal[2]
         return "seen from above" if up > FLAT else "seen from below" if up < -FLAT else "seen from the front"
 
@@ -221,16 +221,16 @@ def _draw_free(canvas: Any, size: tuple[float, float], tags: TagMap, places: Int
 
 
 def _named(tags: TagMap, place: int, k: int) -> list[str]:
-    """Texts of the first columns in the row of tag k, which is number `place` (from 0) in the order of hanging; with
-    the tag's edge length if the tags have several edge lengths.
+    """Texts for the first columns of the table's row of tag k; `place` is the tag's position in the order of hanging,
+    from 0. The texts include the edge length if the tags have several.
     """
     edge = [f"{MM_PER_M * tags.sizes[k]:.4g}"] if len(tags.by_size) > 1 else []
     return ["", str(place + 1), str(tags.ids[k]), *edge]
 
 
 def _sized(table: Table, tags: TagMap) -> Table:
-    """Table of tags; if the tags have several edge lengths, with a column of edge lengths after the first three
-    columns.
+    """The given table; if the tags have several edge lengths, with an additional column for these after the first
+    three.
     """
     if len(tags.by_size) == 1:
         return table

@@ -39,7 +39,7 @@ RULER = 100.0
 
 
 def describe_sheets(tags: TagMap, paper: str) -> str:
-    """Number of sheets and of tags on a sheet, in words, for each tag size."""
+    """Text that states, for each tag size, the number of sheets and the number of tags on a sheet."""
     every = [_described(tag, paper, len(own)) for tag, own in tags.by_size]
     if len(every) == 1:
         return every[0]

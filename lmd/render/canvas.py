@@ -45,8 +45,8 @@ class Canvas:
         self.cv2: Any = optional("cv2", "detection")
 
     def outline(self, polygon: FloatArray) -> FloatArray:
-        """Outline in the image, pixels, `(m, 2)`, of a convex polygon `(M, 3)`, camera frame, metres, which is clipped
-        at the near plane.
+        """Outline in the image, pixels, `(m, 2)`, of the part of a convex polygon that is beyond the near plane. The
+        polygon `(M, 3)` is in the camera frame, metres.
         """
         image = clipped(polygon) @ self.matrix.T
         return np.asarray(image[:, :2] / image[:, 2:])
@@ -55,8 +55,10 @@ class Canvas:
         """Draw a convex polygon of a plane.
 
         Args:
-            plane: the columns are the unit vectors u, v and the origin, metres; camera frame, `(3, 3)`.
-            shape: vertices (a, b) of the convex polygon, for points origin + a u + b v; not negative, metres, `(M, 2)`.
+            plane: matrix `(3, 3)` whose columns are the unit vectors u and v in the plane, and its origin, metres;
+                camera frame.
+            shape: coordinates (a, b) of the polygon's vertices in the plane, metres, not negative, `(M, 2)`; a vertex
+                is at origin + a u + b v.
             grey: mean grey level.
             pattern: offsets of the grey level, `(T, T)` texels of `TEXEL` metres, tiled over larger polygons; None for
                 a plain surface.
@@ -125,7 +127,7 @@ class Canvas:
         self._over(drawn, window)
 
     def _over(self, drawn: Float32Array, window: tuple[int, int, int, int]) -> None:
-        """Blend a tag over a window of the image; the window may reach beyond the image.
+        """Blend a drawn tag over the image. The drawing fills a window, which may reach beyond the image.
 
         Args:
             drawn: whiteness and opacity of each pixel, from 0 to 1, `(h, w, 2)`.
@@ -159,7 +161,7 @@ class Canvas:
         """Warp `picture` by a homography that maps texels to pixels; texels and pixels count from the outer corner of
         the first texel or pixel.
 
-        The result covers `window` with `samples` per pixel along each axis.
+        The result covers `window`, with `samples` values per pixel along each axis.
         """
         x, y, width, height = window
         from_centre = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
@@ -176,14 +178,18 @@ class Canvas:
         return np.asarray(self.cv2.GaussianBlur(light, (kernel, kernel), sigma, borderType=border))
 
     def _fill(self, image: Any, outline: FloatArray, value: float) -> None:
-        """Fill a convex outline `(m, 2)`, pixels from the outer corner of the top left pixel."""
+        """Fill a convex outline in `image` with `value`. The outline `(m, 2)` is in pixels from the outer corner of the
+        top left pixel.
+        """
         if len(outline) >= 3:
             points = np.rint((outline - 0.5) * 2**SHIFT).astype(np.int32)
             self.cv2.fillConvexPoly(image, points, (value,) * 4, lineType=self.cv2.LINE_8, shift=SHIFT)
 
 
 def clipped(polygon: FloatArray) -> FloatArray:
-    """Part of a convex polygon `(M, 3)`, camera frame, metres, where z >= `NEAR_PLANE`; `(m, 3)`, possibly empty."""
+    """Part of a convex polygon at depths z >= `NEAR_PLANE`, as vertices `(m, 3)`, possibly none. The polygon `(M, 3)`
+    is in the camera frame, metres.
+    """
     depth = polygon[:, 2] - NEAR_PLANE
     if (depth >= 0.0).all():
         return polygon
@@ -222,7 +228,8 @@ MOST_REPEATS = 3
 
 @lru_cache(maxsize=2)
 def covering(amplitude: float, seed: int, length: float) -> Float32Array:
-    """Tile a `pattern` over a square, with at most `MOST_REPEATS` periods along an edge, `(T, T)`.
+    """Offsets of grey levels for a square, `(T, T)`: a random `pattern`, repeated until it covers the square, but at
+    most `MOST_REPEATS` times along an edge.
 
     Args:
         amplitude: standard deviation, grey levels.
@@ -234,7 +241,7 @@ def covering(amplitude: float, seed: int, length: float) -> Float32Array:
 
 
 def pattern(amplitude: float, rng: np.random.Generator) -> Float32Array:
-    """Random pattern whose amplitude falls as 1 / frequency, `(PATTERN, PATTERN)`.
+    """Random pattern of grey levels around 0, `(PATTERN, PATTERN)`. The amplitude of its waves falls as 1 / frequency.
 
     Args:
         amplitude: standard deviation, grey levels.

@@ -84,7 +84,8 @@ class Imaging(Checked):
 def _grain(shape: tuple[int, ...], rng: np.random.Generator) -> Float32Array:
     """Draw standard normal noise: a random section of a long cached array.
 
-    Drawing new numbers would double the time to render an image. Two images may have equal numbers at different pixels.
+    New random numbers for every image would double the time of rendering. So two images may share numbers, at different
+    pixels.
     """
     size, begin = math.prod(shape), int(rng.integers(SPARE_GRAIN))
     return _grain_row(size + SPARE_GRAIN)[begin : begin + size].reshape(shape)

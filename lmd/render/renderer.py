@@ -1,7 +1,7 @@
 """Frames of a camera in a room with tags.
 
 A frame is assembled from its *faces*: pinhole images, each of which fills a part of the camera's image. Without
-distortion, the frame is its only face. For a distorting lens, faces are remapped to the frame: one face up to a
+distortion, a single face fills the frame. For a distorting lens, faces are remapped to the frame: one face up to a
 `Camera.widest_angle` of `ONE_FACE`, otherwise the visible faces of a cube around the camera.
 """
 
@@ -49,9 +49,9 @@ class Face(NamedTuple):
     """Pinhole image that fills a part of the camera's image."""
 
     turn: FloatArray
-    """Rotation from the camera's frame to the pinhole's frame, `(3, 3)`."""
+    """Rotation matrix from the camera's frame to the frame of the face's pinhole camera, `(3, 3)`."""
     matrix: FloatArray
-    """Intrinsic matrix K of the pinhole, pixels from the outer corner of the top left pixel, `(3, 3)`."""
+    """Intrinsic matrix K of the face's pinhole camera, pixels from the outer corner of the top left pixel, `(3, 3)`."""
     size: tuple[int, int]
     """Width and height, pixels."""
     at: tuple[Float32Array, Float32Array] | None
@@ -61,8 +61,8 @@ class Face(NamedTuple):
     """Mask of the pixels of the camera's image that show the face, `(h, w)`."""
 
     def scale(self, camera: Camera, point: FloatArray) -> float:
-        """Scale of the camera's image relative to the face, in pixels per pixel of the face, near the image of a point
-        `(3,)` in the camera's frame.
+        """Scale of the camera's image relative to the face: the number of pixels of the camera's image per pixel of the
+        face, near the image of a point `(3,)` in the camera's frame.
         """
         if camera.lens is None:
             return 1.0
@@ -112,8 +112,8 @@ class Renderer:
         return self._images(pose, self.room.corners)
 
     def picture_corners(self, pose: FloatArray) -> FloatArray:
-        """Like `corners`, but for the corners of the tags' whole pictures, which may be larger than the black
-        squares.
+        """Exact image points as `corners` gives them, but of the corners of the tags' whole pictures. In some families
+        the picture is larger than the black square.
         """
         return self._images(pose, self.room.picture_corners)
 
@@ -173,7 +173,9 @@ class Renderer:
         return sigma / face.scale(camera, centre)
 
     def _turn(self, rng: np.random.Generator) -> FloatArray:
-        """Draw a rotation that moves the image centre by `Imaging.motion_blur`, as a body twist, rad, `(6,)`."""
+        """Draw a rotation of the camera in a random direction that moves the image centre by `Imaging.motion_blur`; a
+        body twist `(6,)`, rad.
+        """
         direction = rng.uniform(0.0, 2.0 * math.pi)
         shift = self.imaging.motion_blur * np.array([math.cos(direction), math.sin(direction)])
         right, down = shift / self.camera.focal_pixels
@@ -201,7 +203,9 @@ class Renderer:
 
 
 def _from_afar(surfaces: Sequence[Surface], position: FloatArray) -> list[tuple[Surface, FloatArray]]:
-    """Parts of the surfaces that face a position `(3,)`, the farthest first."""
+    """Parts of those surfaces that face a position `(3,)`: pairs of the surface and the part's polygon, the farthest
+    first.
+    """
     seen = [(s, part) for s in surfaces if (position - s.origin) @ s.normal > 0.0 for part in s.parts]
     return sorted(seen, key=lambda one: -float(np.linalg.norm(_middle(*one) - position)))
 

@@ -92,7 +92,7 @@ class TaggedRoom:
             raise InputError(f"ups[{k}] must be perpendicular to normals[{k}], but their dot product is {lean[k]:g}.")
 
     def among(self, people: FloatArray) -> "TaggedRoom":
-        """Room with other people, given as cylinders `(N, 5)`."""
+        """Copy of the room in which the people are replaced by `people`, cylinders `(N, 5)`."""
         return replace(self, people=people)
 
     @cached_property
@@ -107,8 +107,8 @@ class TaggedRoom:
 
     @cached_property
     def picture_corners(self) -> FloatArray:
-        """Like `corners`, but for the tags' whole pictures, which may be larger than the black squares; a detector
-        needs the whole picture in the image.
+        """Corners of the tags' whole pictures, in the order and shape of `corners`. In some families the picture is
+        larger than the black square; a detector needs the whole picture in the image.
         """
         if self.tag.picture_share == 1.0:
             return self.corners
