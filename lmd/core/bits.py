@@ -28,7 +28,9 @@ def lowest(word: Any) -> np.uint64:
 
 
 def prefetch(array: Any, index: Any) -> None:
-    """Prefetch 16 elements of 64 bits (two cache lines) of an array in C order, beginning at `index`."""
+    """Tell the processor to load elements of an array that are needed soon: 16 elements of 64 bits (two cache lines),
+    from `index` on; the array is in C order.
+    """
 
 
 @intrinsic
@@ -77,7 +79,9 @@ def add_digit(digit: np.uint64, carry: np.uint64, decrement: np.uint64) -> tuple
 
 @inlined
 def equal_so_far(equal: np.uint64, digit: np.uint64, n: Integer, j: Integer) -> np.uint64:
-    """Axes, among the axes `equal`, whose counts agree with n in binary digit j."""
+    """Word of those axes among `equal` whose counts have the value of n in binary digit j; `digit` has this digit of
+    all counts.
+    """
     return equal & (digit if n >> j & 1 else ~digit)
 
 
@@ -92,7 +96,7 @@ def add_set(digits: WordArray, axes: np.uint64, decrement: np.uint64) -> None:
 
 @inlined
 def exactly(digits: WordArray, n: Integer) -> np.uint64:
-    """Axes whose counts equal n; `digits` `(J,)` are the binary digits of the counts."""
+    """Word with a bit for each axis whose count equals n; `digits` `(J,)` are the binary digits of the counts."""
     equal = ALL
     for j in range(np.uint64(len(digits))):
         equal = equal_so_far(equal, digits[j], n, j)
@@ -101,7 +105,7 @@ def exactly(digits: WordArray, n: Integer) -> np.uint64:
 
 @inlined
 def at_least(digits: WordArray, n: Integer) -> np.uint64:
-    """Axes whose counts are at least n; `digits` `(J,)` are the binary digits of the counts."""
+    """Word with a bit for each axis whose count is at least n; `digits` `(J,)` are the binary digits of the counts."""
     reached = ALL
     for j in range(np.uint64(len(digits))):
         # The axes whose counts, taken modulo 2^(j + 1), are at least n modulo 2^(j + 1).
@@ -116,7 +120,7 @@ def in_words(values: np.ndarray) -> np.ndarray:
 
 
 def packed(flags: np.ndarray) -> np.ndarray:
-    """Bit sets `(..., W)` uint64 of `flags` `(..., D)`."""
+    """Pack flags, 0 or 1, `(..., D)`, into bit sets of W 64-bit words, `(..., W)`."""
     return np.packbits(in_words(flags), axis=-1, bitorder="little").view("<u8").astype(np.uint64, copy=False)
 
 

@@ -32,7 +32,9 @@ def printable(text: str) -> str:
 
 
 def failure(error: BaseException) -> str:
-    """Text about an error in foreign code: type, message and line of code of the error."""
+    """Text about an error in code that is not part of `lmd`: type of the error, its message, and the line of code that
+    raised it.
+    """
     place = traceback.extract_tb(error.__traceback__)[-1]
     why = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
     return f"{why} ({Path(place.filename).name}, line {place.lineno})"
@@ -54,8 +56,8 @@ class InputError(ValueError):
         self.argument = argument
 
     def within(self, whole: str) -> "InputError":
-        """Copy of the error, in which the argument is called `whole.argument`; the error itself if it names no
-        argument.
+        """Copy of the error for an argument that belongs to `whole`: the copy names the argument `whole.argument`. If
+        the error names no argument, the error itself.
         """
         if self.argument is None:
             return self
@@ -73,8 +75,8 @@ def argument_of(whole: str) -> Iterator[None]:
 
 @contextmanager
 def said_of(source: object, argument: str | None = None, known: Container[str | None] = ()) -> Iterator[None]:
-    """Context manager: an `InputError` raised in its block gets a message that begins with the `source` of the input,
-    and the argument `argument`.
+    """Context manager: an `InputError` raised in its block is replaced by one whose message begins with the `source` of
+    the input, and whose argument is `argument`.
 
     Errors about an argument in `known` stay unchanged.
     """

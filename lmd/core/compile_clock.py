@@ -1,4 +1,4 @@
-"""numba compiler for `lmd`'s functions that measures the compilation time and prints progress.
+"""numba compiler for `lmd`'s functions that prints its progress, and a clock that leaves out the time of compilation.
 
 Functions of other packages are not timed.
 """
@@ -20,7 +20,7 @@ GARBAGE_THRESHOLDS = (20_000, 50, 1_000)
 
 
 class CompileClock:
-    """Clock that stops while any thread of this process compiles."""
+    """Clock that stops while any thread of this process compiles, so that it measures the time without compilation."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -78,7 +78,7 @@ CLOCK = CompileClock()
 
 
 class TimedCompiler(Compiler):
-    """numba's compiler; `CLOCK` stops while this compiler works."""
+    """numba's compiler, which stops `CLOCK` while it works, so that `CLOCK` measures time without compilation."""
 
     returns_arrays = True  # False: a function may return an array with a reference count, but no tuple with an array
 

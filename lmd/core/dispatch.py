@@ -28,7 +28,7 @@ R_co = TypeVar("R_co", covariant=True)
 
 
 class Dispatched(Protocol[P, R_co]):
-    """A function that `dispatched` returns."""
+    """Interface of a function that `dispatched` returns."""
 
     def __call__(self, *arguments: P.args, **_: P.kwargs) -> R_co:
         """Call the function that is registered for the class of the first argument; positional arguments only."""
@@ -83,8 +83,8 @@ def _dispatched(declaration: Callable[P, R_co], otherwise: Function | None, opti
 
 
 def entry(column: Any, k: Any) -> Any:
-    """Entry k of a column `(K,)`; a column may be a single number, which is then the entry for all k. Kernels accept
-    both types.
+    """Entry k of a column. The column is an array `(K,)`, or a single number that stands for K equal entries; kernels
+    accept both.
     """
     return column[k] if isinstance(column, np.ndarray) else column
 

@@ -197,7 +197,9 @@ def check_aliases(text: str) -> None:
 
 
 def _values(node: Any, known: dict[int, float]) -> float:
-    """Number of values of a node after aliases are expanded; infinite for a node that contains itself."""
+    """Number of values that a YAML node has after its aliases are expanded; infinite for a node that contains
+    itself.
+    """
     if id(node) not in known:
         known[id(node)] = math.inf
         pairs = isinstance(node, yaml.MappingNode)

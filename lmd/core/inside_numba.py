@@ -30,14 +30,18 @@ class _Library(JITCodeLibrary):
     """LLVM code of a function."""
 
     def _optimize_functions(self, module: Any) -> None:
-        """Optimise functions at level 1, as the whole kernel is optimised again; at level 0 linking takes longer."""
+        """Optimise each function at level 1 only, because the whole kernel is optimised again after linking. At level
+        0, linking would take longer.
+        """
         module.data_layout = self._codegen._data_layout
         for function in module.functions:
             passes, builder = self._codegen._function_pass_manager(opt=1)
             passes.run(function, builder)
 
     def _linked_into(self, module: Any) -> Any:
-        """Link a module with the called libraries, callers first, so that LLVM drops functions without a caller."""
+        """Link the libraries that this library calls into `module`. Callers are linked first, so that LLVM drops
+        functions without a caller.
+        """
         for library in reversed(_called_by(self, {})):
             self._reload_init.update(library._reload_init)
             inner = isinstance(library, _InnerLibrary)
@@ -80,7 +84,9 @@ class _InnerLibrary(_Library):
     codegen = property(lambda self: self)  # numba calls `codegen().set_env`
 
     def set_env(self, name: str, environment: Any) -> None:
-        """Ignore the environment, which only machine code needs."""
+        """Ignore the environment that numba sets: only machine code needs it, and an inner function has none of its
+        own.
+        """
 
 
 def _called_by(library: Any, found: dict[Any, None]) -> list[Any]:
@@ -94,8 +100,8 @@ def _called_by(library: Any, found: dict[Any, None]) -> list[Any]:
 
 
 class _Flags(Flags):
-    """Compiler flags with a fast comparison, which considers only the options that are set; numba compares flags for
-    each array element that is read.
+    """Compiler flags with a fast comparison, which considers only the options that are set. The speed matters, because
+    numba compares flags each time it compiles the reading of an array element.
     """
 
     def __eq__(self, other: object) -> bool:

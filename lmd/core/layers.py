@@ -21,7 +21,8 @@ def layers(bundle: Bundle, number: int) -> Bundle:
 
 
 def _copied(part: Any, number: int, copies: dict[int, np.ndarray]) -> Any:
-    """Stack copies of a part of a bundle; `copies` contains the earlier stacks, keyed by the id of the part.
+    """Stack `number` copies of a part of a bundle (an array or a nested tuple). `copies` contains the stacks made
+    before, keyed by the id of the part, so that shared arrays stay shared.
 
     The function is not a closure of `layers`: a recursive closure is a reference cycle, which delays the release of
     arrays.
@@ -34,7 +35,9 @@ def _copied(part: Any, number: int, copies: dict[int, np.ndarray]) -> Any:
 
 
 def layer(bundle: Any, number: Any) -> Any:
-    """Layer `number` of a result of `layers`; its arrays are views. The function also works in kernels."""
+    """Named tuple at the index `number` of a stack made by `layers`; its arrays are views. The function also works in
+    kernels.
+    """
     if isinstance(bundle, tuple):
         return _made(type(bundle), (layer(part, number) for part in bundle))
     return bundle[number]
@@ -55,7 +58,7 @@ def _layer(bundle, number):  # type: ignore[no-untyped-def] # noqa: ARG001 # num
 
 
 def _written(part: Any, name: str, kinds: dict[str, Any], lines: list[str]) -> str:
-    """Python expression for the layer of a variable.
+    """Python expression, as text, for the layer `number` of a variable: a named tuple in which each array is indexed.
 
     Nested tuples are assigned to variables first; otherwise LLVM takes half a minute for a large tuple.
 

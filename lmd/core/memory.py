@@ -1,4 +1,6 @@
-"""Checks of free memory before large allocations; the error names the needed and the free memory."""
+"""Checks of free memory before large arrays are allocated; the message of the error names the needed and the free
+memory.
+"""
 
 import os
 from pathlib import Path

@@ -49,7 +49,9 @@ def missing_of(error: BaseException | None) -> InputError | None:
 
 
 def lack_of(target: str) -> str:
-    """Sentence that names the missing part of a dotted path to a class."""
+    """Sentence for the user that says why the dotted path `target` leads to no class, such as the part of the path that
+    is missing.
+    """
     found, parts = None, target.split(".")
     for i, part in enumerate(parts):
         whole = ".".join(parts[: i + 1])

@@ -72,7 +72,7 @@ def digest_of(kernel: FunctionType, classes: Iterable[type]) -> str | None:
 
 
 def classes_in(kinds: Any) -> set[type]:
-    """Classes of the named tuples in a sequence of numba types, at any depth."""
+    """Classes of all named tuples in a sequence of numba types, including named tuples inside other tuples."""
     found = set[type]()
     for kind in kinds:
         if named := getattr(kind, "instance_class", None):
@@ -117,7 +117,7 @@ def _text_of_code(code: CodeType) -> str:
 
 
 def _resolved(function: FunctionType, kinds: set[type]) -> list[FunctionType]:
-    """The function itself; for a `dispatched` function, also the variants that are registered for the classes
+    """List of the function itself and, if it is `dispatched`, of its variants that are registered for the classes
     `kinds`.
     """
     table = getattr(function, "registered", {})

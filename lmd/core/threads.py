@@ -22,7 +22,7 @@ def available_threads() -> int:
 
 @cache
 def _helpers(count: int) -> ThreadPoolExecutor:
-    """Pool of threads, shared by all calls of `at_once` in a process.
+    """Pool of `count` threads, shared by all calls of `at_once` in a process.
 
     Starting threads takes a millisecond, half the time of an evaluation of the paper's room.
     """

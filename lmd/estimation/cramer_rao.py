@@ -68,8 +68,8 @@ def pose_information(
 
 
 def determines_pose(information: FloatArray) -> BoolArray:
-    """Mask of the invertible matrices, `(...)`, among information matrices `(..., 6, 6)`. For the test the matrices are
-    scaled to a unit diagonal, so that the result does not depend on units.
+    """True for each of the information matrices `(..., 6, 6)` that is invertible, and so determines a pose, `(...)`.
+    The matrices are scaled to a unit diagonal first, so that the result does not depend on units.
     """
     diagonal = np.diagonal(information, axis1=-2, axis2=-1)
     scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, np.inf))
@@ -163,7 +163,8 @@ def _finite_median(values: FloatArray, weight: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class CramerRaoBound:
-    """Least RMS error of unbiased estimates from a single frame, given the pixel noise; an `Estimator`.
+    """Least RMS error that an unbiased estimate from a single frame can have, given the pixel noise. The class has the
+    interface `Estimator`, so that tables can show the bound beside real estimators.
 
     A tag is measured by the images of its corners, a point by the image of its centre. An estimator that uses earlier
     frames may have smaller errors. For the error Er (see `Errors.frobenius`) the bound is the expectation tr S_vv + 2

@@ -101,8 +101,8 @@ def fit_power(distance: FloatArray, tags: IntArray, deviation: FloatArray) -> Po
 
 
 def _scale(deviation: FloatArray, shape: FloatArray) -> float:
-    """Scale a for which deviation / (a shape) has the mean square 1, for values `deviation` and `shape` of each
-    view.
+    """Scale a with which the ratios deviation / (a shape) have the mean square 1; `deviation` and `shape` have one
+    value for each view.
     """
     return float(np.sqrt(((deviation / shape) ** 2).mean()))
 

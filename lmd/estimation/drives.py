@@ -45,7 +45,7 @@ def filtered(
         scene: room, camera and orientations.
         trajectory: source of the drives; unused if the scene has a recording.
         odometry: errors of the odometry.
-        drives, fresh: numbers of drives for the objective and for the validation.
+        drives, fresh: number of random drives for the objective, and number of further drives for the validation.
         seed: seed of the drives.
         block: length of a drive of a recording, seconds.
         held_out: every `held_out`-th drive of a recording is kept for the validation, at least 2.
@@ -90,12 +90,14 @@ def filtered(
 
 
 def _draw(scene: Scene, source: TrajectorySource, seed: Sequence[int], count: int) -> list[Trajectory]:
-    """Draw `count` trajectories; a larger `count` adds trajectories and leaves the others unchanged."""
+    """Draw `count` random trajectories. With a larger `count`, further trajectories are added to these, which do not
+    change.
+    """
     return [source.draw(scene, np.random.default_rng([*seed, i])) for i in range(count)]
 
 
 def cut(trajectory: Trajectory, seconds: float) -> list[Trajectory]:
-    """Cut a trajectory into parts of equal duration; a part of less than two frames is left out.
+    """Cut a trajectory into parts with a duration of `seconds` each; a part of less than two frames is left out.
 
     Raises:
         InputError: a part is shorter than the time between two frames.
@@ -108,7 +110,9 @@ def cut(trajectory: Trajectory, seconds: float) -> list[Trajectory]:
 
 
 def _divided(parts: Sequence[Trajectory], every: int) -> tuple[list[Trajectory], list[Trajectory]]:
-    """Divide the drives of a recording: drives for the objective, and held-out drives for the validation."""
+    """Divide the drives of a recording. Returns: drives for the objective; held-out drives for the validation, which
+    are every `every`-th drive.
+    """
     kept = [part for i, part in enumerate(parts) if i % every == every - 1]
     if not kept:
         raise InputError(

@@ -24,8 +24,8 @@ DEGREES = {"joint": 6, "rotation": 3, "position": 3}
 
 
 def squares(estimates: Sequence[tuple[FloatArray, FloatArray]], true: FloatArray) -> FloatArray:
-    """Normalised squared errors (NEES) in each frame of a run: of the whole pose, of rotation, and of position,
-    `(T, 3)`; NaN without an estimate.
+    """Normalised squared errors (NEES) in each frame of a run, `(T, 3)`: of the whole pose, of its rotation, and of its
+    position; NaN for frames without an estimate.
 
     Args:
         estimates: for each frame, the estimate Xh `(4, 4)` and the covariance of its error as a body twist, `(6, 6)`.
@@ -70,7 +70,9 @@ class Errors:
 
 
 def pose_errors(true: FloatArray, estimated: FloatArray) -> Errors:
-    """Errors of `estimated` poses, which may be NaN, from `true` poses, `(S, T, 4, 4)` each."""
+    """Errors of the `estimated` poses, compared with the `true` poses, `(S, T, 4, 4)` each; estimated poses may be
+    NaN.
+    """
     return Errors(
         frobenius=((true - estimated) ** 2).sum(axis=(-2, -1)),
         position=np.linalg.norm(true[..., :3, 3] - estimated[..., :3, 3], axis=-1),

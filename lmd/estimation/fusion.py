@@ -54,7 +54,7 @@ class Uncertainty(Checked):
 
 
 class Measurement(Protocol):
-    """Interface of measurements in a frame: d numbers that can be predicted from a pose."""
+    """Interface of what an estimator measures in one frame: d numbers that can be predicted from the pose."""
 
     @property
     def value(self) -> FloatArray:
@@ -71,7 +71,7 @@ class Measurement(Protocol):
 
 
 class CameraPoints(NamedTuple):
-    """Positions of m landmarks in the camera's frame, y = X^-1 C, metres: a `Measurement` of 3 m numbers."""
+    """Positions of m landmarks in the camera's frame, y = X^-1 C, in metres. A `Measurement` of `3 * m` numbers."""
 
     landmarks: FloatArray
     value: FloatArray
@@ -92,7 +92,7 @@ class CameraPoints(NamedTuple):
 
 
 class CornerImages(NamedTuple):
-    """Image points of m corners of tags, pixels: a `Measurement` of 2 m numbers."""
+    """Image points of m corners of tags, in pixels. A `Measurement` of `2 * m` numbers."""
 
     images: Sequence[PointImage]
     value: FloatArray
@@ -138,7 +138,9 @@ class InvariantKalmanFilter(Uncertainty):
         return errors_of(recording, start, self.run)
 
     def run(self, recording: Recording, s: int, start: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
-        """Estimates of run s, `(4, 4)` each, and their covariances as body twists, `(6, 6)`."""
+        """Iterate over the frames of run s. Yields the estimated pose, `(4, 4)`, and the covariance of its error as a
+        body twist, `(6, 6)`.
+        """
         gtsam = optional("gtsam", "estimators")
         corners = self.measured == "corners" and recording.corners is not None
         kind: type[CameraPoints | CornerImages] = CornerImages if corners else CameraPoints
@@ -173,8 +175,8 @@ class FixedLagSmoother(Uncertainty):
         return errors_of(recording, start, self.run)
 
     def run(self, recording: Recording, s: int, start: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
-        """Estimates of run s, `(4, 4)` each, and their covariances as body twists, `(6, 6)`; the covariances are NaN
-        before the frame with which the smoother starts.
+        """Iterate over the frames of run s. Yields the estimated pose, `(4, 4)`, and the covariance of its error as a
+        body twist, `(6, 6)`, which is NaN before the frame with which the smoother starts.
         """
         gtsam = optional("gtsam", "estimators")
         diagonal, drift = gtsam.noiseModel.Diagonal.Sigmas, self.drift(recording)
@@ -206,7 +208,9 @@ class FixedLagSmoother(Uncertainty):
 
 
 def _beginning(recording: Recording, s: int, t: int, expected: FloatArray) -> FloatArray | None:
-    """Pose with which the smoother starts at frame t of run s; None if the frame does not determine the pose."""
+    """Pose with which the smoother starts at frame t of run s; None if the images of the frame do not determine a
+    unique pose. If landmarks are points, this is the pose `expected`.
+    """
     if recording.corners is None:
         return expected
     found = likely(body_solutions(images_of(recording, s, t)))
@@ -214,7 +218,7 @@ def _beginning(recording: Recording, s: int, t: int, expected: FloatArray) -> Fl
 
 
 def _factor(gtsam: Any, key: int, measurement: Measurement) -> Any:
-    """GTSAM factor of a measurement of the pose `key`."""
+    """GTSAM factor that compares a measurement with its prediction from the pose whose key is `key`."""
 
     def error(_: Any, values: Any, jacobians: Any) -> FloatArray:
         predicted, jacobian = measurement.predicted(values.atPose3(key).matrix())

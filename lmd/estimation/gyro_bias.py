@@ -62,13 +62,17 @@ class EquivariantFilter(Uncertainty):
         return errors_of(recording, start, self.run)
 
     def run(self, recording: Recording, s: int, start: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
-        """Estimates of run s, `(4, 4)` each, and their covariances as body twists, `(6, 6)`."""
+        """Iterate over the frames of run s. Yields the estimated pose, `(4, 4)`, and the covariance of its error as a
+        body twist, `(6, 6)`.
+        """
         for state in self.states(recording, s, start):
             to_body = adjoint_matrix(inverse(state.pose))
             yield state.pose, to_body @ state.covariance[:6, :6] @ to_body.T
 
     def states(self, recording: Recording, s: int, start: FloatArray) -> Iterator[State]:
-        """Estimates of run s in the coordinates of the filter."""
+        """Iterate over the frames of run s. Yields the estimated pose and bias, with the covariance of the errors (x,
+        z) of the filter.
+        """
         known = recording.odometry
         gyro = np.repeat([1.0, 0.0], 3)
         spread = np.concatenate([self.initial, known.gyro_bias * gyro])
@@ -97,8 +101,8 @@ class EquivariantFilter(Uncertainty):
         return State(pose, state.bias, transition @ state.covariance @ transition.T + noise)
 
     def _from_body(self, pose: FloatArray, squares: FloatArray) -> FloatArray:
-        """Covariance `(12, 12)` in the filter's coordinates, from variances `squares` of twist and bias in the body's
-        frame, `(12,)`.
+        """Covariance `(12, 12)` of errors (x, z) of the filter. The independent errors of twist and bias in the body's
+        frame, from which it is computed, have the variances `squares` `(12,)`.
         """
         turn = np.kron(np.eye(2), adjoint_matrix(pose))
         return np.asarray(turn @ np.diag(squares) @ turn.T)
@@ -128,8 +132,8 @@ class EquivariantFilter(Uncertainty):
         ])  # fmt: skip
 
     def residual(self, pose: FloatArray, seen: CameraPoints) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Residual for m landmarks, `(3 m,)`, the Jacobian with respect to x, `(3 m, 6)`, and the covariance,
-        `(3 m, 3 m)`.
+        """Residual Th y_i - C_i of m landmarks, `(3 m,)`; its Jacobian with respect to x, `(3 m, 6)`; and its
+        covariance, `(3 m, 3 m)`.
         """
         moved = act(pose, seen.value.reshape(-1, 3))
         middle = skew((moved + seen.landmarks) / 2.0)

@@ -85,8 +85,8 @@ class Observer(Checked):
         return np.asarray(descent - np.concatenate([np.zeros_like(damped), damped], axis=-1))
 
     def _twist(self, arms: FloatArray, forces: FloatArray, gain: FloatArray) -> FloatArray:
-        """Twist (l^-2 k sum arm x force, k sum force) with the gain k, `(..., 6)`, from `arms` and `forces`
-        `(..., K, 3)`.
+        """Twist (l^-2 k sum arm x force, k sum force), `(..., 6)`, where k is the gain. `arms` are positions of
+        landmarks and `forces` their errors, `(..., K, 3)` each.
         """
         turning = cross(arms, forces).sum(axis=-2) / self.length**2
         return np.concatenate([gain * turning, gain * forces.sum(axis=-2)], axis=-1)

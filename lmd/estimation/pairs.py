@@ -1,4 +1,6 @@
-"""Paired comparison of deployments: the errors of localisation on equal flights with each deployment."""
+"""Paired comparison of deployments: equal flights are localised with each deployment, and the errors are compared
+flight by flight.
+"""
 
 import numpy as np
 import pandas as pd

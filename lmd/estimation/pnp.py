@@ -37,7 +37,8 @@ class PerspectiveNPoint:
         return errors_of(recording, recording.poses[:, 0], self.run)
 
     def run(self, recording: Recording, s: int, start: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
-        """Estimates of run s, `(4, 4)` each, and their covariances as body twists, `(6, 6)`; NaN without an estimate.
+        """Iterate over the frames of run s. Yields the estimated pose, `(4, 4)`, and the covariance of its error as a
+        body twist, `(6, 6)`; both are NaN for frames without an estimate.
 
         The covariance is the inverse of the Fisher information of the frame's images at the estimate.
         """
@@ -65,7 +66,7 @@ def likely(found: list[Solution]) -> list[FloatArray]:
 
 
 def images_of(recording: Recording, s: int, t: int) -> list[PointImage]:
-    """Pairs of a known point and its image point, for each camera in frame t of run s."""
+    """Image points in frame t of run s, and the known points that they show; one `PointImage` for each camera."""
     images, first, count = [], recording.detections(s, t).start, recording.seen_by.shape[-1]
     for c, (camera, mounted) in enumerate(zip(recording.camera.cameras, recording.camera.extrinsics, strict=True)):
         seen = c * count + np.flatnonzero(recording.seen_by[s, t, c])

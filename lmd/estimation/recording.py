@@ -99,7 +99,7 @@ class Flight:
         return self.trajectory.poses
 
     def looks(self) -> "list[Look]":
-        """The flight as seen by each camera: one `Look` per camera."""
+        """One `Look` for each camera: the flight as this camera sees it."""
         scene = self.evaluator.scene
         if self.all_visible:
             seen = np.ones((len(scene.cameras), len(self.poses), len(self.deployment)), dtype=np.bool_)
@@ -227,22 +227,26 @@ class Recording:
 
     @property
     def visible_counts(self) -> IntArray:
-        """Number of landmarks detected by any camera in each frame, `(S, T)`."""
+        """Number of landmarks that at least one camera detects in each frame, `(S, T)`."""
         return np.asarray(self.seen_by.any(axis=2).sum(axis=-1))
 
     @cached_property
     def _first(self) -> IntArray:
-        """Index of the first detection in each frame of each run, followed by M, `(S T + 1,)`."""
+        """For each frame of each run, index of its first detection among the M detections; the last entry is M,
+        `(S T + 1,)`.
+        """
         return np.concatenate([[0], np.cumsum(self.seen.sum(axis=-1))])
 
     def detections(self, s: int, first: int = 0, last: int | None = None) -> slice:
-        """Slice of the M detections in frames `first` to `last` (excluded; None for all) of run s."""
+        """Slice that selects, from arrays over the M detections, those in frames `first` to `last` of run s; `last` is
+        excluded, None stands for the end of the run.
+        """
         frames = len(self.time)
         return slice(self._first[s * frames + first], self._first[s * frames + (frames if last is None else last)])
 
     def share_visible(self, n: int) -> FloatArray:
-        """Fraction of each run's duration with at least n detected landmarks, `(S,)`; each frame counts for the time
-        until the next frame.
+        """Fraction of each run's duration in which at least n landmarks are detected, `(S,)`. The number in a frame is
+        taken to hold until the next frame.
         """
         enough, steps = self.visible_counts[:, :-1] >= n, np.diff(self.time)
         return np.asarray(enough @ steps / steps.sum())

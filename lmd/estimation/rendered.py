@@ -54,8 +54,8 @@ class RenderedDetector(Checked):
     imaging: Imaging
     """Lens, light and noise."""
     pixel_noise: Positive | None = None
-    """Standard deviation of the corners as estimators assume it, pixels; None for the measured one of the detector,
-    which depends on the pitch.
+    """Standard deviation of the corners as estimators assume it, pixels; None for the measured standard deviation of
+    the detector, which depends on the pitch.
     """
     shutter: NotNegative = 0.0
     """Exposure time, seconds; the motion of the camera blurs the frame."""
@@ -70,7 +70,9 @@ class RenderedDetector(Checked):
         return corners_of(deployment, self.tag)
 
     def batch(self, look: Look) -> "Batch":
-        """Batch with the frames of one camera on a flight; flights with equal `rng` give equal frames."""
+        """Batch with the frames that one camera takes on a flight. Flights with equal random generators `rng` give
+        equal frames.
+        """
         flight = look.flight
         room = tagged_room(flight.evaluator.scene.room, flight.deployment, self.tag)
         twists = adjoint(inverse(look.mounted), flight.trajectory.twists)
@@ -124,8 +126,8 @@ def read(batch: Batch) -> list[Detections]:
 
 
 def believed(found: Sequence[Detections], ids: IntArray) -> FloatArray:
-    """Detected corners of the tags with `ids` `(K,)` in T frames, pixels, `(T, K, 4, 2)`; NaN for tags that are not
-    detected.
+    """Corners of the tags with the ids `ids` `(K,)` as detected in T frames, pixels, `(T, K, 4, 2)`; NaN for tags that
+    are not detected. Of several detections with one id, the largest is taken.
     """
     corners, place = np.full((len(found), len(ids), 4, 2), np.nan), {number: k for k, number in enumerate(ids.tolist())}
     for t, detections in enumerate(found):

@@ -57,7 +57,7 @@ class InitialError(Checked):
 
 @dataclass(frozen=True)
 class Flights:
-    """S flights that are independent of the deployment, one for each seed."""
+    """S flights, one for each seed; they do not depend on the deployment."""
 
     seeds: Sequence[int]
     """S seeds."""
@@ -119,7 +119,7 @@ class FlightStudy:
     """Outcome of each deployment, keyed by its name."""
 
     def figures(self) -> pd.DataFrame:
-        """Table with one row for each deployment, estimator and seed.
+        """Table of the localisation errors, with one row for each deployment, estimator and seed.
 
         Columns: `mean_visible`, `share_visible_<n>`; `mean_error` (Er over the whole flight); `available`, the fraction
         of frames with an estimate. `settling_time` (s) is the time after which Er stays below 1 % of its initial value;
@@ -294,12 +294,14 @@ def to_markdown(figures: pd.DataFrame, n: int) -> str:
 
 
 def within() -> dict[str, float]:
-    """Limit of the position error, metres, keyed by the column `within_<n>mm` of `FlightStudy.figures`."""
+    """Limits of the position error, metres, each keyed by its column `within_<n>mm` of `FlightStudy.figures`."""
     return {f"within_{1e3 * limit:g}mm": limit for limit in ERROR_LIMITS}
 
 
 def _each_run(reduce: Callable[[FloatArray], Any], values: FloatArray) -> FloatArray:
-    """Result of `reduce` for the finite values in each row of `values`; NaN for a row without finite values."""
+    """Call the function `reduce` with the finite values in each row (run) of `values`; return an array of the results,
+    NaN for a row without finite values.
+    """
     rows = [row[np.isfinite(row)] for row in values]
     return np.array([reduce(row) if row.size else np.nan for row in rows])
 

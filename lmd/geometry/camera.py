@@ -109,12 +109,16 @@ class Camera(Checked):
 
     @property
     def cameras(self) -> "tuple[Camera, ...]":
-        """Tuple that contains only this camera; part of the interface that `lmd.scene.rig.Rig` also has."""
+        """Tuple that contains only this camera. `lmd.scene.rig.Rig` has a property with this name too, so code can
+        treat a camera as a rig.
+        """
         return (self,)
 
     @property
     def extrinsics(self) -> FloatArray:
-        """Identity matrix, `(1, 4, 4)`, as the body frame of a single camera is the camera frame."""
+        """Pose of the camera on its body, `(1, 4, 4)`: the identity, because the body frame of a single camera is the
+        camera frame.
+        """
         return np.eye(4)[None]
 
     @property
@@ -129,8 +133,8 @@ class Camera(Checked):
 
     @property
     def _borders(self) -> FieldOfView:
-        """Distances, instead of angles, of the four image borders (left, right, top, bottom) from the principal point,
-        in focal lengths.
+        """Distances of the four image borders (left, right, top, bottom) from the principal point, in focal lengths.
+        Here the fields of `FieldOfView` are distances instead of angles.
         """
         u, v = self.principal_point
         width, height = self.pixel_width / self.focal_length, self.pixel_height / self.focal_length
@@ -143,7 +147,8 @@ class Camera(Checked):
 
     @property
     def field_of_view(self) -> FieldOfView:
-        """Angles phi_l, phi_r, phi_t, phi_b = atan(border distance on the sensor / f).
+        """Angles phi_l, phi_r, phi_t, phi_b between the optical axis and the image borders: atan(border distance on the
+        sensor / f).
 
         For a distorting lens, these are the angles of the rays through the point of each border that is nearest to the
         principal point, at most `widest_angle`.
@@ -184,7 +189,7 @@ class Camera(Checked):
         the hyperfocal distance (d_a f <= b (d_s - f)); focused at infinity, d_n = d_a f / b.
 
         Args:
-            circle_of_confusion: permissible diameter delta, pixels.
+            circle_of_confusion: largest diameter delta of the blur disc at which a point counts as sharp, pixels.
         """
         blur = circle_of_confusion * min(self.pixel_width, self.pixel_height)
         aperture_focal = self.aperture * self.focal_length

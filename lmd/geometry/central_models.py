@@ -57,8 +57,8 @@ class Restated(NamedTuple):
     coefficients: tuple[float, ...]
     """Coefficients of the lens, see `lmd.geometry.lens`."""
     worst: float
-    """Largest distance in the image between the projections of a point by the lens and by the other program's model,
-    pixels.
+    """Largest error of the fit, pixels: the distance between the image of a point through the lens and its image
+    through the other program's model.
     """
 
 

@@ -38,7 +38,7 @@ def rotation(yaw: ArrayLike, pitch: ArrayLike, roll: ArrayLike = 0.0) -> FloatAr
 
 
 def roll_pitch_yaw(angles: ArrayLike) -> FloatArray:
-    """Rotation matrix Rz(yaw) Ry(pitch) Rx(roll), as of ROS's `setRPY`.
+    """Rotation matrix Rz(yaw) Ry(pitch) Rx(roll), as in ROS's `setRPY`.
 
     Args:
         angles: roll, pitch and yaw, radians, `(3,)` or `(T, 3)`.

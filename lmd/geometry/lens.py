@@ -52,17 +52,19 @@ class Profile(NamedTuple):
 
     @property
     def least(self) -> FloatArray:
-        """Lower bound on the local scale over all directions in the image, focal lengths per rad."""
+        """Lower bound on the local scale at each angle theta, for any direction in the image, focal lengths per rad."""
         return np.asarray(np.minimum(self.along, self.across) - self.sway)
 
     @property
     def most(self) -> FloatArray:
-        """Upper bound on the local scale over all directions in the image, focal lengths per rad."""
+        """Upper bound on the local scale at each angle theta, for any direction in the image, focal lengths per rad."""
         return np.asarray(np.maximum(self.along, self.across) + self.sway)
 
 
 class Stretch(NamedTuple):
-    """Bounds on the local scale of a lens up to an angle, see `Lens.stretch`."""
+    """Bounds on the local scale of a lens (image length per angle), valid up to some angle from the optical axis, see
+    `Lens.stretch`.
+    """
 
     least: float
     """Lower bound on image length per angle, focal lengths per rad."""
@@ -186,8 +188,8 @@ class Lens:
         return _border(folds, theta[bad[0] - 1], theta[bad[0]]) if bad.size else float(theta[-1])
 
     def widest(self, reach: float) -> float:
-        """Angle from the optical axis, rad, beyond which all points are projected at least `reach`, focal lengths, from
-        the principal point.
+        """Angle from the optical axis, rad. All points beyond this angle are projected to image points that are at
+        least `reach`, focal lengths, away from the principal point.
 
         The angle is at most the fold.
         """
@@ -246,8 +248,8 @@ def approximation(lens: Lens, widest: float) -> tuple[tuple[float, ...], float]:
 
 @lru_cache(maxsize=64)
 def ceiling(lens: Lens, widest: float) -> tuple[float, ...]:
-    """Coefficients of a polynomial in h = 1 - cos(theta) that is an upper bound on the local scale for theta <=
-    `widest`, rad.
+    """Coefficients of an upper bound on the local scale at angles theta <= `widest`, rad: a polynomial in h = 1 -
+    cos(theta).
     """
     theta = np.linspace(0.0, widest, ANGLE_SAMPLES)
     height, most = 1.0 - np.cos(theta), np.maximum.accumulate(lens.profile(theta).most)
@@ -270,7 +272,7 @@ def lens_of(model: str, distortion: Any) -> Lens | None:
 
 
 def _border(reached: Callable[[Any], Any], low: float, high: float) -> float:
-    """Largest number in [low, high) at which `reached` is false, by bisection."""
+    """Largest number in [low, high) at which the condition `reached` is false, found by bisection."""
     while low < (middle := (low + high) / 2.0) < high:
         low, high = (low, middle) if reached(np.float64(middle)) else (middle, high)
     return float(low)

@@ -75,8 +75,8 @@ def slope_of(lens: Any, u: Any, v: Any, w: Any) -> Any:
 
 @dispatched
 def depth_of(lens: Any, u: Any, v: Any, w: Any) -> Any:
-    """Depth that determines focus and apparent size: the coordinate w for a pinhole, the distance of the point for a
-    fisheye.
+    """Depth of a point, on which its focus and apparent size depend: the coordinate w for a pinhole, the distance of
+    the point from the camera for a fisheye.
     """
 
 

@@ -50,7 +50,7 @@ class PointImage(NamedTuple):
     """Standard deviation of each image point, pixels, `(M,)`."""
 
     def off(self, pose: FloatArray) -> FloatArray:
-        """Reprojection errors if the body has the pose X, in units of their standard deviations, `(M, 2)`."""
+        """Reprojection errors at a pose X of the body, divided by their standard deviations, `(M, 2)`."""
         return np.asarray((project(self.camera, pose @ self.mounted, self.points) - self.pixels) / self.noise[:, None])
 
     def scaled_slope(self, pose: FloatArray) -> FloatArray:
@@ -120,9 +120,9 @@ def solutions(camera: Camera, points: FloatArray, image: FloatArray, noise: Arra
 
 
 def _refined_candidates(image: PointImage) -> Iterator[FloatArray]:
-    """Poses that are local minima of the reprojection error: the image points are mapped to the image of a virtual
-    pinhole camera aimed at the points, candidate poses (see `solutions`) are solved for this camera, and each is then
-    refined.
+    """Iterate over the poses that are local minima of the reprojection error. First the image points are mapped to the
+    image of a virtual pinhole camera that is aimed at the points. Candidate poses (see `solutions`) are computed for
+    the virtual camera; then each candidate is refined with the real camera.
     """
     cv2 = optional("cv2", "estimators")
     turned, within, rays = straightened(bearings(image.camera, image.pixels))

@@ -62,7 +62,7 @@ def poses_from_rows(rows: FloatArray, lines: Sequence[int] | None = None) -> Flo
 
 
 def pose_rows(poses: FloatArray) -> FloatArray:
-    """Position and quaternion of each pose, `(n, 7)`; NaN without a pose."""
+    """Position and quaternion of each pose, `(n, 7)`; NaN for poses of NaN."""
     from scipy.spatial.transform import Rotation
 
     rows, known = np.full((len(poses), len(ROW)), np.nan), np.isfinite(poses[:, 0, 0])

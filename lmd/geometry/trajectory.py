@@ -28,8 +28,8 @@ class Trajectory:
         check_order(self.time)
 
     def at(self, seconds: FloatArray) -> FloatArray:
-        """Poses at times between the first and the last frame, `(n,)`, seconds, by interpolation between the frames at
-        a constant velocity and turn rate, `(n, 4, 4)`.
+        """Poses, `(n, 4, 4)`, at the times `seconds` `(n,)`, which lie between the first and the last frame. Between
+        two frames, the poses are interpolated at a constant velocity and turn rate.
         """
         from scipy.spatial.transform import Rotation, Slerp
 
@@ -39,8 +39,8 @@ class Trajectory:
         return pose_of(turns.as_matrix(), way)
 
     def steps_at(self, seconds: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Index of the frame before each time `seconds` `(n,)`, `(n,)`, and share of the step to the next frame that
-        has passed, `(n,)`.
+        """For each of the times `seconds` `(n,)`: index of the frame before it, `(n,)`, and the fraction of the step
+        from this frame to the next that has passed, `(n,)`.
         """
         first = np.clip(np.searchsorted(self.time, seconds, side="right") - 1, 0, len(self.time) - 2)
         return first, (seconds - self.time[first]) / (self.time[first + 1] - self.time[first])

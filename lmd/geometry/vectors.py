@@ -60,7 +60,7 @@ def column3(columns: Any, k: Integer) -> Vector:
 
 @inlined
 def pair3(columns: Any, k: Integer) -> tuple[Vector, Vector]:
-    """Two vectors in column k of an array `(6, N)`: position and normal of a pose, or optical axis and right
+    """The two vectors in column k of an array `(6, N)`, for example position and normal, or optical axis and right
     direction.
     """
     return (columns[0, k], columns[1, k], columns[2, k]), (columns[3, k], columns[4, k], columns[5, k])
@@ -68,7 +68,9 @@ def pair3(columns: Any, k: Integer) -> tuple[Vector, Vector]:
 
 @inlined
 def read3(numbers: Any, first: Integer, step: Integer) -> Vector:
-    """Vector of three numbers in an array `(N,)`, from index `first` on, `step` entries apart."""
+    """Read a vector from an array `(N,)`: its three numbers are `step` entries apart, and begin at the index
+    `first`.
+    """
     # Sums instead of a factor: an unsigned number times a constant is signed; numba tests signed indices for < 0.
     return numbers[first], numbers[first + step], numbers[first + step + step]
 
@@ -81,8 +83,8 @@ def write3(numbers: Any, first: Integer, step: Integer, a: Any) -> None:
 
 @inlined
 def read6(numbers: Any, first: Integer, step: Integer) -> Any:
-    """Entries xx, xy, xz, yy, yz, zz of a symmetric matrix in an array `(N,)`, from index `first` on, `step` entries
-    apart.
+    """Read a symmetric 3 x 3 matrix from an array `(N,)`: its entries xx, xy, xz, yy, yz, zz are `step` entries apart,
+    and begin at the index `first`.
     """
     a, b, c = read3(numbers, first, step)
     return a, b, c, *read3(numbers, first + step + step + step, step)
@@ -90,14 +92,14 @@ def read6(numbers: Any, first: Integer, step: Integer) -> Any:
 
 @inlined
 def symmetric3(m: Any, a: Vector) -> Vector:
-    """Product of a symmetric matrix, given by six numbers, and a vector."""
+    """Product of a symmetric 3 x 3 matrix `m`, given by six numbers (see `read6`), and a vector `a`."""
     xx, xy, xz, yy, yz, zz = m
     return dot3((xx, xy, xz), a), dot3((xy, yy, yz), a), dot3((xz, yz, zz), a)
 
 
 @inlined
 def adjugate3(m: Any) -> Any:
-    """Adjugate of a symmetric 3 x 3 matrix; the matrix and its adjugate are each given by six numbers."""
+    """Adjugate of a symmetric 3 x 3 matrix; the matrix and its adjugate are each given by six numbers, see `read6`."""
     xx, xy, xz, yy, yz, zz = m
     return (
         yy * zz - yz * yz,
