@@ -54,7 +54,7 @@ class AngleCells:
         return np.asarray((self.edges[:-1] + self.edges[1:]) / 2.0)
 
     def index(self, angle: FloatArray) -> IntArray:
-        """Index of the cell of each angle, `(S,)`."""
+        """For each of the angles `(S,)`, radians, index of the cell that contains it, `(S,)`."""
         offset = angle - self.low
         if self.circular:
             offset = np.mod(offset, self.high - self.low)
@@ -85,7 +85,7 @@ class Candidate:
     log_likelihood: float
     """Cross-validated mean log-likelihood per sample, computed with the probabilities of fine cells."""
     behind: float
-    """Largest log-likelihood of all candidates minus `log_likelihood`."""
+    """Amount by which `log_likelihood` is below that of the best candidate, at least 0."""
     standard_error: float
     """Standard error of `behind`, estimated from the paired differences of the samples' log-likelihoods."""
 
@@ -125,7 +125,7 @@ def kernel_density(index: tuple[IntArray, ...], axes: tuple[AngleCells, ...]) ->
     """Estimate a density with Gaussian kernels, wrapped on circular axes and reflected at the ends of other axes.
 
     Args:
-        index: cells of the samples on each axis, `(S,)` each.
+        index: index of each sample's cell, for each angle one array `(S,)`.
         axes: fine cells of one angle or of two angles.
 
     Returns:
@@ -188,7 +188,9 @@ def choose(angle: FloatArray, axis: AngleCells, families: Sequence[Family]) -> t
 
 
 def fixed_angle(angle: FloatArray, axis: AngleCells) -> float | None:
-    """Circular mean of samples, radians, if all samples lie within the width of a fine cell; otherwise None."""
+    """The angle, radians, at which samples are fixed: their circular mean if all lie within the width of a fine cell,
+    otherwise None.
+    """
     mean = float(circmean(angle, high=np.pi, low=-np.pi))
     return mean if np.ptp(circular_difference(angle, mean)) < axis.width else None
 
@@ -198,8 +200,8 @@ def _folds(count: int) -> list[IntArray]:
 
 
 def _log_likelihood(probability: FloatArray, count: float, index: IntArray) -> FloatArray:
-    """Log probabilities of the cells that contain held-out samples, `(S,)`; `probability` was fitted to `count`
-    samples.
+    """Logarithm of the probability of the cell that contains each held-out sample, `(S,)`. The cells have the indices
+    `index`; their `probability` was fitted to `count` other samples.
 
     The density is mixed with one additional uniform sample, so that the log probability of an outlier is finite.
     """
@@ -212,11 +214,11 @@ class Independence:
     """Outcome of `independence_test`."""
 
     statistic: float
-    """Pearson's chi-squared statistic of the table."""
+    """Pearson's chi-squared statistic of the contingency table of yaw and pitch bins."""
     p_value: float
     """P-value of the statistic."""
     table_shape: tuple[int, int]
-    """Numbers of bins of yaw and of pitch."""
+    """Number of yaw bins and number of pitch bins."""
     significance: float
     """Significance level of the test."""
 

@@ -44,15 +44,15 @@ class Marginal:
     """Samples, histogram and fit of one angle."""
 
     samples: FloatArray
-    """Samples, radians, `(S,)`."""
+    """Samples of the angle, radians, `(S,)`."""
     axis: AngleCells
-    """Fine cells."""
+    """Fine cells over which the angle's density is represented."""
     block: int
     """Number of fine cells in each cell of the orientation grid."""
     density: Density
-    """Chosen density; for a fixed angle, whose family is `fixed`, it has a single cell."""
+    """Density that was chosen for the angle; for a fixed angle, a density of the family `fixed` with a single cell."""
     candidates: tuple[Candidate, ...]
-    """Densities that were compared; empty for a fixed angle."""
+    """Fits of all families that were compared; empty for a fixed angle."""
 
     @property
     def is_fixed(self) -> bool:
@@ -104,8 +104,8 @@ class Marginal:
         }
 
     def described(self) -> str:
-        """Text with the chosen density, and for each other density the difference of its log-likelihood from the best
-        log-likelihood.
+        """Text with the chosen density, and for each candidate the amount by which its log-likelihood is below the best
+        one.
         """
         parameters = ", ".join(f"{key.replace('_', ' ')} {value:.3g}" for key, value in self.density.parameters.items())
         name = self.density.family.replace("_", " ") + (f" ({parameters})" if parameters else "")
@@ -124,9 +124,9 @@ class PdfEstimate:
     samples: Samples
     """Samples of the recording at random intervals."""
     yaw: Marginal
-    """Fit of the yaw."""
+    """Samples, histogram and fit of the yaw."""
     pitch: Marginal
-    """Fit of the pitch."""
+    """Samples, histogram and fit of the pitch."""
     independence: Independence | None
     """Outcome of the independence test; None if an angle is fixed."""
     joint: Density | None

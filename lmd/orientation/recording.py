@@ -236,8 +236,8 @@ class Samples:
 def sample_at_random_intervals(
     recording: OrientationRecording, mean_interval: float | None, rng: np.random.Generator
 ) -> Samples:
-    """Sample a recording at random intervals m / 2 + e, where m is the mean interval and e has an exponential
-    distribution with the mean m / 2.
+    """Draw samples from a recording at random intervals m / 2 + e. Here m is the mean interval, and e has an
+    exponential distribution with the mean m / 2.
 
     The fixed part m / 2 limits the correlation of neighbouring samples; the random part e avoids aliasing with periodic
     motion. Each record is thus drawn with a probability in proportion to its duration, even if the rate of the

@@ -33,15 +33,15 @@ class ActionQueue:
         self._queue.put(action)
 
     def next(self, seconds: float) -> Action | None:
-        """Wait for the next action; None if there is none within `seconds`."""
+        """Wait for the next action and return it; None if no action comes within `seconds`."""
         try:
             return self._queue.get(timeout=seconds)
         except Empty:
             return None
 
     def on(self, register: Callable[[Any], object], answer: Callable[[Any], None]) -> None:
-        """Append `answer` to the queue at each event of viser; `register` is viser's function that registers a
-        callback.
+        """Arrange that each event of viser appends `answer` to the queue; `register` is viser's function that registers
+        a callback for the event.
         """
         call_in_order(register, partial(self.put_answer, answer))
 

@@ -138,7 +138,7 @@ class Background:
         self._worker = Worker(self._work, lambda *failure: actions.put(partial(self._take_failure, *failure)))
 
     def announce(self) -> None:
-        """Show that metrics off the grid will follow."""
+        """Show in the panel, in place of the metrics off the grid, that these metrics will follow."""
         if self._seed is not None:
             self._panel.show_off_grid(TO_COME)
 

@@ -67,7 +67,9 @@ class Values:
 
 
 class _FieldValues:
-    """Values at the positions of one evaluator, updated by the objective's field (its incremental evaluator)."""
+    """Objective's values at the positions of one evaluator, which the objective's field (its incremental evaluator)
+    updates when tags move.
+    """
 
     def __init__(self, problem: Problem, evaluator: Evaluator, deployment: Deployment) -> None:
         self._objective, self._evaluator = problem.objective, evaluator
@@ -105,7 +107,9 @@ def _add_up(units, relevance, value):  # type: ignore[no-untyped-def]
 
 
 def candidate_cells(problem: Problem) -> Cells:
-    """Coarse grid of about `CANDIDATES` cells on the surfaces; one more tag may hang at the centre of any cell."""
+    """About `CANDIDATES` cells of a coarse grid on the surfaces; the centres of the cells are the candidate places for
+    one more tag.
+    """
     room = problem.scene.footprints.hanging
     surfaces = SurfaceArrays.of(room.surfaces())
     cells = wall_cells(room, math.sqrt(float(surfaces.area.sum()) / CANDIDATES))
@@ -118,7 +122,7 @@ def additions(
 ) -> FloatArray | None:
     """Gain by one more tag at each of N poses, in the objective's mean value over positions weighted by relevance.
 
-    Unlike the fitness, the mean value also ranks places where a tag lifts no position over a threshold.
+    Unlike the fitness, the mean value also tells apart places where a new tag lifts no position over the threshold.
 
     A landmark is added at a place where it is not visible, and is then moved from place to place
     (`lmd.incremental.field`). Occlusion by the moved landmark is taken into account (the move is settled), but no move

@@ -154,8 +154,8 @@ class RoomPicture:
         return np.where(papers > 0.0, papers / 2.0, POINT_SIZE * self._diagonal)
 
     def show_values(self, values: FloatArray, span: tuple[float, float]) -> None:
-        """Colour the positions by `values` `(P,)`; the ends of `span` are the values of the first and the last
-        colour.
+        """Colour the positions by the objective's `values` `(P,)`; `span` has the values that the first and the last
+        colour of the colour map represent.
         """
         low, high = span
         self.balls.batched_colors = mapped(VALUES, (values - low) / (high - low))
@@ -213,8 +213,8 @@ class Captions:
         del self._shown[len(ids) :]
 
     def _show_id(self, k: int, wanted: tuple[str, tuple[float, ...], bool, bool]) -> None:
-        """Update label k if its content differs from `wanted`; there may be hundreds of labels, and each update is sent
-        to all browsers.
+        """Update label k, but only if its content differs from `wanted`: there may be hundreds of labels, and each
+        update is sent to all browsers.
         """
         if k == len(self._ids):
             self._ids.append(self._scene.add_label(f"/ids/{k}", "", anchor="bottom-center", visible=False))

@@ -24,7 +24,7 @@ class Plan:
     """Tags, each pinned or free to be moved. A plan is immutable; every change returns a new plan."""
 
     deployment: Deployment
-    """Tags with their ids and surfaces; `of` numbers landmarks that have no ids."""
+    """Tags with their ids and surfaces; `Plan.of` gives ids to landmarks that have none."""
     pinned: frozenset[int] = frozenset()
     """Ids of tags that do not move."""
 
@@ -232,7 +232,9 @@ class TagSearch:
             self._done()
 
     def _note(self, optimiser: Optimiser) -> bool:
-        """Record the progress; the optimiser calls this method as its callback."""
+        """Record the progress of `optimiser`, which calls this method as its callback; return True to end the
+        search.
+        """
         ledger, before = optimiser.ledger, self.progress
         used = min(self._budget.used(ledger.evaluations, ledger.seconds), 1.0)
         if before is not None and ledger.best_fitness <= before.fitness:

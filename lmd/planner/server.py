@@ -125,7 +125,9 @@ class Planner:
             self._background.begin()
 
     def _point(self, event: Any) -> None:
-        """Record the place to which a tag is dragged, in viser's thread; only the last place matters."""
+        """Record the place to which the user has dragged a tag. The function runs in viser's thread; a later place
+        replaces an earlier one.
+        """
         if event.phase == "start":
             self._actions.put_answer(self._grab, event.instance_index)
         self._pointer = event

@@ -20,7 +20,7 @@ PATIENCE_SECONDS = 1.0  # maximum time to wait for the end of a stopped search, 
 
 
 class Posed(NamedTuple):
-    """Deployment together with its problem."""
+    """Deployment of a plan, together with the problem for which it is evaluated."""
 
     problem: Problem
     """Scene and objective."""
@@ -76,7 +76,7 @@ class PlanningSession:
         return self._values.metrics()
 
     def gains(self) -> dict[str, str]:
-        """Change of the fitness since the session began, as a text, keyed by its label."""
+        """Text about the change of the fitness since the session began, keyed by its label in the panel."""
         gained = self.metrics()["fitness"] - self._opened["fitness"]
         return {"since opened": f"{100.0 * gained:+.2f} points of fitness"}
 
@@ -98,7 +98,7 @@ class PlanningSession:
         self._become(self.plan.moved(self.problem.scene.footprints, number, surface, at), number)
 
     def drop(self) -> None:
-        """End the dragging of a tag."""
+        """End the dragging of a tag, so that the next move starts a new step for undo."""
         self._dragged = None
 
     def add(self, surface: int, at: FloatArray, edge: float | None = None) -> int:

@@ -155,7 +155,7 @@ GAINS = "magma"  # colour map of gains by one more tag
 
 
 def alike(colour: Rgb, count: int) -> Colours:
-    """One colour, repeated `count` times, `(count, 3)`."""
+    """Array `(count, 3)` that repeats the colour `colour` in each row."""
     return np.tile(np.array(colour, dtype=np.uint8), (count, 1))
 
 

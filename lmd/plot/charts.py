@@ -115,14 +115,16 @@ def _draw_median(axes: Any, at: FloatArray, curves: FloatArray, name: str, numbe
 
 
 class Searched(NamedTuple):
-    """Finished job of a sweep, for the figure of its groups."""
+    """Finished job of a sweep, as `save_groups_figure` plots it."""
 
     history: "Sequence[Record]"
     """Records of the job's search."""
     fitness: float
-    """Fitness of the result on the grid."""
+    """Fitness of the deployment that the job found, on the grid of positions."""
     off_grid: float | None
-    """Main metric (headline) of the result off the grid; None if the result was not validated."""
+    """Main metric (headline), off the grid, of the deployment that the job found; None if this metric was not
+    computed.
+    """
 
 
 def save_groups_figure(
@@ -190,9 +192,9 @@ class Panel(NamedTuple):
     label: str
     """Label of the vertical axis."""
     figure: str
-    """Column of the table of points with the plotted metric: a share off the grid."""
+    """Name of the column that has the plotted metric, a share off the grid, in the table of points."""
     on_grid: str | None = None
-    """Column with the share on the grid of positions that corresponds to `figure`; its curve is drawn in a faint
+    """Name of the column that has the metric of `figure` on the grid of positions; its curve is drawn in a faint
     colour. None for no such curve.
     """
     wanted: float | None = None
@@ -232,7 +234,7 @@ def save_tradeoff_figure(path: str | Path, points: "pd.DataFrame", panels: Seque
 
 
 def save_heat_map(path: str | Path, tables: "Mapping[str, pd.DataFrame]", title: str, label: str) -> None:
-    """Write a PNG of heat maps side by side, with the value in every cell.
+    """Write a PNG of heat maps side by side, one for each table; every cell shows its value as a number.
 
     Args:
         path: path of the PNG.
@@ -267,7 +269,8 @@ def save_landmark_count_figure(
     Args:
         ratios: one row per run with the columns `count` (K) and `qualified_ratio` (fraction); a line joins the medians
             of each K.
-        references: points (K, qualified ratio) from other sources that are drawn for comparison, keyed by name.
+        references: points (K, qualified ratio) that are drawn for comparison, such as published results, keyed by the
+            name of their source.
     """
     from matplotlib.ticker import PercentFormatter
 

@@ -54,8 +54,8 @@ def size_of(room: Space) -> FloatArray:
 
 
 def spacing_of(room: Space, positions: FloatArray) -> float:
-    """Median over the positions `(P, 3)` of the distance to the nearest other position, metres; the size of the room
-    for a single position.
+    """Typical distance between neighbouring positions, metres: the median of the distances from each of the `positions`
+    `(P, 3)` to the nearest other one. For a single position, the size of the room.
     """
     some = positions[:: max(1, len(positions) // SPACING_SAMPLE)]
     away = (np.linalg.norm(positions - one, axis=1) for one in some)
@@ -109,8 +109,8 @@ def dress(axes: Any, legend: bool = False, **settings: Any) -> None:
 
 
 def draw_band(axes: Any, x: Any, band: Any, label: str | None, mark: str = "", **style: Any) -> None:
-    """Draw a band `(3, N)`, whose rows are low, middle and high values: a line through the middle values, and a faint
-    area from the low to the high values.
+    """Draw a line through the middle values, and a faint area from the low to the high values; these are the rows low,
+    middle and high of `band` `(3, N)`.
     """
     low, middle, high = band
     axes.fill_between(x, low, high, color=style["color"], alpha=0.2, lw=0)
@@ -140,8 +140,8 @@ class Group(NamedTuple):
 
 
 def landmark_groups(count: int, fixed: int) -> list[Group]:
-    """Groups of `count` landmarks, without empty groups; the first `fixed` landmarks existed before the
-    optimisation.
+    """Groups into which `count` landmarks are divided for drawing: the first `fixed` landmarks, which existed before
+    the optimisation, and all others; empty groups are omitted.
     """
     hung = np.arange(count) < fixed
     if not fixed:
@@ -188,8 +188,8 @@ def draw_tags(axes: Any, deployment: Deployment, groups: Sequence[Group]) -> Non
 
 
 def series(number: int) -> dict[str, str]:
-    """Colour and line style of series `number`, counted from 0, in figures of several optimisers. There are ten
-    colours; the next ten series repeat the colours with another dash pattern.
+    """Colour and line style of the curve with the index `number`, from 0, in figures of several optimisers. There are
+    ten colours; the next ten curves repeat these colours with another dash pattern.
     """
     return {"color": f"C{number % HUES}", "linestyle": DASHES[number // HUES % len(DASHES)]}
 

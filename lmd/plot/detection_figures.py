@@ -69,7 +69,8 @@ def save_calibration_figure(path: str | Path, figures: pd.DataFrame, pitches: pd
 
 def save_limits_figure(path: str | Path, calibrations: Mapping[str, DetectorCalibration], title: str) -> None:
     """Write a PNG with two panels for each detector. The left panel shows which views of tags were detected, against
-    pitch and blur; the right panel shows the share of detected views against the ratio of the tag's size to its limit.
+    pitch and blur; the right panel shows the share of views in which the tag was detected, against the ratio of the
+    tag's size to the detector's limit.
 
     Args:
         path: path of the PNG.
@@ -105,7 +106,7 @@ def save_limits_figure(path: str | Path, calibrations: Mapping[str, DetectorCali
 
 
 def _middle(rows: pd.DataFrame) -> FloatArray:
-    """Geometric mean of the two bounds of each class of pitch, `(B,)`, pixels per module."""
+    """Geometric mean of the lower and the upper limit of each bin of pitches, `(B,)`, pixels per module."""
     low, high = (rows[name].to_numpy(np.float64) for name in ("pitch_from", "pitch_to"))
     low = np.where(low > 0.0, low, high / 1.5)
     return np.asarray(np.sqrt(low * np.where(np.isfinite(high), high, 1.5 * low)))

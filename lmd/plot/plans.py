@@ -143,8 +143,8 @@ def save_survey_figure(path: str | Path, survey: "Survey", room: Space | None, t
 
 
 def _draw_above(axes: Any, survey: "Survey", room: Space | None) -> None:
-    """Draw the tags from above, arrows from their planned to their measured places, uncertainty ellipses, and the ids
-    of unseen tags.
+    """Draw the tags from above, with uncertainty ellipses and, if there is a plan, with arrows from the planned to the
+    measured places. Planned tags that were not placed are marked at their planned places, with their ids.
     """
     from lmd.adjust.gauge import in_world
 
@@ -181,8 +181,8 @@ def _draw_above(axes: Any, survey: "Survey", room: Space | None) -> None:
 
 
 def edge_lines(tags: FloatArray, edges: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Ends of lines that show K tags from above: horizontal lines, as long as the tags are wide, through the tags'
-    centres. The x and the y coordinates are `(2, K)` each, metres.
+    """Ends of the lines that show K tags from above: the line of a tag is horizontal, goes through the tag's centre and
+    is as long as the tag is wide. Returns x and y coordinates, `(2, K)` each, metres.
     """
     half = edges[:, None] / 2.0 * tags[:, :2, 0]
     ends = np.stack([tags[:, :2, 3] - half, tags[:, :2, 3] + half])
@@ -268,8 +268,8 @@ def save_localised_figure(path: str | Path, result: "Localisation", room: Space 
 
 
 def _ways(result: "Localisation") -> list[tuple[str, str, FloatArray, FloatArray]]:
-    """Tuples of name, colour, poses and covariances: one for the poses from single images, and one for the smoothed
-    drive, if these exist.
+    """Tuples (name, colour, poses, covariances) of the paths to draw: one of the poses from single images, and one of
+    the smoothed poses of a drive, as far as they exist.
     """
     every = ("single images", SINGLE, result.found), ("smoothed", SMOOTHED, result.smoothed)
     return [(name, colour, one.poses.frames, one.frame_covariances) for name, colour, one in every if one is not None]

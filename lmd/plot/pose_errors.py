@@ -112,9 +112,9 @@ def save_uncertainty_figure(
     """Write a PNG of three panels about the uncertainty of the pose from single images.
 
     The first panel shows the room from above: for each cell of the floor, the share of views with an unambiguous pose,
-    and the heading of the camera for which this share is least. The second panel shows, also from above, the median
-    over the views with an unambiguous pose of the standard deviation of the position per axis. The third panel plots
-    this deviation against the mean distance of the tags, with the fitted law.
+    and the heading of the camera for which this share is least. The second panel shows, also from above, the standard
+    deviation of the position per axis: its median over the views with an unambiguous pose. The third panel plots this
+    deviation against the mean distance of the tags, with the fitted law.
 
     Args:
         path: path of the PNG.
@@ -142,8 +142,8 @@ def save_uncertainty_figure(
 
 
 def _cells(places: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Nearly square cells of the floor: the cells' bounds along x and along y, and for each place `(V, 2)` the index of
-    its cell; cells are counted along x first.
+    """Divide the floor into nearly square cells. Returns the bounds of the cells along x and along y, and the index of
+    the cell of each place `(V, 2)`; the index increases along x first.
     """
     low, high = places.min(axis=0), np.maximum(places.max(axis=0), places.min(axis=0) + 1e-3)
     counts = np.maximum(np.rint(CELLS * (high - low) / (high - low).max()).astype(int), 1)
@@ -173,7 +173,9 @@ def _draw_shares(axes: Any, views: Any, x: FloatArray, y: FloatArray, cell: IntA
 
 
 def _shares(cell: IntArray, hit: Any, count: int) -> FloatArray:
-    """Share of the views in each of `count` cells for which `hit` is True; NaN in cells with few views."""
+    """For each of `count` cells, the share of its views with a True entry of `hit`; NaN for cells with few views.
+    `cell` has the index of each view's cell.
+    """
     number, hits = np.bincount(cell, minlength=count), np.bincount(cell, hit.astype(float), count)
     return np.where(number >= LEAST_IN_CELL, hits / np.maximum(number, 1), np.nan)
 

@@ -206,7 +206,7 @@ def _draw_balls(axes: Any, room: Space, positions: FloatArray, **colours: Any) -
 
 
 def _faces(is_qualified: BoolArray) -> Any:
-    """Colours `(P, 4)` of balls at qualified and unqualified positions `(P,)`."""
+    """Colours `(P, 4)` of the balls at P positions; `is_qualified` `(P,)` is the mask of the qualified ones."""
     from matplotlib.colors import to_rgba_array
 
     colours = np.where(is_qualified, common.QUALIFIED, common.UNQUALIFIED)

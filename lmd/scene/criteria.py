@@ -49,15 +49,18 @@ class SightModel(Protocol):
 
     @property
     def inset(self) -> float:
-        """Angle from the border of the field of view that makes a landmark `well in view`, rad.
+        """Least angle, rad, between a landmark's direction and the border of the field of view with which the landmark
+        is *well in view*.
 
-        A landmark is covered if its direction is `in_view` by this angle, and its depth is between `low` and `sure` of
-        `from_position`.
+        A landmark that is well in view is covered if its depth is between `low` and `sure` of `from_position`;
+        `in_view` tests the angle.
         """
 
     @property
     def reach(self) -> float:
-        """Squared distance beyond which a landmark cannot block a line of sight, m^2; negative if none can block."""
+        """Square of the distance from a line of sight beyond which a landmark cannot block the line, m^2; negative if
+        no landmark can block it.
+        """
 
     @property
     def horizon(self) -> float:
@@ -75,8 +78,8 @@ class SightModel(Protocol):
         """Model of sight without occlusion of one landmark by another."""
 
     def among(self, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray) -> "SightModel":
-        """Model of sight for given landmarks: `unhidden` if a conservative test excludes occlusion, otherwise the model
-        itself.
+        """Model of sight for given landmarks: the result of `unhidden` if a conservative test finds that no landmark
+        can hide another, otherwise the model itself.
 
         Args:
             low, high: corners of a box around all positions of the camera, `(3,)`, metres.
@@ -194,7 +197,7 @@ def from_around(sight: Any, offset: Vector, normal: Vector, radius: float) -> An
 
 @dispatched
 def in_image(sight: Any, offset: Vector, normal: Vector, low: float, slack: float, axis: Vector, right: Vector) -> Any:
-    """True if an orientation covers a landmark that is `reached`; occlusion is ignored.
+    """True if an orientation covers a landmark that passed the test `reached` of `from_position`; occlusion is ignored.
 
     Args:
         offset, normal, slack: as in `from_position`.
@@ -249,8 +252,8 @@ def hide_between(sight: Any, other: Any, a: Vector, aa: float, b: Vector, bb: fl
 
 @inlined
 def covers(sight: Any, offset: Vector, normal: Vector, low: float, slack: float, axes: FloatArray, a: Integer) -> Any:
-    """Result of `in_image` for orientation a of `axes` `(6, D)`; rows 0 to 2 are the optical axis, rows 3 to 5 the
-    image's right.
+    """Result of `in_image` for orientation a, column a of `axes` `(6, D)`: rows 0 to 2 are its optical axis, rows 3 to
+    5 its image's right.
     """
     axis, right = pair3(axes, a)
     return in_image(sight, offset, normal, low, slack, axis, right)
@@ -264,13 +267,14 @@ def frame_of(sight: Any, normal: Vector) -> Any:
 
 @overridable
 def covers_one(sight: Any, offset: Vector, frame: Any, depths: Vector, well: Any, axes: FloatArray, a: Integer) -> Any:
-    """Version of `covers` without slack; a model with an expensive test may register a version with early exits.
+    """Result of `covers` with a slack of 0. A model with an expensive test may register a function of its own that
+    returns early.
 
     Args:
         offset: as in `from_position`.
         frame: result of `frame_of`.
         depths: results `low`, `high` and `sure` of `from_position`.
-        well: True if orientation a has the landmark well in view, see `SightModel.inset`.
+        well: True if the landmark is well in view at orientation a, see `SightModel.inset`.
         axes, a: as in `covers`.
     """
     return covers(sight, offset, frame, depths[0], 0.0, axes, a)
@@ -278,7 +282,8 @@ def covers_one(sight: Any, offset: Vector, frame: Any, depths: Vector, well: Any
 
 @overridable
 def pixel_density(sight: Any, offset: Vector, axes: FloatArray, a: Integer) -> Any:
-    """Image area per solid angle, in the direction of a landmark that orientation a covers, divided by distance^3.
+    """Image area per solid angle in the direction of a landmark, divided by distance^3, for a camera with orientation
+    a, which must cover the landmark.
 
     The unit is squared focal lengths per steradian and cubic metre. For a pinhole the result is 1 / depth^3.
     """

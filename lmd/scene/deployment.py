@@ -94,8 +94,8 @@ class Deployment:
         return np.arange(len(self)) if self.labels is None else self.labels.ids
 
     def put(self, chosen: slice | IntArray, there: "Deployment") -> "Deployment":
-        """Copy of the deployment in which the landmarks `chosen` have the poses of the landmarks of `there`, in
-        order.
+        """Copy of the deployment in which the landmarks `chosen` have the poses of the landmarks of the deployment
+        `there`, in the order of both.
         """
         parts = {name: getattr(self, name).copy() for name in POSE_FIELDS}
         for name, values in parts.items():
@@ -192,8 +192,8 @@ class Deployment:
         return np.where(self.surfaces < 0, room.surface_near(self.positions, self.normals), self.surfaces)
 
     def before(self, room: Space) -> "Deployment":
-        """Copy of the deployment in which every landmark has a surface: the surface in `belonging`, else the nearest
-        surface.
+        """Copy of the deployment in which every landmark has a surface: the surface that `belonging` finds, else the
+        nearest surface.
         """
         own = self.belonging(room)
         if own is self.surfaces:
@@ -203,7 +203,7 @@ class Deployment:
         return replace(self, surfaces=own)
 
     def _distance(self, room: Space) -> FloatArray:
-        """Distances between the surfaces of `room` and the landmarks, metres, `(W, K)`."""
+        """Distance from each of the W surfaces of `room` to each landmark, metres, `(W, K)`."""
         return np.array([surface.distance(self.positions) for surface in room.surfaces()])
 
     def movable(self, room: Space, flush: bool = True) -> "Deployment":
@@ -215,8 +215,8 @@ class Deployment:
             flush: True if landmarks must be parallel to their surfaces.
 
         Raises:
-            InputError: a landmark is on no surface, outside the allowed region, faces into its surface, or is not
-                flush.
+            InputError: a landmark is on no surface, is outside the allowed region, faces into its surface, or, with
+                `flush`, is not parallel to its surface.
         """
         hung = self.with_surfaces(room)
         if fault := hung.fault(room):

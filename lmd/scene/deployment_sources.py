@@ -23,7 +23,7 @@ class DeploymentSource(Protocol):
 
     @property
     def varies(self) -> bool:
-        """True if draws are random."""
+        """True if two draws may differ, as they are random."""
 
     def draw(self, room: Space, rng: np.random.Generator, tag: Tag = POINT) -> Deployment:
         """Draw a deployment in `room`; each landmark stores the index of its surface.

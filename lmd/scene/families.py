@@ -28,7 +28,8 @@ class Family:
         dictionary: name of the dictionary in `cv2.aruco`; None if OpenCV lacks the family.
         apriltag: name in the AprilTag library; None if the library lacks the family.
         around: width of the border (ring and data) outside the detected square, modules.
-        square: words for the detected square in texts; the edge length of this square is the edge length of a tag.
+        square: phrase by which messages name the detected square, such as `black square`; the edge length of a tag is
+            the edge length of this square.
     """
 
     modules: int

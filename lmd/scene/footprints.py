@@ -84,7 +84,7 @@ class Footprints:
 
     @cached_property
     def hanging(self) -> Space:
-        """Room whose surfaces are the regions where centres of the smallest tags are allowed.
+        """Room whose surfaces are reduced to the places where centres of the smallest tags are allowed.
 
         Raises:
             InputError: a surface is narrower than a footprint.
@@ -92,8 +92,8 @@ class Footprints:
         return self.inset(self.edge)
 
     def inset(self, paper: float) -> Space:
-        """Room whose surfaces are the regions where centres of footprints with the edge length `paper`, metres, are
-        allowed.
+        """Room whose surfaces are reduced to the places where centres of footprints with the edge length `paper`,
+        metres, are allowed.
         """
         if not paper:
             return self.room
@@ -105,8 +105,8 @@ class Footprints:
         return SurfaceArrays.of(self.hanging.surfaces())
 
     def surfaces_of(self, paper: float) -> SurfaceArrays:
-        """Surfaces with the allowed centres of footprints with the edge length `paper`, metres; coordinates are those
-        of the surfaces of `hanging`.
+        """Surfaces whose allowed regions are the allowed centres of footprints with the edge length `paper`, metres.
+        The coordinates (a, b) are those of the surfaces of `hanging`.
 
         Raises:
             InputError: a surface is narrower than a footprint.
@@ -305,7 +305,9 @@ class Footprints:
         return positions, normals, surfaces, fits
 
     def touched(self, poses: Deployment, pose: Deployment) -> BoolArray:
-        """Mask of the N landmarks `poses` whose footprints overlap the footprint of the landmark `pose`, `(N,)`."""
+        """Mask `(N,)` of those of the N landmarks `poses` whose footprints overlap the footprint of the single landmark
+        `pose`.
+        """
         s, surface = self._surfaces, poses.surfaces
         away = s.coordinates(surface, poses.positions) - s.coordinates(surface, pose.positions)
         near = np.abs(away).max(axis=1) < (self.papers(poses) + self.papers(pose)) / 2.0 * (1.0 - TOUCHING)
@@ -323,5 +325,5 @@ def as_they_are(source: DeploymentSource) -> bool:
 
 
 def _named(papers: FloatArray) -> str:
-    """Distinct edge lengths of footprints, metres, as text for messages."""
+    """Text for messages with the distinct edge lengths among the footprints `papers`, metres."""
     return " and ".join(f"{paper:.4g}" for paper in np.unique(papers))

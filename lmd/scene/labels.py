@@ -1,5 +1,5 @@
-"""Data about the landmarks of a file that is kept from input to output: ids, further columns, edge lengths, and
-measured positions.
+"""Data about landmarks that is read from a file and written again to the output: ids, further columns, edge lengths,
+and measured positions.
 """
 
 from collections.abc import Mapping, Sequence
@@ -143,11 +143,15 @@ class Surveyed:
         return Surveyed(self.positions[chosen], self.places[chosen], self.ups[chosen])
 
     def places_of(self, positions: FloatArray) -> FloatArray:
-        """Measured positions of landmarks at `positions`, `(K, 3)` each, metres; for moved landmarks, `positions`."""
+        """Measured position of each landmark that has not been moved; for a moved landmark, its present position.
+        Result and present `positions` are `(K, 3)`, metres.
+        """
         return np.where(self._stays(positions), self.places, positions)
 
     def ups_of(self, positions: FloatArray, upright: FloatArray) -> FloatArray:
-        """Measured up vectors of landmarks at `positions`, `(K, 3)` each; for moved landmarks, `upright`."""
+        """Measured up vector of each landmark that has not been moved, `(K, 3)`; for a moved landmark, its entry of
+        `upright` `(K, 3)`. `positions` `(K, 3)` are the present positions, metres.
+        """
         return np.where(self._stays(positions), self.ups, upright)
 
     def _stays(self, positions: FloatArray) -> BoolArray:

@@ -104,7 +104,9 @@ class OrientationPdf:
         return self._distinct(6)
 
     def _distinct(self, size: int) -> Orientations:
-        """Orientations that are distinct in the first `size` of the six coordinates of axis and right."""
+        """Orientations of the PDF, of which those with equal first `size` coordinates are merged; the six coordinates
+        are the optical axis, then the image's right.
+        """
         # `optical_axis` and the last row of `rotation` may differ in the last bits; results depend on the former.
         right = rotation(self.yaw, self.pitch, self.roll)[:, 0]
         axes = np.hstack([optical_axis(self.yaw, self.pitch), right])
@@ -167,7 +169,7 @@ class OrientationPdf:
         return self.yaw[drawn], self.pitch[drawn], np.asarray(self.roll)[drawn]
 
     def _draw_roll(self, size: int, rng: np.random.Generator) -> FloatArray:
-        """Draw rolls, `(size,)`."""
+        """Draw `size` rolls, radians, `(size,)`."""
         roll = np.asarray(self.roll)
         return rng.choice(roll, size, p=self.weight) if np.ptp(roll) > 0.0 else np.full(size, roll[0])
 

@@ -26,8 +26,8 @@ def _blocked(k, a, b, s, surface, at, edge, beside):  # type: ignore[no-untyped-
     """Ends of the interval around b in which footprint k fits nowhere: not at any place (a, q) of surface s with q in
     the interval. The interval is empty if the footprint fits at (a, b).
 
-    The interval is shorter, by a rounding error, than the interval that footprints 0 to k - 1 block. `beside` `(2, K)`
-    is working memory.
+    For safety against rounding, the interval is slightly shorter than the one that footprints 0 to k - 1 block.
+    `beside` `(2, K)` is working memory.
     """
     low, high, count, grows = b, b, 0, True
     for j in range(k):
@@ -95,7 +95,7 @@ def push(fixed, surface, at, pieces, first, of, edge, moved):  # type: ignore[no
             W + 1)`.
         of: size index of each footprint, `(K,)`.
         edge: edge lengths of the footprints, metres, `(K,)`.
-        moved: mask of the moved footprints, `(K,)`; written.
+        moved: receives True for each footprint that is moved, `(K,)`.
     """
     lines, beside = np.empty((2, 2 * len(at) + 4 * len(pieces) + 1)), np.empty((2, len(at)))
     found, count = np.empty(2), first.shape[1] - 1

@@ -47,7 +47,7 @@ def pdf_by_position(
     """Estimate w_a(p), the probability of orientation a at position p, from recorded poses by kernel smoothing.
 
     Args:
-        poses: X of T records, camera to world, `(T, 4, 4)`.
+        poses: pose matrix of each of T records, from the camera frame to the world, `(T, 4, 4)`.
         seconds: duration tau_t of each record, `(T,)`.
         bandwidth: bandwidth h of the kernel in position, metres.
         direction_bandwidth: bandwidth g of the kernel in direction, radians.
@@ -72,7 +72,9 @@ def pdf_by_position(
 
 
 def _grid(poses: FloatArray, divisions: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Grid of yaw, pitch (with the poles) and recorded rolls, and the cells' relative solid angles, `(A,)` each."""
+    """Grid of orientations: yaw, pitch (the poles included), roll (only those recorded), and relative solid angle of
+    the cell, `(A,)` each.
+    """
     step = np.pi / divisions
     *_, rolled = angles_of(np.swapaxes(poses[:, :3, :3], 1, 2))
     rolls = np.unique(np.rint(rolled / step) % (2 * divisions)) * step
@@ -87,7 +89,7 @@ def _spread(poses: FloatArray, orientations: FloatArray, solid_angle: FloatArray
     `(T, A)`.
 
     Args:
-        poses: X, camera to world, `(T, 4, 4)`.
+        poses: pose matrix of each record, from the camera frame to the world, `(T, 4, 4)`.
         orientations: rotations from the world to the camera, `(A, 3, 3)`.
         solid_angle: solid angle A_a of each orientation's cell, `(A,)`.
         width: bandwidth g in direction, radians.
@@ -109,7 +111,7 @@ def _spread(poses: FloatArray, orientations: FloatArray, solid_angle: FloatArray
 
 
 class _Kernels:
-    """Kernel estimate w_a(p) of the PDF at a position.
+    """Estimate w_a(p) of the orientation PDF at a position p, by kernels around the records.
 
     Args:
         positions: position x_t of each record, `(T, 3)`, metres.
@@ -150,7 +152,7 @@ class Records:
     """R recorded poses, each valid until the next pose.
 
     Args:
-        poses: X, camera to world, `(R, 4, 4)`.
+        poses: pose matrix of each record, from the camera frame to the world, `(R, 4, 4)`.
         seconds: duration of each pose, seconds, `(R,)`.
         block: index of each pose's block of time, `(R,)`.
     """
@@ -173,7 +175,8 @@ class RecordedPoses(Checked):
 
     Args:
         trajectory: trajectory of the camera in the room.
-        spacing: edge length of the cells, each of which gives one position, metres: one number or one per axis.
+        spacing: edge length, metres, of the cells into which space is divided: one number or one per axis. Each visited
+            cell gives one position.
         bandwidth: bandwidth of the kernel in position, metres.
         direction_bandwidth: bandwidth of the kernel in direction, degrees.
         divisions: the step of the orientation grid is 180 degrees / divisions.
@@ -206,7 +209,7 @@ class RecordedPoses(Checked):
 
     @cached_property
     def records(self) -> Records:
-        """All records; the last pose of the trajectory only marks the end of the last record."""
+        """All records of the trajectory. Its last pose is not a record: it only marks the end of the last record."""
         time = self.trajectory.time
         block = np.floor((time[:-1] - time[0]) / self.block).astype(np.int64)
         return Records(self.trajectory.poses[:-1], np.diff(time), block)

@@ -111,7 +111,8 @@ class Rig:
 
     @cached_property
     def extrinsics(self) -> FloatArray:
-        """Poses of the cameras in the body's frame, `(C, 4, 4)`; all frames have x right, y down, z ahead.
+        """Poses of the cameras relative to the body, `(C, 4, 4)`; here the frames of body and cameras have x right, y
+        down, z ahead.
 
         If X is the pose of the body in this convention (`lmd.geometry.se3.camera_pose`), X extrinsics[c] is the pose of
         camera c.

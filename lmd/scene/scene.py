@@ -36,7 +36,8 @@ class Scene:
         pdf: orientation PDF.
         visibility: criteria for the coverage of a landmark.
         tag: tag at each landmark; by default the tag of the visibility model, or a point.
-        recorded: recording from which room and PDF are derived, with its held-out poses; None without a recording.
+        recorded: recording from which `room` and `pdf` are derived, together with the poses that are held out for
+            validation; None without a recording.
         edges: edge length of each landmark in the order of the deployment, or one length for all, metres, see `sized`;
             None for the edge length of `tag`.
         crowd: states of people and other robots that hide landmarks; None without a crowd.
@@ -164,7 +165,7 @@ class Scene:
             yield Station(self.cameras[0], np.zeros(3), np.arange(len(axes)), axes)
 
     def check_inside(self, positions: FloatArray) -> None:
-        """Raise `InputError` if a camera of a rig is outside the room for a possible pose of the body.
+        """Raise `InputError` if a possible pose of the body would put a camera of the rig outside the room.
 
         The function checks `positions` `(P, 3)` of the body and `SAMPLED_POSITIONS` random positions, each with all
         orientations that have a positive probability at that position.

@@ -154,7 +154,9 @@ class Tag(Checked):
 
     @property
     def square(self) -> str:
-        """Words for the square whose edge length is the edge length of the tag, for texts."""
+        """Phrase, such as `black square`, by which messages name the detected square of the tag, whose edge length is
+        `size`.
+        """
         return self.in_family.square
 
     @property
@@ -185,8 +187,8 @@ class Tag(Checked):
 
     @property
     def picture_share(self) -> float:
-        """Edge length of the whole picture divided by the edge length of the tag, M / N; 1 if there is no data around
-        the detected square.
+        """Ratio M / N of the edge length of the whole picture, M modules, to the edge length of the tag, N modules; 1
+        if there is no data around the detected square.
         """
         return self.in_family.picture_modules / self.modules
 
@@ -197,12 +199,16 @@ class Tag(Checked):
 
     @property
     def paper_modules(self) -> float:
-        """Edge length of the paper with its quiet zone, M + 2 q, modules."""
+        """Edge length of the paper in modules, M + 2 q: M of the whole picture, and q of the quiet zone on each
+        side.
+        """
         return self.in_family.picture_modules + 2.0 * self.quiet_zone
 
     @property
     def paper_share(self) -> float:
-        """Edge length of the paper divided by the edge length of the tag, (M + 2 q) / N."""
+        """Ratio (M + 2 q) / N of the edge length of the paper to the edge length of the tag, N modules; for M and q see
+        `paper_modules`.
+        """
         return self.picture_share + 2.0 * self.quiet_zone / self.modules
 
     @property

@@ -1,8 +1,8 @@
 """Crowd between a camera and a landmark, in compiled code: the obstacles of a room and the cylinders of a crowd state.
 
 A landmark is blocked if an obstacle of the room or a cylinder intersects the line of sight to a required point
-(`lmd.sight.obstacles`). The decisions repeat the operations of `lmd.space.crowd`. Each position of an evaluator has one
-crowd state, so the position is repeated for each state.
+(`lmd.sight.obstacles`). The decisions repeat the operations of `lmd.space.crowd`. An evaluator has one crowd state at
+each of its positions. With several states, each camera position is therefore listed once for each state.
 
 The line to the centre excludes most cylinders: the lines to the other points stay within half the diagonal of the
 square from the line to the centre.
@@ -47,16 +47,20 @@ class CrowdObstacles(NamedTuple):
     positions: np.ndarray
     """`(P, 3)` positions, metres."""
     people: np.ndarray
-    """`(P, N, 5)` cylinders at each position; omitted cylinders come last. Columns as in `lmd.space.crowd`."""
+    """`(P, N, 5)` cylinders for each position, columns as in `lmd.space.crowd.CrowdStates.people`. Cylinders that are
+    too close to the camera are ignored; they come last.
+    """
     standing: np.ndarray
-    """`(P,)` number of cylinders at each position that are not omitted."""
+    """`(P,)` for each position, number of cylinders that are not ignored; these come first in `people`."""
 
 
 class CrowdEnds(NamedTuple):
     """Required points of K landmarks: points that must be visible from the camera."""
 
     room: np.ndarray
-    """Array `ends` of the room's obstacles, see `lmd.sight.obstacles.find_ends`."""
+    """Required points of the landmarks, prepared for the test of the room's obstacles: the array `ends` of
+    `lmd.sight.obstacles.find_ends`.
+    """
     points: np.ndarray
     """`(K, 5, 3)` centre and corners, metres."""
 

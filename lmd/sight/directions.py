@@ -144,8 +144,9 @@ def fill_tables(
 
 
 def height_index(heights: FloatArray) -> np.ndarray:
-    """For each of the equal bins into which the heights (z coordinates) from -1 to 1 are divided, index of the first
-    axis whose height is at least the bin's lower limit, less a margin, `(HEIGHT_BINS + 2,)`.
+    """Index of the first axis of each bin of height, `(HEIGHT_BINS + 2,)`. The bins divide the heights (z coordinates)
+    from -1 to 1 equally; the first axis of a bin is the lowest axis whose height is at least the bin's lower limit,
+    less a margin.
 
     Args:
         heights: z coordinates of the axes in ascending order, `(D,)`.
@@ -156,14 +157,15 @@ def height_index(heights: FloatArray) -> np.ndarray:
 
 @inlined
 def band_of(offset: Vector, low: Any, slack: Any) -> Any:
-    """Bins of height (z coordinate) with the axes along which a landmark at an offset may have a depth of at least
-    `low`.
+    """Range of bins of height (z coordinate) that contain all axes along which a landmark has a depth of at least
+    `low`, metres. `offset` is the landmark's offset from the camera, metres.
 
-    These axes lie in a cone around the direction of the landmark. With a positive `slack` (metres) the bins are valid
-    for all landmarks within this distance of the offset. The function has no branches, so that loops over it vectorise.
+    These axes lie in a cone around the direction of the landmark. With a positive `slack` (metres), the bins are valid
+    for all landmarks that are at most `slack` away from the one at `offset`. The function has no branches, so that
+    loops over it vectorise.
 
     Returns:
-        the first and the last bin, indices of `height_index`.
+        the first and the last bin, as indices into the result of `height_index`.
     """
     distance = np.sqrt(dot3(offset, offset))
     height, cosine = offset[2] / distance, min(max(low / distance, -1.0), 1.0)

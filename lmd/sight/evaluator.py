@@ -92,8 +92,8 @@ class Evaluator:
             self.sight, self.obstacles = scene.sight, obstacles_of(scene, self.positions, states)
 
     def sized(self, edges: FloatArray) -> "Evaluator":
-        """Evaluator for tags with the given edge lengths, `(K,)` metres, see `Scene.sized`; recent evaluators are
-        cached.
+        """Evaluator of the scene for tags with the given edge lengths, `(K,)`, metres, see `Scene.sized`; recent
+        evaluators are cached.
         """
         scene = self.scene.sized(edges)
         if scene is self.scene:
@@ -148,8 +148,8 @@ class Evaluator:
         check_views(each, len(self.positions), self.axes.shape[1])
 
     def by_place(self, weight: FloatArray, *values: FloatArray) -> tuple[FloatArray, ...]:
-        """Join the S crowd states of each camera position in one row: probabilities `(1, D)` or `(P, D)` and values
-        `(P, D)` become `(P / S, S D)`. Without a crowd, nothing changes.
+        """Put the values of all S crowd states of a camera position into one row: probabilities `(1, D)` or `(P, D)`
+        and values `(P, D)` become `(P / S, S D)`. Without a crowd, nothing changes.
         """
         if self.scene.crowd is None:
             return weight, *values

@@ -35,16 +35,16 @@ PROBABILITY_ONE = 1 << 52
 
 @inlined
 def weights_row(weights: Any, p: Integer) -> Any:
-    """Row of `weights` for position p: row 0 if all positions share a PDF `(1, D)`, row p if each position has its own
-    PDF `(P, D)`.
+    """Row of `weights` for position p: row 0 of `(1, D)` weights, which all positions share, or row p of `(P, D)`
+    weights.
     """
     return np.uint64(p) if len(weights) > 1 else np.uint64(0)
 
 
 @inner
 def sum_weights(before: Any, after: Any, weights: Any, p: Integer, w: Integer) -> Any:
-    """Change of the quantised probability at position p when word w of a set of axes changes from `before` to
-    `after`.
+    """Change of a quantised probability, that of a set of axes at position p, when word w of the set changes from
+    `before` to `after`.
     """
     change, left, row = np.int64(0), before ^ after, weights_row(weights, p)
     while left:
@@ -57,8 +57,8 @@ def sum_weights(before: Any, after: Any, weights: Any, p: Integer, w: Integer) -
 
 @inlined
 def count_set(at_least: WordArray, w: Integer, visible: Any) -> None:
-    """Add one to the counts of the orientations in the set `visible`, bits of word w; bits of `at_least[j]`, shape `(n,
-    W)`, mark the orientations that were counted more than j times.
+    """Add one to the count of each orientation in the set `visible` (bits of word w). The counts are stored as bit
+    sets, `at_least` `(n, W)`: set j has the orientations that were counted more than j times.
     """
     for j in range(len(at_least) - 1, 0, -1):
         at_least[j, w] |= at_least[j - 1, w] & visible

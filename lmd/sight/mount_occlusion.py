@@ -60,15 +60,17 @@ def may_hide_around(a: Vector, b: Vector, radius: float, width: float) -> Any:
 
 @inlined
 def hiding_bound(longest: float, apart: float, radius: float, width: float) -> Any:
-    """Upper bound on |a x b|^2 for `may_hide_around`, m^4; `longest` is max(|a|, |b|), `apart` is |b - a|."""
+    """Upper bound, m^4, on |a x b|^2 of two landmarks of which one hides the other, see `may_hide_around`; `longest` is
+    max(|a|, |b|), `apart` is |b - a|.
+    """
     room = (width * (longest + radius) + radius * apart) * (1.0 + SINGLE_ERROR) + SINGLE_ERROR
     return room * room
 
 
 @inlined
 def _may_occlude(j: Integer, k: Integer, mine: Any, view: Any) -> Any:
-    """False only if landmark j does not hide landmark k from any camera within the radius around the centre (`radius`
-    of `find_suspects`). The computation is in float32; the result is True for j = k.
+    """False only if landmark j hides landmark k from no camera whose distance from the centre is at most the radius
+    (`radius` of `find_suspects`). The computation is in float32; the result is True for j = k.
 
     If a position is within the radius of the centre, the direction of a landmark at the distance d turns by at most
     asin(radius / d). The landmark hides other landmarks within asin(width / (d - radius)) of its direction. So the sine
@@ -106,8 +108,8 @@ def find_suspects(k: Integer, view: Any, count: Integer, radius: float, close: A
 def list_occluders(
     k: Integer, view: Any, radius: float, width: float, close: Any, blocks: Integer, occluders: np.ndarray
 ) -> Any:
-    """Write the landmarks of `close` that pass `may_hide_around` to `occluders`, and return the number of these
-    landmarks.
+    """Write to `occluders` those landmarks of the set `close` (from `find_suspects`) that may hide landmark k by the
+    test `may_hide_around`. Return the number of these landmarks.
     """
     x, y, z, kept = view.x, view.y, view.z, 0
     for b in range(blocks):

@@ -52,13 +52,15 @@ class MountGroup(NamedTuple):
     radius: np.ndarray
     """`(C,)` upper bound on the distance between each centre and the cameras around the centre, metres."""
     mounts: np.ndarray
-    """Mounts `mounts[c]` to `mounts[c + 1] - 1` belong to centre c, `(C + 1,)`."""
+    """`(C + 1,)` first mount of each centre: mounts `mounts[c]` to `mounts[c + 1] - 1` belong to centre c."""
     offsets: np.ndarray
     """`(M, 3, 64 W)` offset of each camera from the body's origin for each orientation, world frame, metres."""
     axes: np.ndarray
     """`(M, 6, 64 W)` optical axis and image's right of each camera, unit vectors, world frame."""
     depths: np.ndarray
-    """`(M, 64 W)` coordinate of each camera along its optical axis, relative to its centre, metres."""
+    """`(M, 64 W)` for each camera and orientation: coordinate of the camera along its optical axis, measured from the
+    centre to which its mount belongs, metres.
+    """
     places: np.ndarray
     """`(G, 3)` distinct offsets among `offsets`, metres."""
     place: np.ndarray
@@ -142,8 +144,8 @@ def _all_of(size: int, words: int) -> np.ndarray:
 
 
 def _shift_at(level: int, shift: FloatArray, radius: float) -> tuple[FloatArray, float, float]:
-    """Argument `shift` of `fill_tables` for landmarks at a distance of 2^(level + 1) to 2^(level + 2) times `radius`;
-    the last level has no upper limit.
+    """Argument `shift` of `fill_tables` for one range of distances of the landmark: from 2^(level + 1) to 2^(level + 2)
+    times `radius`; the last level has no upper limit.
     """
     if radius == 0.0:
         return 0.0 * shift, 0.0, 0.0
@@ -173,7 +175,9 @@ def bounds_from(group: Any, c: Integer, k: Integer, offset: Vector, normal: Vect
 
 @inlined
 def table_row(group: Any, c: Integer, offset: Vector) -> Any:
-    """Index of the tables' row for an offset from centre c, metres; the row is prefetched."""
+    """Index of the row of `MountGroup.tables` for a landmark at `offset` (metres) from centre c; the row is prefetched
+    into the processor's cache.
+    """
     levels, level, squared = (len(group.tables) - FIRST) // CELLS, -1, dot3(offset, offset)
     for i in range(LEVELS):
         level += squared >= group.radius[c] * group.radius[c] * 4.0 ** (i + 1)
@@ -186,8 +190,8 @@ def table_row(group: Any, c: Integer, offset: Vector) -> Any:
 def split_by_certainty(
     group: Any, m: Integer, w: Integer, asked: Any, words: Integer, offset: Vector, bounds: Vector, row: Integer
 ) -> Any:
-    """Use the bounds to split a set of orientations: orientations with which mount m certainly covers a landmark, and
-    orientations that need the exact test.
+    """Split a set of orientations by the bounds into those with which mount m certainly covers a landmark, those that
+    need the exact test, and those with which it does not cover the landmark.
 
     Args:
         asked: orientations to split, bits of word w.
@@ -197,7 +201,7 @@ def split_by_certainty(
         row: result of `table_row`.
 
     Returns:
-        two sets: certain and undecided orientations; the other orientations in `asked` do not cover the landmark.
+        two sets of bits: the certain orientations, and those that need the exact test.
     """
     most, start, sure = bounds
     at, half = np.uint64(m) * words + w, np.uint64(group.tables.shape[1] // 2)

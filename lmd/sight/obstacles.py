@@ -3,8 +3,8 @@
 A landmark is blocked if a convex body of the room (`lmd.space.blockers`) intersects the line of sight to a required
 point: the centre, and for tags the corners of the black square. The heights (signed distances) of the camera's
 positions above the planes of the bodies are precomputed; the heights of a landmark's points above these planes are
-computed once for all positions. A few comparisons then exclude most bodies, as all points lie in front of one of a
-body's planes.
+computed once for all positions. A few comparisons then exclude most bodies: if the camera and all required points lie
+in front of one plane of a body, this body does not block the landmark.
 
 A room from a mesh has triangles in place of bodies (`lmd.space.triangles`). A table of their heights would be too
 large: `MeshObstacles` has the positions, and each line of sight traverses the tree of the triangles.
@@ -110,7 +110,9 @@ def _has_no_body(obstacles: Any) -> Any:
 
 @dispatched
 def new_ends(obstacles: Any, count: Integer) -> Any:
-    """Return a new array `ends` for `count` landmarks, not yet filled, see `find_ends`."""
+    """Return a new array for the required points of `count` landmarks, not yet filled: the array `ends` of
+    `find_ends`.
+    """
 
 
 @new_ends.register(Obstacles)

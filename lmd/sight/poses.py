@@ -98,7 +98,9 @@ def wall_cells(room: Space, spacing: float) -> Cells:
 
 
 def _meets(piece: FloatArray, a: FloatArray, b: FloatArray, half_u: float, half_v: float) -> NDArray[np.bool_]:
-    """Mask `(N,)` of the cells with the centres (a, b) that meet a trapezoid `(6,)`, see `lmd.space.allowed`."""
+    """Mask `(N,)` of the cells that meet a trapezoid `(6,)` (`lmd.space.allowed`); cells have the centres (a, b), and
+    the half sides `half_u` and `half_v`, metres.
+    """
     left, right, *borders = piece
     ends = (np.clip((a + way * half_u - left) / max(right - left, 1e-300), 0.0, 1.0) for way in (-1.0, 1.0))
     low, high = zip(
@@ -176,10 +178,10 @@ def _sum_covered(
 
 
 def by_edge(evaluator: Evaluator, poses: Deployment) -> Iterator[tuple[Evaluator, NDArray[Any]]]:
-    """Yield an evaluator and the indices of the poses for each size of the tags.
+    """Yield, for each size of the tags, an evaluator for this size and the indices of the poses whose tags have it.
 
     Raises:
-        InputError: the scene has tags of several sizes, and the poses have no column of sizes.
+        InputError: the scene has tags of several sizes, and `poses` does not give the size of each tag.
     """
     if evaluator.scene.tag.is_point or not poses.has_own_edges:
         evaluator.scene.check_one_size("what chooses among poses")
@@ -191,7 +193,8 @@ def by_edge(evaluator: Evaluator, poses: Deployment) -> Iterator[tuple[Evaluator
 
 
 def gains(evaluator: Evaluator, poses: Deployment, prices: FloatArray, slack: FloatArray | None = None) -> FloatArray:
-    """Sum, for each pose, of the prices (weights) of the positions and axes that cover a landmark at the pose.
+    """Sum, for each pose, of the prices (weights) of all positions and axes from which a landmark at the pose is
+    covered.
 
     Args:
         poses: N poses.
@@ -215,7 +218,8 @@ def gains(evaluator: Evaluator, poses: Deployment, prices: FloatArray, slack: Fl
 
 
 def covered_amounts(evaluator: Evaluator, poses: Deployment, amounts: FloatArray) -> FloatArray:
-    """Amount of covered landmarks c = sum_j x_j cover_j at each position and axis.
+    """Sum of the amounts of the covered poses at each position and axis, c = sum_j x_j cover_j, where cover_j is 1 if
+    pose j is covered, else 0.
 
     Args:
         poses: N poses.

@@ -43,8 +43,8 @@ def coverage_caps(scene: Scene, deployment: Deployment, position: FloatArray, ax
 
 
 def station_caps(scene: Scene, deployment: Deployment, position: FloatArray, station: Station) -> BoolArray:
-    """Mask `(a, K)` of the coverage caps for the camera of a station; a is the number of orientations of the body that
-    bring the camera to the station.
+    """Mask `(a, K)` of the landmarks that the camera at a station covers (its coverage caps), for each of the a
+    orientations of the body that bring the camera to the station.
     """
     landmarks, place = (deployment.positions, deployment.normals), position + station.offset
     seen = scene.visibility.covered(station.camera, place, station.axes, *landmarks)

@@ -74,8 +74,9 @@ def _add_covered(
         group: mounts; if their model is `unhidden`, occlusion by landmarks is ignored.
         landmarks, normals: positions, metres, and unit normals, `(1, 3, K)`.
         slack: see `criteria.from_position`, `(K,)`, metres; obstacles are ignored for a landmark with a slack.
-        n: number of covered landmarks that is enough, see `keep`.
-        keep: False to stop at n covered landmarks for each position and orientation.
+        n: number of covered landmarks after which a test may stop, see `keep`.
+        keep: False to test no further landmarks at a position and orientation from which n landmarks are covered; True
+            to test all landmarks.
         seen: sets of orientations, `(1, P, K, W)`; or `(M, P, K, W)` for each mount, which requires `keep`.
     """
     sight, words, total = group.sight, np.uint64(seen.shape[3]), landmarks.shape[2]

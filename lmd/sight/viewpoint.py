@@ -37,11 +37,15 @@ class Viewpoint(NamedTuple):
     """
 
     region_poses: np.ndarray
-    """`(6, K)` positions (metres) and unit normals of the landmarks at most the horizon away from the region."""
+    """`(6, K)` positions (metres) and unit normals of the landmarks that are at most the horizon away from the present
+    region (16 blocks of positions).
+    """
     region_index: np.ndarray
     """`(K,)` indices in the deployment of the landmarks in `region_poses`."""
     near_poses: np.ndarray
-    """`(6, K)` positions (metres) and unit normals of the landmarks at most the horizon away from the block."""
+    """`(6, K)` positions (metres) and unit normals of the landmarks that are at most the horizon away from the present
+    block of positions.
+    """
     near_index: np.ndarray
     """`(K,)` indices in the deployment of the landmarks in `near_poses`."""
     x: np.ndarray
@@ -78,8 +82,8 @@ class Viewpoint(NamedTuple):
     w: np.ndarray
     """`(K,)` third coordinate of the unit direction to the landmark."""
     close: np.ndarray
-    """`(K,)` least squared cosine of the angle between the direction of the landmark and the direction of a landmark
-    that it may hide.
+    """`(K,)` limit on the angle at which the landmark may hide another: least squared cosine of the angle between the
+    directions of both landmarks.
     """
     shown: np.ndarray
     """`(K,)` list of the landmarks that some orientation sees; the caller stores the length of the list."""

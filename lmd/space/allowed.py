@@ -52,7 +52,9 @@ def sizes(pieces: FloatArray) -> FloatArray:
 
 
 def eroded(region: Any, margin: float) -> Any:
-    """Erode a region by a square with sides along u and v; half the edge length of the square is `margin`, metres."""
+    """Erode a region by a square with sides along u and v: a point remains if the square around it, with the edge
+    length 2 `margin`, metres, lies in the region.
+    """
     import shapely
 
     if not margin:
@@ -90,7 +92,9 @@ def _spread(
 
 
 def spread(pieces: FloatArray, at: FloatArray) -> FloatArray:
-    """Map points `at` `(..., 2)` of the unit square to trapezoids `(..., 6)`; uniform points stay uniform."""
+    """Map points `at` `(..., 2)` of the unit square to points (a, b) of the trapezoids `pieces` `(..., 6)`; uniformly
+    distributed points stay so.
+    """
     columns = [*np.moveaxis(pieces, -1, 0), *np.moveaxis(at, -1, 0)]
     return np.stack(_spread(*columns), axis=-1)
 
@@ -139,10 +143,11 @@ def allows(pieces, start, stop, a, b):  # type: ignore[no-untyped-def]
 
 @kernel
 def find_nearest(pieces, first, surface, at, out, piece):  # type: ignore[no-untyped-def]
-    """Find the allowed places nearest to points `at` `(N, 2)` on surfaces `surface` `(N,)`.
+    """For each of N points with the coordinates `at` `(N, 2)` on the surface with the index `surface` `(N,)`, find the
+    nearest allowed place on this surface.
 
-    Writes the places to `out` `(N, 2)` and the indices of their trapezoids to `piece` `(N,)`. Rows `first[s]` to
-    `first[s + 1] - 1` of `pieces` are the trapezoids of surface s.
+    The function writes the coordinates of the places to `out` `(N, 2)`, and the index of the trapezoid of each place to
+    `piece` `(N,)`. Rows `first[s]` to `first[s + 1] - 1` of `pieces` are the trapezoids of surface s.
     """
     for k in range(len(at)):
         start, stop = first[surface[k]], first[surface[k] + 1]

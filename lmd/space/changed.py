@@ -47,7 +47,7 @@ class Inset(Changed):
         self._surfaces = tuple(surface.inset(margin) for surface in room.surfaces())
 
     def surfaces(self) -> tuple[Surface, ...]:
-        """Surfaces, inset by the margin, in the order of the room's surfaces."""
+        """Surfaces of the original room in their order, without the strip of width `margin` along their edges."""
         return self._surfaces
 
 
@@ -68,14 +68,16 @@ class _Cells(NamedTuple):
 
 @dataclass(frozen=True)
 class TimeSpent:
-    """Relevance of a recording's positions: time spent in a position's cell times the room's relevance."""
+    """Weights (relevance) of a recording's positions: the time spent in a position's cell, times the weight of the
+    position in the room.
+    """
 
     positions: FloatArray
     """Positions of the cells, metres, `(P, 3)`."""
     seconds: FloatArray
     """Time spent in each cell, seconds, `(P,)`."""
     within: Weighing
-    """Relevance of the room."""
+    """Weights of positions in the room, by which the times are multiplied."""
 
     def weights(self, points: FloatArray) -> FloatArray:
         """See `Weighing.weights`; a point belongs to the nearest cell."""
@@ -122,16 +124,18 @@ class RecordedRoom(Changed):
 
     @property
     def relevance(self) -> Weighing:
-        """Time spent in the cells times the relevance of the room."""
+        """Weights of positions: the time spent in each cell, times the weight of its position in the room."""
         return TimeSpent(self.grid(), self._cells.seconds, self.original.relevance)
 
     def grid(self) -> FloatArray:
-        """Position of the record nearest to the mean of each visited cell, `(P, 3)`."""
+        """Grid of one position for each visited cell, `(P, 3)`: the recorded position in the cell that is nearest to
+        the mean of the recorded positions in the cell.
+        """
         return self._positions[self._cells.chosen]
 
     def passable(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
-        """Mask of the straight paths that no obstacle blocks (`clear`); the clearance is not applied, as recorded poses
-        may violate the clearance.
+        """Mask of the straight paths that no obstacle blocks (`clear`). The camera's clearance is not required, as a
+        recorded pose may be closer to an obstacle.
         """
         return np.asarray(self.clear(starts, ends))
 
@@ -141,8 +145,8 @@ class RecordedRoom(Changed):
         return RecordedRoom(self.original, self._positions, self._seconds, half)
 
     def jittered_grid(self, repeats: int, rng: np.random.Generator) -> FloatArray:
-        """Draw positions of `repeats` records in each cell, each record with a probability proportional to its
-        duration, `(repeats P, 3)`.
+        """Draw `repeats` recorded positions in each of the P cells, `(repeats P, 3)`; the probability of a record is
+        proportional to its duration.
         """
         of, total, _ = self._cells
         by_cell = np.argsort(of, kind="stable")
@@ -152,7 +156,7 @@ class RecordedRoom(Changed):
         return np.asarray(self._positions[by_cell[np.minimum(drawn, last)]]).reshape(-1, 3)
 
     def sample(self, size: int, rng: np.random.Generator) -> FloatArray:
-        """Draw positions of records, each record with a probability proportional to its duration, `(size, 3)`."""
+        """Draw `size` recorded positions, `(size, 3)`; the probability of a record is proportional to its duration."""
         return self._positions[rng.choice(len(self._seconds), size, p=self._seconds / self._seconds.sum())]
 
     def sample_evenly(self, size: int, rng: np.random.Generator) -> FloatArray:
@@ -170,10 +174,12 @@ SPACING = 1.0  # edge of the base class's cells, metres; not used by a driven ro
 
 
 class FrameTime(TimeSpent):
-    """Relevance of the frames of drives: duration of the frame times the relevance of the room."""
+    """Weights (relevance) of the frames of drives: the duration of a frame, times the weight of its position in the
+    room.
+    """
 
     def weights(self, points: FloatArray) -> FloatArray:
-        """See `Weighing.weights`; points other than the frames have the relevance of the room."""
+        """See `Weighing.weights`; points that are not positions of frames have the weights of the room."""
         seconds = self.seconds if np.array_equal(points, self.positions) else np.float64(1.0)
         return np.asarray(self.within.weights(points) * seconds)
 
@@ -195,7 +201,7 @@ class DrivenRoom(RecordedRoom):
 
     @property
     def relevance(self) -> Weighing:
-        """Duration of the frames times the relevance of the room."""
+        """Weights of positions: the duration of each frame, times the weight of its position in the room."""
         return FrameTime(self._positions, self._seconds, self.original.relevance)
 
     def grid(self) -> FloatArray:

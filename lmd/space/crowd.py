@@ -121,7 +121,7 @@ class CrowdStates:
         return len(self.people)
 
     def only(self, state: int) -> "CrowdStates":
-        """Crowd states reduced to the one with the index `state`."""
+        """These crowd states, reduced to the single state with the index `state`."""
         return CrowdStates(self.crowd, self.people[[state]])
 
     @property

@@ -30,8 +30,8 @@ class Fixture:
 
     @cached_property
     def kind(self) -> str:
-        """One of `KINDS`: `door` or `window` if the name has this word, else `furniture` if the footprint is thick,
-        else `other`.
+        """One of `KINDS`: `door` or `window` if the name has this word; otherwise `other` for a fixture at most
+        `TOUCHING_M` thick, seen from above, and `furniture` for a thicker one.
         """
         named = NAMED_KIND.search(self.name.lower())
         if named:

@@ -34,13 +34,13 @@ class FloorPlan(Checked):
     holes: Annotated[Sequence[Sequence[Sequence[float]]], partial(entries, check=checked_ring)] = ()
     """Pillars from floor to ceiling, polygons like the outline; their walls are named `hole_<i>_wall_<j>`."""
     obstacles: Annotated[Sequence[Any], partial(all_made, kind=Obstacle)] = ()
-    """`Obstacle`s, or mappings of their arguments; their faces are named `obstacle_<i>_<face>`."""
+    """Boxes in the room: `Obstacle`s, or mappings of their arguments. Their faces are named `obstacle_<i>_<face>`."""
     surfaces: Sequence[str] | None = None
     """Names of the surfaces that may carry landmarks: walls, `floor` and `ceiling`; None for all. Faces listed in
     `Obstacle.faces` carry landmarks, too.
     """
     keep_out: Annotated[Sequence[Any], partial(all_made, kind=KeepOut)] = ()
-    """`KeepOut`s, or mappings of their arguments."""
+    """Parts of surfaces without landmarks: `KeepOut`s, or mappings of their arguments."""
     band: Annotated[Sequence[float], partial(span, point=False)] | None = None
     """Lowest and highest z of landmarks on upright surfaces, metres; None for all heights."""
     margin: NotNegative = 0.0
@@ -119,7 +119,9 @@ class FloorPlan(Checked):
 
     @cached_property
     def rim(self) -> tuple[FloatArray, FloatArray]:
-        """Lines of all sides of the convex hull, as in `hull`; bodies outside the outline extend to these lines."""
+        """Lines through all sides of the convex hull of the walls, in the form of `hull`; the bodies that fill the
+        space outside the outline extend to these lines.
+        """
         import shapely
 
         return planes(edges(shapely.orient_polygons(self.ground.convex_hull).exterior.coords[:-1]))
@@ -178,7 +180,7 @@ class FloorPlan(Checked):
 
     @property
     def fixtures(self) -> list[Fixture]:
-        """Keep-outs and obstacles; a part without a name is named by its index."""
+        """Keep-outs and obstacles as named parts for drawings; a part without a name is named by its index."""
         parts = [(f"keep_out {i}", *pair) for i, pair in enumerate(zip(self.keep_out, self.kept_out, strict=True))]
         parts += [(f"obstacle {i}", part, part.corners()) for i, part in enumerate(self.obstacles)]
         return [Fixture(part.name or number, corners) for number, part, corners in parts]
@@ -202,7 +204,7 @@ class FloorPlan(Checked):
         return tuple(self._carrier(self._faces[name]) for name in names)
 
     def _carrier(self, face: Surface) -> Surface:
-        """Surface of a face with its allowed region for landmarks."""
+        """Copy of the surface `face` with the region in which landmarks are allowed."""
         taken = [_covered(face, obstacle) for obstacle in self.obstacles]
         taken += [part.region(face) for part in self.keep_out if part.surface == face.name]
         region = free_of(face, self._region(face), self.margin, self.band, taken)
@@ -215,8 +217,8 @@ class FloorPlan(Checked):
         return face.where(region)
 
     def _region(self, face: Surface) -> Any:
-        """Part of a face's bounding rectangle that belongs to the face. For a face of an obstacle, the part with space
-        of the room in front of it.
+        """Part of a face's bounding rectangle that belongs to the face. For a face of an obstacle, this is the part in
+        front of which the room has free space.
         """
         import shapely
 

@@ -43,7 +43,7 @@ class OccupancyGrid(NamedTuple):
     is_free: BoolArray
     """Mask of the free cells, `(H, W)`."""
     note: str = ""
-    """Clause about ambiguities of the file; empty if there are none."""
+    """Clause of a message about ambiguities of the file; empty if there are none."""
 
     def in_map(self, at: FloatArray) -> FloatArray:
         """Convert points (column, row) in cells, from the corner of cell (0, 0), to points of the map frame, metres."""
@@ -59,14 +59,14 @@ class OccupancyGrid(NamedTuple):
 
 
 class Region(NamedTuple):
-    """Free region of a map, in cells from the corner of cell (0, 0)."""
+    """Free region of a map; coordinates are counted in cells from the outer corner of cell (0, 0)."""
 
     polygon: Any
     """Region with its holes, a shapely polygon."""
     to_wall: FloatArray
     """Distance from the centre of each cell to the centre of the nearest occupied cell, in cells, `(H, W)`."""
     note: str
-    """Clauses about omitted parts of the map."""
+    """Text about parts of the map that are omitted, to be added to a message; it may be empty."""
 
 
 def plan_of_grid(
@@ -193,7 +193,7 @@ def _without_pinches(region: BoolArray, core: BoolArray) -> BoolArray:
 
 
 def _polygon(region: BoolArray) -> Any:
-    """Union of the cells of a connected mask, a shapely polygon in cells."""
+    """Union of the cells of a connected mask: a shapely polygon whose unit of length is a cell."""
     import shapely
 
     change = np.diff(np.pad(region.astype(np.int8), ((0, 0), (1, 1))), axis=1)
@@ -202,8 +202,8 @@ def _polygon(region: BoolArray) -> Any:
 
 
 def _simplified(polygon: Any, tolerance: float, grid: OccupancyGrid) -> Any:
-    """Polygon with fewer vertices whose edges follow the border of a polygon of cells within a tolerance, in cells; its
-    rings do not touch each other.
+    """Simplify a polygon that is a union of cells. The edges of the result, which has fewer vertices, stay within
+    `tolerance`, in cells, of the polygon's border; its rings do not touch each other.
     """
     import shapely
 
@@ -240,7 +240,7 @@ def _simplified(polygon: Any, tolerance: float, grid: OccupancyGrid) -> Any:
 def _fitted(simple: FloatArray, contour: FloatArray, tolerance: float) -> FloatArray:
     """Move the vertices of a ring so that its edges are least-squares lines through the vertices of the contour.
 
-    A vertex is not moved if an edge would exceed the tolerance.
+    A vertex is not moved if an edge of the ring would then be farther than the tolerance from the contour.
 
     Args:
         simple: vertices of the ring, a subset of the contour's vertices, `(N, 2)`.

@@ -192,7 +192,7 @@ class Gridded(Checked, ABC):
             raise InputError(lacking, argument)
 
     def grid_shape(self) -> tuple[int, int, int]:
-        """Number of grid positions along x, y, z in the box."""
+        """Numbers of grid positions in the box along x, y and z, three counts."""
         low, high = self.box
         return grid_counts(high - low, self.spacing, self.positions)
 
@@ -262,7 +262,8 @@ class Gridded(Checked, ABC):
         return drawn
 
     def surfaces_of(self, positions: FloatArray, normals: FloatArray) -> IntArray:
-        """See `Space.surfaces_of`; a landmark at an edge belongs to the surface with the most similar normal.
+        """See `Space.surfaces_of`; a landmark at an edge that surfaces share belongs to the surface whose normal is
+        most similar to the landmark's.
 
         Among coplanar surfaces with overlapping rectangles, a landmark belongs to the surface whose allowed region
         contains the landmark.

@@ -27,7 +27,7 @@ class Mesh:
     of: IntArray
     """Index in `names` of the object of each triangle, `(T,)`."""
     names: tuple[str, ...]
-    """Names of the objects, empty for an object without a name."""
+    """Names of the objects; an object without a name has the empty text."""
     path: str = "the mesh"
     """Path of the file, for messages."""
     up: str = "z"

@@ -81,7 +81,7 @@ class Obstacle(Checked):
     high: Point
     """Upper corner, world frame, metres."""
     faces: Annotated[Sequence[str], partial(entries, check=partial(choice, options=FACES))] = ()
-    """Faces that may carry landmarks, from `FACES`."""
+    """Names, from `FACES`, of the faces that may carry landmarks."""
     name: Annotated[str, text] | None = None
     """Name on drawings, such as `rack`."""
 
@@ -192,7 +192,7 @@ BEYOND_SURFACE_M = 0.05
 
 @dataclass(frozen=True)
 class KeepOut(Checked):
-    """Part of a surface without landmarks, such as a door, a window or a screen.
+    """Part of a surface that must stay free of landmarks, such as a door, a window or a screen.
 
     Left and below are as seen by a viewer who faces a wall with z up, or the floor or ceiling with y up.
 
@@ -241,7 +241,7 @@ class KeepOut(Checked):
         return np.array([(a, b), (c, b), (c, d), (a, d)])
 
     def region(self, face: Surface) -> Any:
-        """Shapely polygon in the coordinates of the surface `face`."""
+        """The part as a shapely polygon in the coordinates (a, b) of its surface `face`, metres."""
         import shapely
 
         return shapely.Polygon(face.from_left_and_below(self.ring))

@@ -55,9 +55,10 @@ CREASE, MOST_EDGES = 0.35, 5000
 class Scan(Checked):
     """Room from a triangle mesh, such as a scan or a CAD model, in the coordinates of the file rotated to z up.
 
-    Surfaces are planar patches: adjacent coplanar triangles of one object into which a square of `least_area` fits.
-    A patch has the name of its object, followed by its rank by area if the object has several patches. Patches of
-    objects without a name are `patch_0`, `patch_1`, ... All triangles block lines of sight from both sides.
+    Surfaces are planar patches: adjacent coplanar triangles of one object into which a square of `least_area` fits. A
+    patch has the name of its object; if the object has several patches, `_0`, `_1`, ... follow in the order of
+    decreasing area. Patches of objects without a name are `patch_0`, `patch_1`, ... All triangles block lines of sight
+    from both sides.
 
     Raises:
         InputError: no patch is large enough, a name is unknown, a keep-out reaches beyond its patch, or the up axis is
@@ -67,11 +68,13 @@ class Scan(Checked):
     mesh: Mesh
     """Mesh with z up; `lmd.formats.meshes.read_mesh` reads a mesh from a file."""
     least_area: Positive = 0.1
-    """Area of an upright square that must fit on a patch, square metres."""
+    """Area of an upright square that must fit on a patch, else the patch carries no landmarks, square metres."""
     surfaces: Sequence[str] | None = None
     """Names of the patches that may carry landmarks; None for all."""
     keep_out: Annotated[Sequence[Any], partial(all_made, kind=KeepOut)] = ()
-    """`KeepOut`s, or mappings of their arguments, measured from the rectangle around the patch."""
+    """Parts of patches without landmarks: `KeepOut`s, or mappings of their arguments, measured from the edges of the
+    rectangle around the patch.
+    """
     band: Annotated[Sequence[float], partial(span, point=False)] | None = None
     """Lowest and highest z of landmarks on upright patches, metres; None for all heights."""
     margin: NotNegative = 0.0
@@ -94,7 +97,7 @@ class Scan(Checked):
 
     @property
     def doubt(self) -> str | None:
-        """Evidence that the file's up axis is not `Mesh.up`; None without evidence."""
+        """Sentence with the evidence that the axis `Mesh.up` of the file does not point up; None without evidence."""
         return doubt_of(self.mesh, undecided=False)
 
     @cached_property
@@ -116,7 +119,7 @@ class Scan(Checked):
 
     @cached_property
     def interior(self) -> Interior:
-        """Free space inside the mesh."""
+        """Free space inside the mesh, with the test if a point is in the room."""
         return Interior(self.triangles, *self.bounds)
 
     @cached_property
@@ -203,11 +206,12 @@ class Scan(Checked):
         return [part for part in self.keep_out if part.surface == surface.name]
 
     def _inside(self, surface: Surface, region: Any, standing: Sequence[Any]) -> Any:
-        """Part of a patch's region that borders on the inside of the room: not below the floor, beyond a wall or in
-        furniture.
+        """Part of a patch's region that borders on the inside of the room. The parts of the region that are below the
+        floor, beyond a wall or in furniture are excluded.
 
-        Triangles on the patch divide the region into cells; strips narrower than 2 `FREE_BEFORE_M` are ignored. As no
-        triangle crosses a cell, a cell is inside the room if any point of the cell is inside.
+        Triangles that stand on the patch at a right angle divide the region into cells; strips narrower than 2
+        `FREE_BEFORE_M` are ignored. No triangle crosses a cell, so the whole cell is inside the room if any point of it
+        is.
         """
         import shapely
 
@@ -223,7 +227,7 @@ class Scan(Checked):
 
     @cached_property
     def faces(self) -> tuple[Surface, ...]:
-        """Surfaces of all planar parts, one for each side."""
+        """Surfaces of all planar parts of the mesh, two for each part: one for each of its sides."""
         found = []
         for part in self._flat:
             corners = self._corners[part]

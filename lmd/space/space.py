@@ -19,10 +19,10 @@ SAME_POINT = 1e-6
 
 
 class Weighing(Protocol):
-    """Weights of positions."""
+    """Interface of a relevance: the weights of camera positions."""
 
     def weights(self, points: FloatArray) -> FloatArray:
-        """Weights of `points` `(P, 3)`, `(P,)`; not all are zero."""
+        """Weight of each of the `points` `(P, 3)`, shape `(P,)`; not all weights are zero."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Relevance(Checked):
                 raise InputError(f"{name} is empty: low = {list(low)} exceeds high = {list(high)}.", name)
 
     def weights(self, points: FloatArray) -> FloatArray:
-        """Weights of `points` `(P, 3)`, shape `(P,)`.
+        """Weight of each of the `points` `(P, 3)`, shape `(P,)`.
 
         Raises:
             InputError: every weight is zero, a region contains no point, or a point has no row in the file.
@@ -235,7 +235,7 @@ def check_inside(trajectory: Trajectory, room: Space) -> None:
 def check_file_inside(
     path: str | None, trajectory: Trajectory, room: Space, check: Callable[[Trajectory, Space], None] = check_positions
 ) -> None:
-    """Raise `InputError` about the file `path` of a trajectory if it fails `check`.
+    """Raise `InputError`, with the path of the file, if the trajectory of the file `path` fails the test `check`.
 
     If most of the trajectory is outside the room, the message suggests `align`: the file may use another frame.
     """

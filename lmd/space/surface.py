@@ -63,7 +63,7 @@ class Surface:
 
     @cached_property
     def parts(self) -> FloatArray:
-        """Corners of `pieces`, counter-clockwise, `(T, 4, 2)`."""
+        """Corners (a, b) of the trapezoids `pieces`, counter-clockwise, metres, `(T, 4, 2)`."""
         return np.stack([self.pieces[:, [0, 1, 1, 0]], self.pieces[:, [2, 3, 5, 4]]], axis=-1)
 
     @property
@@ -109,7 +109,7 @@ class Surface:
         return replace(self, allowed=None if region.equals(whole) else region)
 
     def point(self, a: FloatArray | float, b: FloatArray | float) -> FloatArray:
-        """World points `(..., 3)` at surface coordinates `a`, `b` of shape `(...)`, metres."""
+        """Points in the world frame, `(..., 3)`, with the surface coordinates `a` and `b`, each `(...)`; metres."""
         a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
         return np.asarray(self.origin + a[..., None] * self.u + b[..., None] * self.v)
 
@@ -155,7 +155,7 @@ class Surface:
             cells = math.ceil(1.1 * cells + 1.0)
 
     def _cell_centres(self, count: int) -> list[tuple[float, float]]:
-        """Centres of `count` cells of the whole rectangle."""
+        """Coordinates (a, b), metres, of the centres of `count` cells that divide the whole rectangle."""
         swap = self.extent[1] > self.extent[0]
         long, short = max(self.extent), min(self.extent)
 
@@ -258,12 +258,16 @@ class SurfaceArrays(NamedTuple):
         return np.asarray(((points[..., None, :] - self.origin) * self.normal).sum(axis=-1))
 
     def points(self, surface: IntArray, at: FloatArray) -> FloatArray:
-        """World points of the allowed places on surfaces `(...)` nearest to `at` `(..., 2)`, metres, `(..., 3)`."""
+        """For each surface `(...)`, the allowed place that is nearest to the coordinates `at` `(..., 2)` on this
+        surface; returned as a point in the world frame, metres, `(..., 3)`.
+        """
         at, _ = self.nearest(surface, at)
         return np.asarray(self.origin[surface] + at[..., :1] * self.u[surface] + at[..., 1:] * self.v[surface])
 
     def nearest(self, surface: IntArray, at: FloatArray) -> tuple[FloatArray, IntArray]:
-        """Allowed places on surfaces `(...)` nearest to `at` `(..., 2)`, and indices of their trapezoids `(...)`."""
+        """For each surface `(...)`, the allowed place that is nearest to the coordinates `at` `(..., 2)` on this
+        surface: its coordinates, metres, `(..., 2)`, and the index of its trapezoid, `(...)`.
+        """
         at = np.asarray(at, dtype=np.float64)
         flat, out = at.reshape(-1, 2), np.empty((at.size // 2, 2))
         piece = np.empty(len(flat), dtype=np.int64)
@@ -271,14 +275,14 @@ class SurfaceArrays(NamedTuple):
         return out.reshape(at.shape), piece.reshape(at.shape[:-1])
 
     def allow(self, surface: IntArray, at: FloatArray, tolerance: float = EDGE_TOLERANCE) -> BoolArray:
-        """Mask `(...)` of the places `at` `(..., 2)` that are at most `tolerance`, metres, from the allowed regions of
-        their surfaces `surface` `(...)`.
+        """Mask `(...)` of the places that are in the allowed region of their surface, or at most `tolerance`, metres,
+        outside it. A place has the coordinates `at` `(..., 2)` on the surface with the index `surface` `(...)`.
         """
         return np.asarray(np.abs(self.nearest(surface, at)[0] - at).max(axis=-1) <= tolerance)
 
     def spread(self, piece: IntArray, at: FloatArray) -> FloatArray:
-        """Map points `at` `(..., 2)` of the unit square to the trapezoids with the indices `piece` `(...)`; uniform
-        points stay uniform.
+        """Map points `at` `(..., 2)` of the unit square to points (a, b) of the trapezoids with the indices `piece`
+        `(...)`; uniformly distributed points stay so.
         """
         return spread(self.pieces[piece], at)
 

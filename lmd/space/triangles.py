@@ -71,8 +71,8 @@ def box_tree(
 
 
 def _cut(part: IntArray, low: FloatArray, high: FloatArray, middle: FloatArray) -> Sequence[IntArray]:
-    """Cut boxes into two parts, by the surface area heuristic (MacDonald and Booth, 1990); few boxes are cut at the
-    median.
+    """Cut a set of boxes into two parts by the surface area heuristic (MacDonald and Booth, 1990). A set of at most
+    `SMALL` boxes is cut at the median instead.
     """
     if len(part) <= SMALL:
         part = part[np.argsort(middle[part, np.argmax(np.ptp(middle[part], axis=0))], kind="stable")]
@@ -119,11 +119,15 @@ class Triangles(NamedTuple):
     is none.
     """
     apex: np.ndarray
-    """Index of the mesh's vertex at each corner of a triangle, `(T, 3)`."""
+    """Index of the mesh's vertex at each corner of each triangle, `(T, 3)`."""
     ending: np.ndarray
-    """Rows of `spokes` for the edges that end at vertex v are `ending[v]` to `ending[v + 1]`, `(V + 1,)`."""
+    """First row of `spokes` for each vertex, `(V + 1,)`: rows `ending[v]` to `ending[v + 1] - 1` belong to the sides of
+    triangles that end at vertex v.
+    """
     spokes: np.ndarray
-    """Normals of the two triangles at an edge, ordered by end vertex, `(S, 2, 3)`; 0 for a missing triangle."""
+    """For each vertex and each side of a triangle that ends there: normals of this triangle and of its neighbour at the
+    side, 0 for none, `(S, 2, 3)`.
+    """
     centres: np.ndarray
     """Centres of the boxes, `(N, 3)`."""
     halves: np.ndarray
@@ -139,7 +143,9 @@ class Triangles(NamedTuple):
 
     @classmethod
     def of(cls, vertices: FloatArray, faces: IntArray, tolerance: float) -> "Triangles":
-        """Build the hierarchy of triangles `faces` `(T, 3)` of `vertices` `(V, 3)`, none degenerate."""
+        """Build the hierarchy of T triangles, none of them degenerate, with the corners `vertices[faces]`: `faces` is
+        `(T, 3)`, `vertices` is `(V, 3)`, metres.
+        """
         corners = vertices[faces]
         normals = unit_normals(corners)
         way = np.roll(corners, -1, axis=1) - corners
@@ -162,8 +168,8 @@ class Triangles(NamedTuple):
         return ~self._of_each(_find_crossed, starts, ends)
 
     def distance(self, points: FloatArray, most: float) -> FloatArray:
-        """Distances of points `(..., 3)` from the nearest triangle, metres, `(...)`; greater distances than `most`
-        become `most`.
+        """Distance of each of the points `(..., 3)` from the nearest triangle, at most `most`, metres, `(...)`; a
+        greater distance is replaced by `most`.
         """
         found = np.empty(points.shape[:-1])
         _find_distance(self, np.ascontiguousarray(points).reshape(-1, 3), most, found.reshape(-1))

@@ -33,9 +33,9 @@ class Stretch(NamedTuple):
     edge: int
     """Index of the edge in its ring."""
     start: float
-    """Distance from the first vertex of the edge, metres."""
+    """Distance of the part's start from the first vertex of the edge, metres."""
     stop: float
-    """Distance of the end from the first vertex, metres."""
+    """Distance of the part's end from the first vertex of the edge, metres."""
     name: str
     """Name on drawings."""
 
@@ -46,7 +46,7 @@ class ReadPlan(NamedTuple):
     rings: Sequence[FloatArray]
     """Vertices of the outline and of the holes, counter-clockwise, metres, `(N, 2)` each."""
     stretches: Sequence[Stretch]
-    """Parts of the walls without landmarks."""
+    """Parts of the walls that must not carry landmarks, such as doors."""
     scale: str
     """Text that states the unit of the file, such as `resolution = 0.05`, for messages."""
     note: str = ""
@@ -88,7 +88,7 @@ class Drawing(NamedTuple):
     unit: str
     """Name of the drawing's unit of length."""
     note: str
-    """Clause about the layers that are not read."""
+    """Clause of a message about the layers of the drawing that are not read."""
 
 
 def plan_of(path: str, drawing: Drawing, gap: float, start: Sequence[float] | None) -> ReadPlan:
@@ -204,7 +204,9 @@ def _shared(corners: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
 
 
 def _openings(edge: FloatArray, near: Any, boxes: list[tuple[str, Any]]) -> Iterator[tuple[float, float, str]]:
-    """Start, end and name of the parts of an edge without a wall, and of the parts at a door or a window."""
+    """Yield the start, the end (both metres from the edge's first vertex) and the name of each part of an edge at which
+    there is no wall, or a door or window.
+    """
     import shapely
 
     line, spans = shapely.LineString(edge), []

@@ -1,8 +1,8 @@
 """Visibility model of a tag detector: incidence angle, pitch, image area, field of view and occlusion.
 
 The limits are fitted to the detections of ArUco and AprilTag in renderings of about 60,000 single tags. The model
-predicts 95 to 96 % of these detections, and the probability of seeing at least n tags in whole rooms to 0.02. A tag is
-seen if
+predicts 95 to 96 % of these detections; its probability of seeing at least n tags, tested in whole rooms, is accurate
+to within 0.02. A tag is seen if
 
 - its incidence angle is at most `incidence`;
 - its pitch, the least image length of a module over all directions in the tag's plane, is at least sqrt(pitch^2 + (blur

@@ -79,8 +79,8 @@ def resolved_by_lens(sight: LensSight, centre: FloatArray, sides: list[FloatArra
 
 
 def _suffices(sight: FiducialSight, square: FloatArray, determinant: FloatArray, per: FloatArray) -> BoolArray:
-    """Mask of the tags whose pitch and area suffice, from `square` = |J|_F^2 and `determinant` = |det J| at the depth 1
-    / `per`.
+    """Mask of the tags whose pitch and image area suffice. `square` is |J|_F^2 and `determinant` is |det J|
+    (`lmd.sight.models.fiducial`); the depth is 1 / `per`.
     """
     blur = sight.defocus - sight.focus * per
     least = sight.sharp + sight.blurred * (blur * blur)

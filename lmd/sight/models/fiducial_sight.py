@@ -101,7 +101,8 @@ Column = float | FloatArray
 
 
 class FiducialSight(NamedTuple):
-    """Thresholds with tolerances for one camera; a `lmd.scene.criteria.SightModel`.
+    """Model of sight of a tag detector for one camera: the thresholds of its criteria, with tolerances; a
+    `lmd.scene.criteria.SightModel`.
 
     A field that depends on the size of a tag is a number if all tags have one size, else a column `(K,)`, from which
     `sized` selects. Other fields hold for all tags and are computed for the largest tag.
@@ -134,9 +135,10 @@ class FiducialSight(NamedTuple):
     focal_v: float
     """Focal length along the image's columns, pixels."""
     area: Column
-    """Least |det J| at which a tag is detected, pixels^2 / metre^2."""
+    """Least |det J| at which a tag is detected, pixels^2 / metre^2; for J see `lmd.sight.models.fiducial`."""
     sharp: Column
-    """Least eigenvalue of J^T J at which a tag without defocus is detected, pixels^2 / metre^2.
+    """Lower limit, pixels^2 / metre^2, on the smaller eigenvalue of J^T J (`lmd.sight.models.fiducial`) for the
+    detection of a tag without defocus.
 
     With defocus, the eigenvalue at the depth w must be at least sharp + blurred (defocus - focus / w)^2.
     """
@@ -229,7 +231,9 @@ def _from_position(sight: Any, offset: Vector, normal: Vector, slack: float) -> 
 
 @from_around.register(FiducialSight)
 def _from_around(sight: Any, offset: Vector, normal: Vector, radius: float) -> Any:
-    """Version of `criteria.from_around` whose bounds use the incidence angle only."""
+    """See `criteria.from_around`; of the criteria, only the limit on the incidence angle is used, so the bounds are
+    loose.
+    """
     distance, along = math.sqrt(dot3(offset, offset)), radius - dot3(normal, offset)
     nearest, farthest = max(distance - radius, 0.0), distance + radius
     reached = (along >= min(sight.facing * nearest, sight.facing * farthest)) & (along >= 0.0)

@@ -24,8 +24,9 @@ def _polynomial(coefficients: Any, h: float) -> Any:
 
 @inlined
 def stretch_at(sight: Any, height: float) -> Any:
-    """Upper bound on the motion of an image point per angle by which its direction turns, for all directions whose
-    angle theta from the optical axis satisfies 1 - cos(theta) <= `height`.
+    """Upper bound on the stretch of the lens: the distance by which an image point moves, divided by the angle by which
+    its direction turns. It holds for all directions whose angle theta from the optical axis satisfies 1 - cos(theta) <=
+    `height`.
 
     The bound is in focal lengths per radian.
     """
@@ -45,7 +46,7 @@ def room_within(sight: Any, point: Vector, per: float) -> Any:
 
 @inlined
 def in_rectangle(sight: Any, point: Vector) -> Any:
-    """True if the image contains a point; the test is exact."""
+    """True if the image contains a point of the camera frame; the point is projected exactly."""
     flat, (across, down) = sight.flat, image_of(sight.lens, point[0], point[1], point[2])
     inside = point[2] >= sight.cosine * math.sqrt(dot3(point, point))
     return inside & (-flat.left <= across) & (across <= flat.right) & (-flat.top <= down) & (down <= flat.bottom)
@@ -63,7 +64,7 @@ def is_inside(sight: Any, point: Vector) -> Any:
 
 @inlined
 def corners_inside(sight: Any, tag: tuple[Vector, Vector, Vector]) -> Any:
-    """True if the image contains all corners of a tag: centre, right and up in the camera frame."""
+    """True if the image contains all corners of a tag. `tag` has the tag's centre, right and up in the camera frame."""
     (centre, right, up), half = tag, sight.flat.half
     p, q = times3(half, plus3(right, up)), times3(half, minus3(right, up))  # offsets of a corner and of its neighbour
     inside = is_inside(sight, plus3(centre, p)) and is_inside(sight, minus3(centre, p))

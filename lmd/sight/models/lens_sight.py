@@ -55,7 +55,9 @@ DIAGONAL = 1.4143  # diagonal of a square over its edge, rounded up
 
 
 class LensSight(NamedTuple):
-    """Thresholds with tolerances for one camera; a `lmd.scene.criteria.SightModel`."""
+    """Model of sight of a tag detector for one camera whose lens has distortion: thresholds with tolerances; a
+    `lmd.scene.criteria.SightModel`.
+    """
 
     flat: FiducialSight
     """Thresholds that do not depend on the lens, and the borders of the distorted image."""
@@ -78,7 +80,9 @@ class LensSight(NamedTuple):
     max_area: float
     """Greatest image area of a square metre that faces the camera at a distance of 1 m, pixels^2."""
     stretch: tuple[float, ...]
-    """Coefficients of an upper bound on the stretch, see `lmd.geometry.lens.ceiling`."""
+    """Coefficients of an upper bound on the stretch of the lens (motion of an image point per turn of its direction),
+    see `lmd.geometry.lens.ceiling`.
+    """
     stretch_end: float
     """1 - cos(theta) for the greatest angle theta at which the bound `stretch` holds."""
     approximation: tuple[float, ...]
@@ -190,7 +194,7 @@ def _from_position(sight: Any, offset: Vector, normal: Vector, slack: float) -> 
 
 @overridable
 def _by_depth(lens: Any, pinholes: Any, offset: Vector, normal: Vector, slack: float) -> Any:
-    """Results `reached`, `high` and `sure` of `from_position`, bounded by the two pinholes."""
+    """Results `reached`, `high` and `sure` of `from_position`, computed with the two pinhole models `pinholes`."""
     _, _, _, sure = from_position(pinholes[0], offset, normal, slack)
     reached, _, high, _ = from_position(pinholes[1], offset, normal, slack)
     return reached, high, sure

@@ -28,7 +28,9 @@ from lmd.scene.criteria import TOLERANCE, from_around, from_position, hide, in_c
 
 
 class PaperSight(NamedTuple):
-    """Bounds on the depth with tolerances for one camera; a `lmd.scene.criteria.SightModel`."""
+    """The paper's model of sight for one camera: bounds on the depth, with tolerances; a
+    `lmd.scene.criteria.SightModel`.
+    """
 
     min_cosine: float
     """Cosine of the half-angle of the cone of view."""
@@ -41,7 +43,9 @@ class PaperSight(NamedTuple):
     not tested.
     """
     whole_line: bool
-    """True if landmarks behind the camera, or farther than the hidden landmark, also hide a landmark."""
+    """True if a landmark is also hidden by landmarks behind the camera, and by landmarks that are farther away than
+    itself.
+    """
 
     @property
     def outer_cosine(self) -> float:
@@ -67,7 +71,9 @@ class PaperSight(NamedTuple):
         return self._replace(reach=-1.0)
 
     def among(self, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray) -> "PaperSight":
-        """See `SightModel.among`; returns the model itself, as no occlusion is excluded."""
+        """See `SightModel.among`. The result is always the model itself, as the paper's model has no test that excludes
+        occlusion.
+        """
         return self
 
     def shrunk(self, size: float) -> "PaperSight":
@@ -239,7 +245,8 @@ def resolution(camera: Camera, depth: FloatArray) -> FloatArray:
 def field_of_view(camera: Camera, depth: FloatArray, distance: FloatArray) -> BoolArray:
     """C^FOV: z > 0 and sqrt(x^2 + y^2) / z <= tan(min(phi)) (Eq. C_k^FOV), tested in the form z >= |s| cos(min(phi)).
 
-    Both forms describe one cone; the second form needs neither division nor roll.
+    Both forms describe one cone. The second form needs no division, and neither x nor y, which depend on the camera's
+    roll.
 
     Args:
         depth: z^c, metres.
@@ -249,7 +256,7 @@ def field_of_view(camera: Camera, depth: FloatArray, distance: FloatArray) -> Bo
 
 
 def focus(camera: Camera, circle_of_confusion: float, depth: FloatArray) -> BoolArray:
-    """C^F: d_n <= z <= d_f (Eq. C_k^F)."""
+    """C^F: mask of the depths z in focus, d_n <= z <= d_f (Eq. C_k^F), shape of `depth`."""
     near, far = camera.depth_of_field(circle_of_confusion)
     return np.asarray((depth >= near * (1.0 - TOLERANCE)) & (depth <= far * (1.0 + TOLERANCE)))
 
