@@ -120,8 +120,9 @@ class Adjustment:
         self.share = max(1.0 - unknowns / (RESIDUALS * len(sightings)), LEAST_SHARE)  # of the squares, after a fit
 
     def _jacobians(self, some: Sightings, at: Reprojection) -> list[tuple[IntArray, FloatArray]]:
-        """For each kind of kept unknown: the index of the block that each of n sightings depends on, `(n,)`, and the
-        Jacobian of the sighting's residuals with respect to this block, `(n, 8, 6)`.
+        """Jacobians with respect to the kept unknowns. The list has one pair for each kind of unknown: for each of n
+        sightings, the index of the block of six unknowns on which it depends, `(n,)`, and the Jacobian of its residuals
+        with respect to this block, `(n, 8, 6)`.
         """
         found = [(some.tag, at.by_tag)]
         if self.mounts.stop > self.mounts.start:
@@ -266,8 +267,8 @@ class Adjustment:
         return Poses(*map(_orthonormal, (poses.tags, poses.frames, poses.mounts))), floor
 
     def fixed_system(self, poses: Poses, floor: float) -> System:
-        """Normal equations in which all sightings have one least-squares weight, chosen to reproduce the covariance of
-        the robust fit, see `efficiency`.
+        """Normal equations in which all sightings have an equal weight, as in ordinary least squares. The weight is
+        chosen such that the covariance is that of the robust fit, see `efficiency`.
         """
         slope, spread = self.efficiency(poses, floor)
         return self.system(poses, floor, 0.0, slope**2 / spread)

@@ -215,8 +215,8 @@ def weighted_product(one: FloatArray, other: FloatArray, weight: FloatArray) -> 
 
 
 def sums_by(owner: IntArray, count: int) -> Callable[[FloatArray], FloatArray]:
-    """Make a function that sums values `(N, ...)` of N sightings over the sightings of each of `count` owners,
-    `(count, ...)`.
+    """Make a function that sums values of sightings by owner. `owner` `(N,)` has the index of each sighting's owner, a
+    frame or tag. The function maps values `(N, ...)` of the sightings to sums `(count, ...)`, one for each owner.
     """
     from scipy.sparse import csc_array
 

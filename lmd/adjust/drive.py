@@ -46,7 +46,7 @@ ROUGH_TURN, ROUGH_PLACE, MOVING = 0.1, 0.15, 1.0
 
 
 def with_motion(joint: Adjustment, motion: Motion) -> Adjustment:
-    """Adjustment with the given motion model; the pairs of linked frames do not change."""
+    """Copy of the adjustment `joint` with the motion model `motion`; the pairs of linked frames do not change."""
     assert joint.links is not None
     other, first = copy(joint), joint.links.first
     information = motion.information(joint.seen[first], joint.seen[first + 1])
@@ -192,7 +192,9 @@ class Nodes:
         return cls(some, frame, own, motion.of(frame, own))
 
     def following(self, count: int) -> tuple[IntArray, IntArray]:
-        """Indices of pairs of nodes: each node with each of the next `count` nodes in time."""
+        """Indices of the first and of the second node of pairs: each node is paired with each of the `count` nodes that
+        follow it in time, in any part.
+        """
         order = np.lexsort((self.part, self.frame))
         ends = [np.stack([order[:-k], order[k:]]) for k in range(1, min(count, len(order) - 1) + 1)]
         first, second = np.hstack([np.empty((2, 0), dtype=np.int64), *ends])

@@ -45,7 +45,7 @@ class Lenses:
     """Nuisance parameters of the cameras, see `lmd.adjust.refinement`."""
 
     seen: Observations
-    """Detections, with the cameras as given."""
+    """Detections, with the cameras as given before the refinement."""
     optics: tuple[Optics, ...]
     """Refined optics of the cameras."""
     sigmas: tuple[FloatArray, ...]

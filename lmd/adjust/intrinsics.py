@@ -74,8 +74,8 @@ class Calibrated:
 
     @cached_property
     def unsure(self) -> float:
-        """Standard deviation of image points due to the uncertain intrinsics, without the part that a rotation of the
-        camera could explain: median over the image, pixels.
+        """Standard deviation of image points that the uncertainty of the intrinsics causes, as a median over the image,
+        pixels. Displacements that a rotation of the camera could explain do not count.
         """
         size, bundle = len(self.sigma), _bundle(self.found)
         moved = parameter_slopes(self.found, bundle).reshape(-1, size)

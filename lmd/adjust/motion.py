@@ -86,11 +86,13 @@ class Motion:
     path: FloatArray | None = None
     """`(F, 4, 4)` poses of the body by odometry, NaN for frames without odometry; None for a constant velocity."""
     drift: FloatArray | None = None
-    """Sums C up to each frame, `(F, 2, 6, 6)`: covariances due to errors of rotation and of translation, for a spread
-    of 1.
+    """Matrix C of the module's formulas, summed up to each frame, `(F, 2, 6, 6)`: its two parts are due to errors of
+    rotation and of translation, for a spread of 1. None for a constant velocity.
     """
     bias_sums: FloatArray | None = None
-    """Sums B up to each frame, `(F, 6, 6)`: derivatives of the poses by odometry with respect to the bias."""
+    """Matrix B of the module's formulas, summed up to each frame, `(F, 6, 6)`: derivatives of the poses by odometry
+    with respect to the bias. None for a constant velocity.
+    """
     piece: IntArray | None = None
     """Index of the piece to which each frame belongs, `(F,)`; frames of different pieces are not linked. None for a
     single piece.

@@ -47,7 +47,9 @@ def quantiles(name: str, values: FloatArray) -> dict[str, float]:
 
 
 def both(figures: Mapping[str, float], name: str, factor: float = 1e3, digits: str = ".2g") -> str:
-    """Text with the median and the 90 % quantile of a quantity, see `quantiles`."""
+    """Text with the median and the 90 % quantile of the quantity `name`, which `quantiles` put into `figures`; both
+    values are multiplied by `factor`.
+    """
     low, high = (factor * figures[f"{name}/{share}"] for share in (50, 90))
     return f"{low:{digits}} (90 %: {high:{digits}})"
 

@@ -78,7 +78,9 @@ def kernel(function: F) -> F:
 
 
 def borrowing(function: F) -> F:
-    """Make a kernel that allocates and returns no arrays; references to its arguments are not counted."""
+    """Make a kernel from a function that neither allocates nor returns arrays, so that numba need not count references
+    to its arguments.
+    """
     return _made_kernel(function, _OPTIONS | _UNCOUNTED)
 
 

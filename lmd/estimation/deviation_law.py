@@ -130,8 +130,8 @@ def fit_law(distance: FloatArray, tags: IntArray, deviation: FloatArray) -> Law:
 
 
 def fit_rule(shape: str, distance: FloatArray, tags: IntArray, deviation: FloatArray) -> Rule:
-    """Fit the scales of the rule `shape`, a key of `RULES`, in the way in which the scales of power laws are fitted;
-    other arguments as in `fit_power`.
+    """Fit the scales of the rule with the name `shape`, a key of `RULES`, as the scales of power laws are fitted. For
+    the other arguments see `fit_power`.
     """
     per_view = RULES[shape](distance, tags)
 

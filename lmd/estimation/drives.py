@@ -1,4 +1,4 @@
-"""Drives (motions of the camera) for the objective of the filtered pose, from recordings or from sources of
+"""Drives (motions of the camera) for the objective of the filtered pose, cut from recordings or drawn from a source of
 trajectories.
 """
 

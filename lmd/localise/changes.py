@@ -70,7 +70,7 @@ class Change(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """Estimate compared with a map of K tags."""
+    """Result of the comparison of an estimate with a map of K tags."""
 
     found: Estimate
     """Estimate of all poses."""

@@ -57,7 +57,8 @@ class FixedMap:
         return FixedMap(ids, poses, edges, sigmas, spread(self.joint, there, own, len(ids)))
 
     def prior(self, moved: BoolArray, mounts: Mounts | None = None) -> Prior:
-        """Prior on the mounts and on the tags that were not moved; `moved` is a mask, `(K,)`.
+        """Prior for a bundle adjustment: on the mounts, and on the tags that were not moved; `moved` is the mask of the
+        moved tags, `(K,)`.
 
         The covariance of a surveyed map gives a common motion of all tags zero variance; the prior raises it to a
         minimum variance.

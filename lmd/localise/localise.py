@@ -209,7 +209,9 @@ def _with_all_tags(begun: Estimate, rough: RoughPoses, both: FloatArray) -> Esti
 
 
 def _refused(found: Estimate, states: NDArray[np.object_]) -> tuple[Estimate, NDArray[np.object_]]:
-    """Estimate without the poses of frames in which most sightings do not fit; and the outcomes of all frames."""
+    """Estimate from which the poses of frames are removed if most sightings in the frame do not fit; and the outcome of
+    each frame, in which these frames are refused.
+    """
     some = found.sightings
     of_map = found.poses.known_tags[some.tag]
     seen, used = (np.bincount(some.frame[which], minlength=some.frames) for which in (of_map, found.used))

@@ -27,8 +27,8 @@ NAMED = 5  # largest number of refused frames, and of tags without a detection, 
 
 
 def frame_columns(result: Localisation, found: Estimate) -> dict[str, ArrayLike]:
-    """Columns of `poses.csv` or `smoothed.csv`: state of each image, pose, and covariance. The estimate `found` is that
-    of single images or the smoothed one.
+    """Columns of `poses.csv` or `smoothed.csv`: state of each image, pose, and covariance. `found` is the estimate from
+    single images or the smoothed estimate.
     """
     name = State.LOCALISED.value if found is result.found else "smoothed"
     known = zip(found.poses.known_frames, result.states, strict=True)

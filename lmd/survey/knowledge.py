@@ -100,7 +100,7 @@ class Boards(Checked):
         return cls(tuple(table.texts["board"]), Labels.of(table, ()).ids, rows[:, 1:], printed)
 
     def among(self, ids: IntArray) -> Sheets:
-        """The sheets, restricted to those of their tags that are among `ids` `(K,)`, ascending."""
+        """Sheets with only those of their tags that are among the tags `ids` `(K,)`, ascending."""
         _, of, own = np.intersect1d(ids, self.ids, return_indices=True)
         places = np.hstack([self.places[own], np.zeros((len(own), 1))])
         board = np.unique(self.names, return_inverse=True)[1][own]

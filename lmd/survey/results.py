@@ -99,7 +99,7 @@ def tag_columns(survey: Survey) -> dict[str, ArrayLike]:
     """Columns of the table of all tags: state, numbers of sightings, and displacement from the planned pose.
 
     The displacement has the columns `right`, `up` and `out`, metres in the tag's frame, and `tilt_x`, `tilt_y` and
-    `turn`, rad about the axes of this frame. For `sigma` see `Estimate.sigmas`.
+    `turn`, rad about the axes of this frame. For the column `sigma` see `Estimate.sigmas`.
     """
     found, some, placed = survey.found, survey.found.sightings, survey.placed
     seen = some.counts()
