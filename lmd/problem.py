@@ -33,7 +33,7 @@ class Genome(Protocol):
 
     @property
     def varies(self) -> bool:
-        """True if `draw_genes` is random, so two draws can differ."""
+        """True if two calls of `draw_genes` can give different genes, because they are random."""
 
     def draw_genes(self, rng: np.random.Generator) -> FloatArray:
         """Draw the genes of a candidate to start from, `(dim,)`."""
@@ -52,7 +52,7 @@ class Genome(Protocol):
         """Cameras that the genes `(dim,)` of a candidate encode; None if the scene's camera is fixed."""
 
     def reached(self, fitness: float) -> None:
-        """Restore the best fitness from a checkpoint, so that a resumed run makes the decisions of an uninterrupted
+        """Take over the best `fitness` from a checkpoint, so that a resumed run makes the decisions of an uninterrupted
         run.
         """
 
@@ -141,8 +141,8 @@ class Problem:
 
     @property
     def genome(self) -> Genome | None:
-        """Genome, for a problem that varies something other than landmarks. None if landmarks vary, as each optimiser
-        has its own encoding of landmarks.
+        """Genome of a problem that varies something other than landmarks. It is None if landmarks vary, because each
+        optimiser has its own encoding of landmarks.
         """
         return None
 
@@ -191,8 +191,8 @@ class Problem:
         return free if self.fixed is None else self.fixed + free
 
     def separated(self, deployment: Deployment, size: float = 1.0) -> Deployment | None:
-        """Copy of the deployment in which the footprints of landmarks that are not fixed are pushed apart; None if
-        there is no room, see `Footprints.separated`.
+        """Copy of the deployment in which overlapping footprints are pushed apart; fixed landmarks stay. None if there
+        is no room, see `Footprints.separated`.
         """
         return self.scene.footprints.separated(replace(deployment, edges=self.edges), size, self.fixed_count)
 
@@ -274,8 +274,8 @@ class Problem:
         return {"fitness": fitness, **described, **describe_crowd(self.objective, figures, self.evaluator)}
 
     def resampled(self, share: float, rng: np.random.Generator) -> tuple[Evaluator, FloatArray] | None:
-        """Evaluator at a new sample of positions (a fraction of the objective's sampling), and the relevance of these
-        positions, `(Q,)`.
+        """Evaluator at new random positions, as many as the objective's sampling has or a fraction of these, and the
+        relevance of the positions, `(Q,)`.
 
         For optimisers that can change the sample during a run, which avoids fitting the deployment to one sample.
 
@@ -299,8 +299,8 @@ class Problem:
         return max(1, math.ceil(share * (max(most, self.state_count) if seeks_worst(self.evaluator) else most)))
 
     def settings(self) -> Mapping[str, Any]:
-        """Settings that determine the results of `metrics`, for files of results; None replaces infinite numbers, as
-        JSON has none.
+        """Settings that determine the results of `metrics`, for files of results. Infinite numbers are replaced by
+        None, because JSON has none.
         """
         scene = self.scene
         return {
@@ -326,7 +326,9 @@ def _fields(part: Any) -> dict[str, Any]:
 
 
 def _finite(value: Any) -> Any:
-    """In a value, replace infinite numbers, such as an infinite focus distance, by None, and arrays by their shape."""
+    """Copy of `value` for JSON, in which None replaces infinite numbers, such as an infinite focus distance, and its
+    shape replaces each array.
+    """
     if isinstance(value, np.ndarray):
         return f"array of shape {value.shape}"
     if isinstance(value, Mapping):

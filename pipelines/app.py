@@ -35,8 +35,8 @@ WITHOUT_EFFECT = (
 
 
 def lmd_experiment(*, _root_: DictConfig) -> str:
-    """Name of the mlflow experiment for the composed command: `EXPERIMENT`, or for some commands a name of their own,
-    such as `lmd compare`.
+    """Name of the mlflow experiment in which the composed command records its runs: `EXPERIMENT`, or for some commands
+    a name of their own, such as `lmd compare`.
     """
     studies = list(_root_.get("studies") or {})
     # The configuration of a job lacks Hydra's part, and a configuration composed from Python has no job.
@@ -82,8 +82,8 @@ def choices(picked: Mapping[Any, Any] | None = None) -> dict[str, str]:
     """Name of the option chosen in each config group, such as `{"room": "paper_simulation"}`, without Hydra's own
     groups.
 
-    A group that is used at another key, such as `odometry@objective.odometry`, gets the name of this key, as mlflow
-    allows no @ in names.
+    A group that is used at another key, such as `odometry@objective.odometry`, gets the name of this key, because
+    mlflow allows no @ in names.
 
     Args:
         picked: Hydra's `choices`; by default the `choices` of this job.
@@ -97,8 +97,8 @@ def ends_reported() -> Iterator[None]:
     """Context that ends the process with one sentence and exit code 1 if input is refused, the disk is full, or a
     folder has the name of a file to be written.
 
-    After refused input no folder of the run is left. A failed allocation of memory counts as refused input, as only the
-    largest arrays are checked beforehand (`lmd.core.memory`).
+    After refused input no folder of the run is left. A failed allocation of memory counts as refused input, because
+    only the largest arrays are checked beforehand (`lmd.core.memory`).
     """
     from lmd.core.checks import InputError
 
@@ -130,7 +130,7 @@ def doing(step: str) -> Iterator[None]:
 
 
 def say(text: str) -> None:
-    """Print text unless it is empty; if the program that reads stdout, such as `head`, has ended, the text is
+    """Print `text` unless it is empty. If stdout is a pipe to a program that has ended, such as `head`, the text is
     dropped.
     """
     try:
@@ -173,8 +173,8 @@ def changes_results(key: str) -> bool:
 
 
 def search_path() -> list[str]:
-    """Overrides of this process that add folders to Hydra's search path; options in these folders must be found when
-    the other overrides are read.
+    """Overrides of this process that add folders to Hydra's search path. They must be passed on first, because the
+    other overrides may choose options in these folders.
     """
     own = HydraConfig.get().overrides.hydra if HydraConfig.initialized() else []
     return [override for override in own if override.startswith("hydra.searchpath=")]
@@ -187,11 +187,13 @@ def config_dir() -> list[str]:
 
 
 def task_overrides() -> list[tuple[str, str]]:
-    """Overrides of this job, as pairs: the key (or group) of the override, and the whole override."""
+    """Overrides of this job as pairs: the config key or group that is overridden, and the text of the override."""
     return keyed_overrides(HydraConfig.get().overrides.task)
 
 
 def keyed_overrides(overrides: Iterable[str]) -> list[tuple[str, str]]:
-    """Pairs of a key (or group) and the whole override, for each of the `overrides`."""
+    """Pairs for each of the `overrides`: the config key or group that is overridden, and the whole text of the
+    override.
+    """
     parsed = OverridesParser.create().parse_overrides(list(overrides))
     return [(str(override.key_or_group), str(override.input_line)) for override in parsed]

@@ -34,8 +34,8 @@ SAME_EDGE = 1e-6  # maximum difference between edges that count as equal, metres
 
 
 class Parts(NamedTuple):
-    """Arguments of `lmd.problem.Problem`. It has not been checked that they fit together: the objective may not support
-    the landmarks.
+    """Arguments of `lmd.problem.Problem`. They are not checked against each other; for example, the objective may not
+    support the landmarks.
     """
 
     scene: "Scene"
@@ -119,7 +119,7 @@ def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
 
 
 def _check_settings(cfg: DictConfig) -> None:
-    """Check those settings that are not passed to an object of the problem.
+    """Check the settings that are not passed to an object of the problem; the objects check their own settings.
 
     Raises:
         InputError: a setting has a value that is not allowed.
@@ -271,7 +271,7 @@ def budget_of(cfg: DictConfig) -> "Budget":
 
 
 def seeds_of(cfg: DictConfig) -> range:
-    """Seeds of several runs: `seed`, `seed + 1`, ...; their number is `seeds`.
+    """Seeds of several runs: `seed`, `seed + 1`, ...; the key `seeds` gives their number.
 
     Raises:
         InputError: `seed` or `seeds` is not an allowed number, or the memory is too small for all runs.

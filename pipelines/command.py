@@ -39,11 +39,11 @@ class Command:
     task: Callable[[DictConfig], Study | float | None]
     """Function that is called with the configuration; a returned study is then conducted."""
     like: str = ""
-    """Name of the command whose configuration this command extends by `settings`; for commands outside of this
-    package.
+    """Name of another command, whose configuration this command uses with the changes in `settings`; for commands
+    outside of this package. Empty if the command has a configuration of its own.
     """
     settings: Mapping[str, Any] = field(default_factory=dict)
-    """Keys that are added to the configuration of the command `like`, with their default values."""
+    """Keys and default values that are added to the configuration of the command `like`."""
 
     def __call__(self) -> None:
         """Run the command with the command line of this process."""

@@ -123,7 +123,7 @@ def _over_suite(cfg: DictConfig) -> Study:
 
 
 def _configurations(taken: Mapping[str, Mapping[str, DictConfig]]) -> str:
-    """Text of a table with the exact configuration that was used for each entry of `optimisers`."""
+    """Text of a table with a row for each entry of `optimisers`: the exact configuration that was used for it."""
     from lmd.core.words import as_code, markdown_table
 
     flat = {entry: flat_settings(next(iter(configs.values())), "optimiser") for entry, configs in taken.items()}
@@ -160,8 +160,8 @@ def problems_of(cfg: DictConfig) -> "Mapping[str, BlackBox]":
 
 
 def _taken(entry: str, cfg: DictConfig, boxes: "Mapping[str, BlackBox]") -> dict[str, DictConfig]:
-    """Configuration of an entry of `optimisers` for each problem that the optimiser supports, keyed by the name of the
-    problem.
+    """Configuration of an entry of `optimisers`, keyed by the name of the problem, for each problem that its optimiser
+    supports.
     """
     from lmd.core.checks import InputError
 

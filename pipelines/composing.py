@@ -107,7 +107,7 @@ def recompose(config_name: str, overrides: Sequence[str], setting: str, entry: s
     Args:
         config_name: name of the configuration.
         overrides: overrides of that configuration.
-        setting: key whose value asks for this configuration, for error messages.
+        setting: key that asks for this configuration by its value, for error messages.
         entry: value of the key `setting`.
 
     Raises:
@@ -134,7 +134,7 @@ def _without_hydra(composed: DictConfig) -> DictConfig:
 
 
 def _final(cfg: DictConfig) -> DictConfig:
-    """Read-only copy of the configuration, without keys that the values of other keys make meaningless."""
+    """Read-only copy of the configuration, without keys that have no effect because of the values of other keys."""
     left_out = ("cameras", "body") if cfg.get("varies") == "tags" else ()
     final = OmegaConf.masked_copy(cfg, [str(key) for key in cfg if key not in left_out])
     OmegaConf.set_readonly(final, True)
@@ -142,8 +142,8 @@ def _final(cfg: DictConfig) -> DictConfig:
 
 
 def _overrides(cfg: DictConfig, command: str, given: Sequence[str], runtime: Any) -> list[str] | None:
-    """Overrides that keys of the configuration choose, followed by the overrides of the command line; None if no key
-    chooses an override.
+    """All overrides: first those that follow from keys such as `run` and `suite`, then those of the command line. None
+    if no key adds an override.
 
     Args:
         cfg: configuration.
@@ -180,8 +180,8 @@ def _overrides(cfg: DictConfig, command: str, given: Sequence[str], runtime: Any
 
 
 def _stored(parts: Mapping[str, Any], option: str) -> dict[str, str]:
-    """Put config nodes, keyed by group, into Hydra's config store under the name `option`, and return the overrides
-    that choose these nodes.
+    """Put the config nodes `parts`, keyed by group, into Hydra's config store under the name `option`; return the
+    overrides that choose these nodes.
     """
     for group, part in parts.items():
         ConfigStore.instance().store(option, part, group)
@@ -262,7 +262,7 @@ def _of_run(
 def _parts_of(
     directory: Path, argument: str, trust: Trust, groups: Sequence[str], files: Sequence[str] = FILES[:1]
 ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-    """Whole configuration of an earlier run, and separately the nodes of the config groups `groups` in it.
+    """Two things from an earlier run: its whole configuration, and separately the nodes of the config groups `groups`.
 
     Args:
         directory: folder of the run.
@@ -295,8 +295,8 @@ def compared(cfg: DictConfig) -> dict[str, DictConfig]:
     configuration of the command line.
 
     An entry is an option of `conf/deployment`, or a text `NAME: OPTION OVERRIDES` that gives the entry a name and
-    overrides. On the command line, `deployment.path` applies to entries with files, and `deployment.count` to all other
-    entries.
+    overrides. If the command line gives `deployment.path`, it applies to entries that read files; `deployment.count`
+    applies to all other entries.
 
     Raises:
         InputError: an entry is refused.

@@ -61,7 +61,9 @@ class Contender:
 
     @property
     def parts(self) -> tuple[Any, ...]:
-        """Settings that determine the result of the run; a stored result is found again by these settings."""
+        """Settings that determine the result of the run. A result is stored under these settings, and found again by
+        them.
+        """
         if not self.problem:
             return flat_settings(self.cfg, *SAME_WHEN_RESUMED, "budget", "validate"), self.seed
         from lmd.suite import document
@@ -134,7 +136,7 @@ def _done(directory: Path, folder: str, job: Contender) -> "tuple[str, Optimiser
 
 
 def _searched(job: Contender) -> dict[str, Any]:
-    """Do a run on one thread; return a document with the metrics of the run and the texts of the run's files."""
+    """Do a run on one thread; return a document (for JSON) with the run's metrics and the contents of its files."""
     from lmd.core.tables import write_table
     from lmd.evaluation.tradeoff import SAMPLE
     from lmd.evaluation.validation import Sample, headline_off_grid, validation_metrics

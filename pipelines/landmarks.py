@@ -24,7 +24,7 @@ MORE = re.compile(r"\+(\d+)")  # a count of landmarks in addition to the fixed o
 def fixed_of(node: DictConfig, family: str | None) -> "Deployment | None":
     """Read the landmarks that keep their poses; None if no landmark is fixed.
 
-    With the key `marked`, only those landmarks are returned that the file marks as fixed, as the file of a run also
+    With the key `marked`, only the landmarks that the file marks as fixed are returned, because the file of a run also
     holds movable landmarks.
 
     Args:
@@ -48,7 +48,9 @@ def fixed_of(node: DictConfig, family: str | None) -> "Deployment | None":
 
 
 def table_in(node: DictConfig) -> dict[str, Any]:
-    """Arguments that describe a table of landmarks, for `read_deployment`: those that the group `deployment` gives."""
+    """Arguments of `read_deployment` that describe a table of landmarks, taken from the keys of the config group
+    `deployment`.
+    """
     return {key: plain(node[key]) for key in TABLE if node.get(key) is not None}
 
 
@@ -60,8 +62,8 @@ def others_of(node: DictConfig, fixed: "Deployment | None") -> tuple[int | None,
     number of landmarks in a file is checked after the fixed landmarks are added.
 
     Raises:
-        InputError: the count is given as a number in addition to the fixed landmarks, but no landmark is fixed; or the
-            count leaves no landmark to place.
+        InputError: the count has a sign, such as +5, so it adds landmarks to the fixed landmarks, but no landmark is
+            fixed; or the count leaves no landmark to place.
     """
     from lmd.core.checks import InputError, integer
 
@@ -130,8 +132,8 @@ def spell_counts(node: DictConfig, tag: DictConfig) -> None:
 def divide_paper(
     cfg: DictConfig, scene: "Scene", objective: "Objective", threads: int | None, fixed: "Deployment | None"
 ) -> "Scene":
-    """Choose the number of tags of each size within the limit `tag.paper` or `tag.budget`, unless the numbers are
-    given; return the scene with these numbers.
+    """Choose the number of tags of each size within the limit `tag.paper` or `tag.budget`, and return the scene with
+    these numbers. Nothing is chosen if the configuration gives the numbers.
 
     The chosen numbers are written to the groups `deployment` and `tag`, and are printed in a note.
 

@@ -77,7 +77,9 @@ def localise(cfg: DictConfig) -> Study:
 
 
 def _cameras(cfg: DictConfig) -> "Camera | Rig":
-    """Cameras of the configuration; if it names none, the cameras of the survey whose folder is given as the map."""
+    """Cameras of the configuration; if the configuration gives none, and the map is the folder of a survey, the cameras
+    of this survey.
+    """
     from lmd.formats.calibrations import calibrated_camera
     from lmd.formats.rigs import read_mounts, rig_of
 

@@ -31,7 +31,8 @@ def note(text: str) -> None:
 
 @contextmanager
 def keyed(group: str = "", /, **keys: str) -> Iterator[None]:
-    """Context in which the message of an `InputError` names the config key of an argument instead of the argument.
+    """Context that changes the message of an `InputError`: the message names the config key of an argument, not the
+    argument.
 
     Args:
         group: key of the node whose keys are the arguments; empty for top-level keys.
@@ -79,7 +80,7 @@ def _refusal(error: Exception, extra: Mapping[str, Any]) -> str:
 
     Args:
         error: Hydra's error.
-        extra: arguments that were passed beside the keys of the node.
+        extra: arguments that were passed in addition to the keys of the node.
     """
     from lmd.core.checks import failure
     from lmd.core.optional import lack_of
@@ -111,7 +112,8 @@ def plain(node: Any) -> Any:
 
 
 def settings_of(cfg: DictConfig, key: str) -> DictConfig:
-    """Return the config node at a key, after a check that the value at the key is a node and not the name of an option.
+    """Return the config node at a key. The value at the key must be a node; a user may have given the name of an option
+    instead.
 
     Raises:
         InputError: the value at the key is not a node.

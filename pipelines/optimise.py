@@ -78,7 +78,9 @@ def optimise(cfg: DictConfig) -> Study:
 
 
 def _accuracy(cfg: DictConfig, problem: "Problem", found: "Result") -> Mapping[str, float]:
-    """Metrics of the accuracy of single images; empty if the objective is not one of localisation."""
+    """Metrics that say how accurately single images localise the camera; empty unless the objective is `Localisation`
+    and validation is switched on.
+    """
     from lmd.evaluation.accuracy import accuracy_metrics
     from lmd.objectives.localisation import Localisation
 
@@ -106,7 +108,8 @@ def _checkpoint_of(cfg: DictConfig, optimiser: "Optimiser", problem: "Problem") 
 def _run(
     problem: "Problem", budget: "Budget", checkpoint: "Checkpoint", tracker: "Tracker", every: float
 ) -> "tuple[Result, bool]":
-    """Run the optimiser; return the result, and True if a second signal ended the run in the middle of a batch.
+    """Run the optimiser; return the result and a flag, which is True if a second signal ended the run in the middle of
+    a batch.
 
     Args:
         problem: problem of the run.

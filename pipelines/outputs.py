@@ -134,8 +134,8 @@ def all_or_none(directory: Path, write: Callable[[Path], object]) -> list[Path]:
 
 
 def write_all(directory: Path, writers: Mapping[str, Callable[[Path], object]]) -> list[Path]:
-    """Write several files to a directory, either all of them or none (`all_or_none`); `writers` maps each file name to
-    a function that writes the file.
+    """Write several files to a directory, either all of them or none (`all_or_none`). `writers` has a function for each
+    file name, which writes the file to a path.
     """
 
     def fill(folder: Path) -> None:

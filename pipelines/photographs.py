@@ -57,7 +57,9 @@ def detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector",
 
 
 def with_camera_of_bag(cfg: DictConfig) -> DictConfig:
-    """Configuration, extended by the camera calibration from the bag `photographs` if no other calibration is given."""
+    """Copy of the configuration. If the configuration gives no camera calibration, and `photographs` is a bag, the
+    calibration in the bag is added.
+    """
     from lmd.formats.bags import CAMERA_INFO, Bag, is_bag
 
     if cfg.photographs is None or "path" not in cfg.camera or cfg.camera.path is not None or cfg.camera.get("rig"):
@@ -87,10 +89,11 @@ def reader_of(cfg: DictConfig) -> "tuple[str, Detector]":
 
 
 def odometry_of(given: Any, key: str) -> "Trajectory | None":
-    """Read the odometry as a trajectory of the body, given the path of the file or a mapping of the reader's arguments.
+    """Read the odometry as a trajectory of the body.
 
     Args:
-        given: value at the config key `key`; None if there is no odometry.
+        given: value at the config key `key`: the path of a file, or a mapping of the reader's arguments; None if there
+            is no odometry.
         key: config key, for error messages.
 
     Raises:

@@ -58,14 +58,16 @@ class Ladder:
         return build_problem(self.point(count), "counts")
 
     def anew(self, count: int) -> "Found":
-        """Result of the search that places `count` landmarks and begins from the configured start."""
+        """Result of a search that places `count` landmarks, and begins from the configured start instead of from
+        another result.
+        """
         from lmd.evaluation.tradeoff import ANEW
 
         return self._search(count, self.problem(count), ANEW)
 
     def improved(self, known: "Mapping[int, Found]", chosen: Iterable[int]) -> "dict[int, Found]":
-        """Results of new searches, keyed by the number of landmarks. Each search begins from the result for a
-        neighbouring number; see `lmd.evaluation.tradeoff.improved`.
+        """Results of new searches, keyed by the number of landmarks. Each search begins from the result in `known` for
+        a neighbouring number of landmarks; see `lmd.evaluation.tradeoff.improved`.
         """
         from lmd.evaluation.tradeoff import improved
 
@@ -98,8 +100,8 @@ class Ladder:
     def _kept(
         self, count: int, what: str, given: "Deployment | None", compute: Computed, read: Callable[[Any], Any] = dict
     ) -> Any:
-        """Read the result of the kind `what` for the point with `count` landmarks from disk, or compute and store it;
-        see `kept`.
+        """Result of the kind `what` for the point with `count` landmarks. It is read from disk or, if it is not stored
+        yet, computed and stored; see `kept`.
         """
         settings = flat_settings(self.point(count), *SAME_WHEN_RESUMED, "budget")
         arrays = None if given is None else [getattr(given, name).tolist() for name in ARRAYS]
@@ -164,8 +166,8 @@ class Points:
         return f"K={','.join(map(str, counts))}{size} seed={ladder.seed}"
 
     def __iter__(self) -> "Iterator[tuple[Ladder, int, str, Found, dict[str, float]]]":
-        """Iterate over the points: ladder, number of landmarks, name of the point, result of the search, and
-        metrics.
+        """Iterate over the points. Each item has the ladder, the number of landmarks, the name of the point, the result
+        of the search, and its metrics.
         """
         for n, count in sorted(self._figures):
             yield self.ladders[n], count, self.name(n, count), self._found[n][count], self._figures[n, count]

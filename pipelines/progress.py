@@ -81,7 +81,9 @@ class Progress:
         self.saved = time.monotonic()
 
     def _curve(self, ledger: Ledger) -> list[tuple[int, float, float]]:
-        """Points of the curve of the best fitness, up to the step that corresponds to the spent part of the budget."""
+        """Points of the curve of the best fitness. The curve ends at the step that corresponds to the part of the
+        budget that is spent.
+        """
         spent = ledger.seconds if self.budget.evaluations is None else ledger.evaluations
         return curve(ledger.history, self.budget, spent + ROUNDING)
 

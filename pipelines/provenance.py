@@ -103,7 +103,7 @@ def _git(*arguments: str) -> str:
 
 
 def parameters(cfg: DictConfig, choices: Mapping[str, str]) -> dict[str, Any]:
-    """Parameters of a run: the option chosen in each config group, and those settings below the groups that have a
+    """Parameters of a run: the option chosen in each config group, and the settings below the groups, if they have a
     value.
     """
     settings = {key: value for key, value in flat_settings(cfg).items() if value not in (None, [])}
@@ -113,8 +113,8 @@ def parameters(cfg: DictConfig, choices: Mapping[str, str]) -> dict[str, Any]:
 
 
 def digest(*parts: Any) -> str:
-    """Digest of any values; files that the values name enter with their contents, so that equal digests mean equal
-    input.
+    """Digest of any values. For files that the values name, the contents are part of the digest, so that equal digests
+    mean equal input.
     """
     text = json.dumps([*parts, contents_of(parts)], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()
@@ -157,8 +157,8 @@ def _digest_of(file: Path) -> str:
 
 
 def kept(folder: str, parts: tuple[Any, ...], compute: Computed, content_of: Callable[[Any], Content]) -> Content:
-    """Read a stored result from the disk, or compute and store it; it is stored under a digest of everything that
-    determines the result.
+    """Read a result from the disk; if it is not stored yet, compute and store it. Its name on the disk is a digest of
+    everything that determines it.
 
     Args:
         folder: folder that holds the stored results.

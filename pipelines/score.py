@@ -31,8 +31,8 @@ COMPARED = ("fitness", "off_grid", "qualified_ratio", "average_coverage_probabil
 
 
 def room_report(cfg: DictConfig, problem: "Problem") -> Report:
-    """Report with a picture of the room as the program interprets its file, and of the people who may hide landmarks.
-    The report is made before anything is computed.
+    """Report with a picture of the room as the program has read it from its file, and of the people who may hide
+    landmarks. The report is made before anything is computed.
     """
     if not cfg.picture:
         return Report()

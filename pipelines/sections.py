@@ -103,7 +103,9 @@ def _curves(source: Source, name: str, jobs: pd.DataFrame, title: str) -> list[s
 
 
 def _origin(source: Source, sweep: str, jobs: pd.DataFrame) -> str:
-    """Text about the origin of a sweep's runs; if there are no runs, the command that makes the runs."""
+    """Text that says from which runs the results of a sweep come; if there are no runs, it names the command that makes
+    them.
+    """
     if jobs.empty:
         command, more = COMMANDS[sweep]
         made_by = as_code(f"{command_of(command)} experiment={sweep}{more}")
@@ -135,7 +137,9 @@ def _typical(jobs: pd.DataFrame) -> str:
 
 
 def _beside(printed: Any, jobs: pd.DataFrame) -> list[str]:
-    """Cells of a table row, each with a value printed in the paper beside the median of the runs, per cent."""
+    """Cells of a table row. Each cell has a value `printed` in the paper, and beside it the median of the runs, per
+    cent.
+    """
     cells = [f"{len(jobs)}"]
     for index in INDICES:
         paper, values = getattr(printed, index), jobs[f"metrics.{index}"]

@@ -68,7 +68,8 @@ def observe(cfg: DictConfig, own: Own) -> Study:
 
 
 def _any_tag(cfg: DictConfig) -> DictConfig:
-    """Replace tags by points in a configuration whose visibility model is for points.
+    """Configuration in which points replace the tags, if the visibility model is for points; otherwise the unchanged
+    configuration.
 
     Tags whose white margins overlap are then accepted; pictures still show the margins.
     """
@@ -92,7 +93,7 @@ def in_batches(workers: int | None, function: Callable[[Any], Any], jobs: Sequen
 
 
 def _on_one_thread(function: Callable[[Any], Any], job: Any) -> Any:
-    """Do one job on a single thread."""
+    """Do one job on a single thread, because several jobs run at the same time."""
     from lmd.core.optional import optional
 
     optional("cv2", "detection").setNumThreads(1)

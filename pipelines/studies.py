@@ -204,8 +204,8 @@ def acceptance(cfg: DictConfig, own: Own) -> Study:
 
 
 def _hung(cfg: DictConfig, own: Own, study: str) -> "tuple[Problem, Deployment, FloatArray, FloatArray | None]":
-    """Problem and deployment of a study that takes a single deployment, the covariance of the mounting error of each
-    tag, and the covariance of all tags if the deployment is a surveyed map.
+    """For a study of a single deployment: its problem; the deployment; the covariance of the mounting error of each
+    tag; and, if the deployment is a surveyed map, the covariance of all tags together, else None.
     """
     import numpy as np
 

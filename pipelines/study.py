@@ -81,9 +81,7 @@ class Study:
     problem: "Problem | None" = None
     """Problem that is studied; None for a study without a problem."""
     earlier: tuple[str | None, Path] = (None, Path())
-    """Id of the tracked run that this study continues (None if nothing is continued or tracked), and the folder of that
-    run.
-    """
+    """The tracked run that this study continues: its id (None if there is no such run), and its folder."""
     hint: Callable[[], str] = str
     """Function that returns a text about how to continue after an interruption."""
     returned: str = ""
@@ -169,7 +167,9 @@ def _written(directory: Path, report: Report) -> tuple[list[Path], list[str]]:
 
 
 def _writer(name: str, content: Any) -> Callable[[Path], object]:
-    """Make a function that writes `content` to a path, in the format of the file name `name`."""
+    """Make a function that writes `content` to a path, in the format that the ending of the file name `name`
+    determines.
+    """
     if callable(content):
         return content  # type: ignore[no-any-return]
     if isinstance(content, str):
@@ -255,7 +255,7 @@ def dataset_of(cfg: DictConfig, problem: "Problem") -> tuple[str, str]:
 
 
 def derived(problem: "Problem") -> dict[str, Any]:
-    """Parameters of a run that follow from the problem, as the configuration does not state them: the numbers of
+    """Parameters of a run that the configuration does not state, because they follow from the problem: the numbers of
     landmarks.
     """
     counts = problem.scene.tag.counts

@@ -101,7 +101,7 @@ def _map_or_nothing(stages: "Stages") -> Iterator[None]:
 
 
 def _scene(cfg: DictConfig, room: "Space | None", camera: "Camera | Rig", tag: "Tag") -> "Scene":
-    """Scene with which the map is audited; a placeholder stands for a room that is not given.
+    """Scene in which the map is audited. If no room is given, a placeholder stands for the room.
 
     Raises:
         InputError: the visibility model is for points, not for tags.

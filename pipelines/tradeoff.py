@@ -1,7 +1,7 @@
 """Trade off the objective against the number and size of landmarks: `python -m pipelines.tradeoff counts=[20,40,60]
 edges=[0.1,0.15] [overrides]`.
 
-The trade-off is one run and not a sweep, as the search at each point also starts from the results of neighbouring
+The trade-off is one run and not a sweep, because the search at each point also starts from the results of neighbouring
 points. Searches run in parallel, and results are stored on disk.
 """
 
@@ -32,8 +32,8 @@ COVERED, LOCALISED = "covered_share", "localised_share_20mm"  # figures off the 
 
 
 def tradeoff(cfg: DictConfig) -> Study:
-    """Prepare searches for every combination of a number of landmarks, an edge length and a seed. With the key `size`,
-    the range at which tags are detected is studied instead.
+    """Prepare the searches for every combination of a number of landmarks, an edge length and a seed. If the key `size`
+    is set, prepare instead the study of the range at which tags are detected.
     """
     if cfg.size:
         return size(cfg)

@@ -1,4 +1,4 @@
-"""Checks of configurations of other origin: they may only name code that is trusted, as Hydra would import and call
+"""Checks of configurations of other origin: they may only name code that is trusted, because Hydra imports and calls
 every `_target_`.
 
 A configuration is of other origin if it is neither part of this project nor on the command line. Examples are the
@@ -175,8 +175,8 @@ def _place(found: Any, key: str, name: str) -> Any:
 
 
 def _leaves(source: str, key: str, value: Any, seen: set[int]) -> Iterator[tuple[str, Any]]:
-    """Yield all values below a key that are not containers, and the values of every `_target_`, together with their
-    keys.
+    """Yield pairs of a key and a value: all values below a key that are no containers, and the values of every
+    `_target_`.
 
     Raises:
         InputError: a container occurs twice, for example by an alias of YAML, or a key or a value is not plain data.

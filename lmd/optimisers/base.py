@@ -74,7 +74,8 @@ class Optimiser(ABC):
         functions for generators and deployments.
 
         Raises:
-            InputError: the optimiser cannot be checkpointed, as is the case unless a subclass overrides this method.
+            InputError: the optimiser cannot be checkpointed. This method always raises; subclasses that can be
+                checkpointed override it.
         """
         raise InputError("it has no state to be saved")
 
@@ -117,8 +118,8 @@ class Optimiser(ABC):
     ) -> Result:  # fmt: skip
         """Call `step` with the spent fraction of the budget until the budget is used up, or the callback stops the run.
 
-        `spent` returns the exact number of evaluations spent; the number in the ledger may be a sum of rounded
-        fractions.
+        `spent` returns the exact number of evaluations spent. The ledger's number is not used, because it may be a sum
+        of rounded fractions.
         """
         while (used := budget.used(spent(), self.ledger.seconds)) < 1.0:
             step(used)
@@ -213,7 +214,9 @@ class AskTell(Optimiser):
         return fitness
 
     def _note_or_tell(self, genes: FloatArray, fitness: FloatArray, asked: int) -> None:
-        """Pass a batch to `_tell` if it has all `asked` candidates; an incomplete batch is only recorded."""
+        """Pass a batch to `_tell` if it has all `asked` candidates. A batch that the budget has cut short is only
+        recorded.
+        """
         if len(genes) == asked:
             self.tell(genes, fitness)
         else:  # `_tell` needs a complete batch

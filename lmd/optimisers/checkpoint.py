@@ -93,9 +93,7 @@ class Checkpoint:
 
 
 def _without_arrays(name: str, value: Any, arrays: dict[str, Any]) -> Any:
-    """Replace each array in `value` by a name, so that `value` fits into JSON, and add each array to `arrays` under
-    this name.
-    """
+    """Copy of `value` for JSON: a name replaces each array, which is added to `arrays` under this name."""
     if value is None or isinstance(value, str | bool | int | float):
         return value
     if isinstance(value, np.generic):

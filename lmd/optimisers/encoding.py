@@ -72,8 +72,8 @@ class PaperEncoding:
         return np.clip(np.hstack([(points - self.low) / self.size, angles]), 0.0, 1.0).reshape(-1)
 
     def _distance(self, points: FloatArray) -> FloatArray:
-        """Distance of points `(..., 3)` from each of W surfaces, `(..., W)`, metres. If the planes of the surfaces
-        suffice to find the nearest surface, the distance is measured to the plane.
+        """Distance of points `(..., 3)` from each of W surfaces, `(..., W)`, metres. In rooms where the planes of the
+        surfaces suffice to find the nearest surface, it is the distance from the plane.
         """
         s, depth = self.surfaces, np.abs(self.surfaces.heights(points))
         if self.planes_tell:

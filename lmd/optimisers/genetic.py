@@ -9,7 +9,9 @@ from lmd.optimisers.base import AskTell
 
 
 def filled_up(start: FloatArray, size: int, rng: np.random.Generator) -> FloatArray:
-    """Cut the genes `start` to `size` candidates, or add uniform random genes, so that the result is `(size, dim)`."""
+    """Bring the genes `start` of several candidates to the shape `(size, dim)`: leave out candidates after the first
+    `size`, or append candidates with uniform random genes.
+    """
     missing = max(size - len(start), 0)
     return np.vstack([start[:size], rng.random((missing, start.shape[1]))])
 
@@ -35,8 +37,8 @@ def run_of_genes(rng: np.random.Generator, dim: int, shortest: float, longest: f
 
 
 def exchange(rng: np.random.Generator, parents: FloatArray, shortest: float, longest: float) -> FloatArray:
-    """Pair up parents at random and exchange a run of genes in each pair; return the children `(B, dim)`. A parent
-    without a partner is copied.
+    """Pair up `parents` `(B, dim)` at random and exchange a run of genes in each pair; return the children `(B, dim)`.
+    A parent without a partner is copied.
     """
     children = parents.copy()
     order = rng.permutation(len(parents))
@@ -221,4 +223,4 @@ class RandomSearch(AskTell):
         return self.rng.random((self.batch, self.dim))
 
     def _tell(self, genes: FloatArray, fitness: FloatArray) -> None:
-        """Do nothing, as random search learns nothing from the fitness."""
+        """Do nothing, because random search learns nothing from the fitness."""

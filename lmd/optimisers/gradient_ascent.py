@@ -39,9 +39,9 @@ class GradientAscent(DeploymentSearch):
 
     The slope along the surface of each landmark is a central difference with exact values, occlusion included. A trial
     moves each landmark by one step in the direction of its slope. If the smoothed objective rises, the trial is kept
-    and the step grows, otherwise the step shrinks. When the step falls below its minimum, the next width of the smooth
-    threshold, which is smaller, is used; after the last width the next ascent begins. The deployment with the best
-    *true* fitness is kept.
+    and the step grows, otherwise the step shrinks. When the step falls below its minimum, the ascent goes on with the
+    next width of the smooth threshold. After the last width the next ascent begins. The deployment with the best *true*
+    fitness is kept.
 
     Computing the slopes of all landmarks costs as much of the budget as moving each free landmark to four places; a
     trial costs one evaluation.
@@ -187,8 +187,8 @@ class _Climb:
         self._here, self._state = here, self._field.state(here)
 
     def direction(self, difference: float, width: float) -> FloatArray:
-        """Direction of the slope of the smoothed objective for each landmark: unit vectors with components along u and
-        v, `(K, 2)`; zero for a landmark without a slope.
+        """Direction in which each landmark increases the smoothed objective most: unit vectors with components along u
+        and v, `(K, 2)`; zero for a landmark without a slope.
         """
         out, scratch = np.zeros((len(self._here), 2)), self._field.scratch(self._state)
         target = slope_target(self._target, self._state.units)

@@ -52,7 +52,8 @@ class Record:
     best_fitness: float
     """Best fitness at this point."""
     wall_time: float
-    """Seconds spent; all records of a batch have the end time of the batch, as its candidates are evaluated together.
+    """Seconds spent. All records of a batch have the end time of the batch, because its candidates are evaluated
+    together.
     """
 
 
@@ -70,8 +71,8 @@ class Ledger:
     """Records in the order of time."""
 
     def note(self, evaluations: float, fitness: float) -> bool:
-        """Record that `evaluations` are spent, and the `fitness` of the last evaluation; return True if this fitness is
-        the best.
+        """Record that `evaluations` have been spent, and that the last one gave `fitness`; return True if this is the
+        best fitness until now.
         """
         is_best = fitness > self.best_fitness
         self.evaluations, self.best_fitness = evaluations, fitness if is_best else self.best_fitness
@@ -81,8 +82,8 @@ class Ledger:
     def note_batch(self, fitness: FloatArray) -> int | None:
         """Record a batch of evaluations with `fitness` `(B,)` as if they were made one after the other.
 
-        The history gets a record at each improvement and one at the end of the batch, so that the evaluations to reach
-        a fitness do not depend on the size of batches.
+        The history gets a record at each improvement and one at the end of the batch, so that the number of evaluations
+        needed to reach a fitness does not depend on the size of batches.
 
         Returns:
             index of the best fitness in the batch; None if it is not better than the best fitness before.

@@ -80,7 +80,9 @@ def check_lattice(problem: Problem, poses: Deployment, spacing: float) -> None:
 
 
 def by_size(problem: Problem, poses: Deployment) -> list[tuple[IntArray, int]]:
-    """For each size of the free landmarks, the indices of the poses for this size, and the number of landmarks."""
+    """For each size of the free landmarks: the indices of the poses for this size, and the number of free landmarks of
+    this size.
+    """
     sizes, own = problem.free_sizes, poses.edges_of(problem.scene.tag)
     return [(np.flatnonzero(own == edge), int((sizes == edge).sum())) for edge in np.unique(sizes)]
 
@@ -110,8 +112,8 @@ def placed(problem: Problem, poses: Deployment, taken: IntArray) -> Deployment:
 
 
 def _seen(problem: Problem, landmarks: Deployment) -> NDArray[np.int8]:
-    """Number of the `landmarks` that each view (a position with an axis) covers without occlusion, limited to n, `(P,
-    A)`.
+    """Number of `landmarks` that each view (a position with an axis) covers if no landmark hides another one; numbers
+    above n are replaced by n; `(P, A)`.
     """
     counts = covered_amounts(problem.evaluator, landmarks, np.ones(len(landmarks)))
     return np.minimum(counts[:, _used(problem)], problem.objective.n).astype(np.int8)
@@ -125,8 +127,8 @@ def _views(problem: Problem) -> FloatArray:
 
 
 def _used(problem: Problem) -> BoolArray:
-    """Mask of the axes with a positive probability. Axes with probability 0 exist only because axes are stored in words
-    of 64 bits, which they fill up.
+    """Mask of the axes with a positive probability. Axes are stored in words of 64 bits; those that only fill up the
+    last word have the probability 0.
     """
     return np.asarray(problem.evaluator.probability.max(axis=0) > 0.0)
 
@@ -146,7 +148,7 @@ class Program:
     overlaps: coo_array
     """Matrix `(C, J)` with 1 at both poses of each of C pairs whose footprints overlap."""
     sizes: csr_array
-    """Matrix `(S, J)` with 1 if the pose is a pose for tags of the size, else 0."""
+    """Matrix `(S, J)` with 1 if pose j is meant for tags of size s, else 0."""
     counts: IntArray
     """Number of landmarks of each size, `(S,)`."""
     relevance: FloatArray
@@ -213,7 +215,9 @@ class Program:
         return np.asarray(np.rint(solved.x[: self.covers.shape[1]]), dtype=np.int64)  # HiGHS returns integers to 1e-6
 
     def value(self, solved: OptimizeResult) -> float:
-        """Relevance of the qualified positions in a solution, as a fraction of the relevance of all positions."""
+        """Total weight (relevance) of the qualified positions in a solution, as a fraction of the total weight of all
+        positions.
+        """
         qualified = np.rint(solved.x[-len(self.relevance) :]).astype(int)
         return float(self.relevance @ qualified / self.relevance.sum())
 

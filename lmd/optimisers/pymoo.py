@@ -61,7 +61,7 @@ def _made(make: Callable[[], Any]) -> Any:
 
 
 def _size(algorithm: Any) -> int:
-    """Number of candidates with which the algorithm begins; a local search continues from the best candidate."""
+    """Number of candidates with which the algorithm begins; a local search then continues from the best of them."""
     from pymoo.core.variable import get
 
     size = getattr(algorithm, "n_sample_points", None) or getattr(algorithm, "pop_size", None) or 1

@@ -65,7 +65,7 @@ class Scipy(Wrapped):
 
 
 class Call:
-    """Call of SciPy's function in a thread of its own, which works only while `ask` waits for it."""
+    """Call of SciPy's function in a thread of its own. The thread works only while `ask` waits for it."""
 
     def __init__(self, minimise: Callable[..., Any], start: FloatArray, rng: np.random.Generator) -> None:
         taken = inspect.signature(minimise).parameters

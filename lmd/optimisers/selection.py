@@ -37,7 +37,7 @@ ROUNDING = 1e-9  # relative tolerance of a limit
 
 @dataclass(frozen=True)
 class Tags:
-    """Supply of landmarks for a selection in which the number of landmarks of each size is given."""
+    """Supply of landmarks for a selection of a given number of landmarks of each size."""
 
     sizes: FloatArray
     """Edge length of each of the K landmarks, `(K,)`, metres; zeros for points."""
@@ -45,12 +45,14 @@ class Tags:
     """Tag that applies to poses without an edge length of their own."""
 
     def prices(self, poses: Deployment) -> FloatArray:
-        """Price of a landmark at each of N poses, by which the gain of the pose is divided, `(N,)`."""
+        """Price of a landmark at each of N poses, `(N,)`. The selection compares poses by their gain divided by this
+        price.
+        """
         return np.ones(len(poses))
 
     def none_left(self, poses: Deployment, chosen: Sequence[int]) -> BoolArray:
-        """Mask `(N,)` of those poses that can no longer be chosen: once the poses `chosen` are taken, no landmark of
-        their size remains.
+        """Mask `(N,)` of the poses that can no longer be chosen, because the poses `chosen` have used up all landmarks
+        of the pose's size.
         """
         sizes, of = np.unique(poses.edges_of(self.tag), return_inverse=True)
         left = (self.sizes == sizes[:, None]).sum(axis=1) - np.bincount(of[list(chosen)], minlength=len(sizes))
@@ -59,7 +61,7 @@ class Tags:
 
 @dataclass(frozen=True)
 class Limited:
-    """Supply of landmarks for a selection in which tags may have any size, and their total price is limited."""
+    """Supply of landmarks for a selection with a limit on the total price of the tags, which may have any size."""
 
     total: float
     """Limit on the total price: square metres of paper, or cost."""
@@ -191,7 +193,9 @@ def greedy_start(
 
 
 def _in_place(problem: Problem, start: Deployment, found: Deployment) -> Deployment:
-    """Copy of `start` in which the landmarks `found` replace the first free landmarks of their size."""
+    """Copy of `start` in which the first free landmarks of each size have the poses of those landmarks in `found` that
+    have this size.
+    """
     new = found.edges_of(problem.scene.tag)
     for edge in np.unique(new):
         these = np.flatnonzero(new == edge)

@@ -73,7 +73,7 @@ def generator(name: str, state: Mapping[str, Any]) -> np.random.Generator:
 
 
 def deployment_state(deployment: Deployment) -> dict[str, Any]:
-    """Return a deployment as plain data, without its labels; these come from the problem (`Problem.labelled`)."""
+    """Return a deployment as plain data without its labels, which the problem adds again (`Problem.labelled`)."""
     return {name: getattr(deployment, name) for name in POSE_FIELDS}
 
 

@@ -54,7 +54,9 @@ class Wrapped(AskTell):
 
     @abstractmethod
     def _open(self, start: FloatArray, rng: np.random.Generator) -> LibraryOptimiser:
-        """Make an optimiser that begins with `start` `(S, dim)`, if it can use a start, and draws from `rng`."""
+        """Make an optimiser of the library. It draws from `rng`, and begins with `start` `(S, dim)` if the library
+        supports this.
+        """
 
     def _ask(self) -> FloatArray:
         if self.session is None:
@@ -84,7 +86,7 @@ class Wrapped(AskTell):
         return genes
 
     def _in_library(self, work: Callable[..., T], *arguments: Any) -> T:
-        """Call a library in a daemon thread, as some libraries leave behind a thread that never ends.
+        """Call a library in a daemon thread, because some libraries leave behind a thread that never ends.
 
         Raises:
             InputError: the library fails.
@@ -132,8 +134,8 @@ def name_of(call: Callable[..., Any]) -> str:
 
 
 def with_tuples(call: Callable[..., Any]) -> Callable[..., Any]:
-    """Replace lists by tuples among the arguments of a partial function, for those arguments whose defaults are tuples,
-    as configurations have only lists.
+    """Among the arguments of a partial function, replace lists by tuples for those whose defaults are tuples, because
+    configurations can only contain lists.
     """
     if not isinstance(call, partial):
         return call

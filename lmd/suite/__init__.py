@@ -1,4 +1,4 @@
-"""The suite of frozen problems (problems whose definition does not change), as functions on the unit box, for
+"""The suite: frozen problems (their definitions do not change), in the form of functions on the unit box, for
 optimisers of any library.
 
     >>> import lmd.suite

@@ -22,8 +22,8 @@ MOVED = {
     "lmd.formats.deployments.FileDeployment": "lmd.formats.tag_maps.FileDeployment",
     "lmd.space.relevance.Relevance": "lmd.space.space.Relevance",
 }
-"""Present name of each class that has moved, keyed by its name in the documents; digests use the names in the
-documents.
+"""Present name of each class that has been renamed or moved, keyed by its old name, which the documents contain.
+Digests are computed from the old names.
 """
 HASH_DIGITS = 16
 KEYS = ("about", "set", "version", "hash", "budgets", "bound", "problem")
@@ -115,8 +115,8 @@ def _frozen(name: str) -> Document:
 
 
 def with_paths(node: Any) -> Any:
-    """Copy the config nodes of a problem; relative paths of files become full paths, and old names of classes become
-    their present names.
+    """Copy the config nodes of a problem. In the copy, relative paths of files are full paths, and old names of classes
+    are their present names.
     """
     return _changed(node, {FILE: lambda file: str(FOLDER / file), TARGET: lambda target: MOVED.get(target, target)})
 

@@ -74,7 +74,7 @@ def _draws() -> Mapping[str, Any]:
 
 
 def _parts(node: Any) -> Iterator[dict[str, Any]]:
-    """Yield the config nodes that name a class; nested nodes come before the node that contains them."""
+    """Yield all config nodes within `node` that name a class; nested nodes come before the node that contains them."""
     for value in node.values() if isinstance(node, dict) else node if isinstance(node, list) else ():
         yield from _parts(value)
     if isinstance(node, dict) and TARGET in node:

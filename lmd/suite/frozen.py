@@ -18,8 +18,8 @@ from lmd.suite.families import TARGET, instance_name
 from lmd.suite.several import SeveralObjectives, TagChoice
 
 COUNTED = {"tags": False, "paper": True}
-"""For each name of the second objective of problems that choose tags: True if each tag is weighted by the area of its
-paper, False if tags are counted.
+"""Names of the second objective of a problem in which tags may be left out (`TagChoice`). The value is True if each tag
+counts with the area of its paper, False if each tag counts as one.
 """
 
 

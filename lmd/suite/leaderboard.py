@@ -34,8 +34,8 @@ class Leaderboard(NamedTuple):
     table: pd.DataFrame
     """Table of medians over the seeds: a row for each problem, metric and budget, and a column for each optimiser."""
     figures: Mapping[str, float]
-    """Mean ranks, keyed by names such as `rank_3/fitness/annealing`, made of the number of the budget, the metric and
-    the optimiser.
+    """Mean ranks, keyed by names such as `rank_3/fitness/annealing`: the mean rank of the optimiser `annealing` by
+    fitness, for runs with the third budget.
     """
 
 
@@ -66,9 +66,8 @@ def leaderboard(results: Runs, problems: Iterable[str]) -> Leaderboard:
 
 
 def _held_out_apart(runs: Sequence[OptimiserRun]) -> Mapping[str, Sequence[OptimiserRun]]:
-    """Two groups of runs, keyed by the name of the group: `development` and `held-out`, depending on the instance of
-    the problem on which a run was done. If one group would be empty, a single group has all runs, and its name is
-    empty.
+    """Groups of runs, keyed by the name of the group: `development` and `held-out`, by the instance of the problem on
+    which a run was done. If all runs belong to one of these groups, there is a single group with an empty name.
     """
     is_held_out = [instance_of(run.problem) >= HELD_OUT for run in runs]
     if len(set(is_held_out)) == 1:

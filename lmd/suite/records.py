@@ -34,8 +34,8 @@ from lmd.suite.several import SeveralObjectives, TagChoice
 
 ENTRY = ("problem", "who", "how", "when", "candidate")
 POINT = "point"
-"""Name of the column that gives, for each landmark in a table, the number of the point of the Pareto front to which the
-landmark belongs.
+"""Name of a column in the table of landmarks. For a problem with two objectives, it has the number of the point on the
+Pareto front to which each landmark belongs.
 """
 
 
@@ -76,7 +76,7 @@ def verify(path: str | Path) -> dict[str, Any]:
 
 
 def scored(frozen: Document, candidate: Any, folder: Path) -> dict[str, float | None]:
-    """`value` and `off_grid` of a candidate, see `verify`.
+    """Score of a candidate: the entries `value` and `off_grid` of a record, see `verify`.
 
     Args:
         frozen: document of the problem.

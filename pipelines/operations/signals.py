@@ -28,10 +28,10 @@ class Stopped(KeyboardInterrupt):
 class Stop:
     """Handling of SIGINT, SIGTERM and SIGHUP in this process; the current `with` block decides the effect of a signal.
 
-    Outside all blocks a signal ends the process immediately, as it has no results yet. Within `raising`, the first
-    signal raises `Stopped`, and later signals are ignored while the process cleans up. Within `deferred`, the first
-    signal sets `requested` and the second signal raises `Stopped`. Within `shielded`, a signal only sets `requested`.
-    Within `postponed`, signals wait.
+    Outside all blocks a signal ends the process immediately, because the process has no results yet. Within `raising`,
+    the first signal raises `Stopped`, and later signals are ignored while the process cleans up. Within `deferred`, the
+    first signal sets `requested` and the second signal raises `Stopped`. Within `shielded`, a signal only sets
+    `requested`. Within `postponed`, signals wait.
 
     A library, or the clean-up, may fail with another error when a signal interrupts it. This error is printed in one
     line, and `Stopped` is raised in its place.
@@ -55,7 +55,7 @@ class Stop:
         return 128 + self._number
 
     def listen(self) -> None:
-        """Begin to handle the signals, except a hang-up that the process already ignores, as with `nohup`."""
+        """Begin to handle the signals. A hang-up that the process already ignores, as under `nohup`, stays ignored."""
         for number in SIGNALS:
             if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
                 signal.signal(number, self._handle)
@@ -129,7 +129,9 @@ class Stop:
 
 
 def tell(text: str) -> None:
-    """Write a line to stderr directly, as the signal may have interrupted a write to Python's buffer."""
+    """Write a line to stderr directly. Python's buffer is avoided, because the signal may have interrupted a write to
+    it.
+    """
     with suppress(OSError):  # the reader may have ended
         os.write(2, f"\n{text}\n".encode())
 
@@ -139,7 +141,7 @@ def _ignore(number: int) -> None:
 
 
 def _unless_stopped(unraisable: "sys.UnraisableHookArgs") -> None:
-    """Ignore a `Stopped` that was raised in code from which Python cannot propagate exceptions, such as a destructor;
+    """Ignore a `Stopped` that was raised where Python cannot pass on exceptions, for example in a destructor;
     `requested` is set nevertheless.
     """
     if not isinstance(unraisable.exc_value, Stopped):

@@ -9,8 +9,8 @@ run from a random start therefore has up to three stages:
    were pushed apart in one step until none hides another, they would cover less than the stack did. So the assumed
    footprints are small at first and *grow* to their true size, which separates the landmarks gradually.
 3. For an objective that is evaluated on random samples of poses (an objective "with a sampling"), a gradient ascent of
-   all landmarks together (`ascent`) finds the local optimum, as the gains of single moves are smaller than the sampling
-   error.
+   all landmarks together (`ascent`) finds the local optimum, because the gains of single moves are smaller than the
+   sampling error.
 
 The annealing ("walk") mostly maximises a `surrogate` of the problem. From time to time the present deployment is
 evaluated on the problem itself, which costs an evaluation of the budget.
@@ -67,8 +67,8 @@ class Annealing(DeploymentSearch):
     """Simulated annealing of stacks of landmarks and then of single landmarks, which lie flat (flush) on a surface.
 
     A start that is not random (`uniform`, `file`) is improved without stacks, under the conditions `given`, with
-    footprints of their true size from the beginning. Landmarks are flush, as tilting a landmark never helps inside a
-    cuboid.
+    footprints of their true size from the beginning. Landmarks are flush, because tilting a landmark never helps inside
+    a cuboid.
 
     Args:
         stacked: conditions of the stage that moves stacks. `stacked`, `single`, `sampled`, `given` and `chosen` are
@@ -76,8 +76,8 @@ class Annealing(DeploymentSearch):
         single: conditions of the stage that moves single landmarks after the stacks are separated.
         sampled: conditions that replace `single` for an objective with a sampling (module docstring); they keep the
             walk from overfitting its samples.
-        given: conditions of the only stage if the start is given. The temperature is higher than in `single`, as the
-            start may be bad, and the objective is as smooth as in `sampled`.
+        given: conditions of the only stage if the start is given. The temperature is higher than in `single`, because
+            the start may be bad; the objective is as smooth as in `sampled`.
         chosen: conditions that replace `given` after a greedy start; a run starts greedily if the objective allows no
             stacks.
         stacked_share: share of the budget spent on stacks.
@@ -152,8 +152,8 @@ class Annealing(DeploymentSearch):
         return self._spend(problem, budget, callback, step, lambda: self.spent / count)
 
     def _begin(self, problem: Problem, stack: int, limit: float, stop: Callable[[], bool]) -> int:
-        """Draw the start of the run, as stacks if the budget suffices. Return the cost of the start, as the number of
-        landmarks that could be moved instead.
+        """Draw the start of the run, as stacks if the budget suffices. Return the part of the budget that this has
+        cost, expressed as a number of moved landmarks.
 
         Args:
             stop: function that returns True when the time limit is reached.
@@ -247,7 +247,7 @@ class Annealing(DeploymentSearch):
 
     def _climb_share(self, problem: Problem) -> float:
         """Fraction of the budget for the gradient ascent; 0 for an objective that is evaluated on the grid instead of
-        on random samples of poses, as the ascent would overfit the grid.
+        on random samples of poses, because the ascent would overfit the grid.
         """
         return 0.0 if problem.objective.sampling is None else self.climb_share
 

@@ -1,7 +1,7 @@
 """Gradient ascent of all landmarks together on random samples, the last stage of annealing for objectives with a
 sampling.
 
-A walk on samples does not reach a local optimum, as the gain of a small step of one landmark is smaller than the
+A walk on samples does not reach a local optimum, because the gain of a small step of one landmark is smaller than the
 sampling error. In the ascent each sample is used for the slopes of all landmarks, and a step averages the slopes over
 samples.
 

@@ -29,7 +29,7 @@ class Settings(NamedTuple):
     margin: float
     """Distance of the middle of the smooth step above the true threshold, on the scale of the values, 0 to 1."""
     share: float
-    """Weight of the value itself, which is added to the smooth step."""
+    """Factor with which the value itself is added to the smooth step."""
     step: float
     """Standard deviation of a local move along u and along v, metres."""
     jump: float
@@ -119,7 +119,7 @@ def propose(
     rng: np.random.Generator, new: FloatArray, on: IntArray,
 ) -> bool:  # fmt: skip
     """Propose a pose for the first landmark of `group`; the other landmarks of the group keep their offsets from it
-    along u and v.
+    along u and v. The proposed poses and surfaces are written to `new` and `on`.
 
     Returns:
         True if all landmarks may hang at their new places.
@@ -227,15 +227,17 @@ Course = Annotated[Sequence[float], partial(vector, size=2, above=0.0)]
 
 @dataclass(frozen=True)
 class Stage(Checked):
-    """Conditions of one stage of the walk. A pair gives the values at the beginning and the end of the stage, with
-    geometric interpolation between them.
+    """Conditions of one stage of the walk. A condition given as a pair of numbers changes from the first number to the
+    second during the stage, with geometric interpolation between them.
 
     Raises:
         InputError: a value is out of range.
     """
 
     temperature: Course
-    """Loss in the smoothed objective that is accepted with probability 1/e; the objective is a mean over positions."""
+    """Temperature: the loss in the smoothed objective that is accepted with probability 1/e; the objective is a mean
+    over positions.
+    """
     width: Course
     """Width of the smooth step that replaces the threshold, on the scale of the values, 0 to 1."""
     step: Course
@@ -243,7 +245,7 @@ class Stage(Checked):
     margin: Finite = 0.0
     """Distance of the middle of the smooth step above the threshold, on the scale of the values, 0 to 1."""
     share: NotNegative = 0.02
-    """Weight of the mean value, which is added to the smooth step."""
+    """Factor with which the value of a position is added to its smooth step."""
     jump: Share = 0.1
     """Probability of a move to a place drawn uniformly from all surfaces."""
     join: float = 0.1
@@ -283,8 +285,8 @@ CHOSEN_STAGE = replace(GIVEN_STAGE, temperature=(5e-5, 2e-6), jump=0.1, join=0.1
 
 
 def changed(name: str, default: Stage, given: Stage | Mapping[str, Any]) -> Stage:
-    """Return the stage `given`; if `given` is a mapping, return the stage `default` with those conditions replaced that
-    the mapping contains.
+    """Return the stage `given`. If `given` is a mapping, return a copy of the stage `default` in which the conditions
+    named by the mapping have the mapping's values.
 
     Raises:
         InputError: a value is out of range, or a key of the mapping is not the name of a condition.

@@ -56,7 +56,7 @@ class Surrogate:
     """Surrogate of a problem in the form of arrays, and the walks on this surrogate.
 
     Walks run in parallel. Each walk moves its own landmarks while all other landmarks keep their places; then the moves
-    of all walks are combined. The room is divided between walks by slices across a random direction, as distant
+    of all walks are combined. The room is divided between walks by slices across a random direction, because distant
     landmarks are rarely seen together. The number of walks, and so the result, does not depend on the machine.
 
     Args:
@@ -88,7 +88,7 @@ class Surrogate:
         return stack_of(self._true)
 
     def is_true(self, count: int, conditions: Conditions) -> bool:
-        """True if there is a single walk and it is on the problem itself, so that the fitness of its deployments is
+        """True if there is a single walk, and it is on the problem itself. Then the fitness that the walk records is
         exact.
 
         Args:
@@ -165,8 +165,8 @@ class Surrogate:
         return 0 if in_stacks else self._problem.fixed_count
 
     def _shared_out(self, count: int, in_stacks: bool) -> tuple[int, int]:
-        """Largest number of landmarks that one move moves together, and number of simultaneous walks, for `count`
-        landmarks or stacks.
+        """Two numbers for `count` landmarks or stacks: the most landmarks that one move moves together, and the number
+        of simultaneous walks.
         """
         movable = count - self._first_movable(in_stacks)
         together = 1 if in_stacks else max(1, min(self.stack, movable))
@@ -184,8 +184,8 @@ class Surrogate:
         return Walker(members, np.empty(together, dtype=np.int64), state, scratches, met)
 
     def _footprints_of(self, count: int, size: float) -> FootprintArrays:
-        """Footprints of `count` landmarks with `size` times their true size; size 0 for stacks, which have no
-        footprints.
+        """Footprints of `count` landmarks, with edges of `size` times their true length. Stacks have no footprints; for
+        these `size` is 0.
         """
         footprints, sizes = self._problem.scene.footprints, self._problem.sizes
         papers = footprints.tag.paper_share * sizes if size else np.full(count, footprints.edge)
@@ -214,8 +214,8 @@ class Surrogate:
 
 
 def count_stacks(problem: Problem, stack: int) -> int:
-    """Number of stacks of `stack` landmarks each that the free landmarks form; the remaining free landmarks are in no
-    stack.
+    """Number of stacks, with `stack` landmarks each, that can be formed from the free landmarks of the problem; the
+    remaining free landmarks are in no stack.
     """
     return problem.free_count // stack if stack else 0
 
@@ -246,9 +246,9 @@ def pulled_apart(problem: Problem, stacks: Deployment, angles: FloatArray, stack
 class MeanPlaces:
     """Weighted mean of the places that each landmark has had since its last jump or change of surface.
 
-    On random samples a walk does not converge, as each step fits its sample only. The mean of a landmark's places is
-    closer to the optimum over all samples than any single place. Later places have a larger weight, as the walk still
-    improves: averaging with polynomial decay (Shamir and Zhang, 2013).
+    On random samples a walk does not converge, because each step fits its sample only. The mean of a landmark's places
+    is closer to the optimum over all samples than any single place. Later places have a larger weight, because the walk
+    still improves: averaging with polynomial decay (Shamir and Zhang, 2013).
 
     Args:
         start: K landmarks.

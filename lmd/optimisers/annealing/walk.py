@@ -62,7 +62,7 @@ class Walker(NamedTuple):
     state: Any
     """State of the field (the incremental evaluator) with the landmarks at the end of the walk's last phase."""
     scratches: Any
-    """Working memory of the field, one layer for each landmark of a group (`layers`)."""
+    """Working memory of the field: one scratch for each landmark of a group that moves together (`layers`)."""
     best: Best
     """Best deployment of the walk. It is the best deployment of the true problem only if there is a single walk on that
     problem.
@@ -84,7 +84,7 @@ class Known(NamedTuple):
 
 @inner
 def _sum_values(units: IntArray, known: Known, target: Any, settings: Settings) -> float:
-    """Return the smoothed fitness for the quantised values `units`, and write the contribution of each position to
+    """Return the smoothed fitness for the quantised values `units`, and write the contribution of each position into
     `known.tried`.
     """
     accepted, terms, tried = known.units, known.terms, known.tried
@@ -153,14 +153,14 @@ def walk(
     moves: int, places: Places, walker: Walker, field: Any, target: Any, room: tuple[SurfaceArrays, FootprintArrays],
     settings: Settings, rng: np.random.Generator,
 ) -> None:  # fmt: skip
-    """Make moves, beginning at `places`, until `moves` landmarks have been moved; afterwards the walker's state is the
-    state of the last deployment.
+    """Propose moves, beginning at `places`, until `moves` landmarks have been in a proposed move; afterwards the
+    walker's state is the state of the last deployment.
 
     Args:
-        moves: total number of moved landmarks; moves that are proposed but not tried count.
+        moves: length of the walk, counted in landmarks: a proposal for g landmarks counts g, also if it is rejected.
         places: poses and surfaces at the beginning of the walk; if empty, the walk begins with the walker's `state`.
-        walker: memory of the walk. Its `scratches` have at least as many layers as one move moves landmarks: n, and at
-            least two if landmarks exchange places.
+        walker: memory of the walk. Its `scratches` have one layer for each landmark that a single move can change: n
+            layers, but at least two if landmarks exchange places.
         field: incremental evaluator of the values at positions, a `Field`.
         target: functions that compute the fitness from the values, a `Target`.
         room: surfaces of the room, and footprints of all landmarks.

@@ -73,7 +73,7 @@ def _begin(config: DictConfig, folder: SweepFolder) -> bool:
 
 
 def _cut_short(config: DictConfig) -> None:
-    """Write the table and end the tracked run of a sweep that ended before all of its jobs had ended."""
+    """Write the table and end the tracked run of a sweep that was stopped before all of its jobs had ended."""
     folder = SweepFolder(config.hydra.sweep.dir)
     sweep = folder.load()
     if sweep is not None and sweep.round == 0 and not folder.jobs():  # the first job was refused

@@ -22,7 +22,7 @@ class Sweep:
     run_id: str | None = None
     """Id of the tracked run of the sweep, which is the parent of the jobs' runs; None if nothing is tracked."""
     round: int = 0
-    """Number of earlier commands that have worked on this sweep; 0 for the first command."""
+    """Number of commands that have worked on this sweep before the present command; 0 for the first command."""
 
 
 @dataclass(frozen=True)
@@ -42,17 +42,17 @@ class Job:
     status: str = "running"
     """`running`, `finished`, `interrupted`, `failed` (by an error of its own) or `killed`."""
     value: float | None = None
-    """Value of the job's task for Hydra's sweeper; None before the job has finished."""
+    """Value that the job's task has returned, for Hydra's sweeper; None before the job has finished."""
     reason: str = ""
     """Reason why the job did not finish; empty if there is no reason."""
     seconds: float = 0.0
     """Wall time of the job, including all earlier attempts that it continues, seconds."""
     round: int = 0
-    """`Sweep.round` of the last command that contains this job."""
+    """Value of `Sweep.round` for the last command that contains this job."""
 
     @property
     def label(self) -> str:
-        """Text with those overrides in which the job differs from the other jobs of its sweep."""
+        """Text with those overrides of the job that differ from the overrides of the sweep's other jobs."""
         return " ".join(f"{key}={value}" for key, value in self.varied.items()) or " ".join(self.overrides)
 
     def tags(self, name: str) -> dict[str, str]:

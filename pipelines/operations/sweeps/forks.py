@@ -22,7 +22,7 @@ context = multiprocessing.get_context("forkserver")
 
 
 class Descriptor:
-    """File descriptor that is passed to a process forked from the fork server."""
+    """File descriptor that this process passes to a process forked from the fork server."""
 
     def __init__(self, number: int) -> None:
         self._number = number

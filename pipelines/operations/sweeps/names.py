@@ -26,8 +26,8 @@ def override_tags(overrides: Sequence[str]) -> dict[str, str]:
 
 
 def short_name(subject: str, overrides: Sequence[str], given: Sequence[str] = ()) -> str:
-    """Name of a run, such as `ega n=4 p=0.7 s1` or `n=4 ega room=hall`; values that vary come first, as tables cut long
-    names.
+    """Name of a run, such as `ega n=4 p=0.7 s1` or `n=4 ega room=hall`. Values that vary come first, because tables cut
+    long names.
 
     Args:
         subject: subject of the run, one word.
@@ -60,7 +60,7 @@ def slug(text: str) -> str:
 
 
 def _settings(root: DictConfig) -> Any:
-    """Resolved configuration as plain data, without the node `hydra`, and without keys that do not affect results."""
+    """Resolved configuration as plain data. The node `hydra`, and keys that do not affect results, are left out."""
     task = OmegaConf.masked_copy(root, [str(key) for key in root if key != "hydra"])
     resolved: Any = OmegaConf.to_container(task, resolve=True)
     return {key: value for key, value in resolved.items() if changes_results(key)}
@@ -122,10 +122,10 @@ def job_folder(*, _root_: DictConfig) -> str:
 
 
 def pin_sweep_folder(config: DictConfig) -> Path:
-    """Write the path of the sweep's folder into the configuration of the jobs, which cannot derive the path; return the
-    path.
+    """Compute the path of the sweep's folder, write it into the configuration of the jobs, and return it. The jobs
+    cannot compute the path themselves.
 
-    Values such as +5 are quoted in the path, as Hydra would read them as numbers.
+    Values such as +5 are quoted in the path, because Hydra would read them as numbers.
     """
     folder = Path(config.hydra.sweep.dir)
     with read_write(config.hydra):

@@ -1,7 +1,7 @@
 """Results of a sweep: a table of the jobs, and metrics of groups of jobs for the tracked run.
 
-A group consists of jobs that differ only in the seed. A median or a best value is never taken across groups, as groups
-have different problems or methods.
+A group consists of jobs that differ only in the seed. A median or a best value is never taken across groups, because
+groups have different problems or methods.
 """
 
 import csv
@@ -89,8 +89,8 @@ def draw_groups(path: Path, sweep: Sweep, found: list[Outcome]) -> list[Path]:
 
 def by_group(sweep: Sweep, found: list[Outcome]) -> str:
     """Table in Markdown: one row for each group of jobs, with the best value and the median of each metric over the
-    group. If two keys vary, another table comes first: it has the medians, with a column for each value of the first
-    grouping key and a row for each value of the second.
+    group. If two keys vary, a table of medians comes first, with a column for each value of the first of the
+    `grouping_keys` and a row for each value of the second.
     """
     from lmd.core.words import escaped, markdown_table
 

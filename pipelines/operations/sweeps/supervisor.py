@@ -54,8 +54,8 @@ def run(cfg: DictConfig, pipeline: Callable[[DictConfig], float | None]) -> floa
 
 
 def _stop_with_the_sweep() -> None:
-    """Send this process a signal as soon as its standard input is closed; the sweep keeps it open while the sweep
-    runs.
+    """Stop this process by a signal as soon as its standard input is closed. The sweep keeps this input open, so it is
+    closed when the sweep ends.
     """
     while os.read(0, 1):
         pass
@@ -142,8 +142,8 @@ def _execute(arguments: list[str], threads: int | None, folder: JobFolder, lock:
 
 
 def _settled(job: Job, code: int) -> Job:
-    """Record of a job whose process has ended with the exit code `code`; the code gives the reason of a failure for
-    which the job has written no reason.
+    """Record of a job whose process has ended with the exit code `code`. If the job has not recorded its own end, the
+    code gives the status and the reason.
     """
     if job.status != "running":
         return job
@@ -162,8 +162,8 @@ def lost(job: Job, stopped: bool = False) -> Job:
 
 
 def settle(tracking: DictConfig, folder: JobFolder, job: Job, params: Mapping[str, Any] | None = None) -> None:
-    """End the tracked runs of a job whose process has ended. If the job has no tracked run, and `params` is given, a
-    run is recorded.
+    """End the tracked runs of a job whose process has ended. If the job has none, and `params` is given, a new run is
+    recorded for the job.
     """
     from lmd.core.checks import InputError
 

@@ -1,7 +1,7 @@
 """Journal of a run: entries are written to disk before they are sent, and can be sent later if the store does not
 answer.
 
-By the labels of `this_process`, a run whose process has ended can be distinguished from a run that is still going on.
+The labels of `this_process` tell a run whose process has ended from a run that is still going on.
 """
 
 import itertools
@@ -65,8 +65,8 @@ class Journal:
         return next((str(entry["uri"]) for entry in reversed(self.entries) if {"run_id", "uri"} <= entry.keys()), None)
 
     def add(self, entry: Entry) -> None:
-        """Add an entry to the journal. If the disk is full, the entry is written later, as soon as an entry is added
-        while there is space on the disk.
+        """Add an entry to the journal. If the disk is full, the entry is kept in memory, and is written together with a
+        later entry.
         """
         self.entries.append(entry)
         with suppress(OSError):
@@ -90,13 +90,13 @@ class Journal:
         self.on_disk = len(self.entries)
 
     def remove(self) -> None:
-        """Remove the journal's file, as all entries have been sent."""
+        """Remove the journal's file, because all entries have been sent."""
         with suppress(OSError):
             self.path.unlink(missing_ok=True)
 
 
 def hand_in(journal: Journal, uri: str) -> str:
-    """Send the journal that an ended run has left, and remove the journal's file; entries that the store already has
+    """Send the journal that an ended run has left, and remove the journal's file. Entries that are in the store already
     are not duplicated.
 
     Returns:
@@ -162,8 +162,8 @@ def is_gone(tags: dict[str, str]) -> bool:
 
 
 def _identity(number: int) -> str:
-    """Process number, and the start time of the process counted from the boot, as the clock may be changed; without
-    /proc only the number.
+    """Text that identifies a process: its number, and its start time counted from the boot, because the clock may be
+    changed. Without /proc only the number.
 
     Raises:
         FileNotFoundError, ProcessLookupError: there is no such process.

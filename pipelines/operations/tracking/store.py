@@ -55,7 +55,7 @@ class Store:
 
     @cached_property
     def client(self) -> "MlflowClient":
-        """Client of mlflow."""
+        """Client of mlflow, through which the store is read and written."""
         from mlflow import MlflowClient
 
         # mlflow logs each new table, and errors with their tracebacks.
@@ -92,7 +92,8 @@ class Store:
             raise InputError(f"tracking.uri = {self.uri!r} cannot be used: {first_line(error)}") from error
 
     def undisturbed(self) -> AbstractContextManager[None]:
-        """Context in which signals wait while a file is written, as writing locks the database for other processes.
+        """Context in which signals wait while a file is written, because writing locks the database for other
+        processes.
 
         For a store on a server the context has no effect: no file is locked, and a call may take minutes to fail.
         """
@@ -120,7 +121,7 @@ class Store:
             return next(iter(self.client.search_runs([self.experiment_id], f"attributes.run_id = '{run_id}'")), None)
 
     def matching(self, wanted: str) -> "list[Run]":
-        """Runs of all experiments that match mlflow's filter `wanted`."""
+        """Runs, in any experiment of the store, that match the filter `wanted` in mlflow's syntax."""
         experiments = [experiment.experiment_id for experiment in self.client.search_experiments()]
         return list(self.client.search_runs(experiments, filter_string=wanted))
 

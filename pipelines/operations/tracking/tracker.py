@@ -66,13 +66,15 @@ class NoTracker:
         """
 
     def log_curve(self, metric: str, points: Iterable[tuple[int, float, float]]) -> None:
-        """Record a curve, given as points (step, value, seconds since the beginning of the run)."""
+        """Record a curve of the run for the metric `metric`, given as points (step, value, seconds since the beginning
+        of the run).
+        """
 
     def log_metrics(self, metrics: Mapping[str, float]) -> None:
         """Record the final metrics of the run."""
 
     def log_artifacts(self, paths: Iterable[Path]) -> None:
-        """Record copies of files."""
+        """Record copies of the files `paths` with the run."""
 
     def finish(self, status: str, reason: str = "") -> None:
         """End the run as FINISHED, KILLED or FAILED, and record the reason as a label of the run (a tag of mlflow)."""

@@ -39,7 +39,7 @@ def sweep_view(run_id: str, params: Sequence[str]) -> str:
     """View of the jobs of the sweep with the run `run_id`; its charts show a band for each group of jobs.
 
     Args:
-        run_id: id of the sweep's own run, which is hidden, as its charts would come first.
+        run_id: id of the sweep's own run, which is hidden, because its charts would come first.
         params: parameters that group jobs.
     """
     keys = [{"mode": "param", "groupByData": param} for param in params]
