@@ -26,8 +26,8 @@ FRAMES_STREAM = 0x646574656374
 
 
 def draw_poses(scene: Scene, count: int, seed: int) -> FloatArray:
-    """Draw camera poses X, `(count, 4, 4)`: positions uniformly in the reachable volume, orientations from the
-    orientation PDF.
+    """Draw camera poses (camera to world), `(count, 4, 4)`: positions uniform in the reachable volume, orientations
+    from the orientation PDF.
 
     The poses are independent of the deployment.
     """
@@ -73,7 +73,7 @@ def qualities(renderer: Renderer, poses: FloatArray) -> tuple[FloatArray, FloatA
 
     Args:
         renderer: camera and tags.
-        poses: poses X of the camera, `(N, 4, 4)`.
+        poses: poses of the camera, camera to world, `(N, 4, 4)`.
     """
     room, camera, imaging = renderer.room, renderer.camera, renderer.imaging
     where, size = (poses, room.centres, room.normals), (room.tag, room.edges)
@@ -123,7 +123,7 @@ def detect_in_frames(
     Args:
         renderer: camera in the room.
         detectors: detectors, keyed by name.
-        poses: poses X of the camera in the frames, `(N, 4, 4)`.
+        poses: poses of the camera in the frames, camera to world, `(N, 4, 4)`.
         first: number of the first frame.
         seed: seed of the noise.
         people: for each frame, the cylinders of the people around the camera, `(M, 5)`; None without a crowd.

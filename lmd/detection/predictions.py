@@ -38,7 +38,7 @@ class CameraPrediction:
     renderer: Renderer
     """Camera and tags."""
     poses: FloatArray
-    """Poses X of the camera, `(N, 4, 4)`."""
+    """Poses of the camera, camera to world, `(N, 4, 4)`."""
     visible: BoolArray
     """Mask of the tags that are visible according to the model, `(N, K)`."""
     met: Mapping[str, BoolArray]
@@ -95,7 +95,7 @@ class Prediction:
     mounted: FloatArray
     """Poses of the cameras in the frame of the body, `(C, 4, 4)`."""
     poses: FloatArray
-    """Poses X of the body, `(N, 4, 4)`."""
+    """Poses of the body, body to world, `(N, 4, 4)`."""
 
     visible = _beside("visible")
     corners = _beside("corners")

@@ -70,9 +70,11 @@ class Acceptance(Checked):
     alarm: Annotated[float, partial(real, low=1e-6, high=0.5)] = 0.01
     """Greatest probability that the test of a station or of a tag fails in a right map."""
     mean: Positive = 0.05
-    """Greatest mean of the errors of all stations, metres; also the greatest bound of a chosen station."""
+    """Greatest accepted mean of the position errors of all stations, metres. Only stations whose bound on the position
+    error is at most this value are chosen.
+    """
     largest: Positive = 0.10
-    """Greatest error of a station, metres."""
+    """Greatest accepted position error of a station, metres."""
     headings: Count = 12
     """Number of headings at each position of the room's grid."""
     pitch: Annotated[float, partial(real, low=-np.pi / 2.0, high=np.pi / 2.0)] = 0.0
@@ -92,18 +94,22 @@ class HungMap:
     errors: TagErrors
     """Errors of corners in images."""
     spread: FloatArray
-    """Covariance P of the errors of the tags, world frame, m^2 and rad^2, `(6 K, 6 K)`."""
+    """Covariance P of the errors m in position and rotation of all tags in a right map, world frame, m^2 and rad^2,
+    `(6 K, 6 K)`.
+    """
     settings: Acceptance
     """Settings."""
 
     @cached_property
     def along(self) -> FloatArray:
-        """Directions right and up of each tag among the errors of all tags, `(6 K, 2 K)`."""
+        """Matrix `(6 K, 2 K)` that maps shifts of the K tags, each right and up in its plane, to the errors m of all
+        tags.
+        """
         return np.asarray(block_diag(*np.pad(np.stack(upright(self.tags.normals), axis=-1), [(0, 0), (0, 3), (0, 0)])))
 
     @cached_property
     def limit(self) -> float:
-        """Greatest likelihood ratio T of a tag that hangs right."""
+        """Greatest likelihood ratio T at which a tag passes its test, that is, counts as hung right."""
         return float(chi2.isf(self.settings.alarm / 2.0 / len(self.tags), 2))
 
     def views(self, stations: FloatArray, read: BoolArray | bool = True) -> tuple[Any, ...]:
@@ -117,8 +123,9 @@ class HungMap:
             shown: mask of the tags that are in view and read, `(S, K)`.
             slopes, noise: matrices A_s `(S, 3, 6 K)` and N_s `(S, 3, 3)`; N_s is infinite without a pose.
             right: covariances C_ss in a right map, `(S, 3, 3)`.
-            bounds: bounds on the errors of position (m) and heading (degrees) in a right map, `(2, S)`. The squared
-                error of the position is taken for a multiple of chi-square with its mean and variance.
+            bounds: bounds on the errors of position (m) and heading (degrees) in a right map, `(2, S)`. The
+                distribution of the squared position error is approximated by a scaled chi-square distribution of equal
+                mean and variance.
         """
         scene, settings = self.problem.scene, self.settings
         poses = camera_pose(stations[:, :3], np.radians(stations[:, 3]), settings.pitch)
@@ -137,7 +144,8 @@ class HungMap:
         return shown, slopes[:, :3], noise[:, :3, :3], right, bounds
 
     def chosen(self, seed: int) -> tuple[pd.DataFrame, pd.DataFrame]:
-        """Choose stations; of too many positions and headings, `seed` draws those that are considered.
+        """Choose stations among the positions and headings of the grid. If these are too many, `seed` draws the
+        candidates from them.
 
         Returns:
             stations: table with a row for each station: name, zone, position (m), heading (degrees), empty columns for
@@ -147,7 +155,7 @@ class HungMap:
                 stated power in the worst direction (m; NaN for a tag that no station sees).
 
         Raises:
-            InputError: at no candidate the bound is at most `mean`.
+            InputError: at every candidate, the bound on the position error exceeds `mean`.
         """
         settings, grid = self.settings, self.problem.scene.room.grid()
         every = np.array([[*at, 360.0 / settings.headings * i] for at in grid for i in range(settings.headings)])
@@ -169,8 +177,8 @@ class HungMap:
         return stations, pd.DataFrame({"id": self.tags.ids, "stations": seen.sum(axis=0), "least_shift": least})
 
     def _reached(self, information: FloatArray) -> FloatArray:
-        """Noncentrality of the stated shift in its worst direction, over the one that is needed for the stated power;
-        from matrices F `(..., 2, 2)`.
+        """Noncentrality of the test of a tag that is shifted by `Acceptance.shift` in the worst direction, divided by
+        the noncentrality needed for the stated power, `(...)`. `information` are the matrices F, `(..., 2, 2)`.
         """
         needed = chndtrinc(self.limit, 2, 1.0 - self.settings.power)
         return np.asarray(self.settings.shift**2 / needed * np.linalg.eigvalsh(information)[..., 0])
@@ -182,7 +190,9 @@ class HungMap:
         return diagonal_blocks(weighted @ ours @ self.along, 2), weighted
 
     def _fewest(self, slopes: FloatArray, noise: FloatArray) -> list[int]:
-        """Indices of the chosen stations among candidates with the matrices A_s and N_s."""
+        """Indices of the stations chosen greedily among candidates; `slopes` and `noise` are the candidates' matrices
+        A_s and N_s.
+        """
         chosen, reached, total = list[int](), 0.0, np.zeros_like(self.spread)
         while True:
             left = np.linalg.inv(np.eye(len(total)) + self.spread @ total)
@@ -197,7 +207,7 @@ class HungMap:
             total += slopes[best].T @ np.linalg.solve(noise[best], slopes[best])
 
     def judged(self, path: str) -> tuple[dict[str, Any], dict[str, float], str]:
-        """Judge the map by measured stations.
+        """Decide from measured stations whether the map is accepted.
 
         Args:
             path: CSV with the columns `station,zone,x,y,z,yaw_deg`, as taped (m, degrees); `reported_x,reported_y,

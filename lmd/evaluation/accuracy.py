@@ -40,7 +40,8 @@ def predicted_errors(problem: Problem, deployment: Deployment, evaluator: Evalua
     """Predict the standard deviation of the camera's position in each view, metres, `(P, D)` for P positions and D
     orientations; return these standard deviations, and P_n at each position, `(P,)`.
 
-    The noise of a corner and the rule for single tags come from the objective, or from the default `Localisation`.
+    The noise of a corner, and the rule that decides whether a single tag localises the camera, come from the objective,
+    or from the default `Localisation`.
     """
     objective, scene = problem.objective, problem.scene
     of_any = replace(as_localisation(objective), tolerance=np.inf, rotation_tolerance=None)
@@ -57,7 +58,7 @@ def _share_name(tolerance: float) -> str:
 
 def accuracy_metrics(problem: Problem, deployment: Deployment, seed: int, sample: Sample = SAMPLE) -> dict[str, float]:
     """Metrics of accuracy: the mean of P_n; for each of `TOLERANCES`, the fraction of the views whose predicted error
-    is within it; and the median and the 90 % quantile of the predicted error over the views, metres.
+    is at most this tolerance; and the median and the 90 % quantile of the predicted error over the views, metres.
 
     For a recording the views are its poses, weighted by their durations, and `longest_uncovered_seconds` is the longest
     time without a view of n landmarks. Views without a finite error count as infinite; infinite quantiles are left out.

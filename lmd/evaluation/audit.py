@@ -52,7 +52,7 @@ class Audit:
     prediction: Prediction
     """Tags that are visible in each frame according to the visibility model."""
     seen: Matches
-    """Detections in each frame; a detection is false if no tag of the map hangs at its pose."""
+    """Detections in each frame. A detection is false if the map has no tag where it was seen."""
 
     @cached_property
     def expected(self) -> FloatArray:
@@ -87,7 +87,8 @@ class Audit:
 
     @cached_property
     def missed_in_a_row(self) -> BoolArray:
-        """Mask of the predicted tags that are missed in `IN_A_ROW` or more successive images, `(N, C K)`.
+        """Mask of the misses in a row, `(N, C K)`: sightings of a tag that are predicted but not detected, in at least
+        `IN_A_ROW` successive images in which the tag is predicted.
 
         A tag well within the detector's limits is rarely missed in many successive images unless it is hidden or in
         glare.
@@ -111,7 +112,9 @@ class Audit:
         }
 
     def metrics(self) -> dict[str, float]:
-        """Precision and recall of the predictions, mean number of tags per frame, and number of missed tags."""
+        """Precision and recall of the predictions, mean number of tags per frame, number of misses, number of misses in
+        a row, and number of tags that stand out.
+        """
         visible, detected = self.prediction.visible, self.seen.detected
         precision, recall = precision_recall(visible, detected)
         counts = {"predicted": visible.sum(axis=1).mean(), "detected": detected.sum(axis=1).mean()}
@@ -187,7 +190,7 @@ def in_the_open(survey: Survey, scene: Scene) -> tuple[Survey, Scene]:
 
 
 def detections_of_map(survey: Survey) -> list[Matches]:
-    """For each camera, the detections of the map's tags in those frames whose poses the map contains.
+    """For each camera, the detections of the map's tags, in those frames whose poses the survey found.
 
     A detection counts as a sighting of the tag if the RMS reprojection error of its corners is at most
     `CORNER_TOLERANCE`, even if the map treats the detection as an outlier.

@@ -104,11 +104,13 @@ class UpperBound:
     """Upper bounds on the fitness, fractions in [0, 1], and the multipliers that prove them."""
 
     walls: float
-    """Bound for all deployments of flush landmarks on the walls."""
+    """Upper bound on the fitness of all deployments whose landmarks are flush on the walls."""
     grid: float
-    """Bound for all deployments of landmarks with poses of the grid."""
+    """Upper bound on the fitness of all deployments whose landmarks have poses of the grid."""
     fractional: float
-    """Value that is reached if fractions of landmarks may be placed on the grid; no bound for the grid is lower."""
+    """Greatest value found if fractions of a landmark may be placed at poses of the grid. The relaxation gives no bound
+    for the grid below this value.
+    """
     dual: Dual
     """Multipliers for which the bounds hold."""
     gain: float
@@ -118,15 +120,17 @@ class UpperBound:
 
 
 def average_upper_bound(problem: Problem, count: int, search: Search) -> UpperBound:
-    """Bound the mean of P_n over the grid positions, which have equal weights, for `count` landmarks."""
+    """Upper bound on the mean of P_n that `count` landmarks can reach; the mean is over the grid positions, with equal
+    weights.
+    """
     size = len(problem.evaluator.positions)
     shares, n = np.full(size, 1.0 / size), _at_most_coverage(problem).n
     return _bound(problem, Relaxation(problem.evaluator, shares, n, 1.0, problem.fixed_with_edges), count, search)
 
 
 def fitness_upper_bound(problem: Problem, count: int, search: Search) -> UpperBound:
-    """Bound the fitness of `count` landmarks: the total relevance of qualified positions, or a mean weighted by
-    relevance.
+    """Upper bound on the fitness that `count` landmarks can reach. The fitness is either the total relevance (weight)
+    of the qualified positions, or the mean of the objective's values weighted by relevance.
     """
     evaluator, relevance = problem.fitness_evaluator, problem.fitness_relevance
     objective = _at_most_coverage(problem)
@@ -140,12 +144,12 @@ def fitness_upper_bound(problem: Problem, count: int, search: Search) -> UpperBo
 
 
 def fewest_landmarks(problem: Problem, target: float, search: Search) -> int:
-    """Lower bound on the number of landmarks that reach a fitness of `target`; at least one more than the fixed
-    landmarks.
+    """Lower bound on the number of landmarks with which a deployment can reach the fitness `target`. It is at least the
+    number of fixed landmarks plus one.
 
-    Any multipliers bound the fitness by a linear function of the number K. The search starts with too few landmarks,
-    and raises the number to the value at which the linear function reaches the target. By concavity, this number is
-    again a lower bound. The search ends when the bound on the fitness of that number reaches the target.
+    For any multipliers of the bound, the fitness is at most a linear function of the number K of landmarks. The search
+    starts with a K that is too small, and goes to the K at which this function reaches the target. By concavity the new
+    K is again a lower bound. The search ends when the bound on the fitness with K landmarks reaches the target.
 
     Raises:
         InputError: even `MOST_LANDMARKS` landmarks do not reach the target, or tags have several sizes.
@@ -161,8 +165,8 @@ def fewest_landmarks(problem: Problem, target: float, search: Search) -> int:
 
 
 def affordable(problem: Problem, count: int, search: Search) -> Search:
-    """Choose the spacing of the poses so that a search ends within its time limit; the time is extrapolated from a scan
-    of some poses.
+    """Choose the spacing of the poses so that a search ends within its time limit; the time of the search is estimated
+    from the time of evaluating some poses.
 
     Without a time limit the search is returned unchanged.
 
@@ -199,7 +203,7 @@ class Kind(NamedTuple):
     """Group of free landmarks that all have one size."""
 
     evaluator: Evaluator
-    """Evaluator of a scene in which all tags have the size of the group."""
+    """Evaluator of the problem's scene, in which all tags have the size of this group."""
     cells: Cells
     """Cells of the walls where the landmarks may hang."""
     poses: Deployment
@@ -260,7 +264,9 @@ GUARANTEE, GUARANTEE_OF_SIZES = 1.0 - np.exp(-1.0), 0.5
 
 @dataclass(frozen=True)
 class SelectionBound:
-    """Bound on the surrogate (`selection`) of an objective; all values are gains over the fixed landmarks alone."""
+    """Upper bound on the surrogate (`selection`) of an objective, and the value that the greedy choice reaches. Both
+    are gains over the fixed landmarks alone.
+    """
 
     label: str
     """Name of the surrogate."""
@@ -282,8 +288,8 @@ def selection_upper_bound(
 ) -> SelectionBound:
     """Bound the surrogate (`selection`) for `count` landmarks, including fixed landmarks, chosen from a grid of poses.
 
-    The bound counts the views that the problem's fitness counts. The greedy choice keeps footprints apart; the bound
-    also holds for overlapping footprints. The result does not depend on the number of threads.
+    The surrogate counts the views that the problem's fitness counts. The greedy choice keeps footprints apart; the
+    bound also holds for overlapping footprints. The result does not depend on the number of threads.
 
     Args:
         problem: the problem.
@@ -304,7 +310,9 @@ def selection_upper_bound(
     add_each(selection, problem.fixed_with_edges)
 
     def largest(gains: FloatArray) -> float:
-        """Sum of the K_s largest gains of each size s, from the gains of all candidates."""
+        """For each size s, the sum of the K_s largest gains; the total over all sizes is returned. `gains` has the
+        gains of all candidates.
+        """
         counts = zip(*np.unique(sizes, return_counts=True), strict=True)
         return sum(float(np.sort(gains[own == edge])[-number:].sum()) for edge, number in counts)
 

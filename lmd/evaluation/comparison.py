@@ -60,7 +60,7 @@ class Comparison:
     targets: tuple[float, ...]
     """Quartiles of the final fitness of all runs; column `evaluations_to_<i>` belongs to quartile i, from 1 on."""
     reference: str
-    """Optimiser against which the effect sizes and P-values of the table compare the other optimisers."""
+    """Name of the optimiser with which the others are compared by the effect sizes and P-values of the table."""
     test: str
     """Two paragraphs in Markdown: the name of the test that gives the P-values, and the least P-value that the number
     of seeds allows; empty without a test.
@@ -82,7 +82,7 @@ def by_optimiser(runs: Sequence[OptimiserRun], key: str) -> dict[str, list[Optim
 
 
 def compared(runs: Sequence[OptimiserRun], key: str, reference: str | None = None) -> Comparison:
-    """Compare optimisers by the metric `key`; runs of two optimisers with equal seeds form pairs.
+    """Compare optimisers by the metric `key`. Two runs of different optimisers form a pair if they have equal seeds.
 
     The table has these columns:
 
@@ -92,7 +92,7 @@ def compared(runs: Sequence[OptimiserRun], key: str, reference: str | None = Non
     - `rank`: mean rank over the seeds that all optimisers have run;
     - a column for each other metric, and `seconds` for the wall time: medians over the runs;
     - `evaluations_to_<i>`: expected running time to target i, see `Comparison.targets`;
-    - `a12`, `p_value`: effect size, and P-value of the test, in the comparison with the reference.
+    - `a12`, `p_value`: effect size, and P-value of the test, of this optimiser against the reference.
 
     Args:
         runs: runs of all optimisers.
@@ -132,8 +132,8 @@ def compared(runs: Sequence[OptimiserRun], key: str, reference: str | None = Non
 
 
 def _against(figures: pd.DataFrame, reference: str) -> tuple[pd.Series, str]:
-    """P-values of the tests of each column of `figures` (an optimiser) against the column `reference`, and a sentence
-    that names the test.
+    """Test each optimiser (a column of `figures`, with a row for each seed) against the optimiser `reference`. Return
+    the P-values, and a text that names the test.
     """
     others = [name for name in figures if name != reference]
     pairs = [figures[[name, reference]].dropna().to_numpy() for name in others]
@@ -149,8 +149,8 @@ def _against(figures: pd.DataFrame, reference: str) -> tuple[pd.Series, str]:
 
 
 def _all_against_all(complete: pd.DataFrame, reference: str) -> tuple[pd.DataFrame, str]:
-    """P-values of the tests between each pair of optimisers (columns of `complete`), and a sentence that names the
-    test.
+    """Test each pair of optimisers (columns of `complete`, with a row for each seed). Return the table of P-values, and
+    a text that names the test.
     """
     names, values = list(complete), complete.to_numpy()
     test = (
@@ -167,8 +167,8 @@ def attainable(least: Callable[[int], float], seeds: int) -> str:
     """Sentence that states the least P-value that a test can reach with the given number of seeds.
 
     Args:
-        least: function that returns the least corrected P-value of the test for a number of seeds, which is reached if
-            the optimisers have one order in all seeds; NaN for too few seeds.
+        least: function from a number of seeds to the least corrected P-value of the test: that of optimisers that are
+            ranked alike in all seeds. It returns NaN for too few seeds.
         seeds: number of seeds.
     """
     lowest, runs = least(seeds), f"With {seeds} seed{'s' * (seeds != 1)}"
@@ -180,8 +180,8 @@ def attainable(least: Callable[[int], float], seeds: int) -> str:
 
 
 def comparison_markdown(comparison: Comparison, headline: Headline) -> str:
-    """Markdown of a comparison: a table whose values have the unit of the objective's main metric (headline), and below
-    it the name of the test; unknown values are blank.
+    """Text of a comparison in Markdown: its table, and below it the name of the test. Values are in the unit of the
+    objective's main metric (headline); unknown values are blank.
     """
     key, table = headline.key, comparison.table
     has_off_grid = "off_grid" in table
@@ -226,8 +226,8 @@ class HasHistory(Protocol):
 
 
 def best_at(runs: Sequence[HasHistory], axis: str, at: FloatArray) -> FloatArray:
-    """Best fitness of each of R runs, `(R, N)`, at the values `at` `(N,)` of the field `axis` of `Record`; NaN before
-    the first record of a run.
+    """Best fitness that each of R runs had reached at N moments of its search, `(R, N)`; NaN before the first record of
+    a run. The moments are the values `at` `(N,)` of the field `axis` of `Record`, such as `evaluations`.
     """
     curves = []
     for run in runs:
@@ -238,8 +238,8 @@ def best_at(runs: Sequence[HasHistory], axis: str, at: FloatArray) -> FloatArray
 
 
 def curve_targets(runs: Sequence[OptimiserRun]) -> FloatArray:
-    """Values of the fitness `(T,)` that serve as targets of `attained`: evenly spaced from the lowest of the runs'
-    first finite values (excluded) to the best fitness of all runs.
+    """T values of the fitness, `(T,)`, that serve as `targets` of `attained`. They are evenly spaced from the lowest
+    first finite fitness of a run (excluded) to the best fitness of all runs.
     """
     low = min(next(r.best_fitness for r in run.history if np.isfinite(r.best_fitness)) for run in runs)
     high = max(run.history[-1].best_fitness for run in runs)
@@ -247,8 +247,9 @@ def curve_targets(runs: Sequence[OptimiserRun]) -> FloatArray:
 
 
 def attained(runs: Sequence[OptimiserRun], axis: str, at: FloatArray, targets: FloatArray) -> FloatArray:
-    """For each value `at` `(N,)` of the field `axis` of `Record`, the share of pairs of a run and one of the `targets`
-    `(T,)` in which the run has reached the target, `(N,)`: an empirical cumulative distribution function.
+    """Share of reached targets at N moments of the search, `(N,)`: of all pairs of a run and one of the `targets`
+    `(T,)`, the share in which the run has reached the target. The moments are those of `best_at`. This is an empirical
+    cumulative distribution function.
     """
     share: FloatArray = (best_at(runs, axis, at)[:, :, None] >= targets).mean(axis=(0, 2))
     return share
@@ -288,16 +289,16 @@ def mann_whitney(first: FloatArray, second: FloatArray) -> float:
 
 
 def mean_ranks(values: FloatArray) -> FloatArray:
-    """Mean rank over the rows of each of the K columns of `values` `(N, K)`, `(K,)`; 1 is the highest value, and ties
-    share their ranks.
+    """Mean rank of each of the K columns of `values` `(N, K)`, over the rows, `(K,)`. In a row, rank 1 is the highest
+    value; equal values share the mean of their ranks.
     """
     ranks: FloatArray = stats.rankdata(-values, axis=1).mean(axis=0)
     return ranks
 
 
 def friedman(values: FloatArray) -> float:
-    """P-value of Friedman's test that three or more columns of `(N, K)` have equal distributions; NaN for fewer than
-    two rows.
+    """P-value of Friedman's test of the hypothesis that all columns of `values` `(N, K)`, K >= 3, have equal
+    distributions; NaN for fewer than two rows.
     """
     if len(values) < LEAST_PAIRS:
         return np.nan
@@ -325,8 +326,8 @@ def a12(first: FloatArray, second: FloatArray) -> float:
 
 
 def median_interval(values: FloatArray, seed: int) -> tuple[float, float]:
-    """Percentile interval of the median by the bootstrap, with a confidence of 95 %; for a single value, both bounds
-    equal it.
+    """Percentile interval of the median by the bootstrap, with a confidence of 95 %; both bounds equal the value if
+    there is only one.
 
     Args:
         values: the sample `(N,)`.

@@ -37,7 +37,9 @@ Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]
 
 @dataclass(frozen=True)
 class Rendered:
-    """Deployment with its predicted sightings from random poses, and the detectors that read the rendered images."""
+    """Deployment to be tested: the tags that the model predicts to be seen from random poses, and the detectors that
+    read the images rendered from these poses.
+    """
 
     problem: Problem
     """Problem of the deployment."""
@@ -145,8 +147,8 @@ class DetectionStudy:
 
     @cached_property
     def tables(self) -> "dict[str, pd.DataFrame]":
-        """Three tables: of the metrics, of the tags in bins of pitch, and of the single tags. In each table the columns
-        `NAMES` come first.
+        """Three tables, keyed by name: `figures` with the metrics, `pitches` with the tags in bins of pitch, and `tags`
+        with single tags. In each, the columns `NAMES` (deployment and detector) come first.
         """
         import pandas as pd
 

@@ -27,7 +27,7 @@ class Losses:
     fitness: float
     """Fitness with all landmarks."""
     without: FloatArray
-    """Fitness without landmarks i and j, `(K, K)`; entries on the diagonal are without landmark i alone."""
+    """Fitness if landmarks i and j are removed, `(K, K)`; on the diagonal, if only landmark i is removed."""
     order: IntArray
     """Indices of the landmarks in the order in which they are removed one after the other, `(K,)`, see
     `removal_order`.
@@ -86,8 +86,8 @@ class Losses:
         }
 
     def to_text(self) -> str:
-        """Text for a terminal: the tags with the largest losses, tags that are dispensable, tags without effect, and
-        harmful tags.
+        """Text for a terminal: the tags whose removal costs most fitness, the first tags in the order of removal,
+        harmful tags, and tags without effect.
         """
         table = self.table
         dearest = [row for row in zip(table["id"], table["fitness_loss"], strict=True) if row[1] > FITNESS_ROUNDING]
@@ -102,8 +102,8 @@ class Losses:
 
 
 def _listed(tags: Iterable[tuple[int, float]]) -> str:
-    """Text that lists the ids of the first `TAGS_LISTED` tags, each with its fraction in per cent; `none` if there is
-    no tag.
+    """Text that lists the first `TAGS_LISTED` of `tags`: each id, with the fraction paired with it in per cent; `none`
+    if there is no tag.
     """
     return ", ".join(f"{number} ({100.0 * each:.2f})" for number, each in islice(tags, TAGS_LISTED)) or "none"
 

@@ -42,8 +42,8 @@ class MountedTags:
         return cls(deployment, deployment.ups)
 
     def points(self, tag: Tag) -> FloatArray:
-        """World points whose projections an image gives: the M = 4 corners of each tag, or the centre of a point
-        landmark (M = 1), metres, `(K, M, 3)`.
+        """Points of the tags that are measured in images, world frame, metres, `(K, M, 3)`: the M = 4 corners of each
+        tag, or the centre of each point landmark (M = 1).
         """
         places, edges = self.deployment.places, self.deployment.edges_of(tag)
         return places[:, None] if tag.is_point else corners(places, self.deployment.normals, self.ups, edges)
@@ -62,12 +62,12 @@ def map_errors(
             seen.
         maps: K tags with the poses that the estimates assume, keyed by the name of the map; all maps are tested with
             equal noise.
-        poses: poses X of the camera or the rig's body, `(N, 4, 4)`.
+        poses: poses of the camera or the rig's body in the world, `(N, 4, 4)`.
         rng: random generator that draws the noise.
 
     Returns:
         table with `tags`, the number of seen tags, and for each map `position_<name>` (m) and `attitude_<name>` (rad),
-        NaN where the points do not determine a pose.
+        the errors of the pose estimated with this map; NaN where the points do not determine a pose.
     """
     scene, tag = problem.scene, problem.scene.tag
     points, body = truth.points(tag), (scene.cameras, scene.extrinsics)
@@ -120,9 +120,9 @@ def figures_text(columns: Mapping[Any, Mapping[Any, float]]) -> str:
 def error_quantiles(views: pd.DataFrame) -> pd.DataFrame:
     """Quantiles of the columns of `map_errors`; the rows are named `position_<name>` and `attitude_<name>`.
 
-    The columns `5 %`, `50 %` and `95 %` are quantiles over the views with an estimate. For positions there are also
-    columns `within_<n>mm`, the fraction of all views with an error of at most n mm; a view without an estimate counts
-    as outside every limit.
+    The columns `5 %`, `50 %` and `95 %` are quantiles over the views that have a pose estimate. For positions there are
+    also columns `within_<n>mm`, the fraction of all views with an error of at most n mm; a view without an estimate
+    counts as outside every limit.
     """
     rows: dict[str, dict[str, float]] = {}
     for name in views.columns[views.columns.str.startswith(("position_", "attitude_"))]:
@@ -134,7 +134,9 @@ def error_quantiles(views: pd.DataFrame) -> pd.DataFrame:
 
 
 def errors_text(views: pd.DataFrame, n: int) -> str:
-    """Text for a terminal with the values of `error_quantiles`, in mm and mrad."""
+    """Text for a terminal with the values of `error_quantiles`, in mm and mrad, for `views` that show at least `n`
+    tags.
+    """
     table = error_quantiles(views)
     parts = [f"{name.replace('_', ', map as ', 1)} [{'mm' if name[0] == 'p' else 'mrad'}]" for name in table.index]
     shares = table.columns[table.columns.str.startswith("within")]

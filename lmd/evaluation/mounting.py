@@ -109,7 +109,7 @@ class MountingError(Checked):
         return MountedTags(replace(moved, normals=normals), ups)
 
     def _separated(self, problem: Problem, moved: Deployment) -> Deployment:
-        """Push overlapping landmarks on surfaces apart; landmarks that belong to no surface do not move."""
+        """Move overlapping landmarks apart on their surfaces. Landmarks that belong to no surface do not move."""
         on = np.flatnonzero(moved.surfaces >= 0)
         if not len(on):
             return moved
@@ -158,7 +158,9 @@ class Mounted:
         }
 
     def metrics(self) -> dict[str, float]:
-        """Metrics keyed by names such as `fitness/5` and `position_planned/50`, metres and rad."""
+        """Metrics keyed by names such as `fitness/5` and `position_planned/50` (the number is the quantile in per
+        cent); pose errors are in metres and rad.
+        """
         return named_figures(self.table.drop(columns="planned"), error_quantiles(self.views))
 
     def to_text(self) -> str:
@@ -207,8 +209,8 @@ def _figures(problem: Problem, deployments: list[Deployment], seed: int, sample:
 def off_grid_figures(problem: Problem, deployments: list[Deployment], seed: int, sample: Sample) -> pd.DataFrame:
     """Table of the objective's shares (`Objective.shares`) off the grid, with a row for each deployment of K landmarks.
 
-    The shares are means over one sample of random positions; an objective that validates itself computes its own
-    shares.
+    The shares are means over one sample of random positions; an objective with its own validation (`SelfValidating`)
+    computes the shares itself.
     """
     objective = problem.objective
     if isinstance(objective, SelfValidating):
@@ -262,7 +264,7 @@ class Measured:
     """Number of tags that a view must show before a pose is estimated."""
     moved: pd.DataFrame
     """Table with the columns `id,moved,dx,dy,dz,tilted`, metres and rad: differences between the planned and the
-    measured pose of each tag, the largest first.
+    measured pose of each tag. The tag with the largest `moved`, the distance between the two positions, is first.
     """
     figures: pd.DataFrame
     """Table with the columns `planned` and `measured`, indexed by `figure`: metrics on the grid, and metrics off the

@@ -42,8 +42,8 @@ class Reach:
 
 
 def _hung(distance: float, incidence: float) -> tuple[FloatArray, FloatArray]:
-    """Position and normal, `(1, 3)` each, of a tag at a distance, metres, and an incidence angle, rad, in front of a
-    camera that is at the origin and looks along y.
+    """Position and normal of a tag in front of a camera, `(1, 3)` each. The camera is at the origin and looks along y;
+    the tag is at the given distance, metres, and incidence angle, rad.
     """
     return np.array([[0.0, distance, 0.0]]), np.array([[math.sin(incidence), -math.cos(incidence), 0.0]])
 
@@ -92,7 +92,9 @@ def smallest_edge(criteria_of: Callable[[float], Criteria], camera: Camera, dist
 
 
 def _border(holds: Callable[[float], bool], inside: float, outside: float) -> float:
-    """Value nearest to `outside` at which `holds` is True, found by bisection from `inside`, where `holds` is True."""
+    """Value between `inside` and `outside` at which `holds` changes from True to False, found by bisection; the value
+    returned still holds. `holds` must be True at `inside`.
+    """
     while abs(outside - inside) > RELATIVE_TOLERANCE * max(abs(inside), abs(outside)):
         middle = (inside + outside) / 2.0
         inside, outside = (middle, outside) if holds(middle) else (inside, middle)
@@ -179,8 +181,8 @@ def _reads(camera: Camera, tag: Tag, criteria: Fiducial, reading: Reading) -> li
 
 
 def _error(position: float, attitude: float) -> str:
-    """Text of the standard deviations of position and attitude; "not fixed" if the attitude exceeds
-    `MOST_ATTITUDE_RAD`.
+    """Text of the standard deviations of position and attitude; "not fixed" if the standard deviation of the attitude
+    is `MOST_ATTITUDE_RAD` or more.
     """
     return f"{1e3 * position:.3g} mm, {math.degrees(attitude):.2g} deg" if attitude < MOST_ATTITUDE_RAD else "not fixed"
 

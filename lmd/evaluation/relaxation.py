@@ -43,7 +43,7 @@ class TimeLimit:
         return max(self._until - clock(), 0.0)
 
     def part(self, share: float) -> "TimeLimit":
-        """Make a limit that ends after a fraction `share` of the remaining time."""
+        """Make a time limit for a part of the work: it ends after the fraction `share` of the time that remains."""
         return TimeLimit(share * self.left, self.report)
 
     def leaves(self, seconds: float, what: str) -> bool:
@@ -104,15 +104,15 @@ class Relaxation:
         return 0.0 if self.fixed is None else covered_amounts(self.evaluator, self.fixed, np.ones(len(self.fixed)))
 
     def value(self, added: FloatArray) -> float:
-        """Value of F if `added` = c - b, `(P, D)`, is the number of free landmarks that are covered at each position
-        and axis.
+        """Value of F, given the number of free landmarks that are covered at each position and axis, `added` = c - b,
+        `(P, D)`.
         """
         seen = averaged(np.minimum((added + self.fixed_coverage) / self.n, 1.0), self.weights)
         return float(self.shares @ np.minimum(seen / self.threshold, 1.0))
 
     def smoothed(self, added: FloatArray, width: float) -> tuple[float, Dual]:
-        """Smoothed value of F at `added` = c - b `(P, D)`, and its slopes as multipliers; their `prices` are the
-        gradient of F with respect to c.
+        """Smoothed value of F at `added` = c - b `(P, D)`, see `value`; and multipliers from its slopes, whose `prices`
+        are the gradient of the smoothed F with respect to c.
         """
         by_axis, slope = smoothed_min((added + self.fixed_coverage) / self.n, width)
         by_position, z = smoothed_min(averaged(by_axis, self.weights) / self.threshold, width)
@@ -123,8 +123,8 @@ class Relaxation:
 
 
 def smoothed_min(v: FloatArray, width: float) -> tuple[FloatArray, FloatArray]:
-    """Smoothed min(v, 1), which differs from the exact value only within `width` of the kink, and its slope in [0, 1];
-    `v` has any shape.
+    """Smoothed min(v, 1), and its slope, from 0 to 1. The smoothed value differs from min(v, 1) only if v is within
+    `width` of 1. `v` has any shape.
     """
     slope = np.clip((1.0 + width - v) / (2.0 * width), 0.0, 1.0)
     # This is the integral of the slope: 1 to the right of the kink, v to the left.
@@ -145,7 +145,8 @@ def solve(
 
     Args:
         relaxation: relaxation F.
-        kinds: for each size of landmarks, the poses that they may take, and their number.
+        kinds: for each size of landmarks, the poses that landmarks of this size may take, and the number of these
+            landmarks.
         iterations: largest number of steps.
         tolerance: the search stops when the bound exceeds the largest value of F found by at most this number.
         limit: time limit.

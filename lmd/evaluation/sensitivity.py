@@ -70,8 +70,8 @@ class RigMoments:
         return np.asarray(weight / weight.sum())
 
     def decided(self, moments: RigImages, seen: BoolArray) -> BoolArray:
-        """Two masks of the M views `moments`, in which the rig's cameras show the landmarks `seen`, `(2, M)`: views in
-        which the rig is localised, and views in which n landmarks are covered.
+        """Two masks of the M views `moments`, `(2, M)`: the views in which the rig is localised, and those in which n
+        landmarks are covered, if the rig's cameras show only the landmarks `seen`.
         """
         found = located(self.evaluator, self.deployment, moments._replace(seen=seen), self.n, self.precision)
         return np.stack([found, covers(seen, self.n)])
@@ -93,16 +93,16 @@ class RigMoments:
         return np.array([self.decided(self.moments, seen & (draw >= p)) @ self.share for p in probabilities])
 
     def lost(self) -> FloatArray:
-        """Means of L and P_n if landmarks i and j are lost (not detected, though they still hide other landmarks), `(2,
-        K, K)`; only landmark i is lost in entries on the diagonal.
+        """Means of L and P_n if landmarks i and j are lost, `(2, K, K)`; on the diagonal, if only landmark i is lost. A
+        lost landmark is not detected, but still hides other landmarks.
         """
         seen, share = self.moments.seen, self.share
         shown = np.asarray(seen.any(axis=0))  # (N, K)
         whole, count = self.decided(self.moments, seen).astype(np.float64), seen.shape[2]
 
         def lose(*landmarks: int) -> FloatArray:
-            """Change of both masks of `decided` if landmarks are lost, weighted by the probability of each view, `(2,
-            N)`; 0 in views that do not show all these landmarks.
+            """Change of both masks of `decided` if all of `landmarks` are lost, times the probability of each view,
+            `(2, N)`. Views that do not show all of them have 0.
             """
             which: BoolArray = np.asarray(shown[:, landmarks].all(axis=1))
             left = seen[:, which]
@@ -136,7 +136,7 @@ class Variant:
     assumption: str
     """Name of the setting that is varied."""
     factor: float
-    """Ratio of the varied value to the assumed value."""
+    """Ratio of the varied value to the value that the problem assumes."""
     value: float
     """Varied value, in the unit of the setting."""
     scene: Scene
@@ -233,15 +233,17 @@ def sensitivity(problem: Problem, deployment: Deployment, seed: int, sample: Sam
 
 
 def _cameras(failed: FloatArray, whole: FloatArray) -> pd.DataFrame:
-    """Table `Sensitivity.cameras` from the shares without each of C cameras, `(C, 2)`, and the shares with all cameras,
-    `(2,)`.
+    """Make the table `Sensitivity.cameras`. `failed` has the shares if one of C cameras fails, `(C, 2)`, `whole` the
+    shares with all cameras, `(2,)`.
     """
     table = pd.DataFrame(failed, columns=SHARE_COLUMNS).rename_axis("camera").reset_index()
     return table.assign(localised_loss=whole[0] - failed[:, 0], covered_loss=whole[1] - failed[:, 1])
 
 
 def _variants(problem: Problem, deployment: Deployment) -> list[Variant]:
-    """Variants of the problem for all assumptions; the edge length is varied only for tags, not for points."""
+    """Variants of the problem, one for each value of each varied setting. The edge length is varied only for tags, not
+    for points.
+    """
     scene, objective = problem.scene, as_localisation(problem.objective)
     variants = []
     for name in ("pixel_noise", "tolerance"):
@@ -272,9 +274,9 @@ def _measure(
     poses.
 
     Returns:
-        both means for each of V variants, `(V, 2)`; if landmarks are missed, for each of M probabilities, `(M, 2)`; if
-        landmarks i and j are lost, `(2, K, K)`; without each camera of a rig, `(C, 2)`, where C = 0 for a single
-        camera.
+        the two means in four arrays: for each of V variants, `(V, 2)`; for each of M probabilities of missing a
+        landmark, `(M, 2)`; for the loss of landmarks i and j, `(2, K, K)`; and for the failure of each of C cameras of
+        a rig, `(C, 2)`, where C = 0 for a single camera.
     """
     number, evaluator = group
     assumed = np.array([_shares(variant, evaluator) for variant in variants])

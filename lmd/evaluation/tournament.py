@@ -33,7 +33,7 @@ from lmd.evaluation.comparison import (
 
 HEADER = "evaluations raw_y"
 NOTHING = -1.0
-"""Value that is written for a run before its first record."""
+"""Value that is written for the fitness of a run before its first record."""
 VERSION = "0.4.2"
 """Version of IOHexperimenter whose file format is written."""
 
@@ -100,8 +100,8 @@ class Tournament:
     optimisers or two problems.
     """
     critical: float
-    """Difference of two mean ranks that is significant at `SIGNIFICANCE`; NaN if no problem has runs of all
-    optimisers.
+    """Least difference of two mean ranks that is significant at the level `SIGNIFICANCE`; NaN if no problem has runs of
+    all optimisers.
     """
     leads: Mapping[str, float]
     """P-value, keyed by problem, of the hypothesis that the two best optimisers perform equally (test of Mann and
@@ -157,8 +157,8 @@ def critical_difference(optimisers: int, problems: int) -> float:
 
 
 def rank_correlation(one: pd.Series, other: pd.Series) -> float:
-    """Kendall's tau-b between the mean ranks of the optimisers in two tournaments; NaN for fewer than two
-    optimisers.
+    """Kendall's tau-b of the mean ranks in two tournaments, over the optimisers that are in both; NaN for fewer than
+    two.
     """
     both = one.index.intersection(other.index)
     return float(stats.kendalltau(one[both], other[both]).statistic) if len(both) > 1 else np.nan

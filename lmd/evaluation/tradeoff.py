@@ -43,7 +43,7 @@ class Found:
 
 
 def started(problem: Problem, deployment: Deployment) -> Problem:
-    """Copy of the problem whose start is the given deployment of all its landmarks."""
+    """Copy of the problem, with the given deployment as its start; the deployment has all landmarks of the problem."""
     given = GivenDeployment(problem.free(replace(deployment, labels=None, surveyed=None)))
     return Problem(problem.scene, problem.objective, given, problem.evaluator.threads, problem.fixed)
 
@@ -141,8 +141,8 @@ def fewest(points: pd.DataFrame, figure: str, wanted: float) -> pd.DataFrame:
 
 
 def between(points: pd.DataFrame, figure: str, wanted: float) -> list[tuple[float, int]]:
-    """For each edge length, find the number of landmarks midway between the least number that reaches `wanted` and the
-    next smaller number; edge lengths with no number between these two are left out.
+    """For each edge length, find a number of landmarks to examine next: midway between the least number that reaches
+    `wanted` and the next smaller examined number. Edge lengths with no number between these two are left out.
 
     Args:
         points, figure, wanted: as for `fewest`.

@@ -72,14 +72,17 @@ class UncertaintyStudy(Checked):
         check_memory(VIEW_BYTES * self.views, f"views = {self.views}", "views")
 
     def _reader(self, problem: Problem) -> str:
-        """Name of the detector whose corner errors are used, or `objective`."""
+        """Name of the detector whose corner errors are used; `objective` if the objective's `pixel_noise` is used
+        instead.
+        """
         if self.corners not in (AUTO, RENDERED):
             return self.corners
         name = ALSO.get(name := str(getattr(problem.scene.visibility, "detector", OBJECTIVE)), name)
         return name if name in CORNER_ERRORS else OBJECTIVE
 
     def errors(self, problem: Problem, deployment: Deployment, seed: int) -> tuple[TagErrors, str]:
-        """Errors of the tag corners for a map without errors, and a text about the source of these errors.
+        """Errors of the tag corners in images, with the errors of the map set to zero; and a text about the source of
+        the corner errors.
 
         Raises:
             InputError: corners must be measured in rendered images, but the detector is unknown or finds too few tags.
@@ -93,7 +96,9 @@ class UncertaintyStudy(Checked):
     def _noise(
         self, problem: Problem, deployment: Deployment, reader: str, seed: int
     ) -> tuple[CornerErrors | MeasuredCorners | float, str]:
-        """Noise of the corners, and a text about its source."""
+        """Noise of the tag corners: a table of a detector, measurements in rendered images, or one number, pixels; and
+        a text about its source.
+        """
         why = ""
         if self.corners == RENDERED or (self.corners == AUTO and reader != OBJECTIVE):
             try:
@@ -120,7 +125,7 @@ class Uncertainty:
     another number of tags).
     """
     poses: FloatArray
-    """Camera pose X of each view, `(V, 4, 4)`."""
+    """Camera pose of each view, camera to world, `(V, 4, 4)`."""
     covariances: FloatArray
     """Covariance of position and rotation (p, r) in the world frame, m^2 and rad^2, `(V, 6, 6)`; infinite if there is
     no pose.
@@ -155,7 +160,7 @@ def uncertainty(
         deployment: K tags.
         study: settings.
         seed: seed of the views.
-        places: covariance of each tag's pose in the map, `(K, 6, 6)`, m^2 and rad^2; None for exact poses.
+        places: covariance of the error of each tag's pose in the map, `(K, 6, 6)`, m^2 and rad^2; None for exact poses.
         joint: joint covariance of all tags' poses, added to `places`, `(6 K, 6 K)`; None to add nothing.
 
     Raises:

@@ -77,7 +77,7 @@ class UncertaintyLaw:
         }
 
     def lines(self, found: Uncertainty) -> dict[str, str]:
-        """Lines for a terminal about the laws, keyed by label."""
+        """Lines for a terminal about the views, the corner errors and the laws, keyed by label."""
         figures, errors = found.metrics(), self.errors.set_index(["quantity", "rule"])
 
         def said(name: str, factor: float, unit: str) -> str:
@@ -100,7 +100,9 @@ class UncertaintyLaw:
 
 
 def per_axis(views: "pd.DataFrame") -> dict[str, FloatArray]:
-    """Standard deviations `QUANTITIES` of the V views in the table `Uncertainty.views`, `(V,)` each."""
+    """Standard deviations of position and rotation per axis, keyed by `QUANTITIES`, for the V views in the table
+    `Uncertainty.views`, `(V,)` each: the root mean square over the axes.
+    """
 
     def rms(*names: str) -> FloatArray:
         return np.asarray(np.sqrt(np.mean([views[f"sd_{name}"].to_numpy() ** 2 for name in names], axis=0)))
@@ -132,7 +134,7 @@ def uncertainty_law(found: Uncertainty) -> UncertaintyLaw:
 
 
 def _steps(distance: FloatArray) -> FloatArray:
-    """Edges of the bins of distance, metres."""
+    """Edges of the bins of distance for the views with the given distances, metres."""
     farthest = float(distance.max())
     step = next((each for each in STEPS if farthest / each <= MOST_STEPS), farthest / MOST_STEPS)
     return np.arange(np.ceil(farthest / step) + 1.0) * step

@@ -138,7 +138,9 @@ def describe_validation(problem: Problem, figures: Mapping[str, float]) -> dict[
 
 
 def _mean_and_error(shares: FloatArray | BoolArray) -> tuple[float, float]:
-    """Mean of the values `(groups, positions)` at the positions of a sample, and the standard error of the mean."""
+    """Mean over all positions of a sample, and its standard error. `shares` has a row for each group of the sample and
+    a column for each position in it.
+    """
     means = shares.mean(axis=1)
     return float(means.mean()), float(means.std(ddof=1) / np.sqrt(len(means)))
 
@@ -187,7 +189,7 @@ def sampled_evaluators(scene: Scene, count: int, seed: int, sample: Sample, thre
     """Yield an evaluator for each group of a sample, with the positions of the group and the orientations that they
     share.
 
-    The groups are smaller if the criteria have no compiled code, so that evaluating `count` landmarks takes long.
+    If the criteria have no compiled code, evaluating `count` landmarks takes long, and the groups have fewer positions.
     """
     rng = np.random.default_rng([seed, VALIDATION_STREAM])
     by_reference = PYTHON and scene.rig is None  # kernels in plain Python would take hours
@@ -241,8 +243,8 @@ def describe_held_out(figures: Mapping[str, float]) -> dict[str, str]:
 
 
 def exact_values(problem: Problem, deployment: Deployment, records: "Records") -> FloatArray:
-    """Value of the objective at each of R recorded poses, with only the recorded orientation, `(R,)`; with a crowd, the
-    mean over its states.
+    """Value of the objective at each of R recorded poses, where only the recorded orientation counts, `(R,)`; with a
+    crowd, the mean over its states.
     """
     landmarks = deployment.positions[None], deployment.normals[None]
     every = (recorded_evaluators(problem, deployment, records, state) for state in range(problem.state_count))
@@ -253,8 +255,8 @@ def exact_values(problem: Problem, deployment: Deployment, records: "Records") -
 def recorded_evaluators(
     problem: Problem, deployment: Deployment, records: "Records", state: int = 0
 ) -> Iterator[Evaluator]:
-    """Yield evaluators for groups of 64 recorded poses, as a word has 64 bits. Each position has its own orientation
-    with the probability 1.
+    """Yield an evaluator for each group of up to 64 recorded poses, as a word of a bit set has 64 bits. At each
+    recorded position, the recorded orientation has the probability 1.
 
     Args:
         problem: problem with the scene.

@@ -35,7 +35,7 @@ def verdicts(
     Args:
         scene: the scene.
         deployment: K landmarks.
-        poses: camera poses X, `(N, 4, 4)`.
+        poses: camera poses, camera to world, `(N, 4, 4)`.
         camera: one camera of the scene's rig; None if the scene has a single camera.
         states: index of the crowd state in each pose, `(N,)`, for the criterion of the crowd.
 
@@ -55,9 +55,9 @@ def verdicts(
 def _verdicts_of(
     scene: Scene, camera: Camera, deployment: Deployment, position: FloatArray, axes: FloatArray
 ) -> dict[str, BoolArray]:
-    """Masks of the landmarks that meet each criterion, seen from a camera's position with A axes `(A, 6)`, `(A, K)`
-    each. The criteria are those of the model, of the room if it has obstacles, and of the crowd if the scene has a
-    single crowd state.
+    """For each criterion, keyed by name, the mask of the landmarks that meet it, `(A, K)`, seen from one camera
+    position in A orientations. `axes` `(A, 6)` are the orientations. The criteria are those of the model, of the room
+    if it has obstacles, and of the crowd if the scene has a single crowd state.
     """
     landmarks = deployment.positions, deployment.normals
     found = dict(scene.visibility.verdicts(camera, position, axes, *landmarks))  # type: ignore[attr-defined]
@@ -73,7 +73,7 @@ def _verdicts_of(
 
 @dataclass(frozen=True)
 class Causes:
-    """Shares of sightings that meet the criteria; a sighting is a landmark and a camera in a random pose."""
+    """Shares of sightings that meet the criteria. A sighting is a pair of a landmark and a camera in a random pose."""
 
     sightings: int
     """Number of sightings."""
@@ -82,7 +82,7 @@ class Causes:
     met: Mapping[str, float]
     """Share of the sightings that meet each criterion, keyed by its name."""
     without: Mapping[str, float]
-    """Share of the sightings that meet all criteria but one, keyed by the name of this criterion."""
+    """Share of the sightings that meet all other criteria, keyed by the name of the criterion that is left out."""
     limits: Mapping[str, str]
     """Text of the limits of each criterion, keyed by the criterion's name."""
 

@@ -91,7 +91,7 @@ class Renderer:
         """Render the image from a pose.
 
         Args:
-            pose: pose X, camera to world, in the middle of the exposure, `(4, 4)`.
+            pose: pose of the camera, camera to world, in the middle of the exposure, `(4, 4)`.
             rng: random generator for the noise, and for the direction of the motion.
             motion: body twist (w, v) times the exposure time, rad and metres, `(6,)`; None for `Imaging.motion_blur`.
 
@@ -125,7 +125,7 @@ class Renderer:
         """Mask of the tags that face the camera with the whole picture in the image, `(..., K)`.
 
         Args:
-            pose: poses X, camera to world, `(..., 4, 4)`.
+            pose: poses of the camera, camera to world, `(..., 4, 4)`.
             margin: least distance of the corners from the border of the image, pixels.
         """
         room, size = self.room, np.array(image_size(self.camera))
