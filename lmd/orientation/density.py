@@ -27,7 +27,7 @@ RESAMPLES = 9999  # random tables of the independence test
 
 @dataclass(frozen=True)
 class AngleCells:
-    """Fine cells of equal width over an angle."""
+    """Division of the range of an angle into fine cells of equal width."""
 
     low: float
     """Lower bound of the first cell, radians."""

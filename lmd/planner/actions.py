@@ -46,7 +46,7 @@ class ActionQueue:
         call_in_order(register, partial(self.put_answer, answer))
 
     def put_answer(self, answer: Callable[..., None], *of_event: Any) -> None:
-        """Append the answer to an event from a browser to the queue.
+        """Append to the queue the function that answers an event from a browser.
 
         Browsers may send invalid values. An answer that fails because of such values raises only `InputError`.
         """

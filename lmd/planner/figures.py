@@ -124,9 +124,9 @@ def additions(
 
     Unlike the fitness, the mean value also tells apart places where a new tag lifts no position over the threshold.
 
-    A landmark is added at a place where it is not visible, and is then moved from place to place
-    (`lmd.incremental.field`). Occlusion by the moved landmark is taken into account (the move is settled), but no move
-    is accepted.
+    A landmark is added at a place where it is not visible, and moves from there to each of the N places in turn are
+    tried (`lmd.incremental.field`). Occlusion by the moved landmark is taken into account (the move is settled), but no
+    move is accepted.
 
     Args:
         problem: scene and objective; gains are computed on its grid.

@@ -96,7 +96,7 @@ class Criteria(Protocol):
 
     @property
     def needs_roll(self) -> bool:
-        """True if the camera's roll about its optical axis matters."""
+        """True if coverage depends on the camera's roll about its optical axis."""
 
     @property
     def spacing(self) -> float:
@@ -219,8 +219,8 @@ def in_view(sight: Any, way: Vector, sine: float, cosine: float, axis: Vector, r
 
 @inlined
 def in_cone(least: float, way: Vector, sine: float, cosine: float, axis: Vector) -> Any:
-    """Version of `in_view` for a conical field of view around the optical axis; `least` is the cosine of the cone's
-    half-angle.
+    """Result of `in_view` for a model whose field of view is a cone around the optical axis; `least` is the cosine of
+    this cone's half-angle, other arguments as in `in_view`.
     """
     # With the half-angle theta, the cone narrowed by delta has the cosine cos(theta - delta), unless it is empty or the
     # whole sphere.
@@ -242,7 +242,7 @@ def hide(sight: Any, a: Vector, aa: float, b: Vector, bb: float, u: Vector, v: V
 
 @overridable
 def hide_between(sight: Any, other: Any, a: Vector, aa: float, b: Vector, bb: float, u: Vector, v: Vector) -> Any:
-    """Version of `hide` for two landmarks A and B of different sizes, each with its own compiled model (see `sized`):
+    """Test as in `hide` for two landmarks A and B of different sizes, each with its own compiled model (see `sized`):
     `sight` for A, `other` for B.
 
     A model with landmarks of several sizes registers this function instead of `hide`.
@@ -315,8 +315,8 @@ def covering(
 def depth_first(
     sight: Any, left: Any, w: Integer, offset: Vector, frame: Any, depths: Vector, well: Any, axes: FloatArray
 ) -> Any:
-    """Version of `covering` for models with an expensive test: depths are compared first, as the depths decide most
-    cases.
+    """Result of `covering`, computed faster for models with an expensive test: depths are compared first, as the depths
+    decide most cases.
     """
     within, shallow, (low, high, sure) = ZERO, ZERO, depths
     for first in range(np.uint64(0), np.uint64(BITS), np.uint64(LANES)):

@@ -99,7 +99,8 @@ class ExistingDeployment:
 
     Attributes:
         path: file of the landmarks, for messages.
-        free: True to skip the check of placement, so that landmarks may be outside the room, on no surface, or overlap.
+        free: True to skip the check of placement: landmarks may then be outside the room or on no surface, and may
+            overlap.
     """
 
     path: str | None

@@ -57,10 +57,10 @@ class Tag(Checked):
             these lengths cyclically unless `counts` is given.
         counts: number of placed landmarks for each edge length in `edges`, which are assigned in the order of the
             landmarks; None for the cyclic assignment.
-        paper: total area of paper of the placed landmarks, square metres, for which the number of each size is
-            optimised; None if the number of landmarks is given.
+        paper: limit on the total area of paper of the placed landmarks, square metres, within which the number of tags
+            of each size is optimised; None if the number of landmarks is given.
         costs: cost of a tag for each edge length in `edges`, in any unit.
-        budget: total cost of the placed landmarks, instead of `paper`.
+        budget: limit on the total cost of the placed landmarks, in the unit of `costs`, instead of `paper`.
 
     Raises:
         InputError: the edge length or the quiet zone is negative, or the family is unknown; a value of `edges` is not

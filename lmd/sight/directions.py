@@ -120,7 +120,8 @@ def tables(sight: SightModel, axes: FloatArray) -> tuple[np.ndarray, np.ndarray]
 def fill_tables(
     sight: SightModel, axes: FloatArray, shift: tuple[FloatArray, float, float], certain: IntArray, possible: IntArray
 ) -> None:
-    """Fill the tables for cameras that are displaced from the point at the centre of the sphere of directions.
+    """Fill the tables `certain` and `possible` for cameras that are displaced from the point at the centre of the
+    sphere of directions.
 
     Let u be the unit direction of a landmark from the point, and s the displacement of the camera divided by the
     distance of the landmark. The camera sees the landmark in the direction of u - s. If u lies in a cell, and `shifts`

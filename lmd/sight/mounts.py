@@ -87,7 +87,9 @@ def mount_groups(scene: Scene) -> tuple[MountGroup, ...]:
 
 
 def _group_of(number: int, sight: Any, offsets: FloatArray, axes: FloatArray) -> MountGroup:
-    """Group of M mounts with `offsets` `(M, D, 3)` and `axes` `(M, D, 6)`."""
+    """Make the group of M mounts from their offsets and axes for D orientations of the body, `offsets` `(M, D, 3)`,
+    metres, and `axes` `(M, D, 6)`, see `MountGroup`.
+    """
     middle = np.round((offsets.min(axis=1) + offsets.max(axis=1)) / 2.0, 9)
     centres, centre = np.unique(middle, axis=0, return_inverse=True)
     order = np.argsort(centre.reshape(-1), kind="stable")

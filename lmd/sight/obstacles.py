@@ -40,7 +40,7 @@ class Obstacles(NamedTuple):
     first: np.ndarray
     """Index of the first plane of each body, followed by J, `(M + 1,)` for M bodies, see `Blockers`."""
     heights: np.ndarray
-    """`(P, J)` signed heights of the positions above the planes, metres."""
+    """`(P, J)` signed height of each camera position above each plane, metres."""
 
 
 class MeshObstacles(NamedTuple):
@@ -49,7 +49,7 @@ class MeshObstacles(NamedTuple):
     triangles: Triangles
     """Triangles with their search tree."""
     positions: np.ndarray
-    """`(P, 3)` positions, metres."""
+    """`(P, 3)` positions of the camera, metres."""
 
 
 def obstacles_at(blockers: Blockers | Triangles | None, positions: FloatArray) -> Obstacles | MeshObstacles:

@@ -159,7 +159,7 @@ def _gains(
 def _sum_covered(
     start: Integer, stop: Integer, points: FloatArray, normals: FloatArray, amounts: FloatArray, parts: Any, out: Any
 ) -> None:
-    """Add the covered amounts at the positions `start` to `stop - 1` to `out` `(P, D)`.
+    """Add to `out` `(P, D)`, at the positions `start` to `stop - 1`, the amounts of the poses that are covered there.
 
     Arguments as in `covered_amounts`.
     """

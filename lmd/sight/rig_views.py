@@ -100,11 +100,13 @@ class RigViews:
 
     @property
     def _single(self) -> tuple[MountGroup, ...]:
-        """Mount groups without occlusion by landmarks."""
+        """Mount groups whose models of sight ignore occlusion by other landmarks."""
         return tuple(with_sight(group, group.sight.unhidden()) for group in self.groups)
 
     def groups_among(self, landmarks: FloatArray, normals: FloatArray) -> tuple[MountGroup, ...]:
-        """Mount groups with the criteria for the landmarks of a deployment, `(K, 3)`, see `SightModel.among`."""
+        """Mount groups with the models of sight that `SightModel.among` returns for the landmarks of a deployment, `(K,
+        3)`.
+        """
         low, high = self.positions.min(axis=0), self.positions.max(axis=0)
         batch = landmarks.T[None], normals.T[None]
         return tuple(

@@ -102,7 +102,7 @@ def checked_ring(name: str, value: Any, either_way: bool = False) -> Ring:
 
 
 def edges(ring: Sequence[Sequence[float]] | FloatArray) -> FloatArray:
-    """Edges from each vertex to the next, `(N, 2, 2)`."""
+    """Edges of a polygon with the vertices `ring`, each from one vertex to the next, `(N, 2, 2)`."""
     vertices = np.asarray(ring, dtype=np.float64)
     return np.stack([vertices, np.roll(vertices, -1, axis=0)], axis=1)
 

@@ -237,7 +237,9 @@ class FloorPlan(Checked):
 
 
 def _covered(face: Surface, obstacle: Obstacle) -> Any:
-    """Part of a face that is covered by an obstacle that touches the face, in the coordinates of the face."""
+    """Part of a face that an obstacle covers by touching the face, a shapely geometry in the coordinates of the
+    face.
+    """
     import shapely
 
     corners = obstacle.corners() - face.origin

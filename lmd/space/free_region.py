@@ -283,8 +283,8 @@ def _fitted(simple: FloatArray, contour: FloatArray, tolerance: float) -> FloatA
 
 
 def _gaps(edge: FloatArray, to_wall: FloatArray, most: float, shortest: float) -> list[tuple[float, float]]:
-    """Intervals (from, to) of an edge, in cells from the start of the edge, that are farther than `most` cells from a
-    wall.
+    """Intervals (from, to) of an edge that are farther than `most` cells from a wall, counted in cells from the start
+    of the edge. Intervals shorter than `shortest` are omitted, unless the interval is the whole edge.
     """
     length = float(np.linalg.norm(edge[1] - edge[0]))
     count = max(math.ceil(2.0 * length), 1)

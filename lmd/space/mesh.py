@@ -64,7 +64,9 @@ def areas_of(corners: FloatArray) -> FloatArray:
 
 
 def plane_of(corners: FloatArray) -> tuple[FloatArray, float]:
-    """Plane fitted to triangles `(T, 3, 3)`: mean unit normal, `(3,)`, and largest distance of a vertex, metres."""
+    """Plane fitted to triangles `(T, 3, 3)`: mean unit normal, `(3,)`, and largest distance of a vertex from the plane,
+    metres.
+    """
     total = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).sum(axis=0)
     normal = total / np.linalg.norm(total) + 0.0
     return normal, float(np.ptp(corners @ normal)) / 2.0

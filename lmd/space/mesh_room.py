@@ -94,7 +94,9 @@ class MeshRoom(Gridded):
 
     @override
     def contains(self, points: FloatArray) -> BoolArray:
-        """See `Space.contains`; allowed places of landmarks count as inside, even if no line to a node is clear."""
+        """See `Space.contains`; places where landmarks are allowed count as inside, even if all lines from them to the
+        nodes of `Scan.interior` are blocked.
+        """
         low, high = self.bounds()
         within = (points >= low - PLACEMENT_TOLERANCE) & (points <= high + PLACEMENT_TOLERANCE)
         found = np.asarray(within.all(axis=-1) & self.scan.interior.contains(points))

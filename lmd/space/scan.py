@@ -119,7 +119,7 @@ class Scan(Checked):
 
     @cached_property
     def interior(self) -> Interior:
-        """Free space inside the mesh, with the test if a point is in the room."""
+        """Free space of the mesh, from which the inside of the room follows, see `Interior`."""
         return Interior(self.triangles, *self.bounds)
 
     @cached_property

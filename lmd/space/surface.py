@@ -193,7 +193,8 @@ def surface_near(surfaces: Sequence[Surface], positions: FloatArray, normals: Fl
 
 
 def free_of(face: Surface, region: Any, margin: float, band: Sequence[float] | None, taken: Sequence[Any]) -> Any:
-    """Allowed region of a face, in the face's coordinates (a, b), possibly empty.
+    """Region of a face in which landmarks are allowed: a shapely geometry, possibly empty, in the face's coordinates
+    (a, b), metres.
 
     Args:
         face: surface.
@@ -237,7 +238,7 @@ class SurfaceArrays(NamedTuple):
 
     @classmethod
     def of(cls, surfaces: Sequence[Surface]) -> "SurfaceArrays":
-        """Arrays of surfaces in their order."""
+        """Make the arrays of the given surfaces, in their order."""
         origin, u, v, normal, extent = (
             np.array([getattr(surface, name) for surface in surfaces])
             for name in ("origin", "u", "v", "normal", "extent")

@@ -135,9 +135,11 @@ class Triangles(NamedTuple):
     skip: np.ndarray
     """For each box, index of the first later box that is not inside this box, `(N,)`."""
     first: np.ndarray
-    """Index of the first triangle in each leaf, `(N,)`."""
+    """Index of the first triangle of each box, `(N,)`; only leaves, the boxes that contain no other box, have
+    triangles.
+    """
     stop: np.ndarray
-    """Index after the last triangle in each leaf, `(N,)`; equal to `first` for inner boxes."""
+    """Index after the last triangle of each box, `(N,)`; equal to `first` for boxes that contain other boxes."""
     tolerance: float
     """Largest distance from a triangle's plane or edge at which a line only touches the triangle, metres."""
 

@@ -65,8 +65,8 @@ class Fiducial(Checked):
 
     Args:
         tag: size and family of the tags.
-        detector: name of measured limits (`aruco`, `apriltag`, `apriltag_decimate2`, `wpilib`), or a file, see
-            `lmd.sight.models.limits`.
+        detector: name of a detector whose limits were measured (`aruco`, `apriltag`, `apriltag_decimate2`, `wpilib`),
+            or the path of a file with limits, see `lmd.sight.models.limits`.
         limits: values that replace single limits; for a detector or a family that was not measured, `limits` must give
             all limits.
         psf_sigma: standard deviation of the point spread function in focus, pixels.
@@ -229,8 +229,8 @@ def _through(lens: Lens, widest: float, flat: FiducialSight) -> LensSight:
 
 
 def _pinholes(lens: Lens, widest: float, flat: FiducialSight) -> tuple[FiducialSight, FiducialSight]:
-    """Two pinhole models: at each depth, pitch and area of the first model are lower bounds for the lens, pitch and
-    area of the second model are upper bounds.
+    """Two pinhole models that bound the pitch and the area of a tag seen through the lens: at each depth, those of the
+    first model are lower bounds, those of the second model are upper bounds.
     """
     rates = lens.stretch(widest, power=1)
     shorter = rates.least if min(rates.least, rates.least_area) > 0.0 else 0.0

@@ -55,7 +55,7 @@ def footprint_hides(sight: Any, half: float, a: Vector, n: Vector, b: Vector, m:
 def may_hide(
     sight: Any, horizon: float, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray
 ) -> bool:
-    """False if no landmark can hide another.
+    """False only if no landmark can hide another from any position of the camera.
 
     The function returns False if all camera positions are in front of all footprints, and no corner of a tag is behind
     a footprint within the `horizon` (metres). Other arguments as in `SightModel.among`.
