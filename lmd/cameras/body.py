@@ -104,8 +104,8 @@ class Body(Checked):
 
     @cached_property
     def corners(self) -> tuple[FloatArray, FloatArray]:
-        """Corners of the B boxes with the least and with the greatest coordinates, body frame, metres, `(B, 3)`
-        each.
+        """Two opposite corners of each of the B boxes, body frame, metres, `(B, 3)` each: with the least coordinates,
+        and with the greatest.
         """
         return np.array([box.low for box in self._boxes]), np.array([box.high for box in self._boxes])
 

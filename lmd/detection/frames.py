@@ -57,7 +57,7 @@ def draw_crowd(scene: Scene, positions: FloatArray, seed: int) -> tuple[Scene, l
 
 
 def tagged_room(room: Space, deployment: Deployment, tag: Tag) -> TaggedRoom:
-    """Tags of a deployment, with their ids and up vectors, on the surfaces of a room.
+    """Surfaces of a room with the tags of a deployment on them, for the renderer.
 
     Raises:
         InputError: the tag is a point, or its family is too small.

@@ -138,8 +138,8 @@ def _tile_centres(camera: Camera, tile: int, count: int) -> FloatArray:
 def _place(
     camera: Camera, tag: Tag, tile: int, pitches: FloatArray, tilts: FloatArray, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Centres, normals and up vectors, `(M, 3)` each, in the camera's frame, of tags with random orientation that are
-    centred on their tiles.
+    """Place M tags with random orientations, each in the middle of its tile. Returns their centres, normals and up
+    vectors, camera's frame, `(M, 3)` each.
     """
     matrix = intrinsics(camera)
     at = _tile_centres(camera, tile, len(pitches)) + rng.uniform(-0.5, 0.5, (len(pitches), 2))

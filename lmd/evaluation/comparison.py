@@ -66,7 +66,9 @@ class Comparison:
     of seeds allows; empty without a test.
     """
     pairs: pd.DataFrame | None
-    """P-value of each pair of optimisers; None if the optimisers were tested only against the reference."""
+    """Table of the P-values, with a row and a column for each optimiser; None if the optimisers were tested only
+    against the reference.
+    """
 
 
 def by_optimiser(runs: Sequence[OptimiserRun], key: str) -> dict[str, list[OptimiserRun]]:

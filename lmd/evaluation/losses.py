@@ -33,7 +33,7 @@ class Losses:
     `removal_order`.
     """
     left: FloatArray
-    """Fitness that remains after each removal in that order, `(K,)`."""
+    """Fitness that remains after each removal in the order `order`, `(K,)`."""
 
     @property
     def table(self) -> dict[str, FloatArray | IntArray]:

@@ -85,7 +85,7 @@ class Relaxation:
     evaluator: Evaluator
     """Evaluator of the scene at P positions."""
     shares: FloatArray
-    """Share r of each position, `(P,)`, sum 1."""
+    """Share r of each position in the fitness, `(P,)`, sum 1."""
     n: int
     """Number of landmarks that must be covered."""
     threshold: float

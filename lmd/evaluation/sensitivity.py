@@ -56,7 +56,7 @@ class RigMoments:
     n: int
     """Number of landmarks that must be covered."""
     precision: Any
-    """Required precision, see `lmd.objectives.localisation.information`."""
+    """Precision that the pose of a localised view must have, see `lmd.objectives.localisation.information`."""
 
     @cached_property
     def moments(self) -> RigImages:

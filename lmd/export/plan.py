@@ -71,7 +71,9 @@ def begin_titled(canvas: Any, size: tuple[float, float], title: str, facts: str)
 def draw_tables(
     canvas: Any, size: tuple[float, float], table: Table, rows: list[list[str]], title: str, facts: str
 ) -> None:
-    """Draw rows on the right of the page, continue on further pages, and end the last page."""
+    """Draw a table's `rows` on the right of the current page, continue on further pages if needed, and end the last
+    page.
+    """
     fitting = table.fitting(size[1])
     for first in range(0, len(rows), fitting):
         if first:

@@ -97,7 +97,7 @@ class Layout(NamedTuple):
     """
 
     def takes(self, width: int) -> bool:
-        """True if a line with this layout may have `width` values."""
+        """True if a line of `width` values can have this layout."""
         return (self.least or len(self.columns)) <= width and (self.more or width <= len(self.columns))
 
 
@@ -256,7 +256,7 @@ def named(
 
 
 def _asked(lines: Lines, of: str, columns: str | Sequence[str]) -> Layout:
-    """Layout of the columns that the user has given."""
+    """Layout from the user's argument `columns`: names of columns, or the name of a program in `LAYOUTS`."""
     known = [layout for layout in LAYOUTS if layout.of == of]
     if isinstance(columns, str) and re.fullmatch(r"\w+", columns):
         found = [layout for layout in known if layout.name == columns]

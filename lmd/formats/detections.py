@@ -104,7 +104,7 @@ class DetectedTags:
         )
 
     def of(self, chosen: IntArray) -> "DetectedTags":
-        """Detections selected by `chosen`; frames and cameras are unchanged."""
+        """The detections with the indices `chosen`; the lists of frames and cameras are unchanged."""
         names = ("frame", "camera", "ids", "corners")
         return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 

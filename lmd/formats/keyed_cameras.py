@@ -89,7 +89,7 @@ class KeyedCameras(Keyed):
     origin: float = 0.0
     """Coordinate of the centre of the first pixel in the pixel coordinates of the file, such as 0 or 0.5."""
     loose: bool = False
-    """True if keys are compared in small letters and without `_`; this applies to the outermost keys of an entry."""
+    """True if the outermost keys of an entry are compared in small letters and without `_`."""
     distinct: bool = False
     """True if equal cameras are returned only once, as in a file that repeats the camera of each image."""
 

@@ -121,7 +121,9 @@ class KeyedTags(Keyed):
         return value
 
     def _pose(self, tag: Keys, at: Mapping[str, str], number: int) -> tuple[FloatArray, FloatArray]:
-        """Position, metres, and rotation matrix of the tag's frame as the file defines it."""
+        """Position, metres, and rotation matrix of a tag's frame. The axes of the frame are those of the file, see
+        `axes`.
+        """
         turns = {name: at[name].rstrip("?") for name in TURNS if name in at}
         name = next((name for name, path in turns.items() if find(tag, path) is not MISSING), list(turns)[-1])
         if (value := self._value(tag, at[name])) is not MISSING and name == "transform":
@@ -224,7 +226,9 @@ def apriltag_ros(keys: Keys) -> Keys:
 
 
 def _placed(tag: Keys) -> Keys:
-    """Entry of a tag with its pose, which is taken from the keys of ROS 1, or from roll, pitch and yaw."""
+    """Entry of a tag, in which a key `TRANSFORM` is replaced by position and rotation: a quaternion if the transform
+    has seven values, roll, pitch and yaw if it has six. Other entries are unchanged.
+    """
     if TRANSFORM not in tag:
         return tag
     values = vector(TRANSFORM, tag[TRANSFORM], None)

@@ -80,7 +80,9 @@ def check_gltf(file: Path, content: bytes, most: int) -> None:
 
 
 def _unread(header: dict[str, Any], pieces: list[dict[str, Any]]) -> str:
-    """Name of a feature of glTF that the file uses, but that trimesh does not read; empty if there is none."""
+    """Reason why trimesh cannot read the glTF, as the predicate of a sentence such as `has sparse accessors`; empty if
+    it can.
+    """
     instanced = "EXT_mesh_gpu_instancing"
     needed = [str(name) for name in header.get("extensionsRequired", [])]
     needed += [instanced for node in header.get("nodes", []) if instanced in node.get("extensions", {})]

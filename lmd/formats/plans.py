@@ -179,8 +179,8 @@ BEHIND_M, FAR_M = 0.002, 100.0
 def read_field(file: File) -> ReadPlan:
     """Read the field of a layout of WPILib: the rectangle of its size, grown to contain all tags.
 
-    A layout with the tags of a known season has the bodies of that season, from floor to ceiling. The faces of a body
-    are the planes of its tags.
+    If the tags are those of a known season, the solid structures of that season's field are left out of the room, from
+    floor to ceiling. The faces of a structure are the planes of its tags.
 
     Raises:
         InputError: the size of the field is missing or implausible, or the tags cannot be read.

@@ -183,14 +183,15 @@ class Keyed:
 def described(row: Mapping[str, Any], family: str, advice: str = "") -> Format:
     """Make a format from a row of a table.
 
-    A row has `name`, and `row` for the documentation. The keys `marks`, `text`, `when` and `any` are tests; a file is
-    of the format if it passes all tests that the row has. Each of `marks` is a path that must lead to a value; a
-    regular expression after a `=` must match this value. A path after a `!` must lead to no value. `text` is a regular
-    expression that matches in the text, `when` a call that returns True. A row without tests describes a format that is
-    only written. `refuse` is the reason for a refusal. In it `{keys}` stands for the keys of the file, `{known}` for
-    the names of the formats that are read, and `{advice}` for the family's advice. `writes` has the fields of a
-    `Writer` and its `name` in `formats`. `read` is a call that reads a file; without `read`, the other keys are the
-    fields of the family's class in `KEYED`.
+    A row has `name`, and `row` for the documentation. The keys `marks`, `text`, `head`, `ends`, `when` and `any` are
+    tests; a file is of the format if it passes all tests that the row has. Each of `marks` is a path that must lead to
+    a value; a regular expression after a `=` must match this value. A path after a `!` must lead to no value. `text` is
+    a regular expression that matches in the text, `head` one that matches in its beginning. `ends` lists suffixes of
+    the file's name; `when` is a call that returns True; `any` accepts all files. A row without tests describes a format
+    that is only written. `refuse` is the reason for a refusal. In it `{keys}` stands for the keys of the file,
+    `{known}` for the names of the formats that are read, and `{advice}` for the family's advice. `writes` has the
+    fields of a `Writer` and its `name` in `formats`. `read` is a call that reads a file; without `read`, the other keys
+    are the fields of the family's class in `KEYED`.
 
     Raises:
         InputError: the row lacks its name, or has an unknown key or value.
@@ -227,7 +228,7 @@ def described(row: Mapping[str, Any], family: str, advice: str = "") -> Format:
 
 
 def _tests(row: dict[str, Any]) -> list[Callable[[Any], bool]]:
-    """Tests by which a row recognises its files; the keys of the tests are removed from the row."""
+    """Tests that a file of the row's format must pass, made from the row; their keys are removed from the row."""
     tests: list[Callable[[Any], bool]] = [anything] if row.pop("any", False) else []
     if call := row.pop("when", None):
         tests.append(function_of(call))
@@ -256,8 +257,8 @@ def _has(keys: Mapping[str, Any], mark: str, loose: bool) -> bool:
 
 
 def _writer(name: str, write: str, **options: Any) -> tuple[str, Writer]:
-    """Name and writer of a row's format; the function `write`, a text `module.function`, is imported when it is
-    called.
+    """Name and writer of a row's format. `write` is the name of a function, `module.function`, which is imported only
+    when a file is written.
     """
     module, _, function = write.rpartition(".")
     return name, Writer(write=lambda *args, **tags: getattr(import_module(module), function)(*args, **tags), **options)

@@ -126,7 +126,8 @@ def write_map_covariance(path: Path, ids: IntArray, positions: FloatArray, covar
 
 
 def read_map_covariance(path: Any, name: str, tags: Deployment) -> tuple[IntArray, FloatArray]:
-    """Read the joint covariance of the map of `tags`: ids `(K,)`, ascending, and covariance `(6 K, 6 K)`.
+    """Read the joint covariance of the map `tags`, see `write_map_covariance`: ids `(K,)`, ascending, and covariance
+    `(6 K, 6 K)`.
 
     Raises:
         InputError: the file cannot be read, is not a covariance of a map, or is of another map than `tags`.

@@ -55,7 +55,7 @@ class TrajectoryFile(Checked):
 
     @cached_property
     def _read(self) -> tuple[Trajectory, Rows]:
-        """Poses of the camera in the room, and the rows of the file with the recorded poses."""
+        """Trajectory of the camera in the room's frame; and the recorded poses as the file has them."""
         if self.path is None:
             raise InputError("path is missing: a file of poses is needed.", "path")
         rows = read_rows(self.path, frame=self.frame, columns=self.columns)

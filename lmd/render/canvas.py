@@ -30,7 +30,7 @@ SHIFT = 4
 
 
 class Canvas:
-    """Light on a pinhole image, in grey levels stored as float32.
+    """Pinhole image on which surfaces and tags are drawn: the light on each pixel, in grey levels stored as float32.
 
     Args:
         matrix: intrinsic matrix K, from the camera's frame to homogeneous image coordinates that count from the outer
