@@ -292,8 +292,9 @@ def _written(value: object) -> str:
 
 
 def save_sensitivity_figure(path: str | Path, found: "Sensitivity", title: str) -> None:
-    """Write a PNG of 1500 x 500 pixels with three panels that show the shares of localised and of covered views: for
-    other values of the assumptions, if covered landmarks are missed at random, and if landmarks are lost.
+    """Write a PNG of 1500 x 500 pixels with three panels about the share of localised views and the share of views with
+    enough covered landmarks. The first panel shows both shares for other values of the assumptions, the second shows
+    them if covered landmarks are missed at random, the third shows their losses if landmarks are lost.
     """
     from lmd.evaluation.sensitivity import SHARE_COLUMNS
 

@@ -94,8 +94,8 @@ class Deployment:
         return np.arange(len(self)) if self.labels is None else self.labels.ids
 
     def put(self, chosen: slice | IntArray, there: "Deployment") -> "Deployment":
-        """Copy of the deployment in which the landmarks `chosen` have the poses of the landmarks of the deployment
-        `there`, in the order of both.
+        """Copy of the deployment in which the landmarks `chosen` have the poses of the landmarks in `there`: the first
+        of `chosen` has the first pose, and so on.
         """
         parts = {name: getattr(self, name).copy() for name in POSE_FIELDS}
         for name, values in parts.items():

@@ -305,8 +305,8 @@ class Footprints:
         return positions, normals, surfaces, fits
 
     def touched(self, poses: Deployment, pose: Deployment) -> BoolArray:
-        """Mask `(N,)` of those of the N landmarks `poses` whose footprints overlap the footprint of the single landmark
-        `pose`.
+        """For each of the N landmarks `poses`, True if its footprint overlaps the footprint of the single landmark
+        `pose`, `(N,)`.
         """
         s, surface = self._surfaces, poses.surfaces
         away = s.coordinates(surface, poses.positions) - s.coordinates(surface, pose.positions)

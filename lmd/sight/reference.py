@@ -99,7 +99,8 @@ def _warn_uncompiled(name: str) -> None:
 
 
 class ReferenceViews:
-    """Coverage by the reference from P positions of a camera (or of the body of a rig) with D orientations.
+    """Coverage, computed by the reference, from P positions of a camera (or of the body of a rig) with D orientations
+    each.
 
     Args:
         scene: scene; its visibility model may lack a compiled model of sight.

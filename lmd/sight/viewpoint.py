@@ -63,13 +63,13 @@ class Viewpoint(NamedTuple):
     sure_depth: np.ndarray
     """`(K,)` depth `sure`, up to which a certain axis covers the landmark, metres, see `criteria.from_position`."""
     bottom: np.ndarray
-    """`(K,)` without tables, first bin of height (z coordinate) of the axes that may cover the landmark, see
-    `directions.band_of`; with tables, the row of the table `CERTAIN` that lists the axes that certainly cover the
-    landmark.
+    """`(K,)` index. For a model without tables: first bin of height (z coordinate) of the axes that may cover the
+    landmark, see `directions.band_of`. For a model with tables: row of the table `CERTAIN` with the axes that certainly
+    cover the landmark.
     """
     top: np.ndarray
-    """`(K,)` without tables, last bin of height of the axes that may cover the landmark; with tables, the row of the
-    table `POSSIBLE` that lists the axes that may cover the landmark.
+    """`(K,)` index. For a model without tables: last bin of height of the axes that may cover the landmark. For a model
+    with tables: row of the table `POSSIBLE` with the axes that may cover the landmark.
     """
     reached: np.ndarray
     """`(K,)` True if some orientation may cover the landmark."""

@@ -160,7 +160,9 @@ class RecordedRoom(Changed):
         return self._positions[rng.choice(len(self._seconds), size, p=self._seconds / self._seconds.sum())]
 
     def sample_evenly(self, size: int, rng: np.random.Generator) -> FloatArray:
-        """Draw the position of one record from each of `size` equal parts of the recorded time, `(size, 3)`."""
+        """Draw `size` recorded positions that are evenly spread over time, `(size, 3)`: one from each of `size` equal
+        parts of the recorded time.
+        """
         ends = np.cumsum(self._seconds)
         times = (np.arange(size) + rng.random(size)) / size * ends[-1]
         return np.asarray(self._positions[np.searchsorted(ends[:-1], times, side="right")])
