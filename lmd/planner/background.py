@@ -155,7 +155,9 @@ class Background:
         self._worker.close()
 
     def show_additions(self, _: Any = None) -> None:
-        """Colour the surfaces by the gain by one more tag at each place, if the user has chosen these colours."""
+        """Show as colours of the surfaces the gain by one more tag at each place, if the user has chosen these
+        colours.
+        """
         gains = self.additions if self._panel.additions.value else None
         self._picture.show_additions(gains)
         self._panel.show_legend(None if gains is None else float(np.nanmax(gains, initial=0.0)))

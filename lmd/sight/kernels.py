@@ -43,8 +43,8 @@ def weights_row(weights: Any, p: Integer) -> Any:
 
 @inner
 def sum_weights(before: Any, after: Any, weights: Any, p: Integer, w: Integer) -> Any:
-    """Change of a quantised probability, that of a set of axes at position p, when word w of the set changes from
-    `before` to `after`.
+    """Change of the quantised probability of a set of axes, at position p, when word w of the set changes from `before`
+    to `after`.
     """
     change, left, row = np.int64(0), before ^ after, weights_row(weights, p)
     while left:

@@ -50,7 +50,9 @@ class Blockers(NamedTuple):
         return self._replace(offsets=self.offsets + by * self.solid)
 
     def heights(self, points: FloatArray) -> FloatArray:
-        """Heights (signed distances) of points `(..., 3)` above the outer sides of the J planes, `(..., J)`, metres."""
+        """Heights (signed distances, positive on the outer side) of points `(..., 3)` above the J planes, `(..., J)`,
+        metres.
+        """
         x, y, z = points[..., :1], points[..., 1:2], points[..., 2:]
         nx, ny, nz = self.normals.T
         return np.asarray(nx * x + ny * y + nz * z - self.offsets)
