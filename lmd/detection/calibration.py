@@ -271,7 +271,7 @@ def _larger_errors(predicted: BoolArray, seen: BoolArray) -> NDArray[np.intp]:
 
 
 def limits_markdown(figures: dict[str, dict[str, float]]) -> str:
-    """Markdown table of the limits of each detector, with the accuracy of the predictions by these limits for held-out
+    """Markdown table with the limits of each detector, and the accuracy with which these limits predict the held-out
     views.
     """
     head = ["detector", "views", "a", "k", "m [px]", "b [degrees]", "margin [px]"]

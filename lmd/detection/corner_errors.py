@@ -127,7 +127,7 @@ class CornerErrors(Checked):
     An empty tuple means no shift.
     """
     inward_spread: NotNegative = 0.0
-    """Standard deviation of the shift `inward` over blurs and exposures, pixels; for one camera under constant light
+    """Standard deviation of the shift `inward` if blur and exposure vary, pixels; for one camera under constant light
     the shift is constant.
     """
 

@@ -210,15 +210,15 @@ class HungMap:
         """Decide from measured stations whether the map is accepted.
 
         Args:
-            path: CSV with the columns `station,zone,x,y,z,yaw_deg`, as taped (m, degrees); `reported_x,reported_y,
-                reported_z` (m) and `tags`, the ids of the tags that were read, as reported by localisation; others are
-                ignored.
+            path: CSV with the columns `station,zone,x,y,z,yaw_deg`, as taped (m, degrees);
+                `reported_x,reported_y,reported_z` (m) and `tags`, the ids of the tags that were read, as reported by
+                localisation; other columns are ignored.
 
         Returns:
-            files: tables and figures by the name of their file. `acceptance.csv` has a row for each station: name,
-                zone, error and its bound (m), `chi_square` and its `limit`, `passed`; `acceptance_zones.csv` the number
-                of stations, mean and largest error (m), `passed`; `acceptance_tags.csv` the estimated shift of each tag
-                to the `right` and `up` in its plane (m), its likelihood `ratio`, and `named` for tags that may
+            files: tables and figures, keyed by the name of their file. `acceptance.csv` has a row for each station:
+                name, zone, error and its bound (m), `chi_square` and its `limit`, `passed`; `acceptance_zones.csv` the
+                number of stations, mean and largest error (m), `passed`; `acceptance_tags.csv` the estimated shift of
+                each tag to the `right` and `up` in its plane (m), its likelihood `ratio`, and `named` for tags that may
                 explain the differences.
             figures: metrics, with `passed` as 0 or 1.
             text: text for a terminal.

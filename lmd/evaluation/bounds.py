@@ -3,9 +3,9 @@ relaxation.
 
 Let x_j be the number of landmarks with pose j (any flush pose on the walls; sum_j x_j = K), A_jpa = 1 if a landmark
 with pose j is covered at position p and axis a, without occlusion, else 0, c_pa = sum_j x_j A_jpa, w_a the probability
-of an axis (sum 1) and r_p the share of a position (sum 1). Occlusion only lowers c, and the value of c >= n is at most
-min(c/n, 1), so P_n(p) <= s_p = sum_a w_a min(c_pa/n, 1), and the indicator (0 or 1) that p is qualified is at most
-min(s_p/t, 1) with t = thold_p. Both objectives are therefore at most
+of an axis (sum 1) and r_p the share of a position (sum 1). Occlusion only lowers c, and the indicator (0 or 1) of
+c >= n is at most min(c/n, 1), so P_n(p) <= s_p = sum_a w_a min(c_pa/n, 1), and the indicator (0 or 1) that p is
+qualified is at most min(s_p/t, 1) with t = thold_p. Both objectives are therefore at most
 
     F(x) = sum_p r_p min(s_p / t, 1),        with t = 1 for the average of P_n (there s_p <= 1 anyway),
 

@@ -109,8 +109,8 @@ def _listed(tags: Iterable[tuple[int, float]]) -> str:
 
 
 def losses(problem: Problem, deployment: Deployment) -> Losses:
-    """Measure the fitness without each landmark, without each pair of landmarks, and as landmarks are removed one after
-    the other.
+    """Measure the fitness without each landmark, without each pair of landmarks, and while landmarks are removed one
+    after the other.
 
     Args:
         problem: problem whose objective has a field, the incremental evaluator of `lmd.incremental.field`.

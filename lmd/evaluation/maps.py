@@ -111,8 +111,8 @@ def _label(name: object) -> str:
 
 
 def figures_text(columns: Mapping[Any, Mapping[Any, float]]) -> str:
-    """Table of metrics as text for a terminal, with labels and units. `columns` has, for each heading of a column, the
-    values keyed by the name of the metric.
+    """Table of metrics as text for a terminal, with labels and units. `columns` are the table's columns, keyed by their
+    headings; a column has its values keyed by the name of the metric.
     """
     return pd.DataFrame({name: labelled_figures(figures) for name, figures in columns.items()}).to_string(na_rep="-")
 

@@ -127,8 +127,8 @@ def fewest(points: pd.DataFrame, figure: str, wanted: float) -> pd.DataFrame:
 
     Returns:
         table indexed by the edge length. Column `count` is the least number at which the median over the seeds reaches
-        `wanted`. `least` and `greatest` are the smallest and the largest of the least numbers at which single seeds
-        reach it. A value is infinite if no number reaches `wanted`.
+        `wanted`. For each seed there is a least number at which the seed reaches `wanted`; `least` and `greatest` are
+        the smallest and the largest of these. A value is infinite if no number reaches `wanted`.
     """
     rows = {}
     for edge, same in points.groupby(CURVE):

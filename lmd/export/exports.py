@@ -110,7 +110,7 @@ class Export(Checked):
         return tuple(name for name in self.formats if several and all_formats()[name].edges == NONE)
 
     def writers(self, room: Space, tag: Tag, deployment: Deployment) -> dict[str, Callable[[Path], None]]:
-        """Functions that write the tags to a given path, keyed by the name of the file.
+        """Functions that write the tags to a given path, one for each format, keyed by the name of the file.
 
         Raises:
             InputError: `formats` is not empty, but the tag is a point, the family lacks an id, or a format cannot hold

@@ -59,7 +59,7 @@ def similar(similarity: FloatArray, poses: FloatArray) -> FloatArray:
 
 def image_names(detected: DetectedTags) -> list[list[str]]:
     """Names of the images of C cameras in each of F frames, relative to the folder of the photographs, `(F, C)`. Frames
-    of a video or a bag, which have times, are taken for PNG files.
+    that have a time instead of a name, as in a video or a bag, get the name of a PNG file.
     """
     ends = [f"{time}.png" if is_number(time) else time for time in detected.times]
     return [[f"{camera.strip('/')}/{end}".lstrip("/") for camera in detected.cameras] for end in ends]

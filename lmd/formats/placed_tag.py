@@ -259,8 +259,8 @@ def tag_of_corners(number: int, corners: FloatArray, family: str | None) -> Plac
 
 
 def one_family(named: Iterable[str | None]) -> str | None:
-    """Family of all tags of a map, from the families that the entries of the tags name; None if no entry names a
-    family.
+    """The one family of all tags of a map; None if no entry of the map names a family. `named` has the family of each
+    entry, or None.
 
     Raises:
         InputError: the tags have several families.

@@ -43,7 +43,8 @@ class TagMapFile(File):
 
     @cached_property
     def data(self) -> Keys:
-        """Keys of the map; for a node of ROS 2, the keys below its parameters.
+        """Content of the map as a tree of keys and values; from a parameter file of ROS 2, only the parameters of its
+        node.
 
         Raises:
             InputError: the text begins like YAML or JSON but is broken or too long.

@@ -249,8 +249,8 @@ def listed(file: File) -> Found:
 
 
 def _cells(at: str, keys: Keys, prefix: str = "") -> Iterator[tuple[str, str]]:
-    """Columns of an entry, as pairs of name and text: nested keys are joined by dots, and each number of a list gets
-    its own column.
+    """Split an entry into columns of a table: pairs of the column's name and its text. Nested keys are joined by dots,
+    and each number of a list gets its own column.
     """
     for key, value in keys.items():
         if isinstance(value, Mapping):

@@ -136,8 +136,8 @@ def number_at(tree: Keys, paths: str) -> float:
 
 
 def matches(text: str, patterns: Mapping[str, str]) -> dict[str, Any]:
-    """Matches of regular expressions in a text, keyed by the name of the expression; each match is a mapping of its
-    named groups.
+    """For each regular expression in `patterns`, keyed by its name, the list of its matches in a text. A match is a
+    mapping of the expression's named groups.
     """
     found = {name: re.finditer(pattern, text, re.MULTILINE) for name, pattern in patterns.items()}
     return {name: [match.groupdict() for match in each] for name, each in found.items()}
