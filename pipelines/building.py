@@ -221,8 +221,9 @@ def refuse_crowd(problem: "Problem", command: str) -> None:
 
 
 def _note_unusual(room: "Space", tag: "Tag", deployment: "Deployment") -> None:
-    """Print two notes: one on the tags whose edge length comes from the landmark file (the number of tags for each
-    length), and one with the ids of tags that have a corner behind a face of the room, where no camera sees the corner.
+    """Print two notes about unusual tags. One tells how many tags have each of the edge lengths that come from the
+    landmark file. The other has the ids of tags with a corner behind a face of the room, where no camera sees this
+    corner.
     """
     from lmd.core.words import few
     from lmd.geometry.squares import corners

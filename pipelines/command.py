@@ -37,7 +37,7 @@ class Command:
     name: str
     """Name of the command, which is also the name of its module and of its configuration, such as `optimise`."""
     task: Callable[[DictConfig], Study | float | None]
-    """Function that is called with the configuration; a returned study is then conducted."""
+    """Function that is called with the configuration; if it returns a study, the study is then conducted."""
     like: str = ""
     """Name of another command, whose configuration this command uses with the changes in `settings`; for commands
     outside of this package. Empty if the command has a configuration of its own.

@@ -39,13 +39,13 @@ locks = ExitStack()
 
 
 class RunDirectory(HydraCallback):
-    """Hydra callback that checks the disk before a run, locks the run's directory and the directory that it resumes,
-    and removes the directory of a run without results.
+    """Hydra callback for the directory of a run. Before the run it checks the disk, and locks this directory and the
+    directory of an earlier run that is resumed. Afterwards it removes the directory of a run without results.
     """
 
     def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Check the disk, lock the run's directory and the resumed directory, and arrange that a directory without
-        results is removed.
+        """Check the disk, and lock the run's directory and the directory of the run that is resumed. Arrange that the
+        run's directory is removed if it has no results.
         """
         directory, resume = Path(config.hydra.run.dir).resolve(), config.get("resume")
         resumed = directory if resume is None else Path(str(resume)).resolve()

@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 
 
 def report(cfg: DictConfig) -> None:
-    """Write report.md, which describes the newest sweep of each name, with pictures, to the run directory."""
+    """Write report.md, with pictures, to the run directory. For each name of a sweep, the report describes the newest
+    sweep of that name.
+    """
     from lmd.core.checks import InputError
 
     from .operations.tracking import MlflowReader

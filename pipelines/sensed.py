@@ -133,7 +133,8 @@ def detect(cfg: DictConfig, own: Own) -> Study:
 
 
 def rendered(cfg: DictConfig, count: int) -> "Rendered":
-    """Deployment of a configuration, with the predicted sightings from `count` random poses, and the detectors to test.
+    """Deployment of a configuration, the sightings that are predicted for `count` random poses, and the detectors to
+    test.
 
     Raises:
         InputError: the deployment, the tag or a detector cannot be used.
@@ -151,8 +152,8 @@ def rendered(cfg: DictConfig, count: int) -> "Rendered":
 
 
 def _frames(study: "DetectionStudy", count: int, seed: int) -> dict[str, Callable[[Path], object]]:
-    """Functions, keyed by file name, each of which draws one frame with the detections of the first detector; the first
-    `count` frames of each deployment and camera are drawn.
+    """Functions that draw pictures, keyed by file name. Each draws one frame with the detections of the first detector;
+    the pictures show the first `count` frames of each deployment and camera.
     """
     import numpy as np
 

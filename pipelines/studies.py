@@ -172,7 +172,9 @@ def uncertainty(cfg: DictConfig, own: Own) -> Study:
 
 
 def acceptance(cfg: DictConfig, own: Own) -> Study:
-    """Study of acceptance: choose stations that show a tag that hangs wrongly, or judge measured stations."""
+    """Study of acceptance: choose stations whose measurements show a tag that hangs wrongly, or judge measurements that
+    were made at stations.
+    """
     from scipy.linalg import block_diag
 
     from lmd.core.words import few

@@ -120,7 +120,7 @@ def _listed(name: str, value: Any) -> list[Any]:
 
 
 def _report(cfg: DictConfig, table: "pd.DataFrame", problem: "Problem", figure: str, wanted: float | None) -> Report:
-    """Report on the table of points: curves of the metrics, and the least number of landmarks with which the metric
+    """Report on the points in `table`: curves of the metrics, and the least number of landmarks with which the metric
     `figure` reaches the value `wanted`.
     """
     from lmd.evaluation.maps import percent_text

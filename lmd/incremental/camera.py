@@ -104,9 +104,9 @@ def _clear_views(scratch: Any) -> None:
 
 @inner
 def view_place(k: Integer, field: Any, scratch: Any) -> None:
-    """Compute how each position near the place tried sees this place, ignoring other landmarks. Write into the scratch
-    the offset of the place and the bounds on its depth (`seen`), True if some axis may cover the place (`REACHED`), and
-    the cell of the direction tables that contains the direction of the place (`cell`).
+    """Compute how the place tried is seen from each position near it, without other landmarks. Three results are
+    written into the scratch: the offset of the place and the bounds on its depth (`seen`); True if some axis may cover
+    the place (`REACHED`); and the cell of the direction tables that contains the direction of the place (`cell`).
     """
     positions, sight, seen = field.positions, sized(field.cameras.sight, k), scratch.seen
     x, y, z, low, high, sure = seen[X], seen[Y], seen[Z], seen[LOW], seen[HIGH], seen[SURE]
@@ -319,8 +319,8 @@ def _note_hiding(i: Integer, p: Integer, one: Any, two: Any, role: Any, scratch:
 
 @inlined
 def turns(reachable: Any, was: Any, now: Any) -> Any:
-    """True if a landmark appears or disappears when the number of landmarks that hide this landmark changes from `was`
-    to `now`; `reachable` is True if some axis covers the landmark, occlusion ignored.
+    """True if a landmark appears or disappears when the number of landmarks that hide it changes from `was` to `now`.
+    `reachable` is True if some axis covers the landmark, occlusion ignored.
     """
     return reachable & ((was == 0) != (now == 0))
 

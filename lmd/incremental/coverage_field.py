@@ -63,7 +63,7 @@ class OneCamera(NamedTuple):
         return (self.sight,)
 
     def with_sights(self, change: Any) -> "OneCamera":
-        """Copy of the camera with the model of sight `change(sight)`."""
+        """Copy of the camera whose model of sight is `change(sight)`, made from the present model `sight`."""
         sight = change(self.sight)
         return self._replace(sight=sight, horizon=horizon_of(sight))
 
@@ -102,7 +102,7 @@ class RigCameras(NamedTuple):
         return tuple(group.sight for group in self.groups)
 
     def with_sights(self, change: Any) -> "RigCameras":
-        """Copy of the rig with the models of sight `change(sight)`."""
+        """Copy of the rig whose models of sight are `change(sight)`, made from the present models `sight`."""
         return RigCameras(tuple(with_sight(group, change(group.sight)) for group in self.groups))
 
     def state(self, shared: dict[str, Any]) -> RigState:
@@ -128,7 +128,7 @@ class CoverageField(NamedTuple):
     positions: np.ndarray
     """`(3, Q)` positions in blocks of `BLOCK` neighbours, the last block padded with copies; metres."""
     index_of: np.ndarray
-    """`(P,)` index in `positions` of each position of the evaluator."""
+    """`(P,)` for each position of the evaluator, its index in `positions`."""
     boxes: np.ndarray
     """`(6, Q / BLOCK)` bounding boxes of the blocks: centres and half sides, metres."""
     horizon: float

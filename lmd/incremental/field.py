@@ -41,7 +41,7 @@ class Field(Protocol):
 
     @property
     def index_of(self) -> Any:
-        """Index, among the positions of the field, of each position of the evaluator, `(P,)`."""
+        """For each position of the evaluator, its index among the positions of the field, `(P,)`."""
 
     def state(self, deployment: Deployment) -> Any:
         """New state for a deployment."""
@@ -243,7 +243,7 @@ def perform(steps: Any, poses: FloatArray, field: Any, state: Any, scratches: An
 
 
 def moved(places: Places, state: Any) -> tuple[IntArray, FloatArray]:
-    """Arguments `steps` and `poses` with which `perform` moves the landmarks of `state` to `places`."""
+    """Arguments `steps` and `poses` of `perform` that make it move the landmarks of `state` to `places`."""
     known = placed(state)
     elsewhere = (places.poses != known.poses).any(axis=0) | (places.surfaces != known.surfaces)
     which = np.flatnonzero(elsewhere)
@@ -254,8 +254,8 @@ def moved(places: Places, state: Any) -> tuple[IntArray, FloatArray]:
 
 
 def in_order(field: Field, relevance: FloatArray) -> FloatArray:
-    """Normalise the weights of the evaluator's positions, `relevance` `(P,)`, and put them into the order of the
-    field's positions, `(Q,)`.
+    """Weights of the field's positions, `(Q,)`: the weights `relevance` `(P,)` of the evaluator's positions, normalised
+    and put into the field's order.
     """
     ordered = np.zeros(field.size)
     ordered[field.index_of] = relevance / relevance.sum()

@@ -244,13 +244,13 @@ class GroupScratch(NamedTuple):
     occluders: np.ndarray
     """`(1,)` number of entries of `pairs` that are in use."""
     pairs: np.ndarray
-    """`(2, K C Q)` uint32 pairs of a landmark that may hide the place tried and one of the cameras' centres
-    (`MountGroup.centres`) at a position: rows `LANDMARK` and `POSITION`, the latter with the number c Q + q of centre c
-    at position q.
+    """`(2, K C Q)` uint32 list of pairs: a landmark that may hide the place tried (row `LANDMARK`), and the point from
+    which it may do so (row `POSITION`). This point is given by the number c Q + q, for centre c of the cameras
+    (`MountGroup.centres`) with the body at position q.
     """
     seen: np.ndarray
-    """`(6, Q)`: for each position, the offset of the place tried from that centre of cameras (`MountGroup.centres`)
-    that was evaluated last, and bounds on the depth of this place along the optical axis; rows `X` to `SURE`.
+    """`(6, Q)`: for each position, the place tried relative to the centre of cameras (`MountGroup.centres`) that was
+    evaluated last: its offset, and bounds on its depth along the optical axis; rows `X` to `SURE`.
     """
     lists: np.ndarray
     """`(2, Q + 1)` uint64: a list of rows of the direction tables, and a list of the positions that need the exact
@@ -321,8 +321,8 @@ def scratch_of(state: State) -> Scratch:
 
 
 def rig_scratch_of(state: RigState, centres: tuple[int, ...]) -> RigScratch:
-    """New scratch for the state of a rig; `centres` has, for each mount group, the number of points around which its
-    cameras lie (the length of `MountGroup.centres`).
+    """New scratch for the state of a rig. `centres` has a number for each mount group: the number of points around
+    which the group's cameras lie (the length of `MountGroup.centres`).
     """
     count, size = state.shown.shape[:2]
     groups = tuple(

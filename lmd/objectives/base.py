@@ -168,8 +168,8 @@ class Incremental(Protocol):
         """Incremental evaluator that updates the values at the positions of `evaluator` when single landmarks move."""
 
     def target(self, relevance: FloatArray) -> "Target":
-        """Return the `Target`, which computes the fitness from the values of the field; `relevance` `(Q,)` is in the
-        field's order.
+        """Return the `Target`, which computes the fitness from the values of the field. `relevance` `(Q,)` has the
+        weights of the positions, in the field's order.
         """
 
 
@@ -183,8 +183,8 @@ class Selectable(Protocol):
 
 @runtime_checkable
 class SelfValidating(Protocol):
-    """Interface of objectives with their own validation: figures off the grid that are not computed at random poses in
-    the room.
+    """Interface of objectives with a validation of their own: their figures off the grid are not computed at random
+    poses in the room.
     """
 
     def off_grid(self, evaluator: Evaluator, deployment: Deployment) -> dict[str, float]:

@@ -17,8 +17,8 @@ from lmd.space.crowd import worst_mean, worst_of
 
 
 class WorstGroups(NamedTuple):
-    """Mean of another target's fitness over the worst of S groups of positions; a `Target`. The positions of one crowd
-    state form a group.
+    """Target whose fitness is the mean fitness of another target over the worst of S groups of positions. The positions
+    of one crowd state form a group.
     """
 
     target: Any

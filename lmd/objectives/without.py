@@ -1,4 +1,5 @@
-"""Exact fitness of a deployment without each landmark, without each pair, and as landmarks are removed one by one.
+"""Exact fitness of a deployment without single landmarks, without pairs of landmarks, and while landmarks are removed
+one by one.
 
 A landmark is removed by a move to a place where no camera sees it and where it hides no other landmark. Only the
 affected views are evaluated again, so all pairs of 90 landmarks cost no more than a hundred evaluations. Moves are not

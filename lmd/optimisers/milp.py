@@ -135,8 +135,8 @@ def _used(problem: Problem) -> BoolArray:
 
 @dataclass(frozen=True)
 class Program:
-    """Integer program with the variables `x` for J poses, `y` for R rows, and `z` for P positions; a row is a group of
-    views of one position that equal sets of poses cover.
+    """Integer program with the variables `x` for J poses, `y` for R rows, and `z` for P positions. A row stands for the
+    views of one position that would see landmarks at the same poses of the lattice.
     """
 
     covers: csr_array
@@ -183,7 +183,8 @@ class Program:
         return cls(*left, problem.fitness_relevance, problem.objective.n, threshold, per_pose(problem))
 
     def solver(self, options: Mapping[str, Any]) -> Callable[[], OptimizeResult]:
-        """Return a function that calls HiGHS; the minimised value is minus the relevance of the qualified positions.
+        """Return a function that calls HiGHS. HiGHS minimises, so the objective is the total weight (relevance) of the
+        qualified positions with the opposite sign.
 
         Args:
             options: limits of `scipy.optimize.milp`, such as `time_limit`.

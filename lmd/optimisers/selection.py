@@ -158,8 +158,8 @@ def candidates(footprints: Footprints, edges: FloatArray, spacing: float) -> Dep
 
 
 def _candidates_within(footprints: Footprints, edges: FloatArray, spacing: float, most: float) -> Deployment:
-    """`candidates` with the spacing enlarged so that there are at most `most` poses, but at least one pose of each size
-    on each piece of a surface.
+    """Poses as from `candidates`, with the spacing enlarged so that there are at most `most` poses, but at least one
+    pose of each size on each piece of a surface.
     """
     poses, widest = candidates(footprints, edges, spacing), max(max(wall.extent) for wall in footprints.room.surfaces())
     while len(poses) > most and spacing < widest:

@@ -52,7 +52,7 @@ class Document(Checked):
     version: Count
     """Version of the problem; if the hash changes, the version must change, too."""
     hash: str
-    """Result of `digest`: digest of everything that determines the fitness."""
+    """Digest of everything that determines the fitness, as `digest` computes it."""
     budgets: Sequence[int]
     """Three budgets, as numbers of evaluations, in ascending order."""
     bound: Annotated[float, partial(real, above=0.0, high=1.0)] | None

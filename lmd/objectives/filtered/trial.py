@@ -75,7 +75,9 @@ def _begin_drive(lane: Integer, d: Integer, field: Any, state: Any, scratch: Any
 
 @inner
 def _filter(field: Any, state: Any, scratch: Any) -> None:
-    """Filter the drives with changed frames again; a lane at the end of its drive takes the next drive."""
+    """Filter again the drives with changed frames, several drives at once, each in a lane. A lane at the end of its
+    drive takes the next drive.
+    """
     work, first, starts, d, drives = scratch.lanes, field.first, scratch.starts, 0, len(field.first) - 1
     frames = work.frames
     for lane in range(LANES):
@@ -120,8 +122,8 @@ def settle_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 @inner
 def exchange_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
-    """Carry out or undo the move tried last: swap the place of landmark k, and the data that depend on the place, in
-    the state for those in the scratch.
+    """Carry out the move tried last, or undo it: swap the place of landmark k, and the data that depend on this place,
+    between state and scratch.
     """
     for i in range(6):
         state.poses[i, k], scratch.pose[i] = scratch.pose[i], state.poses[i, k]

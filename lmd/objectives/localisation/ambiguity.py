@@ -118,8 +118,8 @@ def residual_ratio(tag: Square, least: Number) -> Number:
 
 @overridable
 def camera_residual(least: float | None, tag: Square) -> Number:
-    """Ambiguity term that a tag adds to the sums of a camera's view (the last sum), before `share_of` is applied: the
-    `residual_ratio`, or 0 if `least` is None.
+    """Contribution of a tag to the last sum of a camera's view, which tells if the two poses of the tag can be
+    distinguished: the `residual_ratio`, or 0 if `least` is None. `share_of` is not applied yet.
     """
     return residual_ratio(tag, least)
 
@@ -131,8 +131,8 @@ def _no_camera_residual(least: None, tag: Square) -> Number:
 
 @inlined
 def mirrored_numbers(tag: Square, least: Number) -> tuple[Number, Number, Number, Number, Number]:
-    """Five numbers of a tag, each times the cube of the tag's distance: the ratio of S to the required residual
-    `least`, then M and h (three numbers). S and M are in units of f^2.
+    """Five numbers with which a tag enters the sums of a rig's view, each times the cube of the tag's distance: the
+    ratio of S to the required residual `least`, then M and h (three numbers). S and M are in units of f^2.
     """
     offset, right, up = tag
     squared, along, above = dot3(offset, offset), dot3(offset, right), dot3(offset, up)

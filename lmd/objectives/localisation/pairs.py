@@ -50,7 +50,7 @@ class Mounts(NamedTuple):
     axes: FloatArray
     """See `MountGroup`."""
     gain: float
-    """Information per pixel of these cameras relative to the rig's first camera, see `gain_of`."""
+    """Ratio of the information per pixel of these cameras to that of the rig's first camera, see `gain_of`."""
 
 
 class GroupCoverage(NamedTuple):
@@ -153,7 +153,8 @@ def add_to_body(
     mounts: Mounts, m: Integer, w: Integer, seen: np.uint64, place: Vector, tag: Square, sign: float,
     precision: Precision, views: BodyViews,
 ) -> None:  # fmt: skip
-    """List the pairs of a landmark and the views in which a mount sees it; `add_up` adds the listed pairs.
+    """List the pairs of a given landmark and each view in which a mount sees this landmark; `add_up` adds the listed
+    pairs to the views.
 
     Args:
         mounts, m: mount m of a group.

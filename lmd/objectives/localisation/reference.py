@@ -99,7 +99,8 @@ def information_of(
 def mirrored_probabilities(
     scene: Scene, poses: FloatArray, centres: FloatArray, sides: FloatArray, seen: BoolArray, sigma: FloatArray
 ) -> FloatArray:
-    """Probability P that the mirrored pose of the only tag in view fits better, see `ambiguity`, `(N,)`.
+    """Probability P that the mirrored pose of the only tag in view fits the image better than the true pose, see
+    `ambiguity`, `(N,)`.
 
     Args:
         scene: camera or rig.

@@ -187,7 +187,9 @@ def landmark_moments(offset: Vector, normal: Vector, precision: Precision, k: In
 def weigh(
     which: int, seen: np.uint64, offset: Vector, camera: Any, w: Integer, views: CameraViews, count: Integer
 ) -> None:
-    """Write into row `which` of `weights` the pixel density of a landmark in those views of word w that see it."""
+    """Write into row `which` of `weights` the pixel density of a landmark in the views of word w; the views that do not
+    see the landmark get 0.
+    """
     bits, weights = views.lists[ORIENTATION], views.weights[which]
     for v in range(count):
         bit = bits[v]

@@ -182,8 +182,8 @@ class Annealing(DeploymentSearch):
         return not stack and problem.start.varies and isinstance(problem.objective, Selectable)
 
     def _walk(self, problem: Problem, surrogate: Surrogate, used: float, left: float) -> tuple[int, Deployment | None]:
-        """Do one phase of the walk (a number of moves under constant conditions); return the number of moved landmarks,
-        and the deployment after the phase, or None if that deployment cannot be the best.
+        """Do one phase of the walk (a number of moves under constant conditions). Return the number of moved landmarks
+        and the deployment after the phase, or None instead of a deployment that cannot be the best.
 
         Args:
             problem: the problem.

@@ -20,7 +20,7 @@ from lmd.space.surface import SurfaceArrays
 
 
 class Settings(NamedTuple):
-    """Conditions of one phase of the walk, in which they are constant."""
+    """Conditions of the walk that are constant during one phase."""
 
     temperature: float
     """Temperature: the loss in the smoothed objective that is accepted with probability 1/e."""
@@ -37,7 +37,9 @@ class Settings(NamedTuple):
     join: float
     """Probability of a move to a place near another landmark."""
     near: float
-    """Standard deviation of the distance between the new place and that other landmark, along u and along v, metres."""
+    """For a move to a place near another landmark: standard deviation of the distance from that landmark, along u and
+    along v, metres.
+    """
     together: float
     """Probability that a landmark moves with its n - 1 nearest neighbours, whose offsets from it stay unchanged."""
     exchange: float

@@ -100,7 +100,9 @@ def _sum_values(units: IntArray, known: Known, target: Any, settings: Settings) 
 
 @inner
 def _keep_best(units: IntArray, here: Places, target: Any, best: Best) -> None:
-    """Replace `best` by the landmarks `here`, whose quantised values are `units`, if their fitness is higher."""
+    """Replace `best` by the deployment `here` if its fitness is higher; `units` are the quantised values of the
+    positions for this deployment.
+    """
     fitness, places = total_fitness(target, units), best.places
     if fitness > best.fitness[0]:
         best.fitness[0] = fitness

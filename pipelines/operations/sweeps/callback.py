@@ -88,7 +88,7 @@ def _cut_short(config: DictConfig) -> None:
 
 
 def _close(config: DictConfig, reason: str = "") -> bool:
-    """Write the table of a sweep and end its tracked run; return False only if the run ended as FINISHED.
+    """Write the table of a sweep and end its tracked run; return True unless the run ended as FINISHED.
 
     Args:
         reason: reason why the run has failed; if it is empty, the run counts as failed if one of its jobs failed.

@@ -134,8 +134,8 @@ def hand_in(journal: Journal, uri: str) -> str:
 
 
 def end_those_gone(store: Store) -> None:
-    """Mark as FAILED the unfinished runs of this host whose process has ended, and print the names of these runs on
-    stderr.
+    """Mark as FAILED those unfinished runs whose process was on this host and has ended, and print the names of these
+    runs on stderr.
     """
     for run in store.matching("attributes.status = 'RUNNING'"):
         if is_gone(run.data.tags):
@@ -149,8 +149,8 @@ def this_process() -> dict[str, str]:
 
 
 def is_gone(tags: dict[str, str]) -> bool:
-    """True if the process that the tags identify has ended; False if it was on another host, or the tags identify no
-    process.
+    """True if the process that the labels `tags` identify has ended; False if it was on another host, or if the labels
+    identify no process.
     """
     process = tags.get("process", "")
     if tags.get("host") != socket.gethostname() or not IDENTITY.fullmatch(process):

@@ -44,8 +44,8 @@ class NoTracker:
         """
 
     def goes_on(self, run_id: str, folder: Path, params: Mapping[str, Any]) -> bool:
-        """True if the record of the run `run_id` can be continued: the run has these params, is unfinished, was last in
-        `folder`, and has not been continued by another run.
+        """True if the record of the run `run_id` can be continued: the run has the parameters `params`, is unfinished,
+        was last in `folder`, and has not been continued by another run.
 
         Raises:
             InputError: the store cannot be used.
