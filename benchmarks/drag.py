@@ -1,4 +1,4 @@
-"""Measure how fast the planner answers a drag in the paper's room: `python benchmarks/drag.py`.
+"""Measure how fast the planner answers a drag in the paper's room: `PYTHONPATH=.:tests python benchmarks/drag.py`.
 
 First the session alone, one thread: a tag moves, all figures and the values of all positions are worked out. Then from
 the message that a browser sends when the mouse moves to the one it gets with everything that is new. Then the whole way

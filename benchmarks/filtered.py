@@ -1,10 +1,10 @@
 """Deployments for the filtered pose, for single images and for coverage: predicted along fresh drives, and flown.
 
-PYTHONPATH=tests python benchmarks/filtered.py moves                     # cost of a tried move beside localisation's
-PYTHONPATH=tests python benchmarks/filtered.py shares lab                # predicted, by tags and odometry
-PYTHONPATH=tests python benchmarks/filtered.py flown lab --tags 6 --drives 40 --detector noisy
-PYTHONPATH=tests python benchmarks/filtered.py flown corridor --tags 16 --drives 40 --detector noisy
-PYTHONPATH=tests python benchmarks/filtered.py picture lab --tags 6 FILE.png
+PYTHONPATH=.:tests python benchmarks/filtered.py moves                     # cost of a tried move beside localisation's
+PYTHONPATH=.:tests python benchmarks/filtered.py shares lab                # predicted, by tags and odometry
+PYTHONPATH=.:tests python benchmarks/filtered.py flown lab --tags 6 --drives 40 --detector noisy
+PYTHONPATH=.:tests python benchmarks/filtered.py flown corridor --tags 16 --drives 40 --detector noisy
+PYTHONPATH=.:tests python benchmarks/filtered.py picture lab --tags 6 FILE.png
 """
 
 import argparse

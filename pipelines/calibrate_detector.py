@@ -52,8 +52,8 @@ def calibrate(cfg: DictConfig) -> Study:
                 views = source.views(subject.problem.scene.cameras, renderer.room.tag, detector, renderer.imaging, rng)
                 limits = fit(views, rng, margin)
             if views.seen.all():
-                told_all = f"{key}: {name} finds all of {len(views)} tags, so no limit can be fitted"
-                print(f"warning: {told_all}; give images in which it misses some", file=sys.stderr)
+                told_all = f"{name} finds all of {len(views)} tags, so give images in which it misses some"
+                print(f"warning: {key}: no limit can be fitted, as {told_all}", file=sys.stderr)
             rooms = frame_scores(predicted_in_frames(limits.limits, renderer, told.poses), seen[name]) if count else {}
             found[name] = DetectorCalibration(views, limits, rooms, source.photographs)
             text += limits.circles_text(name)
@@ -64,9 +64,8 @@ def calibrate(cfg: DictConfig) -> Study:
             "calibration.json": {"seed": seed, "figures": figures},
             "calibration.png": lambda path: save_limits_figure(path, found, f"{family}, views of {key}"),
         }
-        named = {f"{key}/{name}": value for name, row in figures.items() for key, value in row.items()}
-        finite = {key: value for key, value in named.items() if np.isfinite(value)}
-        return Report(files, finite, text=text + markdown)
+        named = {f"{key}/{name}": v for name, row in figures.items() for key, v in row.items() if np.isfinite(v)}
+        return Report(files, named, text=text + markdown)
 
     return Study(f"calibrate_detector {family}", run)
 

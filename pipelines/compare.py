@@ -73,12 +73,11 @@ def _on_one_problem(cfg: DictConfig) -> Study:
         runs, fitness = list(done.values()), figure_of("fitness")  # fitness is maximised
         comparison = compared(runs, fitness.key, reference)
         markdown = comparison_markdown(comparison, fitness)
-        pairs = comparison.pairs
         files = {
             "comparison.csv": comparison.table,
             "comparison.md": markdown,
             "comparison.png": lambda path: save_comparison_figure(path, runs, axis, fitness, title),
-            **({} if pairs is None else {"p_values.csv": pairs.rename_axis("optimiser")}),
+            **({} if comparison.pairs is None else {"p_values.csv": comparison.pairs.rename_axis("optimiser")}),
         }
         return Report(files, text=f"\n{markdown}")
 

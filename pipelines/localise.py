@@ -55,14 +55,13 @@ def localise(cfg: DictConfig) -> Study:
         found = find(seen, given.cameras, tag, detector.corner_errors, known, drive, calibrate)
     about = f"localisation of {found.found.poses.known_frames.sum()} of {len(seen.times)} frames"
     files: dict[str, Any] = {
-        "poses.csv": results.frame_columns(found, found.found),
-        "poses.tum": tum_text(seconds_of(seen.times), found.found.poses.frames),
         "changes.csv": results.change_columns(found),
         "localise.json": results.localise_document(found),
     }
-    if (smoothed := found.smoothed) is not None:
-        files["smoothed.csv"] = results.frame_columns(found, smoothed)
-        files["smoothed.tum"] = tum_text(seconds_of(seen.times), smoothed.poses.frames)
+    for name, estimate in (("poses", found.found), ("smoothed", found.smoothed)):
+        if estimate is not None:
+            files[f"{name}.csv"] = results.frame_columns(found, estimate)
+            files[f"{name}.tum"] = tum_text(seconds_of(seen.times), estimate.poses.frames)
     if cfg.picture:
         title = f"{about} in {cfg.map or 'the map'}"
         files["localise.png"] = lambda path: save_localised_figure(path, found, room, title)

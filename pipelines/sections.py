@@ -35,7 +35,7 @@ OFF_GRID = "qualified ratio off the grid: here"
 def sections(source: Source) -> str:
     """Text of all sections in order; a section whose runs are not stored names the command that makes the runs."""
     built: dict[str, tuple[str, Callable[[Source, pd.DataFrame], list[str]]]] = {
-        "Convergence": ("table2", lambda source, jobs: _curves(source, "convergence", jobs, "EGA and SGA")),
+        "Convergence": ("table2", _curves),
         "Table III: one deployment, nine pairs (n, thold_p)": ("table3", _table_3),
         "Every pair optimised for itself": ("table3_reoptimised", _each_for_itself),
         "How many landmarks?": ("landmark_count", _landmark_count),
@@ -85,8 +85,8 @@ def _landmark_count(source: Source, jobs: pd.DataFrame) -> list[str]:
     rows = [[f"{count}", f"{len(values)}", _spread(values)] for count, values in groups]
     target, medians = TABLE_2["EGA"].qualified_ratio, groups.median()
     enough = medians.index[medians >= target]
-    answer = f"With {enough[0]} landmarks, the fewest" if len(enough) else "With no number of landmarks"
-    said = f"{answer} here, the median of the runs reaches {target:.2%}, which the paper's EGA reached with 90."
+    fewest = f"With {enough[0]} landmarks, the fewest" if len(enough) else "With no number of landmarks"
+    said = f"{fewest} here, the median of the runs reaches {target:.2%}, which the paper's EGA reached with 90."
     references = {f"paper, {name}": (90, TABLE_2[name].qualified_ratio) for name in ("EGA", "uniform")}
     title = "Qualified ratio against the number of landmarks"
     picture = source.picture("landmark_count", title, save_landmark_count_figure, ratios, references, title)
@@ -94,12 +94,13 @@ def _landmark_count(source: Source, jobs: pd.DataFrame) -> list[str]:
     return [_origin(source, "landmark_count", jobs), table, said, picture]
 
 
-def _curves(source: Source, name: str, jobs: pd.DataFrame, title: str) -> list[str]:
+def _curves(source: Source, jobs: pd.DataFrame) -> list[str]:
     """Markdown lines with a picture of the convergence of optimisers; empty if the files of all runs are missing."""
     if not (runs := source.optimiser_runs(jobs)):
         return []
     caption = "Best fitness against evaluations, median and range of the seeds, and the share of targets reached"
-    return [source.picture(name, caption, save_comparison_figure, runs, "evaluations", Coverage.headline, title)]
+    drawn = runs, "evaluations", Coverage.headline, "EGA and SGA"
+    return [source.picture("convergence", caption, save_comparison_figure, *drawn)]
 
 
 def _origin(source: Source, sweep: str, jobs: pd.DataFrame) -> str:

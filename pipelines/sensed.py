@@ -84,8 +84,7 @@ def in_batches(workers: int | None, function: Callable[[Any], Any], jobs: Sequen
 
     from .progress import bar
 
-    do = partial(_on_one_thread, function)
-    results = in_processes(do, jobs, workers, lambda _: "a batch of frames", ordered=True)
+    results = in_processes(partial(_on_one_thread, function), jobs, workers, lambda _: "a batch", ordered=True)
     with bar(len(jobs), "batches of frames") as progress:
         for result in results:
             progress.update()

@@ -7,9 +7,7 @@ of the command, and the configurations of the deployments, keyed by name.
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from functools import partial
 from math import inf
-from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
@@ -47,9 +45,9 @@ def accuracy(cfg: DictConfig, own: Own) -> Study:
         table = pd.DataFrame(figures).T.rename_axis("deployment")
         headed = {f"{name}: {row['localised_share_20mm']:.1%} to 20 mm": drawn[name] for name, row in figures.items()}
         title = title_of(problem, "median predicted error of one image,")
+        files = {"figures.csv": table, "accuracy.png": lambda path: save_accuracy_figure(path, headed, title)}
         each = {f"{name}.csv": errors_along(*subject) for name, subject in drawn.items()}
-        files: dict[str, Any] = {name: along for name, along in each.items() if along is not None}
-        files |= {"figures.csv": table, "accuracy.png": lambda path: save_accuracy_figure(path, headed, title)}
+        files |= {name: along for name, along in each.items() if along is not None}
         named = {f"{key}/{name}": value for name, row in figures.items() for key, value in row.items()}
         return Report(files, named, text=figures_text(figures))
 
@@ -72,17 +70,10 @@ def bound(cfg: DictConfig, own: Own) -> Study:
     from lmd.evaluation.relaxation import TimeLimit
 
     problem, settings = build_problem(next(iter(own.values()))), settings_of(cfg, "bound")
-    told_at = monotonic()
-
-    def tell(text: str) -> None:
-        nonlocal told_at
-        if monotonic() - told_at >= 10.0:  # seconds
-            print(text, file=sys.stderr, flush=True)
-            told_at = monotonic()
 
     with keyed("bound"):
         seconds = inf if settings.seconds is None else real("seconds", settings.seconds, above=0.0)
-        limit = TimeLimit(seconds, tell)
+        limit = TimeLimit(seconds, lambda text: print(text, file=sys.stderr, flush=True))
         search = Search(settings.spacing, settings.iterations, settings.tolerance, limit)
         target = None if settings.target is None else real("target", settings.target, low=0.0, high=1.0)
         if target is not None:
@@ -177,30 +168,18 @@ def acceptance(cfg: DictConfig, own: Own) -> Study:
     """
     from scipy.linalg import block_diag
 
-    from lmd.core.words import few
     from lmd.evaluation.acceptance import Acceptance, HungMap
-    from lmd.evaluation.losses import TAGS_LISTED
     from lmd.evaluation.uncertainty import UncertaintyStudy
-    from lmd.formats.tag_map import TagMap
 
     problem, deployment, places, joint = _hung(cfg, own, "acceptance")
     settings: Acceptance = instantiate(settings_of(cfg, "acceptance"))
-    tags = TagMap(problem.scene.room, problem.scene.tag, deployment)
 
     def run(_: object) -> Report:
-        from lmd.export.stations import write_stations
-
         errors, _ = UncertaintyStudy().errors(problem, deployment, cfg.seed)
         hung = HungMap(problem, deployment, errors, block_diag(*places) if joint is None else joint, settings)
         with keyed("acceptance"):
-            if settings.measured is not None:
-                files, figures, text = hung.judged(settings.measured)
-                return Report(files, figures, text=text)
-            stations, shown = hung.chosen(cfg.seed)
-        page = partial(write_stations, tags=tags, stations=stations)
-        missed = few(shown.id[~(shown.least_shift <= settings.shift)], TAGS_LISTED) or "none"
-        text = f"{len(stations)} stations show a tag that is {settings.shift:g} m off; tags not shown: {missed}"
-        return Report({"stations.csv": stations, "stations_tags.csv": shown, "stations.pdf": page}, text=text)
+            files, figures, text = hung.report(cfg.seed)
+        return Report(files, figures, text=text)
 
     return Study("acceptance", run, problem=problem)
 

@@ -89,11 +89,8 @@ def tradeoff(cfg: DictConfig) -> Study:
 
 def size(cfg: DictConfig) -> Study:
     """Study of the range at which each size of the configured tag is detected by the configured camera."""
-    import math
-
     from lmd.core.checks import InputError
     from lmd.evaluation.reach import Reading, reach_text
-    from lmd.export.paper import PAPERS, largest_whole
     from lmd.sight.models.fiducial import Fiducial
     from lmd.space.parts import made
 
@@ -104,10 +101,8 @@ def size(cfg: DictConfig) -> Study:
         lack = "one camera: leave camera.rig out" if others else "a detector: set visibility=fiducial"
         raise InputError(f"size needs {lack}.")
     tag.check_edge()
-    papers = ((paper, largest_whole(tag.of_size(tag.sizes[0]), paper)) for paper in PAPERS)
-    on_sheets = ", ".join(f"{math.floor(1e3 * edge) / 1e3:g} m ({paper})" for paper, edge in papers)
     with keyed("tag"):
-        text = f"{reach_text(camera, tag, criteria, reading)}\n\nlargest {tag.square} on one sheet: {on_sheets}"
+        text = reach_text(camera, tag, criteria, reading)
     return Study("size", lambda _: Report({"size.txt": f"{text}\n"}, text=text))
 
 
@@ -128,7 +123,7 @@ def _report(cfg: DictConfig, table: "pd.DataFrame", problem: "Problem", figure: 
     from lmd.evaluation.validation import headline_off_grid
     from lmd.objectives.base import figure_of
     from lmd.objectives.localisation import Localisation
-    from lmd.plot.charts import Panel, curve_name, save_tradeoff_figure
+    from lmd.plot.charts import Panel, save_tradeoff_figure
 
     headline, off_grid = problem.objective.headline, headline_off_grid(problem)
     beside = COVERED if isinstance(problem.objective, Localisation) else LOCALISED
@@ -145,10 +140,7 @@ def _report(cfg: DictConfig, table: "pd.DataFrame", problem: "Problem", figure: 
     if wanted is not None:
         reached = fewest(table, figure, wanted)
         text += f"\n\nfewest landmarks to reach {100.0 * wanted:g}% ({figure_of(figure).label})"
-        for edge, *numbers in reached.reset_index().to_numpy().tolist():
-            count, least, greatest = (f"{k:.4g}" if isfinite(k) else "more than was tried" for k in numbers)
-            size = f"{curve_name(edge)}: " if edge else ""
-            text += f"\n{size}{count} by the median of the seeds, by single seeds {least} to {greatest}"
+        text += f" by the median of the seeds, least and greatest of the seeds; inf: more than was tried\n{reached}"
         rows = reached.reset_index().to_dict("records")
         finite = [{key: None if value == inf else value for key, value in row.items()} for row in rows]
         document |= {"wanted": wanted, "fewest": finite}

@@ -36,7 +36,11 @@ from scipy.stats import chi2
 from lmd.adjust.gauge import diagonal_blocks, in_world, world_from_twists
 from lmd.core.checks import BoolArray, Checked, Count, FloatArray, InputError, Positive, real
 from lmd.core.tables import read_table
+from lmd.core.words import few
 from lmd.estimation.pose_covariance import TagErrors, pose_covariances
+from lmd.evaluation.losses import TAGS_LISTED
+from lmd.export.stations import write_stations
+from lmd.formats.tag_map import TagMap
 from lmd.geometry.se3 import axis_and_right, camera_pose
 from lmd.geometry.squares import upright
 from lmd.problem import Problem
@@ -142,6 +146,19 @@ class HungMap:
         with np.errstate(invalid="ignore"):  # no tags
             bounds = np.stack([np.sqrt(square / mean * chi2.ppf(BOUND, mean**2 / square)), yaw])
         return shown, slopes[:, :3], noise[:, :3, :3], right, bounds
+
+    def report(self, seed: int) -> tuple[dict[str, Any], dict[str, float], str]:
+        """Files, metrics and text of the study: `judged` if measured stations are given, otherwise the stations that
+        are `chosen` with the seed, and the page to print.
+        """
+        if self.settings.measured is not None:
+            return self.judged(self.settings.measured)
+        tags = TagMap(self.problem.scene.room, self.problem.scene.tag, self.tags)
+        stations, shown = self.chosen(seed)
+        missed = few(shown.id[~(shown.least_shift <= self.settings.shift)], TAGS_LISTED) or "none"
+        text = f"{len(stations)} stations show a tag that is {self.settings.shift:g} m off; tags not shown: {missed}"
+        page = partial(write_stations, tags=tags, stations=stations)
+        return {"stations.csv": stations, "stations_tags.csv": shown, "stations.pdf": page}, {}, text
 
     def chosen(self, seed: int) -> tuple[pd.DataFrame, pd.DataFrame]:
         """Choose stations among the positions and headings of the grid. If these are too many, `seed` draws the

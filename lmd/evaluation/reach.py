@@ -14,6 +14,7 @@ import numpy as np
 
 from lmd.core.checks import Checked, FloatArray, Positive, vector
 from lmd.estimation.cramer_rao import cramer_rao_bound, pose_information
+from lmd.export.paper import PAPERS, largest_whole
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import camera_pose
 from lmd.geometry.squares import corners, upright
@@ -160,7 +161,9 @@ def reach_text(camera: Camera, tag: Tag, criteria: Fiducial, reading: Reading) -
         lines += [f"{one.square} of {one.size:g} m"] * (len(tags) > 1)
         lines += [*_columns(_reads(camera, one, replace(criteria, tag=one), reading)), ""]
     lines += [f"smallest {tag.square} that is read, metres", *_columns(_edges(camera, tags[0], criteria, reading))]
-    return "\n".join(lines)
+    edges = {paper: math.floor(1e3 * largest_whole(tags[0], paper)) / 1e3 for paper in PAPERS}
+    on_sheets = ", ".join(f"{edge:g} m ({paper})" for paper, edge in edges.items())
+    return "\n".join([*lines, f"\nlargest {tag.square} on one sheet: {on_sheets}"])
 
 
 def _reads(camera: Camera, tag: Tag, criteria: Fiducial, reading: Reading) -> list[list[str]]:

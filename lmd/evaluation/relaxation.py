@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property, reduce
 from itertools import pairwise
 from math import inf
+from time import monotonic
 from typing import NamedTuple
 
 import numpy as np
@@ -23,17 +24,19 @@ from lmd.scene.deployment import Deployment
 from lmd.sight.evaluator import Evaluator, averaged
 from lmd.sight.poses import Cells, covered_amounts, gains
 
+BETWEEN = 10.0  # least time between two texts on the progress, seconds
+
 
 class TimeLimit:
     """Time limit that starts when the object is made; the time of compilation does not count.
 
     Args:
         seconds: limit, seconds; infinite for no limit, with which results are reproducible.
-        report: function that is called with texts on the progress.
+        print_text: function that is called with texts on the progress, at most every `BETWEEN` seconds.
     """
 
-    def __init__(self, seconds: float = inf, report: Callable[[str], None] = lambda _: None) -> None:
-        self.seconds, self.report, self._until = seconds, report, clock() + seconds
+    def __init__(self, seconds: float = inf, print_text: Callable[[str], None] = lambda _: None) -> None:
+        self.seconds, self._print_text, self._until, self._told = seconds, print_text, clock() + seconds, monotonic()
         self.cut: list[str] = []
         """Descriptions of those searches that the time limit has cut short."""
 
@@ -45,6 +48,12 @@ class TimeLimit:
     def part(self, share: float) -> "TimeLimit":
         """Make a time limit for a part of the work: it ends after the fraction `share` of the time that remains."""
         return TimeLimit(share * self.left, self.report)
+
+    def report(self, text: str) -> None:
+        """Pass on a text on the progress unless another one was passed on shortly before."""
+        if monotonic() - self._told >= BETWEEN:
+            self._told = monotonic()
+            self._print_text(text)
 
     def leaves(self, seconds: float, what: str) -> bool:
         """True if at least `seconds` remain; otherwise record that the search described by `what` was cut short."""

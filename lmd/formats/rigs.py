@@ -155,16 +155,12 @@ def _is_chain(mounts: Any) -> bool:
     return isinstance(mounts, Mapping) and "path" in mounts
 
 
-def _shared(given: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: given[key] for key in SHARED_KEYS if given.get(key) is not None}
-
-
 def _chained(given: Mapping[str, Any]) -> Rig:
     only_keys("rig", given, CHAIN_KEYS)
     from scipy.spatial.transform import Rotation
 
     where = {key: value for key, value in given.items() if key in KEYS and value is not None}
-    shared = _shared(given)
+    shared = {key: given[key] for key in SHARED_KEYS if given.get(key) is not None}
     with argument_of("rig"):
         poses = read_chain(given["path"], given.get("names"), **shared)
         cameras = [calibrated_camera(given["path"], name, **shared) for name in poses]

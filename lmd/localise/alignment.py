@@ -142,12 +142,8 @@ def _fitted(
     Raises:
         InputError: less than half of the images fit.
     """
-    similarity, back, unmounted, variances = (
-        _rough(poses, bodies @ mounts),
-        inverse(bodies),
-        inverse(mounts),
-        np.zeros(2),
-    )
+    similarity, variances = _rough(poses, bodies @ mounts), np.zeros(2)
+    back, unmounted = inverse(bodies), inverse(mounts)
     turn, known = adjoint_matrix(back), np.diagonal(own, axis1=1, axis2=2).reshape(-1, 2, 3).mean(axis=2)
     for number in range(ROUNDS):
         placed = similar(similarity, poses)
@@ -162,10 +158,8 @@ def _fitted(
         pull = np.swapaxes(slope, 1, 2) @ information * chosen[:, None, None]
         count, total = int(chosen.sum()), (pull @ slope).sum(axis=0)
         if count < max(FEWEST_FRAMES, len(poses) / 2.0) or np.linalg.matrix_rank(total) < len(total):
-            text = (
-                f"align: {count} of {len(poses)} images fit one similarity; its poses must be those of a moving camera."
-            )
-            raise InputError(text, "align")
+            text = f"{count} of {len(poses)} images fit one similarity; its poses must be those of a moving camera"
+            raise InputError(f"align: {text}.", "align")
         gain = np.linalg.solve(total, pull)
         step = -np.einsum("npi,ni->p", gain, off)
         similarity = exp(step[:6]) @ np.diag(np.exp([*3 * [step[6]], 0.0])) @ similarity

@@ -73,10 +73,9 @@ class RoomPicture:
             self._scene.add_line_segments(f"/outline/{name}", edges, np.array(colour, dtype=np.uint8))
         walls = [face for face in self._problem.scene.room.faces() if face.is_upright]
         if walls:  # filled and, like the cells, invisible from behind
-            corners = [self._behind(face) for face in walls]
-            self._scene.add_mesh_simple(
-                "/walls", np.concatenate(corners), _squares(len(walls)), color=WALL, side="front", **SHADOWLESS
-            )
+            corners = np.concatenate([self._behind(face) for face in walls])
+            triangles = (4 * np.arange(len(walls))[:, None, None] + TRIANGLES).reshape(-1, 3)  # indices of corners
+            self._scene.add_mesh_simple("/walls", corners, triangles, color=WALL, side="front", **SHADOWLESS)
 
     @staticmethod
     def _behind(face: Surface) -> FloatArray:
@@ -171,11 +170,6 @@ class RoomPicture:
         painted = mapped(GAINS, np.nan_to_num(gains) / (most or 1.0))
         painted[np.isnan(gains)] = UNKNOWN
         self.cells.batched_colors = painted
-
-
-def _squares(count: int) -> IntArray:
-    """Triangles of `count` squares with four corners each: indices of corners, `(2 count, 3)`."""
-    return np.asarray((4 * np.arange(count)[:, None, None] + TRIANGLES).reshape(-1, 3))
 
 
 def _quaternions(right: FloatArray, up: FloatArray, normal: FloatArray) -> FloatArray:

@@ -2,7 +2,7 @@
 their planned places, and the camera poses of a localisation.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -132,12 +132,15 @@ def save_survey_figure(path: str | Path, survey: "Survey", room: Space | None, t
         room: room whose outline is drawn; None if unknown.
         title: title of the figure.
     """
-    figure, ((left, right),) = new_panels((15.0, 7.0), title, 1, 2)
-    _draw_above(left, survey, room)
-    if survey.known.plan is None:
-        _draw_sigmas(right, survey)
-    else:
-        _draw_offsets(right, survey)
+    draw = _draw_sigmas if survey.known.plan is None else _draw_offsets
+    _save_panels(path, title, lambda left: _draw_above(left, survey, room), lambda right: draw(right, survey))
+
+
+def _save_panels(path: str | Path, title: str, left: Callable[[Any], None], right: Callable[[Any], None]) -> None:
+    """Write a PNG of 1500 x 700 pixels with two panels, each drawn by a function of its axes."""
+    figure, (both,) = new_panels((15.0, 7.0), title, 1, 2)
+    for draw, axes in zip((left, right), both, strict=True):
+        draw(axes)
     figure.savefig(path)
     shrink(path)
 
@@ -260,11 +263,7 @@ def save_localised_figure(path: str | Path, result: "Localisation", room: Space 
         room: room whose outline is drawn; None if unknown.
         title: title of the figure.
     """
-    figure, ((left, right),) = new_panels((15.0, 7.0), title, 1, 2)
-    _draw_way(left, result, room)
-    _draw_deviations(right, result)
-    figure.savefig(path)
-    shrink(path)
+    _save_panels(path, title, lambda left: _draw_way(left, result, room), lambda right: _draw_deviations(right, result))
 
 
 def _ways(result: "Localisation") -> list[tuple[str, str, FloatArray, FloatArray]]:

@@ -101,8 +101,5 @@ def _changed(value: Any, operation: str, by: Any) -> Any:
     numbers = np.array(value)
     each = by[: numbers.shape[-1]] if np.ndim(by) else by
     found = numbers * each if operation == "times" else numbers + each
-    return round(float(found)) if isinstance(value, int) else np.vectorize(_short)(found).tolist()
-
-
-def _short(number: float) -> float:
-    return float(f"{number:.{DIGITS}g}")
+    shorter = np.vectorize(lambda number: float(f"{number:.{DIGITS}g}"))
+    return round(float(found)) if isinstance(value, int) else shorter(found).tolist()

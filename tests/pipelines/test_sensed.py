@@ -35,10 +35,17 @@ def test_flights_compare_deployments_with_tags_of_their_own(tmp_path):
 
 
 def test_exact_measurements_leave_no_error(tmp_path):
-    exact = ("sensor=exact", "odometry.turn_noise=0", "odometry.motion_noise=0", "start.position=0", "start.attitude=0")
+    exact = (
+        "sensor.pixel_noise=0",
+        "sensor.missed=0",
+        "odometry.turn_noise=0",
+        "odometry.motion_noise=0",
+        "start.position=0",
+        "start.attitude=0",
+    )
     told = conduct("observe", *exact, "seeds=1", "trajectory.duration=2", cwd=tmp_path)
     assert pd.read_csv(tmp_path / "run" / "figures.csv").position_error.max() < 1e-9
-    assert "simulated with trajectory=random_motion sensor=exact" in told
+    assert "simulated with trajectory=random_motion sensor=noisy" in told
 
 
 def test_a_real_detector_reads_frames_of_a_flight(tmp_path):

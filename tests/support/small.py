@@ -25,7 +25,7 @@ composed = cache(composing.composed)
 
 QUICK = {"annealing", "camera_annealing", "cma_es", "ega"}  # one of each kind
 # Files in conf/optimiser with other parameters of a class that another file, or the tests of wrappers, have too.
-OTHERS = {"ega_tuned", "one_plus_one", "pattern_search"}
+OTHERS = {"ega_tuned", "one_plus_one", "pattern_search", "prima"}
 OTHER = pytest.mark.thorough("conf/optimiser", "constraints.txt", "lmd/optimisers", "tests/contracts")
 
 

@@ -6,8 +6,10 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
+from lmd.core.checks import InputError
+
 from .journal import GONE, Journal, end_those_gone, hand_in, this_process
-from .store import PARAM_LENGTH, Store, first_line, is_of_store, now
+from .store import PARAM_LENGTH, Store, now
 from .tracker import Entry, NoTracker, RunStart
 from .views import link, share, sweep_view, view_of
 
@@ -85,13 +87,11 @@ class MlflowTracker(NoTracker):
     def _warning(self) -> Iterator[None]:
         """Context that prints a warning once if the store no longer answers; other errors are raised."""
         try:
-            yield
-        except Exception as error:
-            if not is_of_store(error):
-                raise
+            with self.store.errors_reported():
+                yield
+        except InputError as error:
             if not self._lost:
-                told = f"{self.store.uri} cannot be used ({first_line(error)}); the run goes on"
-                print(f"warning: {told}", file=sys.stderr)
+                print(f"warning: {error}; the run goes on", file=sys.stderr)
             self._lost = True
 
     def log_curve(self, metric: str, points: Iterable[tuple[int, float, float]]) -> None:
