@@ -71,7 +71,8 @@ def test_told_to_stop_while_the_map_is_refined_it_leaves_the_map_so_far(told, nu
     assert err == "\nstopping after this step; once more to stop at once\n"
     assert "interrupted while refining the cameras: the map is not final, or later steps are missing" in out
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
-        ".hydra", "camera.yaml", "frames.csv", "in_view.csv", "map.csv", "map.npz", "survey.json", "survey.png"
+        ".hydra", "camera.yaml", "colmap", "frames.csv", "in_view.csv", "map.csv", "map.npz", "survey.json",
+        "survey.png", "transforms.json",
     }  # fmt: skip
     document = json.loads((tmp_path / "out" / "survey.json").read_text())
     assert document["interrupted"] == "refining the cameras"
