@@ -39,7 +39,7 @@ class Genome(Protocol):
         """Draw the genes of a candidate to start from, `(dim,)`."""
 
     def fitness_of_genes(self, genes: FloatArray) -> FloatArray:
-        """Fitness of candidates `(B, dim)`, `(B,)`; -inf for impossible candidates.
+        """Fitness `(B,)` of B candidates with the genes `genes` `(B, dim)`; -inf for impossible candidates.
 
         Raises:
             InputError: the genes have another shape, or lie outside [0, 1].

@@ -222,7 +222,7 @@ def perform(steps: Any, poses: FloatArray, field: Any, state: Any, scratches: An
         steps: `(S, 4)` int64: one of `BOUND`, `SETTLE`, `ACCEPT`, `UNDO`; landmark; surface; index of the scratch.
         poses: `(S, 6)` position (metres) and unit normal, for `BOUND`.
         field, state: field and state of the landmarks.
-        scratches: result of `layers` for a scratch.
+        scratches: several scratches as one array structure, made by `layers`.
         units: receives the values after each step, `(S, Q)` int64: the scratch's values after `BOUND` and `SETTLE`,
             else the state's values; `(0, 0)` to skip the values.
     """

@@ -6,8 +6,8 @@ Only blocks of positions are searched that are at most the horizon (a distance) 
 1. A bound excludes most landmarks for all positions of a block. Let m be the offset of the place a from the centre of
    the block, and e = o - a the vector to a landmark o. From the position delta away from the centre, a and o have the
    offsets a' = m - delta and o' = a' + e. One of them hides the other only within r = sqrt(reach) of the line of sight:
-   if |a' x o'| <= r max(|a'|, |o'|). As a' x o' = m x e - delta x e, and the block fits into a box with the half sides
-   h, the first component of m x e is then at most
+   if |a' x o'| <= r max(|a'|, |o'|). Because a' x o' = m x e - delta x e, and the block fits into a box with the half
+   sides h, the first component of m x e is then at most
 
        h_y |e_z| + h_z |e_y| + r (|m| + |h| + |e|),
 

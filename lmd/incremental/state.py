@@ -1,9 +1,9 @@
 """Data for moves of single landmarks: the state, which is the coverage of one deployment with counts, and the scratch,
 which is working memory with the move tried last. Words in capitals, such as `FRESH`, name rows of the arrays.
 
-Fields of one name have one meaning for a camera and for a rig. Arrays of equal type and shape are rows of one array,
-with a constant for the index of each row, as numba passes every n-dimensional array as 5 + 2n numbers to functions that
-are not inlined.
+Attributes of equal names have equal meanings for a camera and for a rig. Arrays of equal type and shape are rows of one
+array, with a constant for the index of each row, because numba passes every n-dimensional array as 5 + 2n numbers to
+functions that are not inlined.
 """
 
 from typing import Any, NamedTuple
@@ -72,7 +72,7 @@ def update_counts(p: Integer, w: Integer, changed: Any, decrement: Any, n: Integ
 
 @inner
 def sum_up(field: Any, state: Any) -> None:
-    """Compute quantised P_n at all positions from the counts."""
+    """Compute quantised P_n, the probability that n landmarks are covered, at all positions from the counts."""
     units, enough = state.units, state.counts.sets[ENOUGH]
     for p in range(np.uint64(len(units))):
         units[p] = 0
@@ -144,7 +144,7 @@ class State(NamedTuple):
     counts: Counts
     """Number of landmarks covered at each position, for each axis."""
     units: np.ndarray
-    """`(Q,)` quantised P_n at each position."""
+    """`(Q,)` quantised P_n, the probability that n landmarks are covered, at each position."""
     covered: np.ndarray
     """`(K, Q, W)` bit sets of the axes that cover each landmark from each position, occlusion ignored."""
     reachable: np.ndarray
@@ -189,7 +189,9 @@ class Scratch(NamedTuple):
     surface of the place tried (entry `SURFACE`).
     """
     units: np.ndarray
-    """`(Q,)` quantised P_n with the landmark at the place tried, or upper bounds on these values."""
+    """`(Q,)` quantised P_n (the probability that n landmarks are covered) with the landmark at the place tried, or
+    upper bounds on these values.
+    """
     flags: np.ndarray
     """`(4, Q)` bool flags: rows `AIMED` and `WANTED` for each block of positions, rows `TOUCHED` and `REACHED` for each
     position.

@@ -1,4 +1,5 @@
-"""Trial of a move of one landmark: an upper bound on P_n with the landmark at another place, then the exact P_n.
+"""Trial of a move of one landmark: an upper bound on P_n (the probability that n landmarks are covered) with the
+landmark at another place, then the exact P_n.
 
 A move of landmark k changes the counts at a position in at most four ways. At its old place k is no longer covered, and
 landmarks that k hid appear. At its new place k is covered, and landmarks that k hides disappear. The decisions repeat
@@ -197,8 +198,9 @@ def ask_touched(k: Integer, n: Integer, or_more: bool, state: Any, scratch: Any)
 
 @inner
 def _find_units(k: Integer, positions: FloatArray, n: Integer, weights: Any, state: Any, scratch: Any) -> None:
-    """Compute P_n at `positions` from the orientations with which landmark k is seen at the place tried (`FRESH`).
-    Landmarks in `pairs` are counted with their occlusion after the move.
+    """Compute P_n, the probability that n landmarks are covered, at `positions` from the orientations with which
+    landmark k is seen at the place tried (`FRESH`). Landmarks in `pairs` are counted with their occlusion after the
+    move.
     """
     enough, asked = state.counts.sets[ENOUGH], scratch.sets[ASKED]
     touched, digits = scratch.flags[TOUCHED], scratch.digits
@@ -239,7 +241,7 @@ def bound_move(field: Any, k: Integer, pose: Any, surface: Integer, state: Any, 
 
 @inner
 def finish_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
-    """Replace the bounds of `bound_move` by the exact P_n."""
+    """Replace the bounds of `bound_move` by the exact P_n, the probability that n landmarks are covered."""
     k = np.uint64(k)
     find_pairs(state, k, NEW_PLACE, field, scratch)
     ask_touched(k, field.n, False, state, scratch)

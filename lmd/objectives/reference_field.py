@@ -1,7 +1,7 @@
 """Field (incremental evaluator) for visibility models without a compiled model of sight: each move costs a full
 evaluation.
 
-The field runs as plain Python (`lmd.incremental.field.runner`). This field has no stacks, as the model cannot be
+The field runs as plain Python (`lmd.incremental.field.runner`). This field has no stacks, because the model cannot be
 evaluated without occlusion.
 """
 

@@ -3,8 +3,8 @@ one by one.
 
 A landmark is removed by a move to a place where no camera sees it and where it hides no other landmark. Only the
 affected views are evaluated again, so all pairs of 90 landmarks cost no more than a hundred evaluations. Moves are not
-settled (`lmd.incremental.field.settle`), as the removed landmark, at its new place, neither hides another landmark nor
-is hidden.
+settled (`lmd.incremental.field.settle`), because the removed landmark, at its new place, neither hides another landmark
+nor is hidden.
 """
 
 import numpy as np

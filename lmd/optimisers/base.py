@@ -83,7 +83,7 @@ class Optimiser(ABC):
         """Continue from the `state` of another optimiser with equal settings; this optimiser must not have run before.
 
         Args:
-            state: plain data read from a file, which may be malicious, so each value has to be checked.
+            state: plain data read from a file. The file may be malicious, so each value has to be checked.
             problem: problem of the run.
 
         Raises:

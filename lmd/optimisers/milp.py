@@ -237,7 +237,8 @@ class Milp(DeploymentSearch):
 
     Args:
         spacing: spacing of the lattice, metres.
-        seconds: time limit of the solver; the best deployment found by then is the result, and the bound is valid.
+        seconds: time limit of the solver; the best deployment found by then is the result, and the upper bound found by
+            then is valid.
         seed: seed of the start, see `Optimiser`; the solver draws no random numbers.
 
     Raises:

@@ -95,7 +95,7 @@ def select(
     Args:
         selection: surrogate, for which no landmark has been chosen yet.
         poses: N candidate poses.
-        stock: supply of landmarks; a number for landmarks that are points.
+        stock: supply of landmarks, or the number of landmarks if these are points.
         footprints: footprints of the tags; None for landmarks that are points.
         allowance: largest number of gains that may be evaluated; fewer poses are chosen if this number does not
             suffice.

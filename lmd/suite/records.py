@@ -46,9 +46,9 @@ def verify(path: str | Path) -> dict[str, Any]:
         path: file of the entry, or of a record, whose score is computed again.
 
     Returns:
-        the record, which adds to the entry `version` and `hash` of the problem, and `scorer`. `value` is the fitness
-        or, for two objectives, the hypervolume between the origin and the front. `off_grid` is the main metric
-        (headline) off the grid, None for a front.
+        the record: the entry with further keys, such as `version` and `hash` of the problem, and `scorer`. `value` is
+        the fitness or, for two objectives, the hypervolume between the origin and the front. `off_grid` is the main
+        metric (headline) off the grid, None for a front.
 
     Raises:
         InputError: the file cannot be read, a key is missing, the problem is unknown, or the candidate does not belong

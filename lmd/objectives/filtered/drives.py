@@ -53,7 +53,9 @@ class Drives(Checked):
 
     @cached_property
     def poses(self) -> FloatArray:
-        """Poses X of all frames, `(F, 4, 4)`."""
+        """Poses of the camera, or of the rig's body, in all frames, as matrices from its axes to the world's, `(F, 4,
+        4)`.
+        """
         return np.concatenate([drive.poses for drive in self.trajectories])
 
     @cached_property

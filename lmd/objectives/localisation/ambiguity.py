@@ -17,7 +17,7 @@ mirrored pose fits better with the probability
 The poses are distinguished if P is at most 1 - `CONFIDENCE`. Away from the middle of the image, S and the information
 grow with `pixel_density`. docs/results/ambiguity.md has the error of P.
 
-Two or more tags are unambiguous, as the mirrored pose of one tag does not fit another tag.
+Two or more tags are unambiguous, because the mirrored pose of one tag does not fit another tag.
 
 A rig has one mirrored pose for all cameras. Mirrored about its own line of sight b_i, the tag has the residual S_i in
 camera i. About another line b, its corners are also displaced by twice their depth from the tag's centre times b_i - b.
@@ -25,8 +25,8 @@ To the leading order in edge and baseline over distance, the best b leaves the s
 
     S = sum S_i + sum m_i |b_i - b|^2,    m_i = 4 (f_i s / d_i)^2 (p_i^2 + q_i^2),    b = sum m_i b_i / sum m_i
 
-as every other displacement of the mirrored tag is common to all cameras. As |b_i| = 1, the second sum is M - |h|^2 / M
-with M = sum m_i and h = sum m_i b_i: five numbers that add up. A further camera never lowers S.
+because every other displacement of the mirrored tag is common to all cameras. With M = sum m_i, h = sum m_i b_i and
+|b_i| = 1, the second sum is M - |h|^2 / M: S follows from five numbers that add up. A further camera never lowers S.
 
 At an incidence angle below about 1.5 baselines over distance, radians, no second pose exists, which S neglects.
 docs/results/ambiguity.md has the error of S.

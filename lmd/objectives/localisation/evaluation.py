@@ -81,7 +81,7 @@ def _localise_range(
     Args:
         first, last, batch, tables, n: see `kernels.evaluate_range`.
         places: number of binary digits in which landmarks are counted.
-        precision, asks: limits that a localised view must satisfy, and their `Precision.asks`.
+        precision, asks: limits that a localised view must satisfy, and the value of `Precision.asks` for these limits.
         values: receives the values; the variances are empty if they are not asked for.
     """
     order, positions, landmarks, normals, sight, horizon, obstacles, axes, bands, weights = batch

@@ -49,13 +49,16 @@ class LocalisationScratch(NamedTuple):
     units: np.ndarray
     """`(Q,)` quantised value of each position after the move, or upper bounds on the values."""
     located: np.ndarray
-    """`(Q,)` quantised L at each position after the move, or upper bounds on L."""
+    """`(Q,)` quantised L, the probability of a localised view, at each position after the move, or upper bounds on L.
+    """
     sets: np.ndarray
     """`(3, Q, W)` uint64 bit sets of orientations. Row `LOCALISED` has the localised views after the move; the rows
     `LOST` and `GAINED` have the views in which another landmark disappears or appears.
     """
     coverage: Scratch | RigScratch
-    """Scratch (working memory) of the field of coverage; its `units` are quantised P_n."""
+    """Scratch (working memory) of the field of coverage. Its `units` are quantised P_n, the probability that n
+    landmarks are covered.
+    """
     views: CameraViews | BodyViews
     """Working memory for the views of one position."""
 
@@ -73,7 +76,9 @@ class LocalisationField(NamedTuple):
     asks: bool
     """True if a view needs more than n covered landmarks, see `Precision.asks`."""
     weight: float
-    """Weight w of P_n in the values, (1 - w) L + w P_n."""
+    """Weight w in the value (1 - w) L + w P_n of a position: L is the probability of a localised view, P_n that of n
+    covered landmarks.
+    """
     mounts: tuple[Mounts, ...]
     """Mounts of each group of a rig; empty for a single camera."""
 

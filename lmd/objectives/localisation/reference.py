@@ -104,7 +104,8 @@ def mirrored_probabilities(
 
     Args:
         scene: camera or rig.
-        poses: X of the camera or of the rig's body, `(N, 4, 4)`.
+        poses: pose of the camera or of the rig's body in each view, as a matrix from its axes to the world's, `(N, 4,
+            4)`.
         centres: centre of the tag in each view, metres, `(N, 3)`.
         sides: vectors from the centre to the midpoints of the right and of the upper edge, metres, `(2, N, 3)`.
         seen: mask of the cameras that see the tag, `(C, N)`.

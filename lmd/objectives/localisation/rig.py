@@ -75,7 +75,8 @@ def _localise(
     every: tuple[GroupCoverage, ...], positions: FloatArray, tags: FloatArray, weights: IntArray, n: Integer,
     precision: Precision, asks: bool, views: BodyViews, out: tuple[IntArray, FloatArray],
 ) -> None:  # fmt: skip
-    """Write into `out` two arrays: quantised P_n and L, `(2, P)`, and `variances`, described below.
+    """Write the values of the rig's views into `out`, which has two arrays: quantised P_n (n landmarks are covered) and
+    L (the view is localised), `(2, P)`; and `variances`, described below.
 
     Args:
         every: coverage of the landmarks for each mount group.

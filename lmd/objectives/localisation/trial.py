@@ -5,9 +5,10 @@ every view, the sums of the landmarks' information (`information`), which are ex
 localised views. Further landmarks never reduce the information of a view. So a move can change the decision for few
 views:
 
-- if landmarks only disappear from a view, the view may change if it is localised and still covers n landmarks.
-- if landmarks only appear in a view, the view may change if it is not localised and now covers n landmarks.
-- if landmarks appear and disappear, the view may change if it covers n landmarks.
+- if landmarks only disappear from a view, the decision may change if the view is localised and still covers n
+  landmarks.
+- if landmarks only appear in a view, the decision may change if the view is not localised and now covers n landmarks.
+- if landmarks appear and disappear, the decision may change if the view covers n landmarks.
 
 `bound_move` ignores that the landmark at the new place hides other landmarks or is hidden; occlusion only reduces
 information. `finish_move` repeats the decisions at the positions with such occlusion.

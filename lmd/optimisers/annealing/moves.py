@@ -265,8 +265,8 @@ class Stage(Checked):
 
         Args:
             progress: completed fraction of the stage, clipped to [0, 1].
-            near: standard deviation of the distance between the new place and the other landmark, for moves near
-                another landmark, metres.
+            near: for a move to a place near another landmark, standard deviation of the distance from that landmark
+                along u and along v, metres.
         """
         progress = max(0.0, min(progress, 1.0))
         now = {name: getattr(self, name) for name in CONSTANTS}

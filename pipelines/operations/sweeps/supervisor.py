@@ -67,7 +67,8 @@ def _supervise(cfg: DictConfig) -> float | None:
     """Run one job of a sweep in a process of its own, unless the job has finished before; return the value of the job,
     NaN after a failure.
 
-    A failure is recorded but not raised, so that a failed job does not end the sweep, with any launcher of Hydra.
+    A failure is recorded but not raised, so that a failed job does not end the sweep; this holds for every launcher of
+    Hydra.
     """
     folder, job, launcher = JobFolder(run_directory()), _job(), HydraConfig.get().launcher
     # Number of threads: as configured, else 1 if jobs share a machine; None stands for every processor.
@@ -115,8 +116,9 @@ def _execute(arguments: list[str], threads: int | None, folder: JobFolder, lock:
     """Run the process of a job to its end; return the exit code, and True if the sweep was interrupted while the job
     ran.
 
-    The process has a session of its own, so Ctrl-C reaches it only once, when the pipe to its standard input is closed.
-    The process inherits the lock of its folder, so the folder stays locked if the sweep is killed.
+    The process has a session of its own, so Ctrl-C in the terminal does not reach it directly. It is told to stop only
+    once, when the pipe to its standard input is closed. The process inherits the lock of its folder, so the folder
+    stays locked if the sweep is killed.
     """
     if threads is not None:  # set before the server starts, as its packages read the variables at import
         os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(threads)))
