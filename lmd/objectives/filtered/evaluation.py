@@ -89,7 +89,7 @@ def _cameras(scene: Scene, axes: FloatArray) -> tuple[Any, FloatArray, FloatArra
 
 
 def filtered_poses(drives: Drives, information: FrameInformation, tolerance: Tolerance) -> FilteredPoses:
-    """Filter all drives, in compiled code."""
+    """Compute the filtered poses of all drives, in compiled code."""
     known, kept = np.zeros(len(information.sums), dtype=np.uint8), np.zeros((len(information.sums), NUMBERS))
     informed = information.informed.astype(np.uint8)
     filter_drives(drives.first, drives.moves, information.sums, informed, drives.start, tolerance, lanes(), known, kept)
@@ -112,7 +112,9 @@ def reference_information(
 
 
 def reference_filter(drives: Drives, information: FrameInformation, tolerance: Tolerance) -> FilteredPoses:
-    """Filter all drives by the reference; each step advances all drives that have further frames."""
+    """Compute the filtered poses of all drives by the reference; each step advances all drives that have further
+    frames.
+    """
     known, kept = np.zeros(len(information.sums), dtype=np.bool_), np.zeros_like(information.sums)
     p: FloatArray = np.repeat(drives.start[:, None], len(drives), axis=1)
     for step in range(int(np.diff(drives.first).max())):

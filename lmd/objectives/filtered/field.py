@@ -103,7 +103,7 @@ class FilteredScratch(NamedTuple):
     moment: np.ndarray
     """`(16,)` moments of a landmark (sums over its corners), see `lmd.objectives.localisation.information.moments`."""
     lanes: Lanes
-    """Working memory of the filters."""
+    """Working memory of the Kalman filters, one filter in each lane."""
 
 
 class FilteredField(NamedTuple):

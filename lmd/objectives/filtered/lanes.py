@@ -201,7 +201,7 @@ class Tolerance(NamedTuple):
 
 
 class Lanes(NamedTuple):
-    """Working memory of the filters."""
+    """Working memory of the Kalman filters, one filter in each lane."""
 
     covariance: FloatArray
     """`(21 LANES,)` covariance of the pose in each lane."""
@@ -238,7 +238,7 @@ def column(rows: FloatArray, lane: Integer) -> tuple[Any, ...]:
 
 @inlined
 def _write(rows: FloatArray, lane: Integer, p: Any) -> None:
-    """Write the 21 numbers of a lane."""
+    """Write the covariance `p` of a lane, 21 numbers, into `rows`, which has the covariances of all lanes."""
     (
         rows[lane], rows[lane + _1], rows[lane + _2], rows[lane + _3], rows[lane + _4], rows[lane + _5],
         rows[lane + _6], rows[lane + _7], rows[lane + _8], rows[lane + _9], rows[lane + _10], rows[lane + _11],
@@ -294,7 +294,7 @@ def filter_drives(
     first: IntArray, moves: FloatArray, sums: FloatArray, informed: np.ndarray, start: FloatArray,
     tolerance: Tolerance, work: Lanes, known: np.ndarray, kept: FloatArray,
 ) -> None:  # fmt: skip
-    """Filter D drives.
+    """Run a Kalman filter along each of D drives; the results are written into `known` and `kept`.
 
     Args:
         first, moves, start: see `Drives`.

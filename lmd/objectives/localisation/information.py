@@ -88,7 +88,7 @@ class Precision(NamedTuple):
     position: float
     """Greatest variance of the position, see the class; infinite if n covered landmarks suffice."""
     rotation: float | None = None
-    """Greatest variance of the rotation."""
+    """Greatest variance of the rotation, see the class; None for no limit."""
     residual: float | None = None
     """Least squared residual of the mirrored pose of a single tag, in units of f^2: see `ambiguity`."""
 

@@ -237,7 +237,9 @@ def _shares(found: Any, weight: float) -> Vector:
 
 @inner
 def _find_mirrored(work: FloatArray, least: float, filled: Integer) -> None:
-    """Compute the `mirrored_numbers` of the first `filled` pairs."""
+    """Compute the `mirrored_numbers`, which tell if a tag's two poses can be distinguished, of the first `filled`
+    pairs.
+    """
     for i in range(whole(filled)):
         weight = work[AT[3] + i]
         found = mirrored_numbers(_square(work, i), least)

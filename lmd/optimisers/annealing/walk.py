@@ -53,7 +53,7 @@ class Best(NamedTuple):
 
 
 class Walker(NamedTuple):
-    """Memory of one of several simultaneous walks."""
+    """Data that one of several simultaneous walks keeps from one phase to the next."""
 
     members: IntArray
     """Indices of the landmarks that this walk moves, `(M,)`."""
