@@ -24,6 +24,7 @@ from lmd.adjust.corners import (
     LEAST_DAMPING,
     Poses,
     Reprojection,
+    add_at,
     efficiency,
     floor_of,
     squared_errors,
@@ -175,14 +176,14 @@ class Adjustment:
         panel = np.zeros((len(block), 6, len(rows), 6))
         turned = panel.transpose(2, 0, 3, 1)
         for k, (index, slope) in enumerate(jacobians):
-            np.add.at(turned, (np.searchsorted(rows, index), owner), product(slope, at.by_frame))
+            add_at(turned, np.searchsorted(rows, index), owner, product(slope, at.by_frame))
             by_index = sums_by(index, self.kept)
             kept.diagonal += by_index(product(slope, slope))
             kept.right += by_index(product(slope, error)[..., 0])
             for other, beside in jacobians[:k]:
                 both = product(slope, beside)
-                np.add.at(kept.cells, (index, other), both)
-                np.add.at(kept.cells, (other, index), np.swapaxes(both, 1, 2))
+                add_at(kept.cells, index, other, both)
+                add_at(kept.cells, other, index, np.swapaxes(both, 1, 2))
         return Part(block, summed(product(at.by_frame, error)[..., 0]), panel, rows)
 
     def _moved(self, poses: Poses, kept: FloatArray, system: System) -> Poses:

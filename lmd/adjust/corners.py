@@ -229,6 +229,14 @@ def sums_by(owner: IntArray, count: int) -> Callable[[FloatArray], FloatArray]:
     return summed
 
 
+def add_at(cells: FloatArray, first: IntArray, second: IntArray, values: FloatArray) -> None:
+    """Add values `(N, ...)` to the entries `cells[first, second]` of an array `(n, m, ...)`; pairs of indices may
+    repeat. It is many times as fast as `numpy.add.at`.
+    """
+    keys, pair = np.unique(first * cells.shape[1] + second, return_inverse=True)
+    cells[np.divmod(keys, cells.shape[1])] += sums_by(pair, len(keys))(values)
+
+
 def solved(matrices: FloatArray, right: FloatArray) -> FloatArray:
     """Solutions `(n, m)` of n linear systems with `matrices` `(n, m, m)` and right sides `right` `(n, m)`."""
     return np.asarray(np.linalg.solve(matrices, right[..., None])[..., 0], dtype=np.float64)

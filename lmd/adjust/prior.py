@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from lmd.adjust.corners import DEGREES_OF_FREEDOM, Poses, solved, student_loss, student_weight
+from lmd.adjust.corners import DEGREES_OF_FREEDOM, Poses, add_at, solved, student_loss, student_weight, sums_by
 from lmd.adjust.motion import Motion
 from lmd.core.checks import BoolArray, Checked, FloatArray, IntArray, Positive
 from lmd.geometry.se3 import adjoint_matrix, exp, inverse, log
@@ -102,9 +102,7 @@ class Sheets:
 
     def _summed(self, values: FloatArray) -> FloatArray:
         """Sums of values `(M, ...)` over the tags of each sheet."""
-        result = np.zeros((self.board.max() + 1, *values.shape[1:]))
-        np.add.at(result, self.board, values)
-        return result
+        return sums_by(self.board, self.board.max() + 1)(values)
 
     def add_to(self, kept: Kept, tags: FloatArray, is_robust: bool) -> None:
         """Add the joint information of the sheets' tags to the normal equations `kept`, linearised at the poses `tags`
@@ -115,7 +113,7 @@ class Sheets:
         kept.add(self.tag, scaled, twists)
         wide, inverted = scaled[..., None] * self.turned, np.linalg.inv(self._normal(scaled))
         couplings = wide[one] @ inverted[self.board[one]] @ np.swapaxes(wide[other], 1, 2)
-        np.subtract.at(kept.cells, (self.tag[one], self.tag[other]), couplings)
+        add_at(kept.cells, self.tag[one], self.tag[other], -couplings)
 
 
 @dataclass(frozen=True)
