@@ -219,8 +219,8 @@ def page(known: dict[tuple[Cell, str], str]) -> Iterator[str]:
     yield f"- command: {', '.join(COMMANDS)}"
     yield ""
     works, every = sum(found == WORKS for found in known.values()), len(cells()) * len(COMMANDS)
-    yield f"{works:,} of the {every:,} work. `docs/results/matrix.csv` has all outcomes, `python benchmarks/matrix.py`"
-    yield "has the settings, and runs missing combinations. Optimisers are the default, random search and SGA; `milp`"
+    yield f"{works:,} of the {every:,} work. `docs/results/matrix.csv` has all outcomes. `python benchmarks/matrix.py`"
+    yield "has the settings; it runs missing combinations. Optimisers are the default, random search and SGA; `milp`"
     yield "refuses some combinations, as it solves plain coverage with one camera."
     yield ""
     yield "Not among these: [people in the way](crowd.md#what-works-with-it), [tags for a"

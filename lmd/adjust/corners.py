@@ -169,7 +169,7 @@ def student_weight(square: FloatArray, residuals: int | IntArray = RESIDUALS) ->
 
 
 def student_losses(square: FloatArray, residuals: int = RESIDUALS) -> FloatArray:
-    """Losses (nu + d) / 2 log(1 + chi^2 / nu), for chi^2 `square` of d residuals."""
+    """Losses 0.5 (nu + d) log(1 + chi^2 / nu), for chi^2 `square` of d residuals."""
     return np.asarray((DEGREES_OF_FREEDOM + residuals) / 2.0 * np.log1p(square / DEGREES_OF_FREEDOM))
 
 
@@ -249,14 +249,14 @@ def newton_step(
     summed: Callable[[FloatArray], FloatArray],
     damping: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Gauss-Newton steps `(n, m)` and normal matrices `(n, m, m)` of n poses. Each pose is that of a frame or tag, the
-    *owner* of some of the N sightings.
+    """Gauss-Newton steps `(n, m)` and normal matrices `(n, m, m)` of n poses. Each pose belongs to a frame or
+    tag, which is the *owner* of some of the N sightings.
 
     Args:
         jacobian: derivatives of each sighting's r residuals with respect to the pose of its owner, `(N, r, m)`.
         error: residuals of each sighting, `(N, r)`.
         weight: weight of each sighting, `(N,)`.
-        summed: sum over the sightings of each owner, see `sums_by`.
+        summed: function that adds up an array over the sightings of each owner, see `sums_by`.
         damping: matrix that is added to each normal matrix, `(m, m)`.
     """
     matrix = summed(weighted_product(jacobian, jacobian, weight)) + damping

@@ -64,7 +64,9 @@ def spread_motion(joint: Adjustment, poses: Poses, floor: float) -> Motion:
     error, size = links.at(poses.frames[joint.seen]).error, links.size
 
     def evidence(motion: Motion) -> FloatArray:
-        """Terms of the evidence for a motion model: chi^2 of the links, log |Q| and log |H|, `(3,)`."""
+        """Terms of the evidence for a motion model, `(3,)`: chi^2 of the links between frames; log |Q| for the
+        covariance Q of the links' errors; log |H| for the normal matrix H of the adjustment.
+        """
         tried = joint if motion is joint.prior.motion else with_motion(joint, motion)
         assert tried.links is not None
         squares = tried.links.squares(error)

@@ -130,7 +130,9 @@ class Estimate:
 
     @cached_property
     def covariance(self) -> FloatArray:
-        """Covariance of the kept unknowns, see `Adjustment`; twists are in the frames of the tags and cameras."""
+        """Covariance of the unknowns that `Adjustment` keeps. The error of a pose is a twist in the coordinate frame of
+        the tag or camera itself.
+        """
         with threadpool_limits(limits=ONE_THREAD):
             return self.adjustment.fixed_system(self.poses, self.floor).covariance
 
@@ -290,7 +292,8 @@ def _without_links(found: Estimate) -> Estimate:
 
 
 def _off(found: Estimate, frames: IntArray, slope: float, spread: float) -> FloatArray:
-    """Displacement x_b that one block of time causes in each known tag relative to the other tags, metres, `(n, 3)`.
+    """Contribution x_b of one block of time to the error of each known tag's position relative to the other tags,
+    metres, `(n, 3)`.
 
     Args:
         found: estimate.

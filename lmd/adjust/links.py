@@ -124,8 +124,8 @@ class Links:
         return np.asarray(np.einsum("mi,mij,mj->m", error, self.information, error))
 
     def loss(self, poses: FloatArray) -> float:
-        """Loss of the links and of the bias at poses of the frames, `(F, 4, 4)`; the loss of odometry is robust against
-        large errors, as wheels may slip.
+        """Loss of the links plus loss of the odometry's bias, for poses `(F, 4, 4)` of the frames. The loss of a link
+        of odometry is robust against large errors, as wheels may slip.
         """
         at = self.at(poses)
         squares, bias = self.squares(at.error), float(at.bias @ at.bias)

@@ -66,7 +66,9 @@ class InputError(ValueError):
 
 @contextmanager
 def argument_of(whole: str) -> Iterator[None]:
-    """Context manager: an `InputError` raised in its block gets `whole.` before the name of its argument."""
+    """Context manager: an `InputError` raised in the block that names an argument then names
+    `<whole>.<argument>`.
+    """
     try:
         yield
     except InputError as error:

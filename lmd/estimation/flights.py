@@ -107,7 +107,7 @@ class RandomMotion(Checked):
             frames = (self.duration - left) * self.pace.frame_rate
             if len(waypoints) > max(1000.0, MOST_WAYPOINTS * frames):
                 speeds = f"pace.speed = {self.pace.speed:g} m/s with pace.turn_rate = {self.pace.turn_rate:g} rad/s"
-                raise InputError(f"{speeds} passes {MOST_WAYPOINTS} or more waypoints between frames.", "pace.speed")
+                raise InputError(f"{speeds} is too fast: {MOST_WAYPOINTS} waypoints or more in a frame.", "pace.speed")
             waypoints.append(_next_waypoint(scene, waypoints[-1], rng))
             left -= float(self.pace.seconds(_shortest(waypoints[-1] - waypoints[-2])))
         trajectory = self.pace.through(np.array(waypoints), self.duration)

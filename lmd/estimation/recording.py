@@ -147,8 +147,8 @@ class Observation(NamedTuple):
 
 
 def merged(parts: Sequence[Observation], mounted: FloatArray) -> Observation:
-    """Merge the observations of all cameras of a body into one observation in the body's frame: T frames of C K
-    landmarks.
+    """Merge the observations of all cameras of a body into one observation in the body's frame: T frames with
+    C K landmarks each, every one of the K landmarks once for each of the C cameras.
 
     Args:
         parts: observation of each camera in its own frame.

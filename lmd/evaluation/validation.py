@@ -1,19 +1,19 @@
 """Validation: metrics of a deployment at poses off the grid on which it was optimised.
 
-An optimiser lifts the values at the positions and orientations that it evaluates just above the threshold, so the
-qualified ratio on that grid is biased upwards. Three metrics do not depend on the grid:
+An optimiser lifts values just above the threshold, but only at the positions and orientations that it evaluates. So
+the qualified ratio on that grid is biased upwards. Three metrics use other positions and orientations:
 
-- the qualified ratio on a finer grid, with half the spacing and half the step of the orientations. This ratio is exact
-  on that grid and has no standard error.
+- the qualified ratio on a finer grid, with half the spacing and half the step of the orientations. This ratio is not
+  estimated from a sample, so it has no standard error.
 - the grid-free qualified ratio: at random positions, spread evenly over the reachable box, with orientations drawn from
   the continuous distribution that the PDF represents.
 - the grid-free average coverage probability, over the random poses of the same sample.
 
 Like `qualified_ratio`, these metrics weigh all positions equally, without the relevance.
 
-With a crowd, each group has newly drawn crowd states, as many as the problem has, and equal positions in all states;
-the finer grid has the states of the problem. The main metric (headline) is also computed for the worst crowd states of
-a group.
+The random poses are drawn in groups, see `Sample`. With a crowd, each group has newly drawn crowd states, as many as
+the problem has, and equal positions in all states; the finer grid has the states of the problem. The main metric
+(headline) is also computed for the worst crowd states of a group.
 
 For a recording, the metrics are computed at the recorded poses: at the poses used for the optimisation, and at the
 held-out poses.

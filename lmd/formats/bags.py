@@ -193,7 +193,7 @@ class Bag:
             first, last: times of recording of the first and the last message to read, ns; None for all messages.
 
         Raises:
-            InputError: the bag is damaged, or its definition of the messages' type differs.
+            InputError: the bag is damaged, or its definition of the message type differs from the one known here.
         """
         with self._opened() as reader:
             own = [connection for connection in reader.connections if connection.topic == topic]

@@ -63,8 +63,9 @@ MOST_CAMERAS = 64  # maximum number of different cameras among the images of a f
 class KeyedCameras(Keyed):
     """Description of a format: the keys under which a file holds its cameras.
 
-    A camera has these quantities: `width` and `height`, or `size`; `matrix` (nine numbers, row by row), `columns` (nine
-    numbers, column by column), or the names of `QUANTITIES`; and `lens`, a list of coefficients. `body` is the pose of
+    The image size is `width` and `height`, or `size`. The intrinsics are `matrix` (nine numbers, row by row), `columns`
+    (nine numbers, column by column), or single numbers named as in `QUANTITIES`, such as `fx`. The distortion is
+    `lens`, a list of coefficients, or single coefficients named as in `QUANTITIES`. `body` is the pose of
     the camera's optical frame on the body, `body_inverse` its inverse, `step` the pose of the previous camera in this
     camera's optical frame.
     """
@@ -83,8 +84,8 @@ class KeyedCameras(Keyed):
     """Paths, in the entry, to the words that form the name of the lens model when joined by `_`."""
     models: Mapping[str, str] = field(default_factory=lambda: LENS_MODELS)
     """Lens model, a key of `COEFFICIENTS`, keyed by a pattern that the words at `model` match, in small letters; an
-    empty value stands for an unknown model. The names of the quantities in the lists at `values` follow after a colon,
-    as `ours` or `ours=theirs`.
+    empty value stands for an unknown model. The names of the quantities in the lists whose paths are `values` follow
+    after a colon, as `ours` or `ours=theirs`.
     """
     origin: float = 0.0
     """Coordinate of the centre of the first pixel in the pixel coordinates of the file, such as 0 or 0.5."""
@@ -180,7 +181,7 @@ class _Camera:
         asked = self.asked.get("distortion_model")
         if asked is not None and model != INVERSE and lens_model(asked, LENS_MODELS) != found.model:
             raise InputError(
-                f"distortion_model must be {found.model}: it has this model, not {asked}.", "distortion_model"
+                f"distortion_model must be {found.model}: it has this lens model, not {asked}.", "distortion_model"
             )
         off = f"its lens model {model} is approximated by {found.model}, which is up to {found.worst:.2f} pixels off"
         pinhole = (found.focal_pixels, found.principal_point)
@@ -206,7 +207,7 @@ class _Camera:
 
     def _model(self) -> tuple[str, str, list[str]]:
         """Three results: the words by which the file names the lens model; the lens model; and the names of the
-        quantities in the lists at `values`.
+        quantities in those lists of the file whose paths are `values` of the format.
         """
         said = [self.value(path) for path in self.form.model]
         needed = [path for path, word in zip(self.form.model, said, strict=True) if word is MISSING and path[-1] != "?"]

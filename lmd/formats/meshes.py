@@ -70,7 +70,7 @@ def check_gltf(file: Path, content: bytes, most: int) -> None:
         raise ValueError("an accessor has an invalid count")
     numbers = sum(count * NUMBERS_OF_TYPE[part["type"]] for count, part in zip(counts, accessors, strict=True))
     if numbers > len(content):
-        raise InputError(f"{source}, of {len(content)} bytes, declares {numbers:.4g} numbers, too many to fit.", "path")
+        raise InputError(f"{source} declares {numbers:.4g} numbers, too many for its {len(content)} bytes.", "path")
     _check_tree([node.get("children", []) for node in nodes])
     read = [[i for part in mesh for i in (part["attributes"]["POSITION"], part.get("indices"))] for mesh in meshes]
     corners = [sum(counts[i] for i in mesh if i is not None) for mesh in read]

@@ -179,7 +179,7 @@ def _oriented(found: Named, place: FloatArray, frame: str) -> tuple[FloatArray, 
     if frame != "body" and ("roll" not in given or order.index("roll") > order.index("yaw")):
         raise InputError(
             f"frame must be body if {', '.join(given)} of {path} are ROS's (x ahead, y left, z up, yaw "
-            "counter-clockwise from x). If they are a camera's (yaw clockwise from y, pitch up), call them "
+            "counter-clockwise from x). If they are a camera's (yaw clockwise from y, pitch up), rename them to "
             f"{', '.join(OWN_ANGLES[: len(given)])}.",
             "frame",
         )

@@ -137,7 +137,7 @@ def _limits(data: Keys, along: FloatArray) -> FloatArray:
     whole = dict(zip(ZONE, (0.0, MOST, data.get("globalConstraints")), strict=True))
     for zone in (whole, *reversed(_all(data, "constraintZones.*"))):
         if find(zone, "constraints.unlimited") is True:
-            raise InputError("its limits are off (unlimited), so that it has no times: set them in PathPlanner.")
+            raise InputError("its limits are off (unlimited), so the path has no times: set limits in PathPlanner.")
         limits = [[real(name, number_at(zone, f"constraints.{name}"), above=0.0)] for name in LIMITS]
         found[:, _inside(zone, along)] = limits
     return found

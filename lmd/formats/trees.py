@@ -228,7 +228,7 @@ def arrays_of(path: Any, name: str, largest: float, most: float = LARGEST_ARRAY)
         raise InputError(f"{where} cannot be read as arrays ({reason}).", name) from None
     if not found:
         raise InputError(
-            f"{where} holds no small arrays: write it by numpy.savez('lens.npz', mtx=mtx, dist=dist).", name
+            f"{where} has no array of up to {most:g} numbers: use numpy.savez('lens.npz', mtx=mtx, dist=dist).", name
         )
     return found
 

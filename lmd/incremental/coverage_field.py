@@ -79,7 +79,7 @@ class OneCamera(NamedTuple):
         )
 
     def scratch(self, state: State) -> Scratch:
-        """Working memory for moves of a state."""
+        """Working memory for moves of the landmarks of `state`."""
         return scratch_of(state)
 
 
@@ -118,7 +118,7 @@ class RigCameras(NamedTuple):
         )
 
     def scratch(self, state: RigState) -> RigScratch:
-        """Working memory for moves of a state."""
+        """Working memory for moves of the landmarks of `state`."""
         return rig_scratch_of(state, tuple(len(group.centres) for group in self.groups))
 
 

@@ -215,7 +215,7 @@ def selectable(objective: Objective) -> Selectable:
     """
     if isinstance(objective, Selectable):
         return objective
-    raise InputError(f"{type(objective).__name__} has no selection, which a greedy choice needs.", "objective")
+    raise InputError(f"{type(objective).__name__} has no selection, the surrogate of a greedy choice.", "objective")
 
 
 @dataclass(frozen=True)

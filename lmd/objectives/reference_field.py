@@ -30,7 +30,9 @@ class ReferenceState(NamedTuple):
 
 
 class ReferenceScratch(NamedTuple):
-    """Working memory with the move tried last; after the move is carried out, with the old place and the old values."""
+    """Working memory. It has the move tried last; once this move is carried out, it has the old place and the old
+    values instead.
+    """
 
     pose: np.ndarray
     """`(6,)` position (metres) and unit normal of the place tried."""

@@ -67,7 +67,7 @@ def check_lattice(problem: Problem, poses: Deployment, spacing: float) -> None:
     if problem.scene.rig is not None:
         raise InputError("the integer program needs a single camera, not a rig.")
     if seeks_worst(problem.evaluator):
-        raise InputError("the integer program needs the mean over crowd states as fitness, not over the worst.")
+        raise InputError("the integer program needs crowd.fitness = mean, the mean over all crowd states.")
     views = _views(problem).size
     lattice = f"the lattice of the integer program has {len(poses)} poses, {spacing:g} m apart"
     if len(poses) * views > MOST_PAIRS:

@@ -107,8 +107,8 @@ class OrientationRecording:
         table = read_table(path, name="path")
         if "yaw" in table and "roll" in table:
             raise InputError(
-                f"{path} has roll, pitch and yaw, which may be a body's (ROS): call them {', '.join(OWN_ANGLES)} if "
-                "they are a camera's (yaw clockwise from y, pitch up); else give the camera's qw, qx, qy, qz."
+                f"{path} has roll, pitch and yaw, which may be a body's (ROS). If they are a camera's (yaw clockwise "
+                f"from y, pitch up), rename them to {', '.join(OWN_ANGLES)}; else give its quaternion, qw, qx, qy, qz."
             )
         if "yaw" in table or "qw" not in table:
             names = OWN_ANGLES[:2] if OWN_ANGLES[0] in table else ANGLES

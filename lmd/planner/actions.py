@@ -48,7 +48,7 @@ class ActionQueue:
     def put_answer(self, answer: Callable[..., None], *of_event: Any) -> None:
         """Append to the queue the function that answers an event from a browser.
 
-        Browsers may send invalid values. An answer that fails because of such values raises only `InputError`.
+        Browsers may send invalid values. If the function fails, its error is replaced by an `InputError`.
         """
         self.put(partial(_answer, answer, *of_event))
 

@@ -84,15 +84,15 @@ class Tag(Checked):
                 raise InputError(f"edges must be different, got {sizes}.", "edges")
             object.__setattr__(self, "edge", self.edge or max(sizes))
         if self.counts is not None and (len(self.counts) != len(sizes) or not any(self.counts)):
-            told = f"counts = {list(self.counts)} must have a number of tags for each of edges = {sizes}."
+            told = f"counts = {list(self.counts)} must have a number of tags for each length in edges = {sizes}."
             raise InputError(told, "counts")
         if self.paper is not None and not sizes:
             told = f"paper = {self.paper:g} square metres needs edges: the sizes that it may go into."
             raise InputError(told, "paper")
         if self.costs is not None and len(self.costs) != len(sizes):
-            raise InputError(f"costs = {list(self.costs)} must have one cost for each of edges = {sizes}.", "costs")
+            raise InputError(f"costs = {list(self.costs)} must have one cost per length in edges = {sizes}.", "costs")
         if self.budget is not None and self.costs is None:
-            raise InputError(f"budget = {self.budget:g} needs costs: the cost of a tag for each of edges.", "budget")
+            raise InputError(f"budget = {self.budget:g} needs costs: the cost of a tag for each edge length.", "budget")
         if self.budget is not None and self.paper is not None:
             raise InputError(
                 "budget and paper must not both be given: each of them limits the number of tags.", "budget"

@@ -21,8 +21,9 @@ from lmd.sight.mounts import camera_at
 def hidden_bits(
     group: Any, m: Integer, w: Integer, left: Any, i: Integer, k: Integer, body: Vector, one: Any, other: Any
 ) -> Any:
-    """Set of the orientations of the body, as bits of word w, with which landmark i hides landmark k from mount m
-    (`hides_from`). Only the orientations in the set `left`, which are still to be tested, are considered.
+    """Bit set, for the orientations of word w, of the body's orientations at which landmark i hides landmark k from the
+    camera of mount m (`hides_from`). Only the orientations in the set `left`, which are still to be tested, are
+    considered.
     """
     found = ZERO
     while left:

@@ -119,7 +119,7 @@ class FloorPlan(Checked):
 
     @cached_property
     def rim(self) -> tuple[FloatArray, FloatArray]:
-        """Lines through all sides of the convex hull of the walls, in the form of `hull`; the bodies that fill the
+        """Lines through all sides of the walls' convex hull, as arrays like those of `hull`. The bodies that fill the
         space outside the outline extend to these lines.
         """
         import shapely

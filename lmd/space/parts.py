@@ -162,7 +162,7 @@ def made(name: str, value: Any, kind: type[T]) -> T:
     try:
         return kind(**value)
     except TypeError:
-        raise InputError(f"{name} lacks a key: it has {', '.join(map(str, value)) or 'none'}.", name) from None
+        raise InputError(f"{name} lacks a required key of {', '.join(fields)}, got {value!r}.", name) from None
     except InputError as error:
         raise error.within(name) from None
 

@@ -179,7 +179,7 @@ class Scan(Checked):
                 why = "is seen from no position of the camera" if surface is None else "has no free place for tags"
                 raise InputError(f"surfaces: {name} {why}.", "surfaces")
         if not carriers:
-            raise InputError("surfaces: no patch is seen from a position of the camera.", "surfaces")
+            raise InputError("surfaces: no patch is in view of any camera position and free.", "surfaces")
         return tuple(carriers)
 
     def _facing(self, name: str, positions: FloatArray) -> Surface | None:
@@ -248,7 +248,7 @@ class Scan(Checked):
         return np.asarray(drawn[np.sort(np.argsort(-length, kind="stable")[:MOST_EDGES])])
 
     def fixtures(self, surfaces: Sequence[Surface]) -> list[Fixture]:
-        """Named objects of the file other than floor, ceiling and walls, and keep-outs on surfaces.
+        """Fixtures: the named objects of the file, except floor, ceiling and walls; and the keep-outs on `surfaces`.
 
         An object is a wall if its height is at least the fraction `WALL` of the room's height. An object is floor or
         ceiling if it covers at least the fraction `GROUND` of the room's bounding rectangle.

@@ -61,9 +61,10 @@ class ReadPlan(NamedTuple):
         Args:
             path: path of the file, for messages.
             polygon: outline and holes.
-            openings: function that returns start, end and name of the parts of an edge `(2, 2)` without landmarks.
+            openings: function that takes an edge `(2, 2)`, and returns start, end and name of each part of the edge
+                that may not carry landmarks.
             scale: see the class.
-            clauses: clauses of the note, which may be empty.
+            clauses: clauses of `note`; empty clauses are left out.
         """
         rings = [
             np.array(ring.coords[:-1]) for ring in (polygon.exterior, *(hole.reverse() for hole in polygon.interiors))

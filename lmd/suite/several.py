@@ -67,7 +67,7 @@ class TagChoice(BlackBox):
     def __init__(self, problem: Problem, name: str = "problem", encoding: str = "wall", by_paper: bool = False) -> None:
         super().__init__(problem, name, encoding)
         if problem.genome is not None or problem.fixed_count:
-            raise InputError(f"{name}: a choice of tags needs a problem that places all of its landmarks.", "problem")
+            raise InputError(f"{name}: tags are chosen only if the problem places them all, none fixed.", "problem")
         self._encoding = make_encoding(encoding, problem.scene.footprints.hanging, flush=True)
         self.by_paper = by_paper
         self.objectives = (*self.objectives, f"share of the {'paper' if by_paper else 'tags'} left over")

@@ -171,7 +171,7 @@ def _believed(detected: DetectedTags, tag: Tag, known: PriorKnowledge) -> IntArr
     often, counts = np.unique(detected.ids[detected.ids < tag.ids], return_counts=True)
     ids = np.union1d(known.ids, often[counts >= FEWEST_BELIEVED])
     if not np.isin(detected.ids, ids).any():
-        raise InputError("detections show no tag of the plan, and no other tag twice.", "detections")
+        raise InputError("detections must show a tag of the plan, or another tag at least twice.", "detections")
     if lacking := set(known.sizes) - {*detected.ids.tolist(), *known.ids.tolist()}:
         raise InputError(f"edges has tag {min(lacking)}, which is neither in detections nor in the plan.", "edges")
     return ids

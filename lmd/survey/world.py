@@ -31,8 +31,9 @@ def motion_to_prior(tags: FloatArray, prior: Prior) -> FloatArray | None:
     if the prior does not determine the motion.
 
     The fit uses centres and normals of the exactly known tags, or else of all tags with known orientation. If these
-    tags determine no rotation, each tag proposes the motion to its expected pose, and the motion with the least loss is
-    taken. Without known orientations, three or more centres determine the motion.
+    leave the rotation open, as with a single tag, one motion is tried for each tag: the motion that takes this tag to
+    its expected pose. The motion with the least loss over all these tags is returned. Without known orientations, three
+    or more centres determine the motion.
     """
     there = np.isfinite(tags[:, 0, 0])
     posed = prior.is_posed & there

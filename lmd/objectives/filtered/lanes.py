@@ -81,7 +81,9 @@ def _inverse(matrix: Any) -> tuple[Number, Number, Number, Number, Number, Numbe
 
 @inlined
 def inverted(p: Any) -> tuple[Number, ...]:
-    """Inverse of a positive definite 6 x 6 matrix of 21 numbers, computed from its blocks."""
+    """Inverse of a symmetric positive definite 6 x 6 matrix, computed from blocks of 3 x 3. Matrix and inverse are 21
+    numbers each, in the order that the module's docstring states.
+    """
     vxx, vxy, vxz, vyy, vyz, vzz, xxx, xxy, xxz, xyx, xyy, xyz, xzx, xzy, xzz, wxx, wxy, wxz, wyy, wyz, wzz = p
     a = _inverse((vxx, vxy, vxz, vyy, vyz, vzz))
     # G = V^-1 X by columns, and the Schur complement W - X^T G.

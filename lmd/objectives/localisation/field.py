@@ -34,7 +34,8 @@ class LocalisationState(NamedTuple):
     sums: np.ndarray
     """`(64 Q W, width)` sums of the information of the landmarks in each view, by position, then orientation.
 
-    The shape is `(1, width)`, and the array is unused, if a view only needs n landmarks.
+    If n covered landmarks suffice to localise a view, no information is needed: the array is unused, and its shape is
+    `(1, width)`.
     """
     coverage: State | RigState
     """State of the field of coverage."""

@@ -64,12 +64,12 @@ class CameraViews(NamedTuple):
     """Views of a single camera."""
 
     lists: WordArray
-    """`(4, BITS)` lists of indices: orientation of each view (row `ORIENTATION`), view of each orientation (`NUMBER`),
-    view of each listed pair (`WHOSE`); row `TAKEN` has the set of the orientations that have a view, and the number of
-    listed pairs.
+    """`(4, BITS)` indices. Row `ORIENTATION` has the orientation of each view, row `NUMBER` the view of each
+    orientation, row `WHOSE` the view of each listed pair of a landmark and a view. Row `TAKEN` has two entries: the bit
+    set of the orientations that have a view, and the number of listed pairs.
     """
     rows: FloatArray
-    """`(WIDTH BITS,)` sums of the landmarks' information in each view: number j of view v is entry `j * BITS + v`."""
+    """`(WIDTH BITS,)` sums of the landmarks' information in each view: sum j of view v is entry `j * BITS + v`."""
     met: np.ndarray
     """`(BITS,)` uint8, 1 for a view within the limits of `Precision`."""
     weights: FloatArray
@@ -92,8 +92,8 @@ class BodyViews(NamedTuple):
     lists: WordArray
     """See `CameraViews`."""
     rows: FloatArray
-    """`(MIRRORED_WIDTH BITS,)` sums of the landmarks' information in each view: number j of view v is entry `j * BITS +
-    v`.
+    """`(MIRRORED_WIDTH BITS,)` sums of the landmarks' information in each view: sum j of view v is entry
+    `j * BITS + v`.
     """
     met: np.ndarray
     """See `CameraViews`."""

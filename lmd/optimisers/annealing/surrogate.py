@@ -126,11 +126,12 @@ class Surrogate:
         return self._together(), first.places.deployment() if found else None
 
     def _prepare(self, here: Deployment, best: Deployment, conditions: Conditions, rng: np.random.Generator) -> Places:
-        """Prepare the walks, and return the places of the landmarks at the beginning; `NOWHERE` if the walks are
+        """Prepare the walks. Return the places of the landmarks from which the walks begin; `NOWHERE` if the walks are
         already at these places.
 
-        The size of samples grows with the square of the completed fraction of the stage: for early moves a rough
-        estimate of the fitness suffices, but the gains of late moves are smaller than the error of a small sample.
+        If the objective has a random sample of positions, the sample is redrawn. Its size grows with the
+        square of the completed fraction of the stage: for early moves a rough estimate of the fitness suffices, but the
+        gains of late moves are smaller than the error of a small sample.
         """
         in_stacks, size = conditions.in_stacks, conditions.size
         redrawn = self._problem.resampled(LARGEST * conditions.done**2, rng)

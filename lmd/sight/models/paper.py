@@ -71,8 +71,8 @@ class PaperSight(NamedTuple):
         return self._replace(reach=-1.0)
 
     def among(self, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray) -> "PaperSight":
-        """See `SightModel.among`. The result is always the model itself, as the paper's model has no test that excludes
-        occlusion.
+        """See `SightModel.among`. The result is the model itself: the paper's model has no test that finds that no
+        landmark can hide another.
         """
         return self
 

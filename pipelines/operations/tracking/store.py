@@ -269,7 +269,7 @@ class MlflowReader(Store):
         """Local copy of a file of a run.
 
         Raises:
-            InputError: the run has no such file, or a store in a file refers to a file on a server.
+            InputError: the run has no such file, or the store is a local database and the run has files on a server.
         """
         from mlflow.exceptions import MlflowException
 

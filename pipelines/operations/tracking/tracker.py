@@ -56,10 +56,11 @@ class NoTracker:
         """Delete the record of the run that was started."""
 
     def settle(self, run: RunStart, status: str, reason: str = "", files: Sequence[Path] = ()) -> None:
-        """Settle the records of runs that have the `tags` of `run` and whose processes have ended. Records whose status
-        is RUNNING, or that were marked as failed because their process was gone, get the `status` and the `reason`.
-        Only the record of the newest such run is kept, and gets the `files`. If no run has these tags, `run` itself is
-        recorded unless the status is FINISHED.
+        """Correct the records of all runs that have the `tags` of `run`; their processes have ended.
+
+        A record gets the `status` and the `reason` if its status is RUNNING, or if it was marked as failed because its
+        process was gone. Then all these records except the newest are deleted, and the newest gets the `files`. If no
+        run has these tags, `run` itself is recorded unless the status is FINISHED.
 
         Raises:
             InputError: the store cannot be used.
