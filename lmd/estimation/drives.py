@@ -116,8 +116,7 @@ def _divided(parts: Sequence[Trajectory], every: int) -> tuple[list[Trajectory],
     kept = [part for i, part in enumerate(parts) if i % every == every - 1]
     if not kept:
         raise InputError(
-            f"block: the recording gives {len(parts)} drives, but at least {every} are needed, as every {every}th is "
-            "held out for the validation: shorten the blocks.",
+            f"block: held_out = {every} needs at least {every} drives, the recording gives {len(parts)}: shorten the blocks.",
             "block",
         )
     return [part for i, part in enumerate(parts) if i % every != every - 1], kept
