@@ -116,7 +116,7 @@ def _divided(parts: Sequence[Trajectory], every: int) -> tuple[list[Trajectory],
     kept = [part for i, part in enumerate(parts) if i % every == every - 1]
     if not kept:
         raise InputError(
-            f"block: held_out = {every} needs at least {every} drives, the recording gives {len(parts)}: shorten the blocks.",
+            f"block: held_out = {every} needs {every} drives, the recording gives {len(parts)}: shorten the blocks.",
             "block",
         )
     return [part for i, part in enumerate(parts) if i % every != every - 1], kept
