@@ -15,17 +15,17 @@ BUDGET = {
     "code lines of lmd": 28598,
     "files of pipelines": 48,
     "code lines of pipelines": 3400,
-    "code lines of tests": 20441,
+    "code lines of tests": 20443,
     "files of conf": 100,
     "keys of conf": 376,
-    "words of docs": 40741,
+    "words of docs": 40822,
     "commands": 12,
 }
 # Docstrings and comments with each phrase, at most. Lower a number when you have lowered the count.
 CEILINGS = {
     "docstring begins with What, How, Whether, Where, Who or Which": 0,
-    "so many, so far, so much": 2,
-    "the same, without a noun": 4,
+    "so many, so far, so much": 0,
+    "the same, without a noun": 3,
     "nobody, whoever, whatever": 0,
     "what it is of": 0,
 }
