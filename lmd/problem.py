@@ -98,8 +98,9 @@ class Problem:
             move, only the other landmarks. None if no landmark is fixed.
 
     Raises:
-        InputError: K landmarks cannot serve the objective, the start cannot be drawn, `Footprints.checked_fixed`
-            refuses the fixed landmarks, an id occurs twice, or a camera of a rig would be outside the room.
+        InputError: K landmarks cannot serve the objective, or the start cannot be drawn. Also if
+            `Footprints.checked_fixed` refuses the fixed landmarks, an id occurs twice, or a camera of a rig would be
+            outside the room.
     """
 
     def __init__(
@@ -141,7 +142,7 @@ class Problem:
 
     @property
     def genome(self) -> Genome | None:
-        """Genome of a problem that varies something other than landmarks. It is None if landmarks vary, because each
+        """Genome of a problem that varies something other than landmarks; None if landmarks vary, because each
         optimiser has its own encoding of landmarks.
         """
         return None

@@ -173,8 +173,8 @@ def changes_results(key: str) -> bool:
 
 
 def search_path() -> list[str]:
-    """Overrides of this process that add folders to Hydra's search path. They must be passed on first, because the
-    other overrides may choose options in these folders.
+    """Overrides of this process that add folders to Hydra's search path. Pass these overrides on first, because
+    the other overrides may choose options in these folders.
     """
     own = HydraConfig.get().overrides.hydra if HydraConfig.initialized() else []
     return [override for override in own if override.startswith("hydra.searchpath=")]

@@ -34,7 +34,7 @@ SAME_EDGE = 1e-6  # maximum difference between edges that count as equal, metres
 
 
 class Parts(NamedTuple):
-    """Arguments of `lmd.problem.Problem`. They are not checked against each other; for example, the objective may not
+    """Arguments of `lmd.problem.Problem`. No argument is checked against another; for example, the objective may not
     support the landmarks.
     """
 

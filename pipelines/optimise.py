@@ -78,7 +78,7 @@ def optimise(cfg: DictConfig) -> Study:
 
 
 def _accuracy(cfg: DictConfig, problem: "Problem", found: "Result") -> Mapping[str, float]:
-    """Metrics that say how accurately single images localise the camera; empty unless the objective is `Localisation`
+    """Accuracy with which single images localise the camera, as metrics; empty unless the objective is `Localisation`
     and validation is switched on.
     """
     from lmd.evaluation.accuracy import accuracy_metrics

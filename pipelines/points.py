@@ -1,7 +1,7 @@
 """Points of a trade-off between the number and the size of landmarks. A point is a number of landmarks, an edge length
 and a seed; the searches at the points run in parallel, and their results are stored on disk.
 
-A *ladder* is the series of points with one edge length and one seed, in which only the number of landmarks varies.
+A `Ladder` is the series of points with one edge length and one seed, in which only the number of landmarks varies.
 """
 
 import re
@@ -100,8 +100,8 @@ class Ladder:
     def _kept(
         self, count: int, what: str, given: "Deployment | None", compute: Computed, read: Callable[[Any], Any] = dict
     ) -> Any:
-        """Result of the kind `what` for the point with `count` landmarks. It is read from disk or, if it is not stored
-        yet, computed and stored; see `kept`.
+        """Result of the kind `what` for the point with `count` landmarks. The result is read from disk or, if not yet
+        stored, computed and stored; see `kept`.
         """
         settings = flat_settings(self.point(count), *SAME_WHEN_RESUMED, "budget")
         arrays = None if given is None else [getattr(given, name).tolist() for name in ARRAYS]
@@ -124,11 +124,11 @@ def shares_among(figures: Iterable[str]) -> list[str]:
 
 
 class Points:
-    """Results at all points of a trade-off. A point is given by the index of its ladder (see this module) and its
-    number of landmarks.
+    """Results at all points of a trade-off. A point is given by the index of its `Ladder` and its number of
+    landmarks.
 
     Args:
-        ladders: ladders, one for each pair of an edge length and a seed.
+        ladders: one `Ladder` for each pair of an edge length and a seed.
         workers: number of processes; None for every processor.
     """
 
@@ -153,7 +153,7 @@ class Points:
 
     def _done(self, what: str, jobs: Mapping[Any, Callable[[], Any]]) -> Iterator[tuple[Any, Any]]:
         """Do jobs in several processes; yield the key and the result of each job, in the order of completion. The key
-        of a job is the index of a ladder followed by one or more numbers of landmarks.
+        of a job is the index of a `Ladder` followed by one or more numbers of landmarks.
         """
         results = in_processes(_do, list(jobs.items()), self._workers, lambda job: self.name(*job[0]))
         for i, (key, result) in enumerate(results, 1):
@@ -161,13 +161,13 @@ class Points:
             yield key, result
 
     def name(self, number: int, *counts: int) -> str:
-        """Name, used in messages, of one point or of several points that belong to one ladder."""
+        """Name, used in messages, of one point or of several points that belong to one `Ladder`."""
         ladder, size = self.ladders[number], f" edge={self.ladders[number].edge}" if self.ladders[number].edge else ""
         return f"K={','.join(map(str, counts))}{size} seed={ladder.seed}"
 
     def __iter__(self) -> "Iterator[tuple[Ladder, int, str, Found, dict[str, float]]]":
-        """Iterate over the points. Each item has the ladder, the number of landmarks, the name of the point, the result
-        of the search, and its metrics.
+        """Iterate over the points. Each item has the `Ladder`, the number of landmarks, the name of the point, the
+        result of the search, and its metrics.
         """
         for n, count in sorted(self._figures):
             yield self.ladders[n], count, self.name(n, count), self._found[n][count], self._figures[n, count]

@@ -39,7 +39,7 @@ def command_line(pipeline: str, overrides: Sequence[str]) -> str:
 
 
 def source_tags(pipeline: str) -> dict[str, str]:
-    """Labels (tags of mlflow) that say how a run was made: user, command, version and commit, mostly under names that
+    """Labels (tags of mlflow) for the origin of a run: user, command, version and commit, mostly under names that
     mlflow defines.
     """
     tags = {"mlflow.source.name": command_of(pipeline), "mlflow.source.type": "LOCAL", "mlflow.user": _user()}
@@ -157,8 +157,8 @@ def _digest_of(file: Path) -> str:
 
 
 def kept(folder: str, parts: tuple[Any, ...], compute: Computed, content_of: Callable[[Any], Content]) -> Content:
-    """Read a result from the disk; if it is not stored yet, compute and store it. Its name on the disk is a digest of
-    everything that determines it.
+    """Read a result from the disk; if it is not stored yet, compute and store it. The name on the disk is a digest of
+    everything that determines the result.
 
     Args:
         folder: folder that holds the stored results.

@@ -126,7 +126,7 @@ def _of_row(jobs: pd.DataFrame, name: str) -> pd.DataFrame:
 
 
 def _of_pair(jobs: pd.DataFrame, n: int, thold_p: float) -> pd.DataFrame:
-    """Those runs in `jobs` that have the given values of n and thold_p."""
+    """Runs in `jobs` that have the given values of n and thold_p."""
     return jobs[(jobs[PAIR].astype(float) == [n, thold_p]).all(axis=1)]
 
 

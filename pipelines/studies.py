@@ -1,6 +1,6 @@
 """Studies of one or several deployments that the command `evaluate` conducts in addition to the score.
 
-For each study there is a function that checks the settings and returns the study. Its arguments are the configuration
+For each study there is a function that checks the settings and returns the study. The arguments are the configuration
 of the command, and the configurations of the deployments, keyed by name.
 """
 
@@ -186,7 +186,7 @@ def acceptance(cfg: DictConfig, own: Own) -> Study:
 
 def _hung(cfg: DictConfig, own: Own, study: str) -> "tuple[Problem, Deployment, FloatArray, FloatArray | None]":
     """For a study of a single deployment: its problem; the deployment; the covariance of the mounting error of each
-    tag; and, if the deployment is a surveyed map, the covariance of all tags together, else None.
+    tag. The last item is the covariance of all tags together if the deployment is a surveyed map, else None.
     """
     import numpy as np
 

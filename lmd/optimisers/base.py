@@ -106,10 +106,10 @@ class Optimiser(ABC):
 
     @abstractmethod
     def found(self, problem: Problem) -> Deployment | None:
-        """Best deployment found until now; None if there is none."""
+        """Best deployment found until now; None if no deployment is found."""
 
     def found_rig(self, problem: Problem) -> Rig | None:
-        """Best cameras found until now; None if there are none, or if no cameras are placed."""
+        """Best cameras found until now; None if no cameras are found or placed."""
         return None
 
     def _spend(
@@ -146,10 +146,10 @@ class AskTell(Optimiser):
     Overlapping footprints are pushed apart before an evaluation (`lmd.scene.footprints`); the genes do not change. A
     deployment whose footprints find no room counts as a failed evaluation.
 
-    Subclasses write `_ask` and `_tell` only. Before the first `_ask`, `run` sets
+    Subclasses write `_ask` and `_tell` only. `run` sets three attributes before the first `_ask`:
 
-    - `self.dim`: number of genes,
-    - `self.rng`: a `numpy.random.Generator`, the only source of randomness to use,
+    - `self.dim`: number of genes.
+    - `self.rng`: a `numpy.random.Generator`, the only source of randomness to use.
     - `self.start`: `(S, dim)` genes to start from, 1 <= S <= `self.start_size`, no more than the budget can evaluate.
 
     Args:
@@ -249,8 +249,8 @@ class AskTell(Optimiser):
             asked, genes = len(genes), genes[: len(known)]
             if len(genes) < len(known) or _checksum(genes) != checksum:
                 raise InputError(
-                    f"{type(self).__name__} cannot be resumed: it proposes other genes than the checkpoint has. Its "
-                    "library may have changed, or its random numbers may not come from self.rng."
+                    f"{type(self).__name__} cannot be resumed: it proposes other genes than the checkpoint has, as may "
+                    "happen after a change of its library, or with random numbers from elsewhere than self.rng."
                 )
             self.ledger.seconds = by_then
             self._note_or_tell(genes, known, asked)

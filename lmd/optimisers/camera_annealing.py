@@ -1,8 +1,8 @@
 """Simulated annealing of the cameras of a rig, one camera after the other.
 
 After a move only the moved camera is evaluated (`lmd.cameras.problem`), so moving each camera once (a sweep) costs one
-evaluation. A move changes some genes of a camera by random steps, whose size shrinks during the run, or draws all genes
-of the camera anew.
+evaluation. A move changes some genes of a camera by random steps, whose size shrinks during the run, or draws new
+values for all genes of the camera.
 """
 
 import math
@@ -35,7 +35,7 @@ class CameraAnnealing(Optimiser):
         temperature: first and last temperature, in units of the energy. The energy, which is maximised, is the fitness
             plus `mean_share` times the mean of the objective's value over positions.
         step: first and last standard deviation of the random step of a gene.
-        jump: first and last fraction of moves that draw all genes of a camera anew.
+        jump: first and last fraction of moves that draw new values for all genes of a camera.
         mean_share: small weight of the mean value in the energy. The mean value changes even where the fitness is
             constant, and so guides the search.
         seed: see `Optimiser`.

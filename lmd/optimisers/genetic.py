@@ -62,7 +62,8 @@ class EGA(AskTell):
     are replaced by random chromosomes. The others form the recombinant pool, exchange a run of genes and mutate. Fit is
     the problem's fitness, pop_0 the problem's start (filled up with random chromosomes), and T the budget.
 
-    Some parameters fix choices that the paper leaves open. Their defaults follow the text of the paper literally.
+    Some parameters fix choices that the paper leaves open. The defaults of these parameters follow the text of the
+    paper literally.
 
     Args:
         population: number M of chromosomes.

@@ -82,7 +82,7 @@ class Ledger:
     def note_batch(self, fitness: FloatArray) -> int | None:
         """Record a batch of evaluations with `fitness` `(B,)` as if they were made one after the other.
 
-        The history gets a record at each improvement and one at the end of the batch, so that the number of evaluations
+        The history gets a record at each improvement and one at the end of the batch. So the number of evaluations
         needed to reach a fitness does not depend on the size of batches.
 
         Returns:

@@ -1,8 +1,9 @@
 """Best choice of landmark poses from a lattice, with a proof of optimality. A mixed-integer linear program is solved by
 the solver HiGHS.
 
-Let `x_j` be the number of landmarks at pose j of the lattice, `A_jpa` = 1 if a landmark at pose j covers axis a from
-position p without occlusion, else 0, `w_a` the probability of an axis and `r_p` the relevance of a position. Then
+Let `x_j` be the number of landmarks at pose j of the lattice. Let `A_jpa` = 1 if a landmark at pose j covers axis a
+from position p without occlusion, else 0. Let `w_a` be the probability of an axis and `r_p` the relevance of a
+position. The program is the following.
 
     maximise   sum_p r_p z_p                                        z_p: position p is qualified
     such that  n y_pa <= sum_j A_jpa x_j   for all p, a             y_pa: at least n landmarks are covered

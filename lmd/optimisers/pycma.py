@@ -16,8 +16,9 @@ class PyCma(Wrapped):
     at the best genes.
 
     Args:
-        variant: form of the covariance matrix that is learnt: `full`, the whole matrix, which takes about 100
-            evaluations per gene; `separable`, one variance per gene; `vkd`, one variance per gene and a few directions.
+        variant: form of the covariance matrix that is learnt. `full` is the whole matrix, which takes about 100
+            evaluations per gene. `separable` is one variance per gene, `vkd` one variance per gene and a few
+            directions.
         step: initial standard deviation sigma_0 (genes span 1).
         encoding: see `AskTell`.
         seed: see `Optimiser`.

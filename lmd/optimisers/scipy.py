@@ -27,8 +27,8 @@ MOST_GENES = 400  # genes beyond which a float cannot hold the number of pairs
 class Scipy(Wrapped):
     """Optimisation on the unit box by a function such as `scipy.optimize.dual_annealing`.
 
-    The function gets the start if it has an argument `x0`. It is called again whenever it ends by its own criterion
-    before the budget is used up.
+    The function gets the start if it has an argument `x0`. Whenever the function ends by its own criterion before
+    the budget is used up, the function is called again.
 
     Args:
         minimise: function that is called with the objective and `bounds`; in YAML a node with `_target_` (the

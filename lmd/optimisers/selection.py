@@ -37,7 +37,7 @@ ROUNDING = 1e-9  # relative tolerance of a limit
 
 @dataclass(frozen=True)
 class Tags:
-    """Supply of landmarks for a selection of a given number of landmarks of each size."""
+    """Supply of landmarks for a selection, with a given number for each size."""
 
     sizes: FloatArray
     """Edge length of each of the K landmarks, `(K,)`, metres; zeros for points."""
@@ -138,7 +138,7 @@ def select(
 
 
 def add_each(selection: Selection, fixed: Deployment | None) -> None:
-    """Add the `fixed` landmarks to a selection; nothing is done if there are none."""
+    """Add the `fixed` landmarks to a selection; None adds no landmark."""
     if fixed is not None:
         for k in range(len(fixed)):
             selection.add(fixed[k : k + 1])

@@ -54,7 +54,7 @@ class Wrapped(AskTell):
 
     @abstractmethod
     def _open(self, start: FloatArray, rng: np.random.Generator) -> LibraryOptimiser:
-        """Make an optimiser of the library. It draws from `rng`, and begins with `start` `(S, dim)` if the library
+        """Make an optimiser of the library that draws from `rng`, and begins with `start` `(S, dim)` if the library
         supports this.
         """
 

@@ -56,8 +56,8 @@ class Worker(Generic[Question]):
                 self._changed.notify()
 
     def close(self) -> None:
-        """Ask the thread to end. It ends when it next checks that the answer is still wanted; during a compilation it
-        cannot check this.
+        """Ask the thread to end. The thread ends at its next check that the answer is still wanted; a compilation has
+        no such check.
         """
         with self._changed:
             self._question, self._closing = None, True
@@ -114,8 +114,9 @@ def off_grid(problem: Problem, deployment: Deployment, seed: int, wanted: Wanted
 
 
 class Background:
-    """Background work for the present plan. It computes and shows first an estimate of the metrics off the grid, then
-    the gain by one more tag at each candidate place, then the metrics off the grid from the full sample.
+    """Background work for the present plan. The first result is an estimate of the metrics off the grid, the second
+    the gain by one more tag at each candidate place. The metrics off the grid from the full sample follow. Each result
+    is shown when it is computed.
 
     Args:
         session: session with the plan.

@@ -122,7 +122,7 @@ def additions(
 ) -> FloatArray | None:
     """Gain by one more tag at each of N poses, in the objective's mean value over positions weighted by relevance.
 
-    Unlike the fitness, the mean value also tells apart places where a new tag lifts no position over the threshold.
+    Unlike the fitness, the mean value also distinguishes places where a new tag lifts no position over the threshold.
 
     A landmark is added at a place where it is not visible, and moves from there to each of the N places in turn are
     tried (`lmd.incremental.field`). Occlusion by the moved landmark is taken into account (the move is settled), but no

@@ -43,8 +43,8 @@ MOST_CAPTIONS = 120  # maximum number of ids shown at the start; more ids would 
 class RoomPicture:
     """Drawing of a room, of the camera positions and of the tags.
 
-    `tags` and `cells` are viser's handles of batched meshes, to which callbacks are attached: instance i of `tags` is
-    tag i of the plan, and instance i of `cells` is the i-th place for one more tag (`candidates`).
+    `tags` and `cells` are viser's handles of batched meshes, to which callbacks are attached. Instance i of `tags` is
+    tag i of the plan. Instance i of `cells` is the i-th place for one more tag (`candidates`).
 
     Args:
         server: server of viser.

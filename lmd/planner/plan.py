@@ -30,7 +30,7 @@ class Plan:
 
     @classmethod
     def of(cls, deployment: Deployment, hung: Deployment | None = None) -> "Plan":
-        """Make the plan of a deployment; those tags of the deployment that are also in `hung` (tags that hang already)
+        """Make the plan of a deployment; those tags of the deployment that are also in `hung` (tags already in place)
         are pinned.
         """
         labels = deployment.labels or Labels(deployment.ids)

@@ -28,7 +28,7 @@ LEGEND = (
 
 def save_calibration_figure(path: str | Path, figures: pd.DataFrame, pitches: pd.DataFrame, title: str) -> None:
     """Write a PNG with two panels for each deployment. The upper panel shows the share of frames with at least n tags,
-    P(>= n), predicted and detected; the lower panel shows, by pitch, the shares of tags that are predicted and
+    P(>= n), predicted and detected. The lower panel shows, by pitch, the shares of tags that are predicted and
     detected.
 
     Args:
@@ -69,7 +69,7 @@ def save_calibration_figure(path: str | Path, figures: pd.DataFrame, pitches: pd
 
 def save_limits_figure(path: str | Path, calibrations: Mapping[str, DetectorCalibration], title: str) -> None:
     """Write a PNG with two panels for each detector. The left panel shows which views of tags were detected, against
-    pitch and blur; the right panel shows the share of views in which the tag was detected, against the ratio of the
+    pitch and blur. The right panel shows the share of views in which the tag was detected, against the ratio of the
     tag's size to the detector's limit.
 
     Args:

@@ -111,7 +111,7 @@ def save_uncertainty_figure(
 ) -> None:
     """Write a PNG of three panels about the uncertainty of the pose from single images.
 
-    The first panel shows the room from above: for each cell of the floor, the share of views with an unambiguous pose,
+    The first panel shows the room from above. Each cell of the floor has the share of views with an unambiguous pose,
     and the heading of the camera for which this share is least. The second panel shows, also from above, the standard
     deviation of the position per axis: its median over the views with an unambiguous pose. The third panel plots this
     deviation against the mean distance of the tags, with the fitted law.

@@ -61,8 +61,8 @@ class Face(NamedTuple):
     """Mask of the pixels of the camera's image that show the face, `(h, w)`."""
 
     def scale(self, camera: Camera, point: FloatArray) -> float:
-        """Scale of the camera's image relative to the face: the number of pixels of the camera's image per pixel of the
-        face, near the image of a point `(3,)` in the camera's frame.
+        """Scale of the camera's image relative to the face, near the image of a point `(3,)` in the camera's frame. The
+        scale is the number of pixels of the camera's image per pixel of the face.
         """
         if camera.lens is None:
             return 1.0
@@ -164,8 +164,8 @@ class Renderer:
         return canvas.light
 
     def _sigma(self, square: FloatArray, face: Face) -> float:
-        """Standard deviation of a tag's blur in a face, pixels of the face: the blur at the depth of the tag's centre,
-        divided by the scale of the camera's image relative to the face.
+        """Standard deviation of a tag's blur in a face, pixels of the face. This is the blur at the depth of the tag's
+        centre, divided by the scale of the camera's image relative to the face.
         """
         centre, sigma, camera = face.turn.T @ square.mean(axis=0), self.imaging.psf_sigma, self.camera
         if self.imaging.defocus:
@@ -241,7 +241,7 @@ def faces_of(camera: Camera) -> tuple[Face, ...]:
 
 def _face(turn: FloatArray, focal: FloatArray, rays: FloatArray, taken: BoolArray) -> Face:
     """Smallest face (pinhole image) with the rotation `turn` and the focal lengths `focal` that contains the rays of
-    the pixels in the mask `taken` `(h, w)`; `rays` are those of all pixels, camera's frame, `(h, w, 3)`.
+    the pixels in the mask `taken` `(h, w)`. `rays` `(h, w, 3)` has the rays of all pixels, in the camera's frame.
     """
     x, y, z = np.moveaxis(rays @ turn.T, -1, 0)
     with np.errstate(all="ignore"):

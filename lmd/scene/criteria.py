@@ -17,8 +17,8 @@ A visibility model has two parts:
 
 Both parts must give equal results, bit for bit. A `Covering` has the NumPy reference only, without a model of sight.
 
-Pruning uses conservative bounds. (An axis is an orientation of the camera, given by the optical axis and the image's
-right.) Bands of axes use a cone (`low`) that contains every axis from which the landmark is covered; tables of
+Pruning uses conservative bounds. An axis is an orientation of the camera, given by the optical axis and the image's
+right. Bands of axes use a cone (`low`) that contains every axis from which the landmark is covered. Tables of
 directions use only the field of view (`in_view`).
 """
 
@@ -299,7 +299,7 @@ def covering(
     of word w.
 
     Arguments as in `covers_one`, except that `well` is a bit set. If any bit of `left` is set in a half of the word,
-    all axes of this half are tested: for a cheap test this is faster than iterating over the set bits.
+    all axes of this half are tested. For a cheap test this is faster than iterating over the set bits.
     """
     visible = ZERO
     for first in range(np.uint64(0), np.uint64(BITS), np.uint64(LANES)):

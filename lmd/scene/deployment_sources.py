@@ -72,7 +72,7 @@ class UniformDeployment(Checked):
     Args:
         count: number of landmarks K.
         layout: `per_wall` for equal numbers on all walls, and the remainder on the largest walls, as in the paper (15
-            on each wall); `by_area` for numbers in proportion to the areas of walls.
+            on each wall). `by_area` for numbers in proportion to the areas of walls.
     """
 
     count: LandmarkCount

@@ -3,8 +3,8 @@
 The edge length of a tag is the distance between adjacent corners that detectors find. In most families these corners
 are the corners of the outer black square. In AprilTag's newer families (41h12, 52h13, circle21h7), which also have data
 around the black ring, the detected corners are the corners of the white square within the ring. The top of a tag is the
-top of its published picture: the picture of `cv2.aruco.generateImageMarker` for ArUco families, and AprilTag's own
-picture, which OpenCV shows rotated by 180 degrees, for AprilTag families.
+top of its published picture. For ArUco families this is the picture of `cv2.aruco.generateImageMarker`. For AprilTag
+families this is AprilTag's own picture, which OpenCV shows rotated by 180 degrees.
 """
 
 import re

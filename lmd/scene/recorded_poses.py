@@ -209,7 +209,7 @@ class RecordedPoses(Checked):
 
     @cached_property
     def records(self) -> Records:
-        """All records of the trajectory. Its last pose is not a record: it only marks the end of the last record."""
+        """All records of the trajectory. The last pose is not a record, but the end of the last record."""
         time = self.trajectory.time
         block = np.floor((time[:-1] - time[0]) / self.block).astype(np.int64)
         return Records(self.trajectory.poses[:-1], np.diff(time), block)

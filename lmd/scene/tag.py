@@ -57,15 +57,15 @@ class Tag(Checked):
             these lengths cyclically unless `counts` is given.
         counts: number of placed landmarks for each edge length in `edges`, which are assigned in the order of the
             landmarks; None for the cyclic assignment.
-        paper: limit on the total area of paper of the placed landmarks, square metres, within which the number of tags
-            of each size is optimised; None if the number of landmarks is given.
+        paper: limit on the total area of paper of the placed landmarks, square metres. The number of tags of each size
+            is optimised within this limit. None if the number of landmarks is given.
         costs: cost of a tag for each edge length in `edges`, in any unit.
         budget: limit on the total cost of the placed landmarks, in the unit of `costs`, instead of `paper`.
 
     Raises:
-        InputError: the edge length or the quiet zone is negative, or the family is unknown; a value of `edges` is not
-            positive or is repeated; `counts` or `costs` do not have one value for each of `edges`; `paper` is given
-            without `edges`; or `budget` is given without `costs` or with `paper`.
+        InputError: the edge length or the quiet zone is negative, or the family is unknown. Also if a value of `edges`
+            is not positive or is repeated, or `counts` or `costs` do not have one value for each of `edges`. Also if
+            `paper` is given without `edges`, or `budget` is given without `costs` or with `paper`.
     """
 
     edge: Annotated[float | None, edge_or_point] = None
@@ -187,8 +187,8 @@ class Tag(Checked):
 
     @property
     def picture_share(self) -> float:
-        """Ratio M / N of the edge length of the whole picture, M modules, to the edge length of the tag, N modules; 1
-        if there is no data around the detected square.
+        """Ratio M / N of the edge length of the whole picture, M modules, to the edge length of the tag, N modules. The
+        ratio is 1 if there is no data around the detected square.
         """
         return self.in_family.picture_modules / self.modules
 

@@ -2,7 +2,7 @@
 
 An *axis* is one orientation of the camera, given by the unit vectors of the optical axis and of the image's right. A
 set of axes is a bit set; 64 axes share a *word*, a 64-bit integer. A *model of sight* has the visibility criteria
-compiled for one camera (`lmd.scene.criteria.SightModel`). Its *horizon* is the distance beyond which a landmark is
-neither seen nor hides another landmark. *Quantised* probabilities are integers, in units of 1 /
+compiled for one camera (`lmd.scene.criteria.SightModel`). The *horizon* of a model is the distance beyond which a
+landmark is neither seen nor hides another landmark. *Quantised* probabilities are integers, in units of 1 /
 `lmd.sight.kernels.PROBABILITY_ONE`, whose sums are exact.
 """

@@ -125,7 +125,7 @@ def fill_tables(
 
     Let u be the unit direction of a landmark from the point, and s the displacement of the camera divided by the
     distance of the landmark. The camera sees the landmark in the direction of u - s. If u lies in a cell, and `shifts`
-    approximates s, then u - s differs from the tabulated vector by at most 2 sin(rho / 2) + `error`; both vectors have
+    approximates s, then u - s differs from the tabulated vector by at most 2 sin(rho / 2) + `error`. Both vectors have
     at least the length 1 - `longest`.
 
     Args:
@@ -146,7 +146,7 @@ def fill_tables(
 
 def height_index(heights: FloatArray) -> np.ndarray:
     """Index of the first axis of each bin of height, `(HEIGHT_BINS + 2,)`. The bins divide the heights (z coordinates)
-    from -1 to 1 equally; the first axis of a bin is the lowest axis whose height is at least the bin's lower limit,
+    from -1 to 1 equally. The first axis of a bin is the lowest axis whose height is at least the bin's lower limit,
     less a margin.
 
     Args:

@@ -50,9 +50,9 @@ def hides_from(group: Any, m: Integer, a: Integer, i: Integer, k: Integer, body:
 def may_hide_around(a: Vector, b: Vector, radius: float, width: float) -> Any:
     """False only if neither of two landmarks hides the other from any camera within `radius` of a centre.
 
-    Let a and b be the offsets of the landmarks from the centre. From a camera displaced by delta the offsets are
-    a' = a - delta and b' = b - delta, and a' x b' = a x b - delta x (b - a). One landmark hides the other only within
-    `width` = sqrt(reach) of the line of sight, that is if |a' x b'| <= width max(|a'|, |b'|).
+    Let a and b be the offsets of the landmarks from the centre. The offsets from a camera displaced by
+    delta are a' = a - delta and b' = b - delta. So a' x b' = a x b - delta x (b - a). One landmark hides the other only
+    within `width` = sqrt(reach) of the line of sight, that is if |a' x b'| <= width max(|a'|, |b'|).
     """
     e = minus3(b, a)
     c, longest, apart = cross3(a, e), math.sqrt(max(dot3(a, a), dot3(b, b))), math.sqrt(dot3(e, e))

@@ -192,8 +192,8 @@ def table_row(group: Any, c: Integer, offset: Vector) -> Any:
 def split_by_certainty(
     group: Any, m: Integer, w: Integer, asked: Any, words: Integer, offset: Vector, bounds: Vector, row: Integer
 ) -> Any:
-    """Split a set of orientations by the bounds into those with which mount m certainly covers a landmark, those that
-    need the exact test, and those with which it does not cover the landmark.
+    """Split a set of orientations by the bounds into three parts: mount m certainly covers a landmark, the exact test
+    is needed, or the landmark is not covered.
 
     Args:
         asked: orientations to split, bits of word w.

@@ -161,7 +161,8 @@ def write_points(sight: Any, place: Vector, normal: Vector, points: FloatArray, 
 
 @inlined
 def point_of(i: Integer, half: float, place: Vector, sides: tuple[Vector, Vector]) -> Vector:
-    """Point i of a landmark at c = `place`: c, then c + h (r + u), c - h (r + u), c + h (r - u), c - h (r - u).
+    """Point i of a landmark at c = `place`. The points are c, `c + h (r + u)`, `c - h (r + u)`, `c + h (r - u)` and
+    `c - h (r - u)`.
 
     h = `half` is half the edge length; `sides` are the unit vectors r to the right and u up.
     """

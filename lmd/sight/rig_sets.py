@@ -195,7 +195,7 @@ def covered_sets(
 
     Args:
         groups: the mounts of the rig.
-        blockers: bodies of the room that block lines of sight; None if there are none.
+        blockers: bodies of the room that block lines of sight; None without such bodies.
         positions: positions of the body, `(P, 3)`, metres.
         poses: positions, metres, and unit normals of the landmarks, `(K, 3)`, and their slack (see `_add_covered`),
             `(K,)`, metres.

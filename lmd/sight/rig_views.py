@@ -53,7 +53,7 @@ def _sum_probability(seen: Any, weights: Any, n: Integer, units: Any, counts: An
 @kernel
 def _sum_gains(seen: Any, prices: FloatArray, out: Any) -> None:
     """For each of N poses, write into `out` `(N,)` the sum of the `prices` (weights) `(P, 64 W)` over all positions and
-    orientations from which a landmark at the pose is seen: the bits of `seen` `(P, N, W)`.
+    orientations from which a landmark at the pose is seen. The bits of `seen` `(P, N, W)` are these orientations.
     """
     row = np.empty(prices.shape[1])
     for j in range(len(out)):
@@ -89,7 +89,7 @@ class RigViews:
 
     Args:
         groups: mounts of the rig, for D orientations.
-        blockers: bodies of the room that block lines of sight; None if there are none.
+        blockers: bodies of the room that block lines of sight; None without such bodies.
         positions: positions of the body, `(P, 3)`, metres.
         threads: number of threads.
     """

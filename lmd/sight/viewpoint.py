@@ -148,8 +148,8 @@ def gather(
 def load_deployment(
     b: Integer, landmarks: FloatArray, normals: FloatArray, sight: Any, room: Any, poses: FloatArray
 ) -> None:
-    """Write the poses of deployment b into `poses` `(6, K)` and, unless the room has no obstacles, the results of
-    `obstacles.find_ends` for its landmarks into the last entry of the tuple `room`, see `is_shown`.
+    """Write the poses of deployment b into `poses` `(6, K)`. If the room has obstacles, also write the results of
+    `obstacles.find_ends` for the landmarks into the last entry of the tuple `room`, see `is_shown`.
 
     `landmarks` and `normals` are `(B, 3, K)`.
     """
@@ -245,8 +245,8 @@ def is_hidden(
 def is_shown(k: Integer, view: Viewpoint, count: Integer, p: Integer, sight: Any, room: Any) -> Any:
     """True if some orientation sees landmark k from position p: within reach, not blocked by the room, not hidden.
 
-    The first `count` landmarks may hide landmark k. `room` is a tuple: the obstacles, a flag that is True if there are
-    none, and the results of `obstacles.find_ends`.
+    The first `count` landmarks may hide landmark k. `room` is a tuple: the obstacles, a flag that is True if the room
+    has no obstacles, and the results of `obstacles.find_ends`.
     """
     obstacles, clear, ends = room
     if not view.reached[k] or (

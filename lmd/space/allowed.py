@@ -1,9 +1,9 @@
 """Allowed regions of a surface for landmarks, cut into trapezoids for compiled code.
 
 A region is a shapely polygon or multipolygon in the coordinates (a, b) of the surface, metres. A trapezoid has two
-sides along v, the left and the right side, and is a row of six numbers: coordinate a of the left side and of the right
-side; lower b at the left side and at the right side; upper b at the left side and at the right side. Trapezoids cover
-the region exactly without overlaps.
+sides along v, the left and the right side. A trapezoid is a row of six numbers in three pairs: coordinate a, lower b
+and upper b. The first number of a pair belongs to the left side, the second to the right side. Trapezoids cover the
+region exactly without overlaps.
 """
 
 import itertools

@@ -5,7 +5,7 @@ A crowd state is a set of cylinders. S states are drawn once, so all deployments
 
 A cylinder is an open convex set. A line of sight from p to q is blocked if its part in the cylinder has a positive
 length. The points p + t d, d = q - p, are horizontally inside for |t d_h - e|^2 < r^2 with e the vector from p to the
-axis, so for t between (b -+ sqrt(b^2 - a c)) / a with a = |d_h|^2, b = d_h . e, c = |e|^2 - r^2. The planes of the
+axis. So t lies between (b -+ sqrt(b^2 - a c)) / a with a = |d_h|^2, b = d_h . e, c = |e|^2 - r^2. The planes of the
 cylinder's lower and upper end limit t further.
 
 The camera is never inside a cylinder: a cylinder closer to the camera than the clearance is ignored for that camera

@@ -34,7 +34,7 @@ class FloorPlan(Checked):
     holes: Annotated[Sequence[Sequence[Sequence[float]]], partial(entries, check=checked_ring)] = ()
     """Pillars from floor to ceiling, polygons like the outline; their walls are named `hole_<i>_wall_<j>`."""
     obstacles: Annotated[Sequence[Any], partial(all_made, kind=Obstacle)] = ()
-    """Boxes in the room: `Obstacle`s, or mappings of their arguments. Their faces are named `obstacle_<i>_<face>`."""
+    """Boxes in the room: `Obstacle`s, or mappings of their arguments. The faces are named `obstacle_<i>_<face>`."""
     surfaces: Sequence[str] | None = None
     """Names of the surfaces that may carry landmarks: walls, `floor` and `ceiling`; None for all. Faces listed in
     `Obstacle.faces` carry landmarks, too.

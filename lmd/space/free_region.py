@@ -43,7 +43,7 @@ class OccupancyGrid(NamedTuple):
     is_free: BoolArray
     """Mask of the free cells, `(H, W)`."""
     note: str = ""
-    """Clause of a message about ambiguities of the file; empty if there are none."""
+    """Clause of a message about ambiguities of the file; empty without ambiguities."""
 
     def in_map(self, at: FloatArray) -> FloatArray:
         """Convert points (column, row) in cells, from the corner of cell (0, 0), to points of the map frame, metres."""

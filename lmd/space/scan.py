@@ -37,8 +37,8 @@ from lmd.space.parts import KeepOut, all_made, check_surfaces, checked_names
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, free_of
 from lmd.space.triangles import Triangles, unit_normals
 
-# Objects are walls if they span this share of the room's height; they are floor or ceiling if they cover this share of
-# the room's area.
+# An object is a wall if it spans the first share of the room's height, and floor or ceiling if it covers the second
+# share of the room's area.
 WALL, GROUND = 0.9, 0.5
 # Relative rounding of the coordinates of a file.
 FILE_ROUNDING = 1e-5

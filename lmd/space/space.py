@@ -107,8 +107,8 @@ class Space(Protocol):
         """Surfaces that may carry landmarks; a landmark stores the index of its surface."""
 
     def surfaces_of(self, positions: FloatArray, normals: FloatArray) -> IntArray:
-        """For each landmark `(K, 3)`, index of the surface whose rectangle contains the landmark, `(K,)`; -1 if there
-        is none.
+        """For each landmark `(K, 3)`, index of the surface whose rectangle contains the landmark, `(K,)`; -1 if no
+        rectangle does.
 
         The landmark may be outside the allowed region of the surface.
         """

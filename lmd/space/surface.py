@@ -180,7 +180,7 @@ class Surface:
 
 
 def surface_near(surfaces: Sequence[Surface], positions: FloatArray, normals: FloatArray) -> IntArray:
-    """For each landmark `(K, 3)`, index of the surface to which the landmark belongs, `(K,)`; -1 if there is none.
+    """For each landmark `(K, 3)`, index of the surface to which the landmark belongs, `(K,)`; -1 if no surface is near.
 
     Candidates are surfaces within `NEAR_SURFACE` in front of or behind the landmark. The landmark belongs to the
     nearest candidate with a similar normal (`FACING_COSINE`), else to the nearest candidate.

@@ -2,7 +2,7 @@
 
 A line from p to q crosses a triangle if p and q lie on different sides of the triangle's plane, both farther from the
 plane than the tolerance. The line must also meet the plane within the triangle's edges. The effective extent at an edge
-depends on the adjacent triangle:
+depends on the adjacent triangle.
 
 - If the line crosses the planes of both triangles in the same direction, both triangles are extended over the edge by
   the tolerance, so that no line passes between both triangles.
@@ -115,8 +115,8 @@ class Triangles(NamedTuple):
     borders: np.ndarray
     """Inward unit normal m of each edge in the plane of the triangle, and offset m . x of the edge, `(T, 3, 4)`."""
     beyond: np.ndarray
-    """Unit normal of the adjacent triangle at each edge, oriented consistently with `normals`, `(T, 3, 3)`; 0 if there
-    is none.
+    """Unit normal of the adjacent triangle at each edge, oriented consistently with `normals`, `(T, 3, 3)`; 0 without
+    an adjacent triangle.
     """
     apex: np.ndarray
     """Index of the mesh's vertex at each corner of each triangle, `(T, 3)`."""

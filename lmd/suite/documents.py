@@ -28,8 +28,8 @@ Digests are computed from the old names.
 HASH_DIGITS = 16
 KEYS = ("about", "set", "version", "hash", "budgets", "bound", "problem")
 FOLDER = Path(__file__).parent / "problems"
-"""Folder that holds the documents and the files that they name. It is not in `conf`, where Hydra would take it for a
-group.
+"""Folder that holds the documents and the files that they name. The folder is not in `conf`, where Hydra would take it
+for a group.
 """
 BEST = FOLDER / "best"
 """Folder that holds the best known candidates and their records."""

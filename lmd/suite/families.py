@@ -83,7 +83,7 @@ def _parts(node: Any) -> Iterator[dict[str, Any]]:
 
 def _change(node: Any, path: Sequence[str], operation: str, by: Any) -> None:
     """Multiply (operation `times`) the values that are found at `path` in a config node by `by`, or add `by` to them
-    (any other operation); nothing is changed if the node lacks the path. `*` in the path stands for all items of a
+    (any other operation). Nothing is changed if the node lacks the path. `*` in the path stands for all items of a
     list.
     """
     first, *rest = path

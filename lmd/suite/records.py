@@ -1,7 +1,7 @@
 """Entries of the suite, which are candidates with their origin, and records, which also have the score of the
 candidate. The NumPy reference computes the scores.
 
-An entry is a YAML file with the keys of `ENTRY`. Its `candidate` is a list of genes, or the name of a file in the same
+An entry is a YAML file with the keys of `ENTRY`. The `candidate` is a list of genes, or the name of a file in the same
 folder: a rig file if the problem places cameras, else a table of landmarks. For two objectives, the candidate is a
 Pareto front, and the table's column `point` numbers the front's points. A record is an entry with its score.
 `problems/best` has the best known candidates.
@@ -124,7 +124,7 @@ def best(name: str) -> list[Deployment] | Rig:
     objectives; the cameras, for a problem that places cameras.
 
     Raises:
-        InputError: there is no problem of that name, or no solution is recorded for it.
+        InputError: no problem has this name, or no solution is recorded for the problem.
     """
     frozen = document(name)
     path = _best(frozen)

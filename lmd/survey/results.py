@@ -58,8 +58,9 @@ def measured_of(survey: Survey) -> Deployment | None:
 
 
 def map_columns(survey: Survey) -> dict[str, ArrayLike]:
-    """Columns of `map.csv`: ids, poses and edge lengths of the tags; standard deviation of the position relative to the
-    other tags, metres; covariances of positions, m^2, and rotations, rad^2, in the world frame.
+    """Columns of `map.csv`, among them ids, poses and edge lengths of the tags. The column `sigma` is the standard
+    deviation of the position relative to the other tags, metres. The last columns are covariances of positions, m^2,
+    and rotations, rad^2, in the world frame.
     """
     tags, found, placed = map_of(survey), survey.found, survey.placed
     vectors = np.hstack([tags.places, tags.normals, tags.ups])

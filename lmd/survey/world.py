@@ -1,10 +1,11 @@
 """World frame of a map, defined by prior poses; and comparison of the tags' poses with their prior poses.
 
-Sightings alone do not determine the world frame. Exactly known tags, a plan, measured centres or one tag determine it.
+Sightings without other data do not determine the world frame. Exactly known tags, a plan, measured centres or
+one tag determine this frame.
 
 *Turns*: OpenCV numbers the corners of an AprilTag from the bottom right. Such a tag seems to hang upside down: its pose
 is off by half a turn about the normal. Centres and normals do not depend on the order of corners, so they align the map
-with the plan. If a tag still differs from its plan by quarter turns about its normal, it was hung rotated, or its
+with the plan. If a tag still differs from the plan by quarter turns about the normal, the tag was hung rotated, or the
 corners are in another order.
 """
 

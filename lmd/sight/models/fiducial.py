@@ -2,15 +2,15 @@
 
 The limits are fitted to the detections of ArUco and AprilTag in renderings of about 60,000 single tags. The model
 predicts 95 to 96 % of these detections; its probability of seeing at least n tags, tested in whole rooms, is accurate
-to within 0.02. A tag is seen if
+to within 0.02. A tag is seen under five conditions:
 
-- its incidence angle is at most `incidence`;
-- its pitch, the least image length of a module over all directions in the tag's plane, is at least sqrt(pitch^2 + (blur
-  sigma)^2), with `pitch` and `blur` of the detector and sigma^2 = psf_sigma^2 + (c / 4)^2 + motion_blur^2 / 12, where c
-  is the diameter of the circle of confusion of a thin lens at the depth of the tag's centre;
-- the square root of its image area is at least `edge` pixels;
-- the corners of its black square lie in the rectangular image, at least `margin` pixels from the border;
-- no footprint of another tag covers its centre or a corner of its black square. Footprints include the quiet zone.
+- The incidence angle is at most `incidence`.
+- The pitch is at least sqrt(pitch^2 + (blur sigma)^2), with `pitch` and `blur` of the detector. The pitch is the least
+  image length of a module over all directions in the tag's plane. Here sigma^2 = psf_sigma^2 + (c / 4)^2 +
+  motion_blur^2 / 12. At the depth of the tag's centre, the circle of confusion of a thin lens has the diameter c.
+- The square root of the image area is at least `edge` pixels.
+- The corners of the black square lie in the rectangular image, at least `margin` pixels from the border.
+- No footprint of another tag covers the centre or a corner of the black square. Footprints include the quiet zone.
 
 Let (u, v, w) be the tag's centre in the camera frame, and t, s the tag's unit vectors to the right and up. The Jacobian
 J maps metres in the plane of the tag to pixels. The column for t is (f_u (t_u - t_w u / w) / w, f_v (t_v - t_w v / w) /
@@ -229,8 +229,8 @@ def _through(lens: Lens, widest: float, flat: FiducialSight) -> LensSight:
 
 
 def _pinholes(lens: Lens, widest: float, flat: FiducialSight) -> tuple[FiducialSight, FiducialSight]:
-    """Two pinhole models that bound the pitch and the area of a tag seen through the lens: at each depth, those of the
-    first model are lower bounds, those of the second model are upper bounds.
+    """Two pinhole models that bound the pitch and the area of a tag seen through the lens. At each depth, the first
+    model gives lower bounds, and the second model gives upper bounds.
     """
     rates = lens.stretch(widest, power=1)
     shorter = rates.least if min(rates.least, rates.least_area) > 0.0 else 0.0

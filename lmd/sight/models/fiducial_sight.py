@@ -196,7 +196,7 @@ def _sized(sight: Any, k: Integer) -> Any:
 @from_position.register(FiducialSight)
 def _from_position(sight: Any, offset: Vector, normal: Vector, slack: float) -> Any:
     # Let c be the cosine of the incidence angle. The projection onto the sphere around the camera scales the tag by at
-    # least c / d. The projection from the sphere onto the image plane stretches by d / w in one direction and (d / w)^2
+    # least c / d. The projection from the sphere onto the image plane magnifies by d / w in one direction and (d / w)^2
     # in the other. So the smaller singular value of J is between f c / w and f c d / w^2. The least admissible singular
     # value at the depth w, see `lmd.sight.models.fiducial`, bounds w.
     distance, along = np.sqrt(dot3(offset, offset)), -dot3(normal, offset)

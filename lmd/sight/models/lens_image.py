@@ -24,9 +24,9 @@ def _polynomial(coefficients: Any, h: float) -> Any:
 
 @inlined
 def stretch_at(sight: Any, height: float) -> Any:
-    """Upper bound on the stretch of the lens: the distance by which an image point moves, divided by the angle by which
-    its direction turns. It holds for all directions whose angle theta from the optical axis satisfies 1 - cos(theta) <=
-    `height`.
+    """Upper bound on the local scale of the lens: the distance by which an image point moves, divided by the angle by
+    which its direction turns. The bound holds for all directions whose angle theta from the optical axis satisfies
+    1 - cos(theta) <= `height`.
 
     The bound is in focal lengths per radian.
     """

@@ -6,8 +6,8 @@ The functions differ from `fiducial_sight` in two points:
   the camera's widest angle from the optical axis, which may exceed 90 degrees.
 - J is the Jacobian of the projection through the lens.
 
-Bounds follow from the angular stretch of the lens (`lmd.geometry.lens.Stretch`). Anywhere in the image, a tag at the
-distance d with the incidence i satisfies
+Bounds follow from the local scale of the lens (`lmd.geometry.lens.Stretch`). Two inequalities hold anywhere in the
+image, for a tag at the distance d with the incidence i.
 
     min_pitch cos(i) / d <= pitch <= max_pitch cos(i) / d,
     min_area cos(i) / d^2 <= |det J| <= max_area cos(i) / d^2.
@@ -80,8 +80,8 @@ class LensSight(NamedTuple):
     max_area: float
     """Greatest image area of a square metre that faces the camera at a distance of 1 m, pixels^2."""
     stretch: tuple[float, ...]
-    """Coefficients of an upper bound on the stretch of the lens (motion of an image point per turn of its direction),
-    see `lmd.geometry.lens.ceiling`.
+    """Coefficients of an upper bound on the local scale of the lens (motion of an image point per turn of its
+    direction), see `lmd.geometry.lens.ceiling`.
     """
     stretch_end: float
     """1 - cos(theta) for the greatest angle theta at which the bound `stretch` holds."""
@@ -215,7 +215,7 @@ def _in_view(sight: Any, way: Vector, sine: float, cosine: float, axis: Vector, 
     flat, least = sight.flat, sight.cosine + (TOLERANCE if sine > 0.0 else -TOLERANCE)
     u, v, w = in_frame((right, cross3(axis, right), axis), way)
     across, down = image_of(sight.lens, u, v, w)
-    # The stretch at the middle of the arc bounds its first half, the stretch at its end the second half.
+    # The local scale at the middle of the arc bounds its first half, the local scale at its end the second half.
     angle, end = sine * (1.0 + ARC * sine * sine), 1.0 - w * cosine + math.sqrt(max(0.0, 1.0 - w * w)) * abs(sine)
     end = sight.stretch_end if w <= -cosine else end  # the arc passes the direction opposite to the axis
     halfway = min(end, 1.0 - w + abs(angle) / 2.0)

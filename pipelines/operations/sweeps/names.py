@@ -108,7 +108,7 @@ def sweep_folder(*, _root_: DictConfig) -> str:
 
 def job_folder(*, _root_: DictConfig) -> str:
     """Name of a job's folder within the sweep's folder. Two jobs have equal names if they agree in all settings that
-    affect results, in the contents of files, and in the values of all varied keys, even of keys such as `threads`.
+    affect results, and in the contents of files. The values of all varied keys, even of `threads`, must also agree.
     """
     folder = SweepFolder(_root_.hydra.sweep.dir)
     sweep, values = folder.load(), map(key_and_value, _root_.hydra.overrides.task)

@@ -23,7 +23,7 @@ FIGURES = (
 DESCRIBED = {"fitness": "fitness", "off_grid": "off the grid"}  # figures of groups, with their labels
 # Keys of the problem: jobs that differ in a key of these have different problems.
 PROBLEM = (*GROUPS, "experiment", "run", *(f"deployment.{key}" for key in ("count", "fixed", "free", "measured")))
-MOST_COLUMNS = 12  # maximum number of values of a key for columns of a table of groups
+MOST_COLUMNS = 12  # a key with at most this number of values gets columns in a table of groups
 Group = tuple[str, ...]  # values of the grouping keys
 
 

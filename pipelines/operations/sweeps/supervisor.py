@@ -116,9 +116,9 @@ def _execute(arguments: list[str], threads: int | None, folder: JobFolder, lock:
     """Run the process of a job to its end; return the exit code, and True if the sweep was interrupted while the job
     ran.
 
-    The process has a session of its own, so Ctrl-C in the terminal does not reach it directly. It is told to stop only
-    once, when the pipe to its standard input is closed. The process inherits the lock of its folder, so the folder
-    stays locked if the sweep is killed.
+    The process has a session of its own, so Ctrl-C in the terminal does not reach it directly. The process is told to
+    stop only once, when the pipe to its standard input is closed. The process inherits the lock of its folder, so the
+    folder stays locked if the sweep is killed.
     """
     if threads is not None:  # set before the server starts, as its packages read the variables at import
         os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(threads)))
