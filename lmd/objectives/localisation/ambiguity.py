@@ -56,8 +56,8 @@ from lmd.scene.criteria import TOLERANCE
 CONFIDENCE = 0.99  # least probability that the better pose is the true pose
 # Greatest residual ratio of a tag; greater ratios are clipped to this value, which keeps sums exact.
 MOST = 16.0
-# Square of the least distance in a ratio, square metres. A tag at the camera itself is not covered, so its ratio has no
-# weight there: it must be a number.
+# Square metres, added to a squared distance, of which it changes only 0. A tag at the camera itself is not covered, so
+# its ratio has no weight there; the ratio must be a number.
 TINY = 1e-300
 MIRRORED = 5  # additional numbers of a view of a rig: S over the least S, M, and h (three)
 MIRRORED_WIDTH = 32  # length of a row of `sums` with the additional numbers
@@ -104,7 +104,7 @@ def mirrored_square(tag: Square) -> Number:
     length.
     """
     offset, right, up = tag
-    squared, along, above = np.maximum(dot3(offset, offset), TINY), dot3(offset, right), dot3(offset, up)
+    squared, along, above = dot3(offset, offset) + TINY, dot3(offset, right), dot3(offset, up)
     p, q = along * along / squared, above * above / squared  # p^2 and q^2, times the squared half edge
     return 16.0 * (dot3(right, right) * (p + q) - 4.0 * (p * q)) / np.sqrt(squared)
 
