@@ -102,7 +102,7 @@ ARROW = 6.3  # length of the arrows of the axes
 
 def scale_of(room: Space, width: float, height: float, scales: tuple[int, ...]) -> int:
     """Scale 1 : s of the floor plan on the page: the first s in `scales` at which the plan fits into `width` x
-    `height`, mm, or the last if it fits at none.
+    `height`, mm. If no scale fits, s is the last.
     """
     low, high = room.bounds()
     across, up = (1000.0 * (high - low)[:2]).tolist()
@@ -111,7 +111,7 @@ def scale_of(room: Space, width: float, height: float, scales: tuple[int, ...]) 
 
 
 def draw_floor_plan(canvas: Any, tags: TagMap, left: float, top: float, scale: int) -> Callable[..., FloatArray]:
-    """Draw the room and its names from above, x to the right, with the upper left corner at (left, top), mm; return the
+    """Draw the room and its names from above, x to the right, with the upper left corner at (left, top), mm. Return the
     function that maps world points `(..., 3)` to the page, mm, `(..., 2)`.
     """
     import shapely

@@ -152,7 +152,7 @@ class CalibrationFile(File):
         """Content of the file as keys and values: from YAML, JSON or XML, or the arrays of an archive, keyed by name.
 
         Raises:
-            InputError: the text is none of these.
+            InputError: the text has another format.
         """
         if self.arrays is not None:
             return self.arrays
@@ -163,7 +163,7 @@ class CalibrationFile(File):
 
 
 class ReadCamera(NamedTuple):
-    """Camera in a file. Its values are interpreted only when one of the two functions is called."""
+    """Camera in a file, whose values are interpreted only when one of the two functions is called."""
 
     calibration: Callable[[], Calibration]
     """Function that returns the calibration."""
@@ -227,8 +227,8 @@ def read_calibration(
 
 
 def _chosen(path: str, names: list[str], name: str | None, size: tuple[float, ...] | None) -> str:
-    """Choose one of the cameras `names`: the camera `name`, or the camera whose name begins with `name` and `/`; if
-    there are several, the one with the image size `size` in its name.
+    """Choose one of the cameras `names`: the camera `name`, or the camera whose name begins with `name` and `/`. If
+    there are several, choose the one with the image size `size` in its name.
     """
     if not names:
         raise InputError(f"path: {path} has no camera in its list.", "path")

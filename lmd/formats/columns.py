@@ -42,8 +42,8 @@ class Quantity(NamedTuple):
     name: str
     """Standard name of the column, in which {} stands for the axis."""
     pattern: re.Pattern[str]
-    """Pattern that the column's names in files match, in small letters. Its groups `axis` and `unit` are the axis and
-    the unit in a name.
+    """Pattern that the column's names in files match, in small letters. The groups `axis` and `unit` of the pattern are
+    the axis and the unit in a name.
     """
     units: Mapping[str, float]
     """Size of each unit in seconds, metres or radians, keyed by the unit's name; empty for a quantity without a
@@ -271,8 +271,8 @@ def _asked(lines: Lines, of: str, columns: str | Sequence[str]) -> Layout:
 def _commented(lines: Lines, of: str) -> Layout | None:
     """Layout of the columns, from the last comment that names columns; None if no comment does.
 
-    A comment names the columns if its words name a pose, if it has as many words as a line has values, or if it begins
-    with the number and the position of a tag.
+    A comment names the columns if its words name a pose, or if it has as many words as a line has values. A comment
+    also names the columns if it begins with the number and the position of a tag.
 
     Raises:
         InputError: a comment names more columns than the first line has values.

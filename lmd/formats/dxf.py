@@ -174,7 +174,7 @@ def _flattened(entity: Any, tolerance: float, source: str, number: Iterator[int]
 
 def _layers(file: File, drawn: Counter[str], hidden: Counter[str]) -> set[str]:
     """Names of the layers with walls. `drawn` counts, for each layer, the shapes that CAD programs show, `hidden` the
-    shapes that they do not show; a layer that the user names and that has only hidden shapes is refused.
+    shapes that they do not show. A layer that the user names and that has only hidden shapes is refused.
     """
     asked = file.asked["layers"]
     if asked is not None:

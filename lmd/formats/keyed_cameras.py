@@ -1,12 +1,13 @@
 """Cameras from files of keys and values (YAML, JSON, XML), whose formats are described by rows of
 `tables/calibration.yaml`.
 
-Sources of the rows: `sensor_msgs/CameraInfo`, "YAML formats" of Kalibr and its `CameraUtils.py`, the calibration
-samples of OpenCV, `CameraCalibrationCoefficients` of PhotonVision, `cameracalibration.cpp` of WPIcal, "Cameras" of
-COLMAP's output format, Basalt's `calibration.hpp`, "lens models" of mrcal, ORB-SLAM3's "Calibration_Tutorial",
-stella_vslam's examples, `calibration.fbs` of frc971, `CameraFactory` of camodocal (VINS), `sensor.yaml` of EuRoC,
-`teamwebcamcalibrations.xml` of FTC, `CameraInfo.hpp` of depthai-core, `rs_types.h` and `rs-enumerate-devices.cpp` of
-librealsense, `PinholeCameraIntrinsic` of Open3D, `cameraIntrinsicsToOpenCV` of MATLAB, `cameras.py` of nerfstudio,
+Sources of the rows for ROS and calibration programs: `sensor_msgs/CameraInfo`, "YAML formats" of Kalibr and its
+`CameraUtils.py`, the calibration samples of OpenCV, "lens models" of mrcal, `cameraIntrinsicsToOpenCV` of MATLAB. For
+FIRST robots: `CameraCalibrationCoefficients` of PhotonVision, `cameracalibration.cpp` of WPIcal, `calibration.fbs` of
+frc971, `teamwebcamcalibrations.xml` of FTC. For odometry: Basalt's `calibration.hpp`, ORB-SLAM3's
+"Calibration_Tutorial", stella_vslam's examples, `CameraFactory` of camodocal (VINS), `sensor.yaml` of EuRoC. For depth
+cameras: `CameraInfo.hpp` of depthai-core, `rs_types.h` and `rs-enumerate-devices.cpp` of librealsense. For
+reconstruction: "Cameras" of COLMAP's output format, `PinholeCameraIntrinsic` of Open3D, `cameras.py` of nerfstudio,
 `nerf_loader.cu` of instant-ngp, `CameraUtilities.cpp` of visual_marker_mapping.
 
 The model "inverse Brown Conrady" has two meanings in librealsense: by `rs_types.h` the polynomial undistorts an image,
@@ -140,7 +141,7 @@ class _Camera:
         return plain(path) if self.form.loose else path
 
     def value(self, path: str) -> Any:
-        """Value at a path of the entry; `MISSING` if there is none."""
+        """Value at a path of the entry; `MISSING` if the entry has no value there."""
         return find(self.entry, self.path(path))
 
     def numbers(self, path: str, size: int | None = 1) -> tuple[float, ...]:
@@ -206,8 +207,8 @@ class _Camera:
         return None if size is None else float(size[index])
 
     def _model(self) -> tuple[str, str, list[str]]:
-        """Three results: the words by which the file names the lens model; the lens model; and the names of the
-        quantities in those lists of the file whose paths are `values` of the format.
+        """Three results: the words by which the file names the lens model; the lens model; and names of quantities. The
+        named quantities are in the lists of the file whose paths are `values` of the format.
         """
         said = [self.value(path) for path in self.form.model]
         needed = [path for path, word in zip(self.form.model, said, strict=True) if word is MISSING and path[-1] != "?"]

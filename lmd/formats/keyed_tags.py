@@ -43,11 +43,12 @@ KNOWN = ("id", "position", "corners", "edge", "family", *TURNS)
 class KeyedTags(Keyed):
     """Description of a format: the keys under which a file holds its tags.
 
-    A tag has these quantities: `id`, a number or a name such as `tag36h11:7`; `edge`; `family`; the `position`; the
-    rotation as `quaternion`, as `rpy` (roll, pitch, yaw), or as `yaw` (rad) or `yaw_degrees` about the vertical;
-    position and rotation as `transform`, 16 numbers row by row, or as `pose`, x, y, z, qx, qy, qz, qw; edge and pose as
-    four `corners`, clockwise from the top left. The first rotation that the entry has is taken. A path with spaces
-    stands for several paths, one for each number; a position of two numbers is on the floor.
+    A tag has these quantities: `id`, a number or a name such as `tag36h11:7`; `edge`; `family`; the `position`; and the
+    rotation. The rotation is `quaternion`, `rpy` (roll, pitch, yaw), or `yaw` (rad) or `yaw_degrees` about the
+    vertical. Position and rotation together may be `transform`, 16 numbers row by row, or `pose`, x, y, z, qx, qy, qz,
+    qw. Edge and pose together may be four `corners`, clockwise from the top left. The first rotation that the entry has
+    is taken. A path with spaces stands for several paths, one for each number; a position of two numbers is on the
+    floor.
     """
 
     axes: Sequence[str] = RIGHT_UP_OUT
@@ -75,7 +76,7 @@ class KeyedTags(Keyed):
     def __post_init__(self) -> None:
         axes_of(list(self.axes))
         if unknown := [name for name in self.at if name not in KNOWN]:
-            raise InputError(f"a tag map format names {unknown[0]!r}, which is none of {', '.join(KNOWN)}.")
+            raise InputError(f"a tag map format names {unknown[0]!r} instead of one of {', '.join(KNOWN)}.")
 
     def read(self, file: File) -> Found:
         """Read the tags of a file.
@@ -144,8 +145,8 @@ class KeyedTags(Keyed):
 
 def _numbers(tag: Keys, path: str, names: str, order: str = "") -> FloatArray:
     """Numbers at a path, one for each letter of `names`. The value is a mapping with these letters as keys (for a
-    quaternion, with or without the prefix `q`), or a list in the order of the letters of `order`, by default of
-    `names`.
+    quaternion, with or without the prefix `q`), or a list. A list has the order of the letters of `order`, by default
+    of `names`.
     """
     if " " in path:
         return np.array([*(number_at(tag, part) for part in path.split()), 0.0][: len(names)])

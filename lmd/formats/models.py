@@ -90,8 +90,8 @@ def read_model(path: Any) -> Model:
 
 
 def _colmap(folder: Path) -> Model:
-    """Model from COLMAP's text files. Its function `moved` changes only the poses and the positions of points in the
-    files.
+    """Model from COLMAP's text files. The model's function `moved` changes only the poses and the positions of points
+    in the files.
     """
     cameras, images, points = (File(folder / name, "model").text.splitlines(keepends=True) for name in FILES)
     found = {number: image for number, line in enumerate(images) if (image := IMAGE.fullmatch(line)) is not None}
@@ -114,8 +114,8 @@ def _colmap(folder: Path) -> Model:
 
 
 def _nerfstudio(path: Path) -> Model:
-    """Model from nerfstudio's file `TRANSFORMS`. Its function `moved` changes the poses in the file, and drops the keys
-    `OF_FRAME`; all else is unchanged.
+    """Model from nerfstudio's file `TRANSFORMS`. The model's function `moved` changes the poses in the file, and drops
+    the keys `OF_FRAME`; all else is unchanged.
     """
     keys = File(path, "model").data
     frames = [dict(frame) for frame in keys["frames"]]

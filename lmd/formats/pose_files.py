@@ -107,8 +107,7 @@ def checked_seconds(source: str, time: FloatArray, unit: float | None, positions
         if latest > UNCLEAR:
             raise InputError(
                 f"time = {latest:.15g} looks like milliseconds, microseconds or nanoseconds: give seconds, or name the "
-                "column time_ms, time_us or time_ns (in a line above the values such as '# time_us x y z qx qy qz "
-                "qw')."
+                "column time_ms, time_us or time_ns above the values ('# time_us x y z qx qy qz qw')."
             )
     else:
         time = time * unit

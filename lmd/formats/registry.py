@@ -43,8 +43,8 @@ class Writer(NamedTuple):
 
     Args:
         file: name of the file.
-        write: function that writes the file. Its arguments are the path, the map `tags` and, for printed files, the
-            paper size `paper`.
+        write: function that writes the file. The arguments of the function are the path, the map `tags` and, for
+            printed files, the paper size `paper`.
         only_apriltag: True if readers of the format support only the families of AprilTag.
         only_opencv: True if readers of the format support only families that OpenCV has.
         on_paper: True if the file is to be printed.
@@ -130,8 +130,8 @@ def anything(_: File) -> bool:
 
 
 def function_of(text: str) -> Callable[[File], Any]:
-    """Make a function of a `File` from a text such as `module.function(a, b)`. It calls this function; `a` and `b` are
-    names of settings in `asked`, or of attributes of the file.
+    """Make a function of a `File` that calls the function in a text such as `module.function(a, b)`. Here `a` and `b`
+    are names of settings in `asked`, or of attributes of the file.
 
     Raises:
         InputError: the text is not such a call. A missing function raises the error when it is called.
@@ -159,8 +159,8 @@ class Keyed:
     """
 
     at: Mapping[str, str]
-    """Paths in an entry to the values of quantities, keyed by quantity; `{key}` stands for the key of the entry; the
-    value at a path with `?` at the end may be missing.
+    """Paths in an entry to the values of quantities, keyed by quantity. In a path, `{key}` stands for the key of the
+    entry. The value at a path with `?` at the end may be missing.
     """
     each: str = ""
     """Alternative paths to the entries; empty for a file that is itself the only entry."""
@@ -302,7 +302,7 @@ def outside() -> tuple[Format, ...]:
 
 def _takes(form: Format, file: File) -> bool:
     """True if a format of another package recognises a file; False also if its test raises an `InputError`, for example
-    because it expects YAML and the file is none.
+    because the test expects YAML and the file has another format.
     """
     try:
         return form.recognises(file)

@@ -105,9 +105,9 @@ def rig_of(mounts: Any, camera: Camera | None = None) -> Rig:
     Args:
         mounts: list of mappings with the arguments of `Mount`, in which `camera` is a calibration file or a mapping
             with the arguments of `calibrated_camera`. Or one mapping: its `path` is a calibration file with poses, see
-            `read_chain`, with `names`, `image_size` and `distortion_model` if needed; its other keys are arguments of
-            `Mount` for the pose of the first camera on the body, which by default is at the body's origin and looks
-            along the body's x axis.
+            `read_chain`, with `names`, `image_size` and `distortion_model` if needed. The other keys of the mapping are
+            arguments of `Mount` for the pose of the first camera on the body. By default this camera is at the body's
+            origin and looks along the body's x axis.
         camera: default camera, for the mounts that state none.
 
     Raises:

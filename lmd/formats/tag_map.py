@@ -160,8 +160,8 @@ class TagMap:
 
     @property
     def roll_pitch_yaw(self) -> FloatArray:
-        """Rotations of the tags as roll, pitch and yaw of ROS's `setRPY`, `(K, 3)`, rad. They apply to tag frames whose
-        upward direction is that of OpenCV's tag pictures.
+        """Rotations of the tags as roll, pitch and yaw of ROS's `setRPY`, `(K, 3)`, rad. The angles apply to tag frames
+        whose upward direction is that of OpenCV's tag pictures.
         """
         from scipy.spatial.transform import Rotation
 

@@ -39,7 +39,7 @@ IS_YAML = re.compile(r"%YAML|---|(?!Unnamed: )\s*['\"]?[\w/*:]+['\"]?\s*:(?:\s|$
 
 
 class TagMapFile(File):
-    """File of a tag map. Its keys (`data`) are empty for a text that is neither YAML nor JSON, such as a table."""
+    """File of a tag map, whose keys (`data`) are empty for a text that is neither YAML nor JSON, such as a table."""
 
     @cached_property
     def data(self) -> Keys:
@@ -163,8 +163,8 @@ class FileDeployment(Checked, ExistingDeployment):
     Args:
         path: path of the file, see `lmd.formats.tag_maps.read_deployment`.
         count: number K of landmarks; if given, the file must have exactly K rows.
-        free: True to skip the checks of the placement: landmarks may be on no surface, outside the room or the allowed
-            regions, or face into their surface, and tags with their white margins may overlap.
+        free: True to skip the checks of the placement. Landmarks may then be on no surface, outside the room or the
+            allowed regions, or face into their surface. Tags with their white margins may then overlap.
         family: family of the tags, instead of the family of the scene's tag.
         axes: directions, in words, of the axes x, y and z of a tag's frame in a table, see
             `lmd.formats.placed_tag.axes_of`.

@@ -1,8 +1,9 @@
 """Tag maps as tables: texts, and lists of tags in YAML or JSON, whose keys correspond to columns.
 
 A row has id, x, y, z, a rotation and, if known, edge and family. The rotation is a normal nx, ny, nz (and an up vector
-ux, uy, uz), a unit quaternion qx, qy, qz, qw, ROS's roll, pitch, yaw, or a rotation vector rx, ry, rz, radians. A
-rotation is from the tag's frame to the map's frame; for the axes of a tag's frame see `lmd.formats.placed_tag.axes_of`.
+ux, uy, uz) or a unit quaternion qx, qy, qz, qw. Or the rotation is ROS's roll, pitch, yaw, or a rotation vector rx, ry,
+rz, radians. A rotation is from the tag's frame to the map's frame; for the axes of a tag's frame see
+`lmd.formats.placed_tag.axes_of`.
 
 Sources: `ArucoMap::addMarker` of CopterExpress/clover; `Map::saveMap` of UbiquityRobotics/fiducials; `Marker/Priors` of
 RTAB-Map, and the poses that it exports.

@@ -1,4 +1,4 @@
-"""Recorded trajectories: conversion of a file of recorded poses to poses of the camera in the frame of the room."""
+"""Recorded trajectories: a file of recorded poses is converted to poses of the camera in the frame of the room."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -30,9 +30,10 @@ class TrajectoryFile(Checked):
     """File of a trajectory, with the settings of its frames.
 
     Args:
-        path: file in a format of `lmd.formats.pose_files`, or a table with the columns time,x,y,z and one of:
-            qx,qy,qz,qw; roll,pitch,yaw of a body in ROS's convention; yaw_from_y,pitch_up (and roll_left) of a camera
-            as in `lmd.geometry.frames.rotation`, also as time,x,y,z,yaw,pitch. Units are seconds, metres and radians.
+        path: file in a format of `lmd.formats.pose_files`, or a table with the columns time,x,y,z and a rotation. The
+            rotation is qx,qy,qz,qw; roll,pitch,yaw of a body in ROS's convention; or yaw_from_y,pitch_up (and
+            roll_left) of a camera as in `lmd.geometry.frames.rotation`, also as time,x,y,z,yaw,pitch. Units are
+            seconds, metres and radians.
         frame: frame of the orientations: `optical` (x right, y down, z the optical axis) or `body` (x along the optical
             axis, y left, z up; yaw, pitch and roll are then ROS's). Not used with a `mount`.
         align: pose of the recording's frame in the room: [x, y, z, yaw] for a frame with z up, yaw counter-clockwise
@@ -86,7 +87,7 @@ class TrajectoryFile(Checked):
 
     @property
     def note(self) -> str:
-        """Note on omitted rows, assumptions and open questions about the file; empty if there are none."""
+        """Note on omitted rows, assumptions and open questions about the file, or an empty text."""
         return self.note_of("")
 
     def note_of(self, group: str) -> str:

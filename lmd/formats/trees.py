@@ -101,7 +101,7 @@ def plain(text: str) -> str:
 
 def numbers_of(value: Any, nested: int = NESTED) -> list[Any]:
     """List of the numbers in a value: a number, a text of numbers, a mapping with the key `data`, or a list of these.
-    Parts of the value that are none of these become entries of the list as they are.
+    All other parts of the value become entries of the list as they are.
     """
     if isinstance(value, Mapping) and "data" in value and nested:
         return numbers_of(value["data"], nested - 1)

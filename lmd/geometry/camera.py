@@ -52,8 +52,8 @@ class Camera(Checked):
 
     Raises:
         InputError: a value is out of range, the principal point lies outside the image, or the focus distance is not
-            beyond the focal length; the lens model is unknown, or is injective only up to an angle (its fold) inside
-            the nearest image border.
+            beyond the focal length. The error is also raised if the lens model is unknown, or is injective only up to
+            an angle (its fold) inside the nearest image border.
     """
 
     focal_length: Positive
@@ -184,7 +184,7 @@ class Camera(Checked):
     def depth_of_field(self, circle_of_confusion: float) -> tuple[float, float]:
         """Compute the near and far limits d_n, d_f of acceptable focus, metres.
 
-        With b = delta min(s_u, s_v): d_n = d_a d_s f / (d_a f + b (d_s - f)) and
+        With b = delta min(s_u, s_v): d_n = d_a d_s f / (d_a f + b (d_s - f)). Likewise
         d_f = d_a d_s f / (d_a f - b (d_s - f)). The far limit is infinite if the focus is at or beyond
         the hyperfocal distance (d_a f <= b (d_s - f)); focused at infinity, d_n = d_a f / b.
 

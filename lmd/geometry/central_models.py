@@ -1,7 +1,7 @@
 """Camera models with one centre of projection that other programs use; each is approximated by a lens of
 `lmd.geometry.lens`.
 
-A point (u, v, w) at the distance r is projected to (u, v) / d, in units of the model's focal lengths. The models are
+A point (u, v, w) at the distance r is projected to (u, v) / d, in units of the model's focal lengths, by these models.
 
 - the double sphere of Usenko, Demmel and Cremers (2018), `ds`: d = alpha sqrt(u^2 + v^2 + s^2) + (1 - alpha) s with
   s = xi r + w.
@@ -9,8 +9,8 @@ A point (u, v, w) at the distance r is projected to (u, v) / d, in units of the 
   d = alpha sqrt(beta (u^2 + v^2) + w^2) + (1 - alpha) w.
 - the unified model of Mei and Rives (2007), `omni` or `MEI`: d = w + xi r, followed by Brown-Conrady distortion.
 
-The other models are pinholes: the projected point is a polynomial of (x, y) = (u, v) / w, with s = x^2 + y^2 and g = 1
-+ k1 s + k2 s^2 + k3 s^3.
+The other models are pinholes: the projected point is a polynomial of (x, y) = (u, v) / w. Let s = x^2 + y^2 and
+g = 1 + k1 s + k2 s^2 + k3 s^3.
 
 - `modified_brown_conrady`, of RealSense: the tangential terms are evaluated at (g x, g y) instead of (x, y);
 - `inverse_brown_conrady`, of RealSense: the polynomial maps the projected point to (x, y).

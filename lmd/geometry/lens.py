@@ -87,8 +87,8 @@ class Lens:
     model: str
     """Name of the model, one of `MODELS`; the first two models differ only in the number of coefficients."""
     coefficients: tuple[float, ...]
-    """Coefficients in OpenCV's order: the first 4, 5, 8 or 12 of k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, or all
-    12 followed by two zeros for the sensor's tilt. For `equidistant`: k1, k2, k3, k4.
+    """Coefficients in OpenCV's order: the first 4, 5, 8 or 12 of k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4. All 12
+    may be followed by two zeros for the sensor's tilt. For `equidistant`: k1, k2, k3, k4.
     """
 
     def __post_init__(self) -> None:

@@ -12,8 +12,8 @@ is
     g = (1 + k1 s + k2 s^2 + k3 s^3) / (1 + k4 s + k5 s^2 + k6 s^3).
 
 `Equidistant` is a fisheye (Kannala and Brandt, 2006). A point at the angle theta from the optical axis is projected to
-the distance t(theta) = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8) from the principal point, also if
-it is behind the camera.
+the distance t(theta) from the principal point, also if the point is behind the camera. Here
+t(theta) = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8).
 
 Sources: `cv2.projectPoints`, `cv2.fisheye`; `sensor_msgs/distortion_models` for the names.
 """

@@ -89,7 +89,7 @@ def body_solutions(images: Sequence[PointImage]) -> list[Solution]:
 
 
 def _best(images: Sequence[PointImage], poses: Iterable[FloatArray]) -> list[Solution]:
-    """Those of the `poses` that are distinct and have a finite reprojection error, in ascending order of the error."""
+    """The distinct poses among `poses` with a finite reprojection error, in ascending order of the error."""
     found: list[Solution] = []
     for pose in poses:
         square = float(sum((image.off(pose) ** 2).sum() for image in images))
@@ -102,9 +102,9 @@ def solutions(camera: Camera, points: FloatArray, image: FloatArray, noise: Arra
     """Candidate poses of a camera from an image of points, in ascending order of the error; empty for fewer than four
     points.
 
-    Candidates are the poses that SQPnP finds; for coplanar points also the two poses of IPPE; and for four points that
-    are not coplanar also up to four poses of P3P for each triple of points. Candidates are refined by Gauss-Newton on
-    the errors in the image.
+    Candidates are the poses that SQPnP finds and, for coplanar points, the two poses of IPPE. For four points that are
+    not coplanar, up to four poses of P3P for each triple of points are also candidates. Candidates are refined by
+    Gauss-Newton on the errors in the image.
 
     Args:
         camera: intrinsics and lens.

@@ -193,8 +193,8 @@ def left_jacobian(twist: FloatArray) -> FloatArray:
 def exp(twist: FloatArray) -> FloatArray:
     """Exponential map se(3) -> SE(3), `(..., 6)` -> `(..., 4, 4)`.
 
-    R = I + a [w]x + b [w]x^2 and p = (I + b [w]x + c [w]x^2) v with a = sin t / t, b = (1 - cos t) / t^2,
-    c = (t - sin t) / t^3 and t = |w|.
+    R = I + a [w]x + b [w]x^2 and p = (I + b [w]x + c [w]x^2) v with t = |w|. The factors are a = sin t / t,
+    b = (1 - cos t) / t^2 and c = (t - sin t) / t^3.
     """
     squared = (twist[..., :3] ** 2).sum(axis=-1)
     small = squared < SMALL_ANGLE**2

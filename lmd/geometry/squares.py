@@ -71,8 +71,6 @@ def upright_axes(normal: Vector, level: float) -> tuple[Vector, Vector]:
 
 @inlined
 def upright_sides(half: Any, normal: Vector) -> tuple[Vector, Vector]:
-    """Vectors of length `half` from the centre of an upright tag to the midpoints of its right edge and of its upper
-    edge.
-    """
+    """Vectors of length `half` from the centre of an upright tag to the midpoints of its right and upper edges."""
     right, up = upright_axes(normal, VERTICAL_TOLERANCE)
     return times3(half, right), times3(half, up)

@@ -1,7 +1,7 @@
 """Moves and occlusion of landmarks seen by a single camera, whose centre does not depend on the orientation.
 
-From a position, a landmark is hidden for all orientations or for none. For each landmark and position, a state has the
-number of landmarks that hide the landmark, and the number of landmarks that it hides.
+A landmark that is hidden from a position for one orientation is hidden for all orientations. For each landmark and
+position, a state has the number of landmarks that hide the landmark, and the number of landmarks that it hides.
 """
 
 from typing import Any
@@ -105,8 +105,9 @@ def _clear_views(scratch: Any) -> None:
 @inner
 def view_place(k: Integer, field: Any, scratch: Any) -> None:
     """Compute how the place tried is seen from each position near it, without other landmarks. Three results are
-    written into the scratch: the offset of the place and the bounds on its depth (`seen`); True if some axis may cover
-    the place (`REACHED`); and the cell of the direction tables that contains the direction of the place (`cell`).
+    written into the scratch. The first is the offset of the place and the bounds on its depth (`seen`). The second is
+    True if some axis may cover the place (`REACHED`). The third is the cell of the direction tables that contains the
+    direction of the place (`cell`).
     """
     positions, sight, seen = field.positions, sized(field.cameras.sight, k), scratch.seen
     x, y, z, low, high, sure = seen[X], seen[Y], seen[Z], seen[LOW], seen[HIGH], seen[SURE]
@@ -301,8 +302,9 @@ def _note_neighbour(state: Any, groups: Any, near: Any, role: Any, place: Any, f
 
 @inlined
 def _note_hiding(i: Integer, p: Integer, one: Any, two: Any, role: Any, scratch: Any) -> None:
-    """Record the occlusion as seen from position p: the moving landmark, at the place with the `role` (old place or
-    place tried), hides landmark i if `one` is True, and is hidden by landmark i if `two` is True.
+    """Record the occlusion between landmark i and the moving landmark, at the place with the `role` (old place or place
+    tried), as seen from position p. The moving landmark hides landmark i if `one` is True, and is hidden by landmark i
+    if `two` is True.
     """
     changes, hides = scratch.changes, scratch.hides
     if role != OLD_PLACE:

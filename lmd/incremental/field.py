@@ -35,7 +35,7 @@ class Field(Protocol):
 
     @property
     def size(self) -> int:
-        """Number Q of positions of the field. It is at least the number P of the evaluator's positions, because the
+        """Number Q of positions of the field. Q is at least the number P of the evaluator's positions, because the
         field may contain copies of positions.
         """
 
@@ -164,8 +164,9 @@ def placed(state: Any) -> Any:
 
 @overridable
 def combined(target: Any, terms: FloatArray, total: Any) -> Any:  # noqa: ARG001 # for other targets
-    """Smoothed fitness, from the contributions `terms` `(Q,)` of the positions and their sum `total`. It is `total`,
-    unless the class of the target registers another function, which must increase monotonically with every term.
+    """Smoothed fitness, from the contributions `terms` `(Q,)` of the positions and their sum `total`. The fitness is
+    `total`, unless the class of the target registers another function, which must increase monotonically with every
+    term.
     """
     return total
 

@@ -4,10 +4,10 @@ position from which one of the two landmarks hides the other.
 Only blocks of positions are searched that are at most the horizon (a distance) from both landmarks, in two stages:
 
 1. A bound excludes most landmarks for all positions of a block. Let m be the offset of the place a from the centre of
-   the block, and e = o - a the vector to a landmark o. From the position delta away from the centre, a and o have the
-   offsets a' = m - delta and o' = a' + e. One of them hides the other only within r = sqrt(reach) of the line of sight:
-   if |a' x o'| <= r max(|a'|, |o'|). Because a' x o' = m x e - delta x e, and the block fits into a box with the half
-   sides h, the first component of m x e is then at most
+   the block, and e = o - a the vector to a landmark o. The offsets of a and o from the position delta away from the
+   centre are a' = m - delta and o' = a' + e. One of them hides the other only within r = sqrt(reach) of the line of
+   sight: if |a' x o'| <= r max(|a'|, |o'|). Here a' x o' = m x e - delta x e, and the block fits into a box with the
+   half sides h. The first component of m x e is then at most
 
        h_y |e_z| + h_z |e_y| + r (|m| + |h| + |e|),
 
@@ -170,9 +170,10 @@ def note_neighbour(state: Any, groups: Any, near: Any, role: Any, place: Any, fi
     Args:
         groups: a `OneCamera`, or a `MountGroup` of a rig, with the arrays of the state and of the scratch that belong
             to it.
-        near: indices of the cameras' centre (`MountGroup.centres`), of the block, and of landmarks i and k; then, in
-            metres, the offset of the place from the cameras' centre if the body is at the middle of the block, and half
-            the diagonal of the block's box, which is enlarged by the cameras' distance from their centre.
+        near: indices of the cameras' centre (`MountGroup.centres`), of the block, and of landmarks i and k; then two
+            quantities in metres. The first is the offset of the place from the cameras' centre if the body is at the
+            middle of the block. The second is half the diagonal of the block's box, which is enlarged by the cameras'
+            distance from their centre.
         role: `OLD_PLACE`, `NEW_PLACE` or `FIRST_PLACE`.
         place: position (metres) and unit normal.
     """

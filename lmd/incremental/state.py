@@ -2,8 +2,8 @@
 which is working memory with the move tried last. Words in capitals, such as `FRESH`, name rows of the arrays.
 
 Attributes of equal names have equal meanings for a camera and for a rig. Arrays of equal type and shape are rows of one
-array, with a constant for the index of each row, because numba passes every n-dimensional array as 5 + 2n numbers to
-functions that are not inlined.
+array, with a constant for the index of each row. The reason is that numba passes every n-dimensional array as 5 + 2n
+numbers to functions that are not inlined.
 """
 
 from typing import Any, NamedTuple
@@ -151,7 +151,8 @@ class State(NamedTuple):
     """`(K, Q)` True if some axis covers the landmark from the position, occlusion ignored."""
     hides: np.ndarray
     """`(2, K, Q)` int16: for each landmark and position, number of landmarks that hide the landmark (row `HIDDEN`), and
-    number of landmarks that it hides (row `HIDING`); only for positions at most the horizon away from the landmark.
+    number of landmarks that it hides (row `HIDING`). Only positions at most the horizon away from the landmark have
+    these numbers.
     """
 
 
@@ -167,9 +168,9 @@ class RigState(NamedTuple):
     units: np.ndarray
     """See `State`."""
     groups: tuple[np.ndarray, ...]
-    """For each group of M mounts, `(2, K, Q, M, W)` sets of orientations: those with which each camera covers each
-    landmark, occlusion ignored (row `COVERED`), and those of them with which another landmark hides it (row
-    `OCCLUDED`).
+    """For each group of M mounts, `(2, K, Q, M, W)` sets of orientations. Row `COVERED` has the orientations with which
+    each camera covers each landmark, occlusion ignored. Row `OCCLUDED` has the orientations in row `COVERED` with which
+    another landmark hides the landmark.
     """
     shown: np.ndarray
     """`(K, Q, W)` orientations of the body with which some camera sees a landmark, occlusion taken into account."""
@@ -227,8 +228,9 @@ class Scratch(NamedTuple):
     place along the optical axis; rows `X` to `SURE`.
     """
     cell: np.ndarray
-    """`(2, Q)` int32 for each position: the cell of the direction tables that contains the direction of the place
-    tried, and the row of `POSSIBLE` for this cell (`EMPTY_ROW` if the place is out of reach).
+    """`(2, Q)` int32: two numbers for each position. The first is the cell of the direction tables that contains the
+    direction of the place tried. The second is the row of `POSSIBLE` for this cell (`EMPTY_ROW` if the place is out of
+    reach).
     """
 
 
@@ -236,8 +238,9 @@ class GroupScratch(NamedTuple):
     """Working memory for one mount group of a rig, with the move tried last."""
 
     sets: np.ndarray
-    """`(2, Q, M, W)` sets of orientations, limited to those in `ASKED`: orientations with which each camera covers the
-    place tried (row `COVERED`), and those of them with which another landmark hides it (row `OCCLUDED`).
+    """`(2, Q, M, W)` sets of orientations, limited to those in `ASKED`. Row `COVERED` has the orientations with which
+    each camera covers the place tried. Row `OCCLUDED` has the orientations in row `COVERED` with which another landmark
+    hides the place.
     """
     flipped: np.ndarray
     """`(K, Q, M, W)` orientations that the move adds to or removes from the row `OCCLUDED` of the state, for the pairs
@@ -252,7 +255,7 @@ class GroupScratch(NamedTuple):
     """
     seen: np.ndarray
     """`(6, Q)`: for each position, the place tried relative to the centre of cameras (`MountGroup.centres`) that was
-    evaluated last: its offset, and bounds on its depth along the optical axis; rows `X` to `SURE`.
+    evaluated last. Rows `X` to `SURE` are the offset of the place, and bounds on its depth along the optical axis.
     """
     lists: np.ndarray
     """`(2, Q + 1)` uint64: a list of rows of the direction tables, and a list of the positions that need the exact

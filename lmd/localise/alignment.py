@@ -1,10 +1,11 @@
 """Similarity between a model of other programs, of any scale, and a map: scale with its standard deviation, residuals.
 
 An image has a pose X from its localisation and a pose Y from the model, both from the camera to the world. A similarity
-S (`lmd.formats.models`) moves Y to S Y. The residual is the twist log(X^-1 S Y), rad and metres. Its covariance is that
-of the localisation, of which the part that errors of the map and the cameras cause is common to all images, plus that
-of the model. The model's errors of position and of rotation are independent from image to image and along each axis;
-their variances are estimated from the residuals. Images whose chi^2 exceeds `MOVED_CHI_SQUARE` do not count.
+S (`lmd.formats.models`) moves Y to S Y. The residual is the twist log(X^-1 S Y), rad and metres. The covariance of the
+residual is that of the localisation plus that of the model. Errors of the map and the cameras cause
+a part of the localisation's covariance that is common to all images. The model's errors of position and of rotation are
+independent from image to image and along each axis; their variances are estimated from the residuals. Images whose
+chi^2 exceeds `MOVED_CHI_SQUARE` do not count.
 """
 
 from typing import Any
@@ -27,7 +28,7 @@ from lmd.localise.localise import FEWEST_FRAMES, Localisation
 from lmd.localise.results import NAMED
 
 NEAREST = 0.02  # greatest difference between the times of an image and of a pose of a trajectory, seconds
-ROUNDS = 30  # steps of the fit, each of which chooses images, variances and the similarity anew
+ROUNDS = 30  # steps of the fit, each of which chooses images, variances and the similarity again
 TURNED, UNSURE = 0.3, 0.3  # largest rotation of an image that fits, rad, and relative standard deviation of a scale
 NORMAL_MEDIAN = 1.538  # median length of a vector of three normal variables with the variance 1
 LEAST_UNIT = 1e-6  # smallest ratio of two lengths in the model and in the map
@@ -38,11 +39,11 @@ def align(model: Model, result: Localisation) -> tuple[dict[str, Any], dict[str,
     """Find the similarity between a model and the map by the images that both have.
 
     Returns:
-        Contents of the files of the model in metres and of the tables of residuals, keyed by name.
+        Contents of files, keyed by name: the model in metres, and the tables of residuals.
 
-        Metrics: `scale` and `scale_sigma`, metres per unit of the model; `model_place` and `model_turn`, standard
-        deviations of the model's poses along and about each axis, metres and rad; `aligned` and `astray`, numbers of
-        images that fit and that do not.
+        Metrics: `scale` and `scale_sigma`, metres per unit of the model. `model_place` and `model_turn` are standard
+        deviations of the model's poses along and about each axis, metres and rad. `aligned` and `astray` are the
+        numbers of images that fit and that do not.
 
         Text for a terminal.
 
@@ -136,8 +137,8 @@ def _fitted(
 
     Returns:
         similarity; mask of the images that fit, and chi^2 of all, `(n,)` each; variances of the model's errors, as
-        components of a twist, `(6,)`; derivatives of the logarithm of the scale with respect to twists of the localised
-        poses, `(n, 6)`.
+        components of a twist, `(6,)`. Last, the derivatives of the logarithm of the scale with respect to twists of the
+        localised poses, `(n, 6)`.
 
     Raises:
         InputError: less than half of the images fit.

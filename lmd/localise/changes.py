@@ -3,7 +3,7 @@
 *Moved tags* are found by a bundle adjustment with the map as the prior. Let u be the twists of the tags from their
 poses in the map to their estimated poses, with the posterior covariance P. S is the prior covariance of these twists.
 The *trusted* tags r, which were not moved, have the prior N(0, S) with the information matrix J = S_rr^-1. The pose of
-each tag in the map is compared with its pose according to the images and all other trusted tags:
+each tag in the map is compared with its pose according to the images and all other trusted tags.
 
 - If a trusted tag k was moved by t, its prior holds for u_k - t. The information matrix of t is Q_kk with Q = J - J P
   J, and t = Q_kk^-1 (J u)_k with the covariance Q_kk^-1.

@@ -112,7 +112,7 @@ def surveyed_covariance(path: Any, deployment: Deployment) -> FloatArray | None:
         deployment: K tags, in any order; tags that the survey lacks get zero covariance.
 
     Returns:
-        covariance, m^2 and rad^2, with six rows for each tag, `(6 K, 6 K)`; None if there is no file of the joint
+        covariance, m^2 and rad^2, with six rows for each tag, `(6 K, 6 K)`; None without the file of the joint
         covariance.
 
     Raises:

@@ -44,10 +44,11 @@ class RoughPoses(NamedTuple):
 
     poses: Poses
     """Poses of tags, frames and mounts. The pose of a tag is NaN if the map lacks the tag, or if the tag contradicts
-    the map; the pose of a frame is NaN if it shows no tag with a pose.
+    the map. The pose of a frame is NaN if the frame shows no tag with a pose.
     """
     others: FloatArray
-    """For each frame, the best pose that clearly differs from its pose in `poses`, `(F, 4, 4)`; NaN if there is none.
+    """For each frame, the best pose that clearly differs from its pose in `poses`, `(F, 4, 4)`; NaN without such a
+    pose.
     """
     gross: BoolArray
     """Mask of the tags that contradict the other tags, `(K,)`."""
@@ -56,7 +57,7 @@ class RoughPoses(NamedTuple):
 def rough_poses(sightings: Sightings, poses: Poses, sigmas: FloatArray) -> RoughPoses:
     """Find rough poses of the frames, and tags that contradict the other tags.
 
-    Each sighting that does not fit the pose of its image counts as one vote against its tag; in an image in which at
+    Each sighting that does not fit the pose of its image counts as one vote against its tag. In an image in which at
     most half of the sightings fit, each sighting counts as half a vote. The tags with the largest fraction of votes
     against them are ignored, and the images are localised again.
 

@@ -30,7 +30,7 @@ class ReferenceState(NamedTuple):
 
 
 class ReferenceScratch(NamedTuple):
-    """Working memory. It has the move tried last; once this move is carried out, it has the old place and the old
+    """Working memory with the move tried last. Once this move is carried out, the memory has the old place and the old
     values instead.
     """
 

@@ -25,7 +25,7 @@ class Sampling(Checked):
         positions: number of positions drawn in the cell of each grid position; the relevance of the grid position is
             divided among them.
         divisions: one orientation is drawn in each of (2 `divisions`) x `divisions` cells, which have equal probability
-            under the continuous distribution behind the PDF. A PDF of the yaw alone has fewer cells, see
+            under the continuous distribution behind the PDF. A PDF of only the yaw has fewer cells, see
             `lmd.scene.pdf.OrientationPdf.stratified`. A PDF from samples is used unchanged.
 
     Raises:

@@ -87,8 +87,8 @@ class FilteredScratch(NamedTuple):
     offsets: np.ndarray
     """`(2, 4, L)` float32, see `lmd.incremental.state.Scratch.offsets`."""
     near: np.ndarray
-    """`(2, W)` uint64 sets of landmarks, for the old place and for the place tried: those that may hide the moving
-    landmark, or be hidden by it, as seen from a block of frames.
+    """`(2, W)` uint64 sets of landmarks, for the old place and for the place tried. A set has the landmarks that may
+    hide the moving landmark, or be hidden by it, as seen from a block of frames.
     """
     ends: Any
     """Working memory of obstacles, see `lmd.sight.obstacles.find_ends`."""

@@ -13,9 +13,9 @@ rotation. In these axes Ad(T^-1) is v <- v + w x d with the displacement d of th
 along all axes has the covariance Q = diag(m^2 h, t^2 h) in any axes, with the densities m and t over the time h. I has
 the numbers of `lmd.objectives.localisation.information` times `Tolerance.scale`, which contains the noise.
 
-A covariance or an information is 21 numbers: the block of v as xx, xy, xz, yy, yz, zz, the block of v and w row by row,
-and the block of w in the order of the block of v. The functions take numbers or arrays; kernels compile the functions
-that the reference calls, so the results are equal bit for bit.
+A covariance or an information is 21 numbers, in three blocks. The first is the block of v as xx, xy, xz, yy, yz, zz.
+Then come the block of v and w row by row, and the block of w in the order of the block of v. The functions take numbers
+or arrays; kernels compile the functions that the reference calls, so the results are equal bit for bit.
 
 The information of a view is rounded to multiples of `information.QUANTUM`. In a direction that the view leaves
 undetermined, the rounded information is a small number of either sign. Such numbers matter if P is large, so

@@ -96,7 +96,7 @@ class Filtered(AtLeast):
         n: least number of tags in view; the filter ignores an image with fewer tags.
         thold_p: least value of a qualified position; values are 0 or 1.
         drives: training drives, which determine the fitness.
-        fresh: validation drives; None if there are none.
+        fresh: validation drives, or None.
         tolerance: greatest standard deviation of the filtered position, metres.
         rotation_tolerance: greatest standard deviation of the filtered rotation, rad; None for no limit.
         pixel_noise: standard deviation of each coordinate of a corner, pixels.
@@ -122,7 +122,7 @@ class Filtered(AtLeast):
 
     @property
     def sampling(self) -> Sampling | None:
-        """See `Objective.sampling`. It is None, because the frames of the drives are the sample."""
+        """See `Objective.sampling`. The result is None, because the frames of the drives are the sample."""
         return None
 
     @property

@@ -244,8 +244,8 @@ def see(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 @inlined
 def _meet(j: Integer, f: Integer, k: Integer, covered: Any, field: Any, state: Any, scratch: Any) -> Any:
-    """Process another landmark j, as seen in frame f: count it if it hides landmark k at the place tried, and list it
-    if k hides it at the old place or at the place tried.
+    """Process another landmark j, as seen in frame f. Count landmark j if it hides landmark k at the place tried. List
+    landmark j if landmark k hides it at the old place or at the place tried.
     """
     seen, hiding, change, other = _is_covered(state, f, j), False, np.int64(0), pair3(state.poses, j)
     before, after = scratch.near[0, word_of(j)] & bit_of(j), scratch.near[1, word_of(j)] & bit_of(j)

@@ -1,10 +1,10 @@
-"""Planar ambiguity: the two poses of a single tag, and the residual that tells them apart.
+"""Planar ambiguity: the two poses of a single tag, and the residual that distinguishes the poses.
 
 Far from the camera, a square has nearly the same image after its normal is mirrored about the line of sight: these are
 the two solutions of IPPE. Let s be the edge, d >> s the distance, t and u the unit vectors to the square's right and
 up, and b the unit vector to its centre. Let p = t . b and q = u . b, so that p^2 + q^2 is the squared sine of the
-incidence angle. To the leading order in s / d, the translation, rotation and foreshortening of the mirrored pose absorb
-all differences of the two images but one. Perspective moves the corners of one diagonal in one direction and the
+incidence angle. The translation, rotation and foreshortening of the mirrored pose absorb all differences of the two
+images but one, to the leading order in s / d. Perspective moves the corners of one diagonal in one direction and the
 corners of the other diagonal in the opposite direction. This difference leaves the squared residual
 
     S = (f s^2 / d^2)^2 (p^2 + q^2 - 4 p^2 q^2)
@@ -21,12 +21,13 @@ Two or more tags are unambiguous, because the mirrored pose of one tag does not 
 
 A rig has one mirrored pose for all cameras. Mirrored about its own line of sight b_i, the tag has the residual S_i in
 camera i. About another line b, its corners are also displaced by twice their depth from the tag's centre times b_i - b.
-To the leading order in edge and baseline over distance, the best b leaves the squared residual
+The best b leaves the squared residual S, to the leading order in edge and baseline over distance, because every other
+displacement of the mirrored tag is common to all cameras. So
 
-    S = sum S_i + sum m_i |b_i - b|^2,    m_i = 4 (f_i s / d_i)^2 (p_i^2 + q_i^2),    b = sum m_i b_i / sum m_i
+    S = sum S_i + sum m_i |b_i - b|^2,    m_i = 4 (f_i s / d_i)^2 (p_i^2 + q_i^2),    b = sum m_i b_i / sum m_i.
 
-because every other displacement of the mirrored tag is common to all cameras. With M = sum m_i, h = sum m_i b_i and
-|b_i| = 1, the second sum is M - |h|^2 / M: S follows from five numbers that add up. A further camera never lowers S.
+With M = sum m_i, h = sum m_i b_i and |b_i| = 1, the second sum is M - |h|^2 / M: S follows from five numbers that add
+up. A further camera never lowers S.
 
 At an incidence angle below about 1.5 baselines over distance, radians, no second pose exists, which S neglects.
 docs/results/ambiguity.md has the error of S.
@@ -131,8 +132,9 @@ def _no_camera_residual(least: None, tag: Square) -> Number:
 
 @inlined
 def mirrored_numbers(tag: Square, least: Number) -> tuple[Number, Number, Number, Number, Number]:
-    """Five numbers with which a tag enters the sums of a rig's view, each times the cube of the tag's distance: the
-    ratio of S to the required residual `least`, then M and h (three numbers). S and M are in units of f^2.
+    """Five numbers with which a tag enters the sums of a rig's view, each times the cube of the tag's distance. The
+    numbers are the ratio of S to the required residual `least`, then M and h (three numbers). S and M are in units of
+    f^2.
     """
     offset, right, up = tag
     squared, along, above = dot3(offset, offset), dot3(offset, right), dot3(offset, up)

@@ -57,8 +57,8 @@ class LocalisationScratch(NamedTuple):
     `LOST` and `GAINED` have the views in which another landmark disappears or appears.
     """
     coverage: Scratch | RigScratch
-    """Scratch (working memory) of the field of coverage. Its `units` are quantised P_n, the probability that n
-    landmarks are covered.
+    """Scratch (working memory) of the field of coverage. The `units` of the scratch are quantised P_n, the probability
+    that n landmarks are covered.
     """
     views: CameraViews | BodyViews
     """Working memory for the views of one position."""

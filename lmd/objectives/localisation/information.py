@@ -2,17 +2,17 @@
 
 Let d be the offset of a corner from the camera, r = |d|, and b = d / r the direction in which the camera sees the
 corner. If the camera moves by v and turns by w, both in the world frame, b turns by b x w - (I - b b^T) v / r. With
-isotropic noise, the corners together have the information
+isotropic noise, the corners together have an information of 15 numbers about (v, w), which do not depend on the
+orientation of the camera. The matrix:
 
     [ C       -[g]x ]       A = sum (I - b b^T),   g = sum b / r,   C = sum (I - b b^T) / r^2
-    [ [g]x     A    ]
+    [ [g]x     A    ].
 
-about (v, w): 15 numbers, which do not depend on the orientation of the camera. The information about the position, if
-the rotation is estimated too, is the Schur complement
+The information about the position, if the rotation is estimated too, is the Schur complement
 
-    S = C - ((g^T A g) A - (A g) (A g)^T) / det A,
+    S = C - ((g^T A g) A - (A g) (A g)^T) / det A.
 
-and the standard deviation of the position is (sigma / f) sqrt(tr S^-1), where tr S^-1 is the sum of the principal 2 x 2
+The standard deviation of the position is (sigma / f) sqrt(tr S^-1). Here tr S^-1 is the sum of the principal 2 x 2
 minors of S over det S. The formulas for the rotation have A and C exchanged.
 
 Noise is isotropic in pixels, not in directions. At the cosine c = z / r from the optical axis, a rotation of the
@@ -31,14 +31,14 @@ C. The contribution of a landmark is rounded to a multiple of `QUANTUM`. Sums ar
 can be added and removed again.
 
 A camera at the offset o from the body's origin, world frame, moves by v - o x w when the body moves by v and turns by
-w. With A, g and C of the camera, the information about (v, w) of the body is
+w. The information about (v, w) of the body has 21 numbers, and follows from A, g and C of the camera. The matrix:
 
     [ C       B           ]      B = -C [o]x - [g]x
-    [ B^T     A'          ]      A' = A - [o]x C [o]x - [o]x [g]x - [g]x [o]x,
+    [ B^T     A'          ]      A' = A - [o]x C [o]x - [o]x [g]x - [g]x [o]x.
 
-21 numbers. Cameras measure independently, so their information, times the square of their focal lengths, adds up. A
-landmark that two cameras see adds information twice, and counts once among the n landmarks that a view needs. Each
-landmark's contribution to a view is rounded as for a single camera, which makes sums exact in any order.
+Cameras measure independently, so their information, times the square of their focal lengths, adds up. A landmark that
+two cameras see adds information twice, and counts once among the n landmarks that a view needs. Each landmark's
+contribution to a view is rounded as for a single camera, which makes sums exact in any order.
 
 The numbers of view v of a rig are `sums[v + j * step]`, j from 0 to 20: C as xx, xy, xz, yy, yz, zz, B row by row, and
 A' as C.
@@ -190,8 +190,8 @@ def share_of(moment: Number, weight: Number) -> Number:
 
 @inlined
 def _schur(sums: Any, v: Integer, step: Integer, first: int, last: int) -> tuple[Number, Number, Number, Number]:
-    """Four numbers, from which `inverse_trace` computes the trace of S^-1: det A; the sum of the principal 2 x 2 minors
-    of the matrix S det A; the determinant of this matrix; and tr A.
+    """Four numbers, from which `inverse_trace` computes the trace of S^-1. The first is det A. The next two are the sum
+    of the principal 2 x 2 minors, and the determinant, of the matrix S det A. The last is tr A.
 
     A begins at number `first` and C at `last`: (0, 9) for the position, (9, 0) for the rotation.
     """
@@ -277,8 +277,8 @@ def about_body(moments: tuple[Number, ...], arm: Vector) -> tuple[Number, ...]:
 
 @inlined
 def _body_schur(c: Any, rows: Any, a: Any) -> tuple[Number, Number, Number, Number]:
-    """Four numbers, from which `inverse_trace` computes the trace of S^-1, with S = C - B A^-1 B^T: det A; the sum of
-    the principal 2 x 2 minors of the matrix S det A; the determinant of this matrix; and tr A.
+    """Four numbers, from which `inverse_trace` computes the trace of S^-1, with S = C - B A^-1 B^T. The first is det A.
+    The next two are the sum of the principal 2 x 2 minors, and the determinant, of the matrix S det A. Then tr A.
 
     C and A are symmetric, six numbers each; B is given by its three rows.
     """

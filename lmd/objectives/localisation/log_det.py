@@ -1,9 +1,9 @@
 """Expected log determinant of the information about the pose: the surrogate of localisation for greedy selection.
 
-The accuracy of localisation is not submodular in the landmarks, because the first landmark alone has no value. The log
-determinant of the sum of prior and information is submodular if no landmark hides another: each further landmark adds
-less. The surrogate is the mean over positions and orientations. The prior is the information about the pose before the
-image. With a prior standard deviation of a few tolerances, the selected landmarks spread over the room. With a wide
+The accuracy of localisation is not submodular in the landmarks, because the first landmark by itself has no value. The
+log determinant of the sum of prior and information is submodular if no landmark hides another: each further landmark
+adds less. The surrogate is the mean over positions and orientations. The prior is the information about the pose before
+the image. With a prior standard deviation of a few tolerances, the selected landmarks spread over the room. With a wide
 prior, the first view of one place would gain more than any improvement of another place.
 """
 

@@ -37,7 +37,7 @@ FIRST_MOMENT = np.uint64(13)
 
 
 class Mounts(NamedTuple):
-    """The fields of a `MountGroup` that localisation needs. They are copied in many calls, so the tuple has no further
+    """The fields of a `MountGroup` that localisation needs. The tuple is copied in many calls, so it has no further
     fields.
     """
 
@@ -117,7 +117,7 @@ def prefetch_sums(sums: FloatArray, first: Integer, views: BodyViews, count: Int
 
 @inner
 def load_sums(sums: FloatArray, first: Integer, precision: Precision, views: BodyViews, count: Integer) -> None:
-    """Add rows of `sums` `(V, width)` to the sums of the views of one word of orientations; row `first` belongs to the
+    """Add rows of `sums` `(V, width)` to the sums of the views in one word of orientations; row `first` belongs to the
     first orientation of the word.
     """
     bits, rows = views.lists[ORIENTATION], views.rows

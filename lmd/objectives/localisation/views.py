@@ -295,7 +295,7 @@ def see_rest(known: Any, k: Integer, cover: Any, trial: Any) -> None:
 
 @dispatched_call
 def find_turns(known: Any, trial: Any, lost: WordArray, gained: WordArray) -> None:
-    """Add to `lost` `(Q, W)` the orientations with which at least one camera ceases to see another landmark, and to
+    """Add to `lost` `(Q, W)` the orientations with which at least one camera ceases to see another landmark. Add to
     `gained` `(Q, W)` the orientations with which at least one camera begins to see another landmark.
     """
 

@@ -9,8 +9,8 @@ run from a random start therefore has up to three stages:
    were pushed apart in one step until none hides another, they would cover less than the stack did. So the assumed
    footprints are small at first and *grow* to their true size, which separates the landmarks gradually.
 3. For an objective that is evaluated on random samples of poses (an objective "with a sampling"), a gradient ascent of
-   all landmarks together (`ascent`) finds the local optimum, because the gains of single moves are smaller than the
-   sampling error.
+   all landmarks together (`ascent`) finds the local optimum. Single moves do not suffice, because their gains are
+   smaller than the sampling error.
 
 The annealing ("walk") mostly maximises a `surrogate` of the problem. From time to time the present deployment is
 evaluated on the problem itself, which costs an evaluation of the budget.
@@ -258,7 +258,7 @@ class Annealing(DeploymentSearch):
         return self.best
 
     def _mean(self, problem: Problem) -> Deployment:
-        """Deployment that results from a walk on random samples: each landmark is at the mean of its places in the
+        """Deployment that results from a walk on random samples. Each landmark is at the mean of its places in the
         walk, or, while growing footprints still push landmarks apart, at its last place.
         """
         if problem.objective.sampling is None or self.angles is not None:

@@ -129,8 +129,8 @@ class Surrogate:
         """Prepare the walks. Return the places of the landmarks from which the walks begin; `NOWHERE` if the walks are
         already at these places.
 
-        If the objective has a random sample of positions, the sample is redrawn. Its size grows with the
-        square of the completed fraction of the stage: for early moves a rough estimate of the fitness suffices, but the
+        If the objective has a random sample of positions, the sample is redrawn. The size of the sample grows with the
+        square of the completed fraction of the stage. For early moves a rough estimate of the fitness suffices, but the
         gains of late moves are smaller than the error of a small sample.
         """
         in_stacks, size = conditions.in_stacks, conditions.size

@@ -11,8 +11,8 @@ shrinks.
 
 Most moves are rejected before their exact gain is computed. The objective is monotone in every value, so upper bounds
 on the values (`bound`) give an upper bound on the gain. If the bound is negative, so is the gain, and the random number
-for Metropolis' rule is drawn. If the rule rejects the bound, it would also reject the gain, and the move is rejected;
-otherwise the gain is computed, and the rule is applied to it with the number already drawn. So decisions and random
+for Metropolis' rule is drawn. If the rule rejects the bound, it would also reject the gain, and the move is rejected.
+Otherwise the gain is computed, and the rule is applied to it with the number already drawn. So decisions and random
 numbers do not depend on the bound.
 """
 
@@ -64,8 +64,8 @@ class Walker(NamedTuple):
     scratches: Any
     """Working memory of the field: one scratch for each landmark of a group that moves together (`layers`)."""
     best: Best
-    """Best deployment of the walk. It is the best deployment of the true problem only if there is a single walk on that
-    problem.
+    """Best deployment of the walk. This deployment is the best of the true problem only if there is a single walk on
+    that problem.
     """
 
 
@@ -155,14 +155,14 @@ def walk(
     moves: int, places: Places, walker: Walker, field: Any, target: Any, room: tuple[SurfaceArrays, FootprintArrays],
     settings: Settings, rng: np.random.Generator,
 ) -> None:  # fmt: skip
-    """Propose moves, beginning at `places`, until `moves` landmarks have been in a proposed move; afterwards the
-    walker's state is the state of the last deployment.
+    """Propose moves, beginning at `places`, until `moves` landmarks have been in a proposed move; afterwards the state
+    of `walker` is the state of the last deployment.
 
     Args:
         moves: length of the walk, counted in landmarks: a proposal for g landmarks counts g, also if it is rejected.
-        places: poses and surfaces at the beginning of the walk; if empty, the walk begins with the walker's `state`.
-        walker: memory of the walk. Its `scratches` have one layer for each landmark that a single move can change: n
-            layers, but at least two if landmarks exchange places.
+        places: poses and surfaces at the beginning of the walk; if empty, the walk begins with the `state` of `walker`.
+        walker: memory of the walk. The `scratches` of this memory have one layer for each landmark that a single move
+            can change: n layers, but at least two if landmarks exchange places.
         field: incremental evaluator of the values at positions, a `Field`.
         target: functions that compute the fitness from the values, a `Target`.
         room: surfaces of the room, and footprints of all landmarks.
