@@ -121,9 +121,9 @@ class Adjustment:
         self.share = max(1.0 - unknowns / (RESIDUALS * len(sightings)), LEAST_SHARE)  # of the squares, after a fit
 
     def _jacobians(self, some: Sightings, at: Reprojection) -> list[tuple[IntArray, FloatArray]]:
-        """Jacobians with respect to the kept unknowns. The list has one pair for each kind of unknown: for each of n
-        sightings, the index of the block of six unknowns on which it depends, `(n,)`, and the Jacobian of its residuals
-        with respect to this block, `(n, 8, 6)`.
+        """Jacobians with respect to the kept unknowns. The list has one pair of arrays for each kind of unknown. The
+        first array has the index of the block of six unknowns on which each of n sightings depends, `(n,)`. The second
+        has the Jacobian of the sighting's residuals with respect to this block, `(n, 8, 6)`.
         """
         found = [(some.tag, at.by_tag)]
         if self.mounts.stop > self.mounts.start:

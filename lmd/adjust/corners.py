@@ -231,7 +231,7 @@ def sums_by(owner: IntArray, count: int) -> Callable[[FloatArray], FloatArray]:
 
 def add_at(cells: FloatArray, first: IntArray, second: IntArray, values: FloatArray) -> None:
     """Add values `(N, ...)` to the entries `cells[first, second]` of an array `(n, m, ...)`; pairs of indices may
-    repeat. It is many times as fast as `numpy.add.at`.
+    repeat. This function is many times as fast as `numpy.add.at`.
     """
     keys, pair = np.unique(first * cells.shape[1] + second, return_inverse=True)
     cells[np.divmod(keys, cells.shape[1])] += sums_by(pair, len(keys))(values)

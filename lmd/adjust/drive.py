@@ -1,13 +1,13 @@
 """Motion of a body, estimated from its drive: noise of the motion model (its *spread*), errors across gaps between
 frames, and smoothest sequence of poses.
 
-The spread s, which scales the standard deviations of a motion model, is estimated by maximum evidence: with theta = log
+The spread s scales the standard deviations of a motion model, and is estimated by maximum evidence. With theta = log
 s^2,
 
-    d chi^2 / d theta + d log |Q| / d theta + d log |H| / d theta = 0,
+    d chi^2 / d theta + d log |Q| / d theta + d log |H| / d theta = 0.
 
-where chi^2 and Q are the errors of the links and their covariance, and H is the matrix of all unknowns. The prior of s
-has the weight of `ASSUMED_LINKS` links.
+Here chi^2 is that of the links' errors, Q is the covariance of these errors, and H is the normal matrix of all
+unknowns. The prior of s has the weight of `ASSUMED_LINKS` links.
 
 Errors of the constant-velocity model across gaps are measured in pieces of the drive without gaps. For two frames that
 are as far apart as the gap is long, the velocities before and after predict the relative pose. The error of the
@@ -64,8 +64,8 @@ def spread_motion(joint: Adjustment, poses: Poses, floor: float) -> Motion:
     error, size = links.at(poses.frames[joint.seen]).error, links.size
 
     def evidence(motion: Motion) -> FloatArray:
-        """Terms of the evidence for a motion model, `(3,)`: chi^2 of the links between frames; log |Q| for the
-        covariance Q of the links' errors; log |H| for the normal matrix H of the adjustment.
+        """Terms of the evidence for a motion model, `(3,)`. The first is chi^2 of the links between frames. The others
+        are log |Q| for the covariance Q of the links' errors, and log |H| for the normal matrix H of the adjustment.
         """
         tried = joint if motion is joint.prior.motion else with_motion(joint, motion)
         assert tried.links is not None

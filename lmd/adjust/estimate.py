@@ -242,7 +242,7 @@ def constraining(sightings: Sightings, used: BoolArray, prior: Prior) -> BoolArr
 
 def inflation(found: Estimate) -> float:
     """Factor, at least 1, by which errors that are correlated in time enlarge the standard deviations of the tags'
-    positions. It is computed from blocks of time, as the geometric mean of the factors of single tags.
+    positions. The factor is computed from blocks of time, as the geometric mean of the factors of single tags.
 
     The factor is 1 if there are too few frames for blocks. If frames are linked, only frames with two or more tags are
     used, in the largest part of the map that such frames connect.

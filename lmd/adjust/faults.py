@@ -91,8 +91,8 @@ def second_places(found: Estimate, gross: BoolArray) -> list[SecondPlace]:
 
 
 def _change(first: IntArray, second: IntArray) -> int | None:
-    """Index of the first frame after a tag was moved, from the frames that show it at its `first` pose and those that
-    show it at its `second` pose; None if the frames alternate between the two poses.
+    """Index of the first frame after a tag was moved; None if the frames alternate between the two poses. The frames
+    `first` show the tag at one pose, the frames `second` at the later pose.
     """
     begins = int(np.quantile(second, OUT_OF_ORDER_SHARE / 2.0))
     mixed = (first >= begins).mean() > OUT_OF_ORDER_SHARE
@@ -138,8 +138,8 @@ def odd_sizes(sightings: Sightings, plan: FloatArray | None = None) -> tuple[Flo
 
 
 def _together(sightings: Sightings) -> Iterator[tuple[int, int, FloatArray, FloatArray]]:
-    """Iterate over the pairs of tags i < j that n images show together. Yields i, j, and the centres of tag i and
-    of tag j in the frame of the camera of each image, `(n, 3)` each, metres.
+    """Iterate over the pairs of tags i < j that n images show together. Yields i, j, and the centres of both tags,
+    `(n, 3)` each, metres, in the camera frame of each image.
     """
     count, every = len(sightings.ids), np.arange(len(sightings))
     centres = single_poses(sightings).poses[:, 0, :3, 3]
@@ -166,10 +166,10 @@ def _losses(one: FloatArray, two: FloatArray, expected: float | None) -> FloatAr
 
 
 def _planned_sizes(sightings: Sightings, plan: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Factors on edge lengths, from the distances between tags. Returns: for each tag, logarithm of the factor on its
-    edge length at which its measured distances from other tags fit those in the map best; and mask of the tags that no
-    image shows with another tag of the map; `(K,)` each. In each pair, the other tag keeps its size or gets an equal
-    factor.
+    """Factors on edge lengths, from the distances between tags. Returns two arrays, `(K,)` each. The first has the
+    logarithm of the factor on each tag's edge length at which the measured distances from other tags fit those in the
+    map best. The second is the mask of the tags that no image shows with another tag of the map. In each pair, the
+    other tag keeps its size or gets an equal factor.
     """
     pairs = [pair for pair in _together(sightings) if np.isfinite(plan[[pair[0], pair[1]]]).all()]
     factors, alone = np.ones(len(plan)), np.ones(len(plan), dtype=bool)

@@ -104,8 +104,8 @@ def align_tags(here: FloatArray, there: FloatArray) -> FloatArray | None:
         return None
 
     def squares(motion: FloatArray) -> FloatArray:
-        """Squared difference of each tag's two poses after a motion, `(K,)`: the squared distance of the centres plus
-        the squared angle between the normals, divided by the squares of `PLACE_SCALE` and of `NORMAL_SCALE`.
+        """Squared difference of each tag's two poses after a motion, `(K,)`: the sum of
+        (distance of the centres / `PLACE_SCALE`)^2 and (angle between the normals / `NORMAL_SCALE`)^2.
         """
         moved = motion @ here
         away = np.linalg.norm(moved[:, :3, 3] - there[:, :3, 3], axis=1) / PLACE_SCALE

@@ -149,8 +149,8 @@ class Links:
         off = float((self.squares(at.error) > MOST_SQUARE).mean())
         if off > MOST_OFF or np.abs(at.bias).max() > MOST_BIAS:
             raise InputError(
-                "odometry contradicts the motion in the images: give mount or frame=body if its poses are of a body "
-                "and not of the (first) camera, and check that its drive and clock (to 0.5 s) are theirs.",
+                "odometry contradicts the motion in the images: give mount or frame=body if its poses are not "
+                "of the (first) camera, and check that drive and clock (to 0.5 s) match the images.",
                 "odometry",
             )
 

@@ -10,8 +10,8 @@ frames. A frame that shows a single tag thus places the tag relative to the tags
   an unknown of the drive. With the sum B of Ad_O times the length of each step, r contains Ad_O_j^-1 (B_j - B_i) b.
 - *Constant velocity*: the velocity u in the world and the turn rate w of the body change by white noise, and are
   unknowns of each frame. A link over dt has the errors phi - dt w_i, p_j - p_i - dt u_i, w_j - w_i, u_j - u_i with phi
-  = log(R_i^T R_j), and the covariance s^2 [dt^3 / 3, dt^2 / 2; dt^2 / 2, dt]. The model has the velocity in the world,
-  as a camera carried straight ahead may turn on the way.
+  = log(R_i^T R_j). The covariance of these errors is s^2 [dt^3 / 3, dt^2 / 2; dt^2 / 2, dt]. The model has the velocity
+  in the world, as a camera carried straight ahead may turn on the way.
 
 Real bodies are not driven by white noise, so the errors across long gaps do not follow from the errors of short links.
 These errors are measured in pieces of the drive without gaps, see `lmd.adjust.drive`.
@@ -98,9 +98,9 @@ class Motion:
     single piece.
     """
     gaps: FloatArray | None = None
-    """Errors of the constant-velocity model across gaps, as measured in pieces of the drive without gaps, `(n, 3)`: the
-    length of the gap, seconds, ascending, and the spreads of rotation and of translation that explain the errors.
-    Longer gaps are not bridged. None if nothing was measured.
+    """Errors of the constant-velocity model across gaps, as measured in pieces of the drive without gaps, `(n, 3)`. The
+    columns are the length of the gap, seconds, ascending, and the spreads of rotation and of translation that explain
+    the errors. Longer gaps are not bridged. None if nothing was measured.
     """
     odometry: Trajectory | None = None
     """The odometry; None for a constant velocity."""
@@ -158,8 +158,8 @@ class Motion:
     @property
     def velocities(self) -> FloatArray:
         """Turn rate, rad/s, and velocity, m/s, of the body at each frame by odometry, in the body's frame, `(F, 6, 2)`.
-        The last axis has two estimates with independent drift: from even steps and from odd steps of odometry. They are
-        0 for frames without odometry.
+        The last axis has two estimates with independent drift: from even steps and from odd steps of odometry. Both
+        estimates are 0 for frames without odometry.
         """
         assert self.odometry is not None
         own, frames = self.odometry.time, np.arange(len(self.times))

@@ -52,8 +52,8 @@ class Sheets:
     """`(6,)` inverse variances of the components of d_k."""
 
     def of(self, placed: BoolArray) -> "Sheets | None":
-        """Those sheets of which at least two tags are placed, according to the mask `placed` `(K,)`; None if there is
-        no such sheet.
+        """Sheets of which at least two tags are placed, according to the mask `placed` `(K,)`; None if there is no such
+        sheet.
         """
         own = placed[self.tag]
         own &= np.bincount(self.board[own], minlength=self.board.max(initial=0) + 1)[self.board] >= FEWEST
@@ -73,8 +73,8 @@ class Sheets:
 
     def fitted(self, tags: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Twists d_k of the tags on sheets, `(M, 6)`, and chi^2 of each twist, `(M,)`. Each sheet is placed where it
-        fits the poses `tags` `(K, 4, 4)` of its tags best; d_k is the twist from the pose that the sheet gives a tag to
-        the tag's pose in `tags`.
+        fits the poses `tags` `(K, 4, 4)` of its tags best. The twist d_k leads from the pose that the sheet gives a tag
+        to the tag's pose in `tags`.
 
         Each tag proposes a pose of its sheet; the fit starts with the proposal on which the tags of the sheet agree
         best.
@@ -178,8 +178,8 @@ class Prior:
     """Motion between the frames; None if frames are independent of each other."""
     joint: FloatArray | None = field(default=None, repr=False)
     """`(6 K, 6 K)` information (inverse covariance) on the twists of all tags from their expected poses, if the errors
-    of different tags are correlated. It replaces `information`, which then only tells which tags have a prior. None for
-    independent tags.
+    of different tags are correlated. The matrix replaces `information`, which then only tells which tags have a prior.
+    None for independent tags.
     """
 
     @property

@@ -71,7 +71,7 @@ def _lenses_of(found: Estimate) -> Lenses:
 
 
 def _through(found: Estimate, lenses: Lenses) -> Estimate:
-    """Copy of the estimate whose cameras have the nuisance parameters `lenses`. Its sightings are computed anew for
+    """Copy of the estimate whose cameras have the nuisance parameters `lenses`. The sightings are computed again for
     these cameras; shapes of tags are kept.
     """
     names = ("edges", "shapes", "shape_sigma", "size_sigmas", "taken")

@@ -5,8 +5,8 @@ projection, pixels, with respect to a displacement of b in the tangent plane of 
 camera's frame has the residual e = J p / (b . p), pixels. The residual equals the reprojection error up to terms of
 second order in e, and needs the inverse of the lens model only once.
 
-Paper bends and printers stretch, so the corners of a printed tag do not lie on an exact flat square. In addition to
-rigid motions, a tag has five modes of deformation and a change of scale, its *growth*; the six are `SHAPES`.
+Paper bends and printers change lengths, so the corners of a printed tag do not lie on an exact flat square. In addition
+to rigid motions, a tag has five modes of deformation and a change of scale, its *growth*; the six are `SHAPES`.
 """
 
 from collections.abc import Sequence

@@ -1,5 +1,4 @@
-"""Body of a robot. It consists of boxes, whose faces may carry cameras. The body may fill only a limited part of a
-camera's image.
+"""Body of a robot: boxes whose faces may carry cameras. The body may fill only a limited part of a camera's image.
 
 Coordinates are in the body frame of `lmd.scene.rig`: x forward, y to the left, z up.
 """

@@ -45,7 +45,9 @@ class CameraViews:
         self._kept: OrderedDict[Mount, np.ndarray] = OrderedDict()
 
     def _alone(self, camera: Camera) -> Evaluator:
-        """Evaluator of the scene with the given single camera in place of the rig. Its own positions are not used."""
+        """Evaluator of the scene with the given single camera in place of the rig. The positions of this
+        evaluator are not used.
+        """
         if camera not in self._of_camera:
             scene = replace(self._evaluator.scene, camera=camera)
             self._of_camera[camera] = Evaluator(scene, self._evaluator.positions[:1], threads=1)

@@ -130,8 +130,8 @@ def predicted_in_frames(limits: Limits, renderer: Renderer, poses: FloatArray) -
 
 
 def frame_scores(predicted: BoolArray, seen: Matches) -> dict[str, float]:
-    """Scores of predictions for N frames: number of `frames`; `precision`; `recall`; `predicted_<n>` and
-    `detected_<n>`, the fractions P(>= n) of frames with at least n predicted or detected tags; `agreement_2`, the
+    """Scores of predictions for N frames: number of `frames`, `precision` and `recall`. `predicted_<n>` and
+    `detected_<n>` are the fractions P(>= n) of frames with at least n predicted or detected tags. `agreement_2` is the
     fraction of frames in which prediction and detection agree on whether at least two tags are found.
 
     Args:
@@ -160,8 +160,9 @@ def fit(views: TagViews, rng: np.random.Generator, margin: float) -> Fit:
     Args:
         views: at least two views; views of a recording must be from images taken at two or more different times.
         rng: random generator that halves the views.
-        margin: margin to the border of the image in the limits, pixels. It is kept for views that are not from a
-            recording, as these do not determine it; for a recording it is the lower bound of the fitted margin.
+        margin: margin to the border of the image in the limits, pixels. Views that are not from a recording do not
+            determine the margin, so this value is kept. For a recording the value is the lower bound of the fitted
+            margin.
 
     Raises:
         InputError: there are too few views, or the margin is negative.
@@ -196,8 +197,8 @@ def predicted_views(views: TagViews, limits: Limits, circles: tuple[float, ...])
 def _best(views: TagViews, margin: float) -> tuple[Limits, tuple[float, ...]]:
     """Limits and image circles with the fewest errors on `views`.
 
-    Limits that are optimised jointly form a group. A group is an array of masks. It has a mask for each combination of
-    values of its limits: of the views that meet the limits with these values.
+    Limits that are optimised jointly form a group. A group is an array of masks, one for each combination of values of
+    the limits. A mask marks the views that meet the limits with these values.
     """
     placed, margins, circles = views.placed, np.array([margin]), []
     sharp = views.pitch >= np.hypot(PITCHES[:, None, None], BLURS[:, None] * views.sigma)  # (A, K, M)

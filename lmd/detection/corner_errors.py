@@ -24,8 +24,8 @@ def pitch(
 ) -> FloatArray:
     """Pitch of tags: pixels per module along the most foreshortened direction.
 
-    The pitch is the smaller singular value of J times edge / N, where J is the Jacobian of the projection with respect
-    to displacements in the tag's plane and N the number of modules along an edge. With s = |J|_F^2 and d = |det J| the
+    The pitch is the smaller singular value of J times edge / N. J is the Jacobian of the projection with respect to
+    displacements in the tag's plane, and N the number of modules along an edge. With s = |J|_F^2 and d = |det J| the
     singular value is d / sqrt((s + sqrt(s^2 - 4 d^2)) / 2).
 
     Args:

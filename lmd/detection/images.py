@@ -147,7 +147,7 @@ def read_image(path: Path, camera: Camera, argument: str) -> UInt8Array:
     size = image_size(camera)
     written = pixels_of(content)
     if written in (size, size[::-1]):
-        # The file may state a rotation for display. It is ignored, as a calibration is in the sensor's
+        # The file may state a rotation for display. The rotation is ignored, as a calibration is in the sensor's
         # orientation, unless the calibrated size shows that the calibration used rotated images.
         turned = cv2.IMREAD_GRAYSCALE | (cv2.IMREAD_IGNORE_ORIENTATION if written == size else 0)
         image: UInt8Array | None = cv2.imdecode(np.frombuffer(content, np.uint8), turned)

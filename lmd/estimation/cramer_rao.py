@@ -1,7 +1,7 @@
 """Cramer-Rao bound on the pose of a camera from the images of landmarks.
 
-A perturbation of the pose X to X exp(w, v) moves a landmark at y_i = (x, y, z) in the camera's frame by y_i x w - v,
-and the image of the landmark by J_i (w, v) with
+A perturbation of the pose X to X exp(w, v) moves a landmark at y_i = (x, y, z) in the camera's frame by y_i x w - v.
+The image of the landmark moves by J_i (w, v) with
 `J_i = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)] [[y_i]x  -I]`. For a distorting lens, the lens's Jacobian
 (`lmd.geometry.lens`) replaces the factors of the focal lengths. With pixel noise sigma the information is sum J_i^T J_i
 / sigma^2, and no unbiased estimate from this one frame has a smaller covariance than the inverse of the information.

@@ -2,10 +2,9 @@
 number of tags in view.
 
 A law is sd = a d^b / n^c with the mean distance d [m] of the n tags in view. There is one law for a single tag and
-another law for several tags, as with one tag the position follows from the apparent size and tilt of a small square,
-and with several tags it follows from the angles between the tags. b and c are fitted by least squares to log sd. The
-scale a is the root mean square of sd / (d^b / n^c); errors divided by the law's sd then have the mean square 1 over all
-views.
+another law for several tags. With one tag the position follows from the apparent size and tilt of a small square, with
+several tags from the angles between the tags. b and c are fitted by least squares to log sd. The scale a is the root
+mean square of sd / (d^b / n^c); errors divided by the law's sd then have the mean square 1 over all views.
 
 `RULES` are rules in common use, whose scale a is fitted likewise:
 

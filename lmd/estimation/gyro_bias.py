@@ -1,20 +1,20 @@
 """Equivariant Kalman filter that estimates the pose and the bias of a gyro.
 
-The state is a pose T and a constant bias b of the measured body twist w, whose angular part the gyro measures, with the
-noise n of w and white noise `walk`:
+The state is a pose T and a constant bias b of the measured body twist w. The gyro measures the angular part of w. With
+the noise n of w and white noise `walk`,
 
     T' = T (w - b - n),    b' = walk,    y_i = T^-1 C_i + noise.
 
-The filter is an extended Kalman filter of 12 numbers, and predicts by Th <- Th exp(h (w - bh)), which is exact for
-constant w and b (ad, Ad and J are those of `lmd.geometry.se3`).
+The filter is an extended Kalman filter of 12 numbers. The prediction Th <- Th exp(h (w - bh)) is exact for constant w
+and b. Here ad, Ad and J are those of `lmd.geometry.se3`.
 
 The tangent group of SE(3) with the product (A, a)(B, b) = (A B, a + Ad_A b) acts on states by (T, b) -> (T A, Ad_A^-1
 (b - a)). The system is equivariant. With the origin (I, 0) the equivariant error is (e, z) = (T Th^-1, Ad_Th (b - bh)),
-in the frame of the map, and
+in the frame of the map. The dynamics are
 
-    e' = -e z,    z' = ad_W z    with W = Ad_Th (w - bh),
+    e' = -e z,    z' = ad_W z    with W = Ad_Th (w - bh).
 
-so the error of the bias has linear dynamics, which depend on the estimate only through W. For e = exp(x) a step has
+So the error of the bias has linear dynamics, which depend on the estimate only through W. For e = exp(x) a step has
 
     x <- x - h J(h W) z,    z <- Ad_exp(h W) z.
 

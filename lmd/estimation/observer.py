@@ -1,10 +1,10 @@
 """Observer on SE(3): X-hat' = X-hat (U - epsilon - P(k_0 I_4 Q(Y-hat - Y))) from the landmarks in view.
 
-Notation: landmark i at C_i is measured at y_i = X^-1 C_i and predicted at yh_i = Xh^-1 C_i in the camera's frame; e_i =
-yh_i - y_i; f = 1/2 sum k_i |e_i|^2. All sums are over the landmarks visible at that instant. With the metric diag(l^2
-I, I) on twists (w, v) the descent direction is
+Notation: landmark i at C_i is measured at y_i = X^-1 C_i and predicted at yh_i = Xh^-1 C_i in the camera's frame. The
+error is e_i = yh_i - y_i, and f = 1/2 sum k_i |e_i|^2. All sums are over the landmarks visible at that instant. Twists
+(w, v) have the metric diag(l^2 I, I). The descent direction is
 
-- left-invariant, as printed:  -eps = (l^-2 sum k_i yh_i x e_i, sum k_i e_i),
+- left-invariant, as printed:  -eps = (l^-2 sum k_i yh_i x e_i, sum k_i e_i).
 - right-invariant:             -eps = Ad_{Xh^-1} (l^-2 sum k_i C_i x s_i, sum k_i s_i) with s_i = C_i - Xh y_i.
 
 The error dynamics of the right-invariant form do not depend on the trajectory. The paper takes Q, k_0 and P from a work

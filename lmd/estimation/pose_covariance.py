@@ -1,22 +1,24 @@
 """Covariance of the pose that least squares estimate from one image, with errors of corners and of the map.
 
-Let J_t (8, 6) be the Jacobian of the image corners of tag t with respect to the body twist (w, v), and w_t the weight
-that the solver gives to these corners. With H = sum w_t J_t^T J_t, the error of the pose is to first order
+J_t (8, 6) is the Jacobian of the image corners of tag t with respect to the body twist (w, v). The solver gives these
+corners the weight w_t. Let H = sum w_t J_t^T J_t. The error of the pose is to first order
 
-    e = H^-1 sum w_t J_t^T r_t,    r_t = n_t + (b + mu_t) s_t + M_t m_t
+    e = H^-1 sum w_t J_t^T r_t,    r_t = n_t + (b + mu_t) s_t + M_t m_t.
 
-- n_t: noise of corners, with the covariance sigma_t^2 Q, independent between tags; Q is the identity, or has the modes
-  of `lmd.detection.corner_errors.MeasuredCorners`;
-- b: shift of all edges in the image of a camera, inward or outward, with the variance beta^2; s_t is the displacement
+- n_t: noise of corners, with the covariance sigma_t^2 Q, independent between tags. Q is the identity, or has the modes
+  of `lmd.detection.corner_errors.MeasuredCorners`.
+- b: shift of all edges in the image of a camera, inward or outward, with the variance beta^2. s_t is the displacement
   of the corners by a shift of one pixel (`lmd.detection.corner_errors.inward`). Solvers do not correct the mean shift
-  mu_t of the detector, so its square is added;
-- m_t: error in the position and rotation of the tag in the map; M_t (8, 6) is its Jacobian. The errors of tags t and u
+  mu_t of the detector, so its square is added.
+- m_t: error in the position and rotation of the tag in the map. M_t (8, 6) is its Jacobian. The errors of tags t and u
   have the covariance P_tu, which is 0 for t != u unless a survey states the covariance of all tags together.
 
-The mean of e e^T, called covariance here, is H^-1 N H^-1 with
+The mean of e e^T, called covariance here, is H^-1 N H^-1. The matrix in the middle is
 
-    N = sum w_t^2 sigma_t^2 J_t^T Q J_t + g g^T + beta^2 sum h_c h_c^T + sum B_t P_tu B_u^T, g = sum w_t mu_t J_t^T s_t
-    over all images,    h_c = sum w_t J_t^T s_t over the tags in camera c, B_t = sum w_t J_t^T M_t over the cameras.
+    N = sum w_t^2 sigma_t^2 J_t^T Q J_t + g g^T + beta^2 sum h_c h_c^T + sum B_t P_tu B_u^T.
+
+Here g = sum w_t mu_t J_t^T s_t is over all images, h_c = sum w_t J_t^T s_t over the tags in camera c. B_t = sum w_t
+J_t^T M_t is over the cameras.
 
 With w_t = 1 / sigma_t^2, Q = I, and without shifts and P this is the Cramer-Rao bound. Solvers such as OpenCV's
 `solvePnP` have w_t = 1; a tag with a large sigma_t or P_tt may then raise the covariance.
@@ -101,10 +103,10 @@ def pose_covariances(
         errors: errors of the K tags.
 
     Returns:
-        covariance of the body twist (w, v), `(F, 6, 6)`, infinite if the pose is undetermined; largest standard
-        deviation of a coordinate of a corner in the images of each tag, pixels, `(F, K)`, 0 for tags not in view;
-        Jacobian H^-1 B of the estimated body twist with respect to the error (p, r) of a tag in the map, for each pair
-        of a frame and a tag in view, `(P, 6, 6)`, 0 if the pose is undetermined.
+        covariance of the body twist (w, v), `(F, 6, 6)`, infinite if the pose is undetermined. Largest standard
+        deviation of a coordinate of a corner in the images of each tag, pixels, `(F, K)`, 0 for tags not in view.
+        Jacobian H^-1 B of the estimated body twist with respect to the error (p, r) of a tag in the map, `(P, 6, 6)`, 0
+        if the pose is undetermined. Each of the P pairs of a frame and a tag in view has one such Jacobian.
     """
     edges, frames, shown = deployment.edges_of(tag), len(poses), np.asarray(seen.any(axis=0))
     number = np.cumsum(shown).reshape(shown.shape) - 1  # of each pair of a frame and a tag in view

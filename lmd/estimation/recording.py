@@ -1,7 +1,7 @@
 """Recordings of flights: odometry, and in each frame the positions of the detected landmarks in the camera's frame.
 
-A rig with C cameras is recorded as one camera, in the frame of the body, with C K landmarks: the K landmarks as
-detected by the first camera, then by the second camera, and so on.
+A rig with C cameras is recorded as one camera, in the frame of the body, with C K landmarks. These are the K landmarks
+as detected by the first camera, then by the second camera, and so on.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -147,8 +147,8 @@ class Observation(NamedTuple):
 
 
 def merged(parts: Sequence[Observation], mounted: FloatArray) -> Observation:
-    """Merge the observations of all cameras of a body into one observation in the body's frame: T frames with
-    C K landmarks each, every one of the K landmarks once for each of the C cameras.
+    """Merge the observations of all cameras of a body into one observation in the body's frame. The T frames have C K
+    landmarks each: every one of the K landmarks once for each of the C cameras.
 
     Args:
         parts: observation of each camera in its own frame.

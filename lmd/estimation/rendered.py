@@ -127,7 +127,7 @@ def read(batch: Batch) -> list[Detections]:
 
 def believed(found: Sequence[Detections], ids: IntArray) -> FloatArray:
     """Corners of the tags with the ids `ids` `(K,)` as detected in T frames, pixels, `(T, K, 4, 2)`; NaN for tags that
-    are not detected. Of several detections with one id, the largest is taken.
+    are not detected. The largest of several detections with one id is taken.
     """
     corners, place = np.full((len(found), len(ids), 4, 2), np.nan), {number: k for k, number in enumerate(ids.tolist())}
     for t, detections in enumerate(found):

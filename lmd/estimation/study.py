@@ -127,7 +127,7 @@ class FlightStudy:
         are medians over the second half of the flight. `within_<n>mm` is the fraction of frames in the second half with
         a position error below n mm; frames without an estimate count as larger errors. `nees_joint`, `nees_rotation`
         and `nees_position` are means, over the second half, of the normalised squared errors divided by their degrees
-        of freedom: about 1 if the stated covariances are right, NaN if none are stated.
+        of freedom. The means are about 1 if the stated covariances are right, and NaN if no covariances are stated.
         """
         rows = []
         for name, outcome in self.outcomes.items():
@@ -267,7 +267,7 @@ def to_markdown(figures: pd.DataFrame, n: int) -> str:
 
     Args:
         figures: one row for each deployment, estimator and seed.
-        n: number n of landmarks that the objective requires; the table has the fractions of time with at least n, and
+        n: number n of landmarks that the objective requires. The table has the fractions of time with at least n, and
             with at least 3, landmarks in view, as 3 landmarks determine a pose.
     """
     head = ["deployment", "estimator", *(f"time with >= {m} in view" for m in sorted({n, 3}))]

@@ -5,10 +5,10 @@ A station is a pose of the camera or of the rig's body. At S stations a person m
 localisation reports it from one image. Let m `(6 K,)` be the errors in position and rotation of the K tags of the map.
 To first order the differences d `(3 S,)` between the reported and the taped positions are
 
-    d = A m + n,    with the covariance C = A P A^T + N in a right map
+    d = A m + n.    In a right map d has the covariance C = A P A^T + N.
 
-- A `(3 S, 6 K)` is the Jacobian of the estimated positions, see `lmd.estimation.pose_covariance`;
-- P is the covariance of m in a right map, which the person who hangs the tags leaves, or a survey;
+- A `(3 S, 6 K)` is the Jacobian of the estimated positions, see `lmd.estimation.pose_covariance`.
+- P is the covariance of m in a right map, which the person who hangs the tags leaves, or a survey.
 - N is the covariance of n, the errors of corners in the images and of the tape.
 
 If tag k hangs wrongly by s `(2,)`, right and up in its plane, B_k s is added to the mean of d. B_k `(3 S, 2)` has the
@@ -19,8 +19,8 @@ distribution with two degrees of freedom, otherwise a noncentral one with the no
 The K tests of the tags share half of the rate of false alarms equally (Bonferroni). The S tests of the stations, d_s^T
 C_ss^-1 d_s with three degrees of freedom, share the other half.
 
-Stations are chosen greedily. With the sum G of A_s^T N_s^-1 A_s over the chosen stations and R = (I + P G)^-1, A^T C^-1
-A is G R, and station c adds (A_c R)^T (N_c + A_c R P A_c^T)^-1 A_c R to it.
+Stations are chosen greedily. Let G be the sum of A_s^T N_s^-1 A_s over the chosen stations, and R = (I + P G)^-1. Then
+A^T C^-1 A is G R, and station c adds (A_c R)^T (N_c + A_c R P A_c^T)^-1 A_c R to it.
 """
 
 from dataclasses import dataclass
@@ -165,11 +165,11 @@ class HungMap:
         candidates from them.
 
         Returns:
-            stations: table with a row for each station: name, zone, position (m), heading (degrees), empty columns for
-                the reported position, ids of the tags in view, bounds on the errors of position (m) and heading
-                (degrees).
-            tags: table with the number of stations that see each tag, and the least shift that they show with the
-                stated power in the worst direction (m; NaN for a tag that no station sees).
+            stations: table with a row for each station. The columns are name, zone, position (m), heading (degrees),
+                the reported position (empty), ids of the tags in view, and bounds on the errors of position (m) and
+                heading (degrees).
+            tags: table with the number of stations that see each tag. Another column has the least shift that these
+                stations show with the stated power in the worst direction (m; NaN for a tag that no station sees).
 
         Raises:
             InputError: at every candidate, the bound on the position error exceeds `mean`.
@@ -233,10 +233,10 @@ class HungMap:
 
         Returns:
             files: tables and figures, keyed by the name of their file. `acceptance.csv` has a row for each station:
-                name, zone, error and its bound (m), `chi_square` and its `limit`, `passed`; `acceptance_zones.csv` the
-                number of stations, mean and largest error (m), `passed`; `acceptance_tags.csv` the estimated shift of
-                each tag to the `right` and `up` in its plane (m), its likelihood `ratio`, and `named` for tags that may
-                explain the differences.
+                name, zone, error and its bound (m), `chi_square` and its `limit`, `passed`. `acceptance_zones.csv` has
+                the number of stations, mean and largest error (m), `passed`. `acceptance_tags.csv` has the estimated
+                shift of each tag to the `right` and `up` in its plane (m), the likelihood `ratio`, and `named` for tags
+                that may explain the differences.
             figures: metrics, with `passed` as 0 or 1.
             text: text for a terminal.
 

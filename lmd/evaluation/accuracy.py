@@ -57,8 +57,9 @@ def _share_name(tolerance: float) -> str:
 
 
 def accuracy_metrics(problem: Problem, deployment: Deployment, seed: int, sample: Sample = SAMPLE) -> dict[str, float]:
-    """Metrics of accuracy: the mean of P_n; for each of `TOLERANCES`, the fraction of the views whose predicted error
-    is at most this tolerance; and the median and the 90 % quantile of the predicted error over the views, metres.
+    """Metrics of accuracy: the mean of P_n, and for each of `TOLERANCES` the fraction of the views whose predicted
+    error is at most this tolerance. Further metrics are the median and the 90 % quantile of the predicted error over
+    the views, metres.
 
     For a recording the views are its poses, weighted by their durations, and `longest_uncovered_seconds` is the longest
     time without a view of n landmarks. Views without a finite error count as infinite; infinite quantiles are left out.
@@ -92,7 +93,7 @@ def accuracy_metrics(problem: Problem, deployment: Deployment, seed: int, sample
 
 
 def save_accuracy_map(path: str | Path, problem: Problem, deployment: Deployment) -> None:
-    """Write a CSV with a row for each grid position. Its columns are `x,y,z`, the fraction of localised views for each
+    """Write a CSV with a row for each grid position. The columns are `x,y,z`, the fraction of localised views for each
     of `TOLERANCES`, and the median predicted error, metres.
 
     An infinite median is an empty cell.
@@ -108,9 +109,9 @@ def save_accuracy_map(path: str | Path, problem: Problem, deployment: Deployment
 
 
 def errors_along(problem: Problem, deployment: Deployment) -> "pd.DataFrame | None":
-    """Table with a row for each recorded pose: `time`, `seconds` until the next pose, place `x`, `y` (m), `covered` (1
-    if the view covers n landmarks, otherwise 0) and `predicted_error` (m, may be infinite). None for a problem without
-    a recording, or with a crowd.
+    """Table with a row for each recorded pose. The columns are `time`, `seconds` until the next pose, place `x`, `y`
+    (m), `covered` (1 if the view covers n landmarks, otherwise 0) and `predicted_error` (m, may be infinite). None for
+    a problem without a recording, or with a crowd.
     """
     import pandas as pd
 

@@ -170,8 +170,8 @@ def audited(survey: Survey, scene: Scene, verdicts: Verdicts) -> Audit:
 
 
 def in_the_open(survey: Survey, scene: Scene) -> tuple[Survey, Scene]:
-    """Replace an unknown room by an empty room around all tags and cameras, in which only other tags can hide a tag;
-    return the survey and the scene in the frame of the empty room.
+    """Replace an unknown room by an empty room around all tags and cameras, in which only other tags can hide a tag.
+    Returns the survey and the scene in the frame of the empty room.
 
     The z axis of this frame is the mean up vector of the tags, as tags hang upright in the visibility model.
     """

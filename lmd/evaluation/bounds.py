@@ -1,18 +1,18 @@
 """Upper bounds on the fitness of any deployment, from a concave relaxation of the problem and the dual of this
 relaxation.
 
-Let x_j be the number of landmarks with pose j (any flush pose on the walls; sum_j x_j = K), A_jpa = 1 if a landmark
-with pose j is covered at position p and axis a, without occlusion, else 0, c_pa = sum_j x_j A_jpa, w_a the probability
-of an axis (sum 1) and r_p the share of a position (sum 1). Occlusion only lowers c, and the indicator (0 or 1) of
-c >= n is at most min(c/n, 1), so P_n(p) <= s_p = sum_a w_a min(c_pa/n, 1), and the indicator (0 or 1) that p is
-qualified is at most min(s_p/t, 1) with t = thold_p. Both objectives are therefore at most
+Let x_j be the number of landmarks with pose j (any flush pose on the walls; sum_j x_j = K). A_jpa is 1 if a landmark
+with pose j is covered at position p and axis a, without occlusion, else 0. Let c_pa = sum_j x_j A_jpa, let w_a be the
+probability of an axis (sum 1), and r_p the share of a position (sum 1). Occlusion only lowers c, and the indicator (0
+or 1) of c >= n is at most min(c/n, 1). So P_n(p) <= s_p = sum_a w_a min(c_pa/n, 1), and the indicator (0 or 1) that p
+is qualified is at most min(s_p/t, 1) with t = thold_p. Both objectives are therefore at most
 
-    F(x) = sum_p r_p min(s_p / t, 1),        with t = 1 for the average of P_n (there s_p <= 1 anyway),
+    F(x) = sum_p r_p min(s_p / t, 1),        with t = 1 for the average of P_n (there s_p <= 1 anyway).
 
-which is concave in x >= 0, fractions allowed. From min(v, 1) = min over 0 <= d <= 1 of 1 - d + d v, once for each
-position (z_p) and once for each axis (d_pa), with y_pa = d_pa z_p r_p w_a / (n t),
+F is concave in x >= 0, fractions allowed. The bound uses min(v, 1) = min over 0 <= d <= 1 of 1 - d + d v, once for each
+position (z_p) and once for each axis (d_pa). Let y_pa = d_pa z_p r_p w_a / (n t) and g_j = sum_pa y_pa A_jpa. Then
 
-    F(x) <= sum_p r_p (1 - z_p + z_p / t) - n sum_pa y_pa + sum_j x_j g_j,   g_j = sum_pa y_pa A_jpa,
+    F(x) <= sum_p r_p (1 - z_p + z_p / t) - n sum_pa y_pa + sum_j x_j g_j
          <= constant(z, y) + K max_j g_j.
 
 *Any* choice of z and d gives a valid bound. Good choices are slopes of a smoothed min at a good x; x is found by
@@ -21,25 +21,25 @@ accelerated projected ascent. No choice gives a bound below F(x).
 While x is improved, the largest g_j is sought over a grid of poses; at the end it is sought over the whole walls, by
 branch and bound on cells (`lmd.sight.poses`). So the bound holds for every flush deployment.
 
-Fixed landmarks are not chosen: without occlusion b_pa of them are covered at p and a, and c_pa = b_pa + sum_j x_j A_jpa
-adds sum_pa y_pa b_pa to the constant, with K the number of free landmarks.
+Fixed landmarks are not chosen, and K is the number of free landmarks. Without occlusion b_pa fixed landmarks are
+covered at p and a. Then c_pa = b_pa + sum_j x_j A_jpa adds sum_pa y_pa b_pa to the constant.
 
 With K_s tags of size s, of which x_js are at pose j, each size has its own A^s_jpa and g_js. K max_j g_j becomes sum_s
 K_s max_j g_js; each maximum is sought where a tag of that size may hang.
 
 A localised view covers n landmarks, so the bounds also hold for `Localisation`, although they ignore its tolerance.
 
-A second upper bound follows from submodularity. It holds for the choice of landmarks from a grid of poses, and is
-compared with the greedy choice.
+A second upper bound follows from submodularity, holds for the choice of landmarks from a grid of poses, and is compared
+with the greedy choice.
 
 Greedy selection maximises f, the `selection` of an objective, which is monotone and submodular in the landmarks without
 occlusion. So for *any* set S the best K poses of a grid, each taken once, reach at most
 
-    f(S) + the sum of the K largest gains at S        (Nemhauser, Wolsey and Fisher 1978),
+    f(S) + the sum of the K largest gains at S.        (Nemhauser, Wolsey and Fisher 1978)
 
-where S is the greedy choice or empty, whichever gives the lower bound. The greedy choice always reaches 1 - 1/e of the
-best value; the bound shows the fraction that it reaches at least in this problem. A landmark adds nothing to the views
-from which it is hidden, and more landmarks never lower f, so the bound also holds with occlusion.
+S is the greedy choice or empty, whichever gives the lower bound. The greedy choice always reaches 1 - 1/e of the best
+value; the bound shows the fraction that it reaches at least in this problem. A landmark adds nothing to the views from
+which it is hidden, and more landmarks never lower f, so the bound also holds with occlusion.
 
 This bound is valid only for poses of the grid, and for the surrogate f instead of the objective itself.
 
@@ -144,7 +144,7 @@ def fitness_upper_bound(problem: Problem, count: int, search: Search) -> UpperBo
 
 
 def fewest_landmarks(problem: Problem, target: float, search: Search) -> int:
-    """Lower bound on the number of landmarks with which a deployment can reach the fitness `target`. It is at least the
+    """Lower bound on the number of landmarks with which a deployment can reach the fitness `target`, at least the
     number of fixed landmarks plus one.
 
     For any multipliers of the bound, the fitness is at most a linear function of the number K of landmarks. The search

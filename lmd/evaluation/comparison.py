@@ -88,12 +88,12 @@ def compared(runs: Sequence[OptimiserRun], key: str, reference: str | None = Non
 
     The table has these columns:
 
-    - `optimiser`, `runs`: name of the optimiser, and number of its runs;
-    - `<key>`: median of the metric over the runs; `<key>_min` and `<key>_max`: its least and greatest value;
-    - `<key>_low` and `<key>_high`: bounds of the median's bootstrap interval;
-    - `rank`: mean rank over the seeds that all optimisers have run;
-    - a column for each other metric, and `seconds` for the wall time: medians over the runs;
-    - `evaluations_to_<i>`: expected running time to target i, see `Comparison.targets`;
+    - `optimiser`, `runs`: name of the optimiser, and number of runs.
+    - `<key>`: median of the metric over the runs; `<key>_min` and `<key>_max`: the least and greatest value.
+    - `<key>_low` and `<key>_high`: bounds of the median's bootstrap interval.
+    - `rank`: mean rank over the seeds that all optimisers have run.
+    - a column for each other metric, and `seconds` for the wall time: medians over the runs.
+    - `evaluations_to_<i>`: expected running time to target i, see `Comparison.targets`.
     - `a12`, `p_value`: effect size, and P-value of the test, of this optimiser against the reference.
 
     Args:
@@ -170,7 +170,7 @@ def attainable(least: Callable[[int], float], seeds: int) -> str:
 
     Args:
         least: function from a number of seeds to the least corrected P-value of the test: that of optimisers that are
-            ranked alike in all seeds. It returns NaN for too few seeds.
+            ranked alike in all seeds. The function returns NaN for too few seeds.
         seeds: number of seeds.
     """
     lowest, runs = least(seeds), f"With {seeds} seed{'s' * (seeds != 1)}"
@@ -240,8 +240,8 @@ def best_at(runs: Sequence[HasHistory], axis: str, at: FloatArray) -> FloatArray
 
 
 def curve_targets(runs: Sequence[OptimiserRun]) -> FloatArray:
-    """T values of the fitness, `(T,)`, that serve as `targets` of `attained`. They are evenly spaced from the lowest
-    first finite fitness of a run (excluded) to the best fitness of all runs.
+    """T values of the fitness, `(T,)`, that serve as `targets` of `attained`. The values are evenly spaced from the
+    lowest first finite fitness of a run (excluded) to the best fitness of all runs.
     """
     low = min(next(r.best_fitness for r in run.history if np.isfinite(r.best_fitness)) for run in runs)
     high = max(run.history[-1].best_fitness for run in runs)
@@ -249,9 +249,9 @@ def curve_targets(runs: Sequence[OptimiserRun]) -> FloatArray:
 
 
 def attained(runs: Sequence[OptimiserRun], axis: str, at: FloatArray, targets: FloatArray) -> FloatArray:
-    """Share of reached targets at N moments of the search, `(N,)`: of all pairs of a run and one of the `targets`
-    `(T,)`, the share in which the run has reached the target. The moments are those of `best_at`. This is an empirical
-    cumulative distribution function.
+    """Share of reached targets at N moments of the search, `(N,)`. Each run is paired with each of the `targets`
+    `(T,)`; in this share of pairs the run has reached the target. The moments are those of `best_at`. This is an
+    empirical cumulative distribution function.
     """
     share: FloatArray = (best_at(runs, axis, at)[:, :, None] >= targets).mean(axis=(0, 2))
     return share

@@ -39,9 +39,9 @@ class Losses:
     def table(self) -> dict[str, FloatArray | IntArray]:
         """Columns of a table of the landmarks, `(K,)` each; the landmark with the largest loss comes first.
 
-        The columns are `id`; `fitness_without` and `fitness_loss`, if this landmark alone is removed; `removed`, the
-        number of the landmark in the order of removal, from 1; and `fitness_left`, the fitness after the removals up to
-        this landmark.
+        The columns are `id`, and `fitness_without` and `fitness_loss` if only this landmark is removed. `removed` is
+        the number of the landmark in the order of removal, from 1. `fitness_left` is the fitness after the removals up
+        to this landmark.
         """
         alone = np.diagonal(self.without)
         lost = self.fitness - alone

@@ -66,7 +66,7 @@ def map_errors(
         rng: random generator that draws the noise.
 
     Returns:
-        table with `tags`, the number of seen tags, and for each map `position_<name>` (m) and `attitude_<name>` (rad),
+        table with `tags`, the number of seen tags. For each map, `position_<name>` (m) and `attitude_<name>` (rad) are
         the errors of the pose estimated with this map; NaN where the points do not determine a pose.
     """
     scene, tag = problem.scene, problem.scene.tag

@@ -56,10 +56,9 @@ class MountingError(Checked):
     turn: QuarterTurn = 0.0
     """Standard deviation of the rotation of the tag about its normal, rad."""
     tilt: QuarterTurn = 0.0
-    """Standard deviation of the tilt of the tag's normal about each of the two axes in the plane of the surface, rad.
-    """
+    """Standard deviation of the tilt of the tag's normal about each of the two axes in the surface's plane, rad."""
     draws: Count = 100
-    """Number of draws, in each of which all tags are mounted anew."""
+    """Number of draws, in each of which all tags are mounted again."""
 
     def _validate(self) -> None:
         what = f"draws = {self.draws} mountings, each in {VIEWS_PER_DRAW} views,"

@@ -148,8 +148,8 @@ class Reading(Checked):
 
 
 def reach_text(camera: Camera, tag: Tag, criteria: Fiducial, reading: Reading) -> str:
-    """Text of several tables: for each size of the tag, the range of distances and the errors of the pose estimated
-    from this tag; and the edge length of the smallest tag that is read.
+    """Text of several tables. Each size of the tag has one with the range of distances and the errors of the pose
+    estimated from this tag. The last table has the edge length of the smallest tag that is read.
     """
     tags = [tag.of_size(edge) for edge in tag.sizes]
     lines = [

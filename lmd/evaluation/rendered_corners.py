@@ -36,8 +36,8 @@ def imaging_of(problem: Problem) -> Imaging:
 
 
 def measured_corners(problem: Problem, deployment: Deployment, reader: str, frames: int, seed: int) -> MeasuredCorners:
-    """Measure the errors of detected corners in rendered frames. Their camera poses are random, but must show at least
-    n tags, with the objective's n.
+    """Measure the errors of detected corners in rendered frames. The camera poses are random, but must show at least n
+    tags, with the objective's n.
 
     Args:
         problem: problem with the scene.

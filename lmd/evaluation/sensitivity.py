@@ -1,8 +1,8 @@
 """Sensitivity of the metrics of a deployment to the assumptions on noise, tags, and detection.
 
 All variants are measured off the grid, at equal random positions and orientations (`lmd.evaluation.validation`), so
-they differ only in the assumption. For any objective there are two metrics: the mean of L, the probability that a view
-localises the camera to the tolerance, and the mean of P_n, the probability that a view covers n landmarks.
+they differ only in the assumption. For any objective there are two metrics, the means of L and of P_n. L is the
+probability that a view localises the camera to the tolerance, P_n the probability that a view covers n landmarks.
 
 The landmarks in each image are found once; those that are missed or lost are then removed.
 
@@ -70,8 +70,8 @@ class RigMoments:
         return np.asarray(weight / weight.sum())
 
     def decided(self, moments: RigImages, seen: BoolArray) -> BoolArray:
-        """Two masks of the M views `moments`, `(2, M)`: the views in which the rig is localised, and those in which n
-        landmarks are covered, if the rig's cameras show only the landmarks `seen`.
+        """Two masks of the M views `moments`, `(2, M)`, if the rig's cameras show only the landmarks `seen`. The first
+        has the views in which the rig is localised, the second those in which n landmarks are covered.
         """
         found = located(self.evaluator, self.deployment, moments._replace(seen=seen), self.n, self.precision)
         return np.stack([found, covers(seen, self.n)])
@@ -274,9 +274,9 @@ def _measure(
     poses.
 
     Returns:
-        the two means in four arrays: for each of V variants, `(V, 2)`; for each of M probabilities of missing a
-        landmark, `(M, 2)`; for the loss of landmarks i and j, `(2, K, K)`; and for the failure of each of C cameras of
-        a rig, `(C, 2)`, where C = 0 for a single camera.
+        the two means in four arrays. The first two are for each of V variants, `(V, 2)`, and for each of M
+        probabilities of missing a landmark, `(M, 2)`. The third is for the loss of landmarks i and j, `(2, K, K)`. The
+        fourth is for the failure of each of C cameras of a rig, `(C, 2)`, where C = 0 for a single camera.
     """
     number, evaluator = group
     assumed = np.array([_shares(variant, evaluator) for variant in variants])

@@ -1,8 +1,8 @@
 """Standard deviations of the camera pose estimated from one image, at random poses.
 
-Rotation errors are small angles about the axes of a level body that has the heading (yaw) of the camera: roll about its
-forward axis, pitch about its left axis, yaw about the vertical. These angles are also defined for a camera that looks
-straight up.
+Rotation errors are small angles about the axes of a level body that has the heading (yaw) of the camera. Roll is about
+the forward axis, pitch about the left axis, yaw about the vertical. These angles are also defined for a camera that
+looks straight up.
 
 There are three kinds of views, named by the number of camera poses that fit the image: `one`, `two`, or `none` if the
 view shows no tag. The kind is `two` if the view shows a single tag, and the second, mirrored solution of PnP fits
@@ -119,10 +119,10 @@ class Uncertainty:
     """Standard deviations of the pose in V views of K tags."""
 
     views: "pd.DataFrame"
-    """Table with a row for each view: `x,y,z` (m), `yaw,pitch,roll` (rad), `tags` (their number), `distance` (mean
-    distance of the tags, m), the standard deviations `SDS` (m, rad; NaN if there is no pose), and the kind `pose`
-    (`one`, `two`, `none`). `mirrored` is the probability that the mirrored pose of a single tag fits better (NaN for
-    another number of tags).
+    """Table with a row for each view. The columns are `x,y,z` (m), `yaw,pitch,roll` (rad), `tags` (their number),
+    `distance` (mean distance of the tags, m), and the kind `pose` (`one`, `two`, `none`). `SDS` are the standard
+    deviations (m, rad; NaN if there is no pose). `mirrored` is the probability that the mirrored pose of a single tag
+    fits better (NaN for another number of tags).
     """
     poses: FloatArray
     """Camera pose of each view, camera to world, `(V, 4, 4)`."""

@@ -84,8 +84,8 @@ def validation_metrics(
 ) -> dict[str, float]:
     """Metrics of a deployment off the grid, fractions in [0, 1]; they do not depend on the number of threads.
 
-    They are means over positions of the objective's `shares`: of the headline share on the finer grid, and of all
-    shares at random poses (grid-free). Standard errors come from the spread of the groups, which have different
+    The metrics are means over positions of the objective's `shares`: of the headline share on the finer grid, and of
+    all shares at random poses (grid-free). Standard errors come from the spread of the groups, which have different
     positions and orientations. If the problem has recorded poses, the metrics are those of `held_out_metrics`.
 
     Args:
