@@ -1,6 +1,6 @@
 """Offsets of the camera's clock from the odometry's clock that are known, beside those that are found.
 
-PYTHONPATH=tests python benchmarks/clocks.py simulated [--seeds 40] [--only NAME]   # simulated drives with odometry
+PYTHONPATH=tests python benchmarks/clocks.py simulated [--seeds 40] [--only NAME] [--picture FILE]   # simulated drives
 python benchmarks/clocks.py recorded FOLDER EDGE [--seeds 4] [--only NAME]  # a recording, with simulated odometry
 
 FOLDER has `detections.csv` and `cameras.yaml` of one camera. The last column has offsets found by scipy, from nothing
@@ -91,6 +91,27 @@ def print_clocks(
         cells += [f"{(off <= 3.0 * sigma).mean():.1%}", f"{np.sqrt(square.mean()):.2f}"]
         cells += [f"{1e3 * np.median(value):.2f}" for value in (off, sigma, np.abs(alone - injected))]
         print(f"| {name} | {len(rows)} | {' | '.join(cells)} |", flush=True)
+        DRAWN.append((f"{name}, {1e3 * injected:.0f} ms", injected, offset, sigma))
+
+
+DRAWN: list[tuple[str, float, FloatArray, FloatArray]] = []  # name, offset, and estimates with standard deviations
+
+
+def save_picture(path: Path) -> None:
+    """Draw the estimated offsets of all drives with three standard deviations."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.0, 1.7 * len(DRAWN)), layout="constrained")
+    panels = np.atleast_1d(figure.subplots(len(DRAWN), 1, sharex=True))
+    for axes, (name, injected, offset, sigma) in zip(panels, DRAWN, strict=True):
+        axes.errorbar(
+            range(len(offset)), 1e3 * offset, 3e3 * sigma, fmt="o", markersize=3, linewidth=1, color="#1f6f8b"
+        )
+        axes.axhline(1e3 * injected, color="#c1440e", linewidth=1)
+        axes.set_title(name, fontsize=9)
+        axes.set_ylabel("offset, ms")
+    panels[-1].set_xlabel("drive (bars: 3 sigma)")
+    figure.savefig(path, dpi=100)
 
 
 CLOCKS = (
@@ -195,8 +216,12 @@ def main() -> None:
     for one, seeds in ((parts.add_parser("simulated"), 40), (part, 4)):
         one.add_argument("--seeds", type=int, default=seeds)
         one.add_argument("--only", default="", help="part of the name of a row")
+        one.add_argument("--picture", type=Path)
     args = vars(parser.parse_args())
+    picture = args.pop("picture")
     {"simulated": simulated, "recorded": recorded}[args.pop("part")](**args)
+    if picture is not None:
+        save_picture(picture)
 
 
 if __name__ == "__main__":

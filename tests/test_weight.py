@@ -12,13 +12,13 @@ import weight
 # amount, and raise none.
 BUDGET = {
     "files of lmd": 297,
-    "code lines of lmd": 28598,
+    "code lines of lmd": 28597,
     "files of pipelines": 48,
     "code lines of pipelines": 3400,
     "code lines of tests": 20443,
     "files of conf": 100,
     "keys of conf": 376,
-    "words of docs": 40822,
+    "words of docs": 40821,
     "commands": 12,
 }
 # Docstrings and comments with each phrase, at most. Lower a number when you have lowered the count.
