@@ -70,7 +70,7 @@ def others_of(node: DictConfig, fixed: "Deployment | None") -> tuple[int | None,
     count = node.get("count")
     more = MORE.fullmatch(count) if isinstance(count, str) else None
     if fixed is None and more:
-        raise InputError(f"count = {count} adds landmarks to deployment.fixed: give it, or no sign.", "count")
+        raise InputError(f"count = {count} needs deployment.fixed, or no sign.", "count")
     source = deepcopy(node)
     for key in (*NO_SOURCE, *(key for key in TABLE if node.get(key) is None or "path" not in node)):
         source.pop(key, None)

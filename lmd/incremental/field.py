@@ -59,7 +59,9 @@ class Stacking(Protocol):
         """Number of landmarks in a stack."""
 
     def stacked(self, fixed: Deployment | None) -> Field:
-        """Field in which each landmark of a state represents a stack; `fixed` landmarks are counted in addition."""
+        """Field in which each landmark of a state represents a stack, that is, `stack` landmarks at its place. The
+        `fixed` landmarks are seen in addition.
+        """
 
     def shrunk(self, size: float) -> Field:
         """Field in which the bodies of landmarks that block the view are scaled by `size`; used to separate the

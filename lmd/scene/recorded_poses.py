@@ -128,7 +128,7 @@ class _Kernels:
         self._everywhere, self._bandwidth = everywhere, bandwidth
 
     def probabilities(self, positions: FloatArray) -> FloatArray:
-        """Probabilities w_a(p) at positions p `(Q, 3)`, `(Q, A)`."""
+        """Probability w_a(p) of each orientation a at each position p, `(Q, A)`, for `positions` `(Q, 3)`."""
         rows = max(CHUNK // self._records.n, 1)
         parts = [self._near(positions[start : start + rows]) for start in range(0, len(positions), rows)]
         found = np.concatenate(parts)

@@ -39,7 +39,7 @@ def test_a_count_is_that_of_all_and_one_with_a_plus_that_of_the_new(source, coun
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        (["deployment.fixed=null", "deployment.count=+5"], r"^deployment.count = \+5 is in addition to"),
+        (["deployment.fixed=null", "deployment.count=+5"], r"^deployment.count = \+5 needs deployment.fixed"),
         (["deployment.count=2"], r"^deployment.count = 2 leaves no landmark to place: tags.csv has 2"),
         (["deployment.count=+0"], r"^deployment.count = \+0 leaves no landmark to place"),
         (["deployment.count=some"], r"^deployment.count must be a whole number"),
