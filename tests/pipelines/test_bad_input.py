@@ -74,7 +74,7 @@ CASES = [
     ("evaluate", "camera.rig=2", "camera.rig must be a list of cameras, got 2"),
     ("evaluate", "tag.edge=0.1 tag.edges=[0.06,0.2] deployment.count=[4]", "deployment.count = [4] must have one"),
     ("evaluate", "tag.edge=0.1 tag.edges=[0.06,0.2] tag.paper=0.001", "tag.paper = 0.001 m2 is too little"),
-    ("evaluate", "deployment.count=+5", "deployment.count = +5 adds landmarks to deployment.fixed: give"),
+    ("evaluate", "deployment.count=+5", "deployment.count = +5 needs deployment.fixed"),
     ("evaluate", f"{PDF}half.csv", "half.csv: the weights must sum to 1, they sum to 0.5"),
     ("evaluate", f"{PDF}negative.csv", "negative.csv has a negative weight, -1"),
     ("evaluate", f"{PDF}tilt.csv", "tilt.csv has an unknown column 'tilt'"),
