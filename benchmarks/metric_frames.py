@@ -19,7 +19,7 @@ from lmd.core.checks import FloatArray
 from lmd.detection.corner_errors import CORNER_ERRORS
 from lmd.detection.detectors import AprilTagDetector
 from lmd.detection.photographed import detected_in_photographs
-from lmd.formats.models import read_model
+from lmd.formats.reconstructions import read_model
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import exp
 from lmd.localise.alignment import align

@@ -28,7 +28,8 @@ def localise(cfg: DictConfig) -> Study:
     from lmd.adjust.tables import files_of_model
     from lmd.core.checks import InputError, boolean, seed_number
     from lmd.formats.detection_formats import write_detections
-    from lmd.formats.models import read_model, tum_text
+    from lmd.formats.pose_files import tum_text
+    from lmd.formats.reconstructions import read_model
     from lmd.localise import results
     from lmd.localise.alignment import align
     from lmd.localise.localise import Drive

@@ -85,8 +85,8 @@ def _landmark_count(source: Source, jobs: pd.DataFrame) -> list[str]:
     rows = [[f"{count}", f"{len(values)}", _spread(values)] for count, values in groups]
     target, medians = TABLE_2["EGA"].qualified_ratio, groups.median()
     enough = medians.index[medians >= target]
-    fewest = f"With {enough[0]} landmarks, the fewest" if len(enough) else "With no number of landmarks"
-    said = f"{fewest} here, the median of the runs reaches {target:.2%}, which the paper's EGA reached with 90."
+    answer = f"With {enough[0]} landmarks, the fewest" if len(enough) else "With no number of landmarks"
+    said = f"{answer} here, the median of the runs reaches {target:.2%}, which the paper's EGA reached with 90."
     references = {f"paper, {name}": (90, TABLE_2[name].qualified_ratio) for name in ("EGA", "uniform")}
     title = "Qualified ratio against the number of landmarks"
     picture = source.picture("landmark_count", title, save_landmark_count_figure, ratios, references, title)

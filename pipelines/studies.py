@@ -37,17 +37,17 @@ def accuracy(cfg: DictConfig, own: Own) -> Study:
     def run(_: object) -> Report:
         import pandas as pd
 
-        from lmd.evaluation.accuracy import accuracy_metrics, errors_along
+        from lmd.evaluation.accuracy import accuracy_metrics, plan_of_errors
         from lmd.evaluation.maps import figures_text
         from lmd.plot.plans import save_accuracy_figure
 
         figures = {name: accuracy_metrics(*subject, cfg.seed) for name, subject in drawn.items()}
         table = pd.DataFrame(figures).T.rename_axis("deployment")
-        headed = {f"{name}: {row['localised_share_20mm']:.1%} to 20 mm": drawn[name] for name, row in figures.items()}
+        plans = {name: plan_of_errors(*subject) for name, subject in drawn.items()}
+        headed = {f"{key}: {table.localised_share_20mm[key]:.1%} to 20 mm": (*drawn[key], plans[key]) for key in plans}
         title = title_of(problem, "median predicted error of one image,")
         files = {"figures.csv": table, "accuracy.png": lambda path: save_accuracy_figure(path, headed, title)}
-        each = {f"{name}.csv": errors_along(*subject) for name, subject in drawn.items()}
-        files |= {name: along for name, along in each.items() if along is not None}
+        files |= {f"{name}.csv": plan for name, plan in plans.items() if "time" in plan}  # of a recording
         named = {f"{key}/{name}": value for name, row in figures.items() for key, value in row.items()}
         return Report(files, named, text=figures_text(figures))
 

@@ -12,13 +12,13 @@ import weight
 # amount, and raise none.
 BUDGET = {
     "files of lmd": 297,
-    "code lines of lmd": 28597,
+    "code lines of lmd": 28591,
     "files of pipelines": 48,
     "code lines of pipelines": 3400,
-    "code lines of tests": 20443,
+    "code lines of tests": 20442,
     "files of conf": 100,
     "keys of conf": 376,
-    "words of docs": 40857,
+    "words of docs": 40852,
     "commands": 12,
 }
 # Docstrings and comments with each phrase, at most. Lower a number when you have lowered the count.

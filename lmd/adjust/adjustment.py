@@ -148,6 +148,7 @@ class Adjustment:
         """
         kept, is_robust = Kept(self.kept), weight is None
         parts = [self._part(some, poses, floor, damping, weight, kept) for some in self._chunks]
+        kept.matrix += kept.matrix.T.copy()  # each part adds one of two symmetric blocks
         frames: SeparateFrames | LinkedFrames = SeparateFrames(parts)
         if self.links is not None:
             frames = LinkedFrames(parts, self.links, poses.frames[self.seen], is_robust, kept, self.first_lens - 1)
@@ -181,9 +182,7 @@ class Adjustment:
             kept.diagonal += by_index(product(slope, slope))
             kept.right += by_index(product(slope, error)[..., 0])
             for other, beside in jacobians[:k]:
-                both = product(slope, beside)
-                add_at(kept.cells, index, other, both)
-                add_at(kept.cells, other, index, np.swapaxes(both, 1, 2))
+                add_at(kept.cells, index, other, product(slope, beside))
         return Part(block, summed(product(at.by_frame, error)[..., 0]), panel, rows)
 
     def _moved(self, poses: Poses, kept: FloatArray, system: System) -> Poses:

@@ -296,7 +296,7 @@ def edge_doubts(found: Estimate) -> list[str]:
     if known.sum() < FEWEST_SCALED or not len(used):
         return []  # only the tags have a scale
     by_size = Reprojection(used, *found.poses.of(used)).by_size
-    information, right = (float(each.sum()) for each in _more_unknowns(found, GROWTH_SIGMA * by_size))
+    information, right = (each.item() for each in _more_unknowns(found, GROWTH_SIGMA * by_size))
     growth, sigma = GROWTH_SIGMA * right / information, GROWTH_SIGMA * information**-0.5
     if abs(growth) < max(LEAST_GROWTH, SURE_SIGMAS * sigma):
         return []

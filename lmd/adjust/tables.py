@@ -13,7 +13,7 @@ from lmd.adjust.sightings import SQUARE
 from lmd.core.checks import FloatArray
 from lmd.core.words import few
 from lmd.formats.detections import DetectedTags
-from lmd.formats.models import image_names, model_files
+from lmd.formats.reconstructions import image_names, model_files
 from lmd.geometry.camera import Camera
 from lmd.geometry.se3 import ROW, act, pose_rows
 
@@ -116,8 +116,8 @@ def lines_of(
 
 
 def files_of_model(found: Estimate, detected: DetectedTags, cameras: Sequence[Camera]) -> tuple[dict[str, Any], str]:
-    """Files of a model for other programs, and a note on them, see `lmd.formats.models.model_files`. The model has the
-    images of an estimate; its points are the corners of the tags.
+    """Files of a model for other programs, and a note on them, see `lmd.formats.reconstructions.model_files`. The model
+    has the images of an estimate; its points are the corners of the tags.
 
     Args:
         found: the estimate.

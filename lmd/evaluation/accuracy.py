@@ -148,7 +148,5 @@ def _quantiles(errors: FloatArray, weight: FloatArray, level: float = 0.5) -> Fl
     """Weighted quantile of each row of `errors` `(P, V)`; the result has the shape `(P,)`. The weights, `(1, V)` or
     `(P, V)`, have the sum 1 in each row.
     """
-    order = np.argsort(errors, axis=1)
-    ordered = np.take_along_axis(np.broadcast_to(weight, errors.shape), order, axis=1)
-    place = (np.cumsum(ordered, axis=1) >= level).argmax(axis=1)[:, None]
-    return np.asarray(np.take_along_axis(errors, np.take_along_axis(order, place, axis=1), axis=1)[:, 0])
+    weights = np.broadcast_to(weight, errors.shape)
+    return np.asarray(np.quantile(errors, level, axis=1, weights=weights, method="inverted_cdf"))

@@ -44,13 +44,10 @@ from lmd.sight.kernels import PROBABILITY_ONE
 
 
 @dataclass(frozen=True)
-class RigMoments:
-    """Views of a rig, each from one position and one orientation of its body, and the conditions under which the rig is
-    localised.
-    """
+class RigViews:
+    """Views of a rig, each from one pose of its body, and the conditions under which the rig is localised."""
 
     evaluator: Evaluator
-    """Evaluator of a rig."""
     deployment: Deployment
     """K landmarks."""
     n: int
@@ -59,27 +56,27 @@ class RigMoments:
     """Precision that the pose of a localised view must have, see `lmd.objectives.localisation.information`."""
 
     @cached_property
-    def moments(self) -> RigImages:
+    def images(self) -> RigImages:
         """Images of the rig in all N views, with the landmarks that each camera shows."""
         return images_of(self.evaluator, self.deployment)
 
     @property
     def share(self) -> FloatArray:
         """Probability of each view, `(N,)`, sum 1."""
-        weight = self.moments.weight
+        weight = self.images.weight
         return np.asarray(weight / weight.sum())
 
-    def decided(self, moments: RigImages, seen: BoolArray) -> BoolArray:
-        """Two masks of the M views `moments`, `(2, M)`, if the rig's cameras show only the landmarks `seen`. The first
+    def decided(self, images: RigImages, seen: BoolArray) -> BoolArray:
+        """Two masks of the M views `images`, `(2, M)`, if the rig's cameras show only the landmarks `seen`. The first
         has the views in which the rig is localised, the second those in which n landmarks are covered.
         """
-        found = located(self.evaluator, self.deployment, moments._replace(seen=seen), self.n, self.precision)
+        found = located(self.evaluator, self.deployment, images._replace(seen=seen), self.n, self.precision)
         return np.stack([found, covers(seen, self.n)])
 
     def without_cameras(self) -> FloatArray:
         """Means of L and P_n if one of the C cameras fails, `(C, 2)`."""
-        seen, others = self.moments.seen, ~np.eye(len(self.moments.seen), dtype=bool)[..., None, None]
-        return np.array([self.decided(self.moments, seen & left) @ self.share for left in others])
+        seen, others = self.images.seen, ~np.eye(len(self.images.seen), dtype=bool)[..., None, None]
+        return np.array([self.decided(self.images, seen & left) @ self.share for left in others])
 
     def missed(self, probabilities: Sequence[float], rng: np.random.Generator) -> FloatArray:
         """Means of L and P_n if each landmark in an image is missed with a given probability, `(M, 2)` for M
@@ -88,17 +85,17 @@ class RigMoments:
         All probabilities share the draw, so that a landmark missed at one probability is missed at all greater
         probabilities.
         """
-        seen = self.moments.seen
+        seen = self.images.seen
         draw = rng.random(seen.shape, dtype=np.float32)
-        return np.array([self.decided(self.moments, seen & (draw >= p)) @ self.share for p in probabilities])
+        return np.array([self.decided(self.images, seen & (draw >= p)) @ self.share for p in probabilities])
 
     def lost(self) -> FloatArray:
         """Means of L and P_n if landmarks i and j are lost, `(2, K, K)`; on the diagonal, if only landmark i is lost. A
         lost landmark is not detected, but still hides other landmarks.
         """
-        seen, share = self.moments.seen, self.share
+        seen, share = self.images.seen, self.share
         shown = np.asarray(seen.any(axis=0))  # (N, K)
-        whole, count = self.decided(self.moments, seen).astype(np.float64), seen.shape[2]
+        whole, count = self.decided(self.images, seen).astype(np.float64), seen.shape[2]
 
         def lose(*landmarks: int) -> FloatArray:
             """Change of both masks of `decided` if all of `landmarks` are lost, times the probability of each view,
@@ -108,7 +105,7 @@ class RigMoments:
             left = seen[:, which]
             left[:, :, landmarks] = False
             change = np.zeros_like(whole)
-            decided = self.decided(self.moments.some(which), left).astype(np.float64)
+            decided = self.decided(self.images.some(which), left).astype(np.float64)
             change[:, which] = share[which] * (decided - whole[:, which])
             return change
 
@@ -286,7 +283,7 @@ def _measure(
         if scene.rig is None:  # a rig of one camera at the body's origin has the figures of that camera
             scene = replace(scene, camera=Rig((Mount(scene.cameras[0]),)))
         moved = Evaluator(scene, evaluator.positions, evaluator.threads, states=evaluator.states)
-        rig = RigMoments(moved, deployment, objective.n, objective.precision(scene))
+        rig = RigViews(moved, deployment, objective.n, objective.precision(scene))
         failed = rig.without_cameras() if evaluator.scene.rig is not None else np.empty((0, 2))
         return assumed, rig.missed(MISS_PROBABILITIES, rng), rig.lost(), failed
     field = objective.field(evaluator)
@@ -338,9 +335,8 @@ def missed_shares(field: LocalisationField, deployment: Deployment, rng: np.rand
         remove_sets(missed, cover, known)
         state = field.state_with(known)
         enough = binom.sf(cover.n - 1, np.arange(len(deployment) + 1), 1.0 - share)
-        drawn = (units[places].mean() / PROBABILITY_ONE for units in (state.located, known.units))
-        located, sampled = drawn
-        rows.append((located, averaged(enough[counts], weights).mean(), sampled))
+        localised, sampled = (units[places].mean() / PROBABILITY_ONE for units in (state.located, known.units))
+        rows.append((localised, averaged(enough[counts], weights).mean(), sampled))
     return np.array(rows)
 
 

@@ -187,14 +187,12 @@ def read_detections(path: Any, topic: Any = None) -> DetectedTags:
     """Read detections from the JSON of a program such as PhotonVision, from a bag, or from a table with the columns
     `time,id,x0,y0,...,x3,y3`.
 
-    The corners of a table are clockwise from the top left in OpenCV's pixels.
+    The corners of a table are clockwise from the top left in OpenCV's pixels. The column of the time may also be named
+    `stamp` or `image`, and may hold any text, such as the name of a photograph. The column `camera` or `topic` names
+    the camera; without this column there is one camera. Further columns are ignored.
 
-    The column of the time may also be named `stamp` or `image`, and may hold any text, such as the name of a
-    photograph.
-
-    The column `camera` or `topic` names the camera; without this column there is one camera. Further columns are
-    ignored. If most detections have counter-clockwise corners, the corners are read in the order of the AprilTag
-    library, from the bottom left. Detections whose corners have the opposite sense of rotation are left out.
+    If most detections have counter-clockwise corners, the corners are read in the order of the AprilTag library, from
+    the bottom left. Detections whose corners have the opposite sense of rotation are left out.
 
     Raises:
         InputError: the file cannot be read, lacks a column, or a value is not a number.
@@ -316,11 +314,8 @@ def with_images(detected: DetectedTags, path: Any) -> DetectedTags:
     if not time:
         raise InputError(f"{IMAGES}: {str(path)!r} has no column {' or '.join(TIMES)}.", IMAGES)
     if not camera and len(detected.cameras) > 1:
-        raise InputError(
-            f"{IMAGES}: {str(path)!r} has no column {' or '.join(CAMERAS)}, but the detections are of "
-            f"{len(detected.cameras)} cameras.",
-            IMAGES,
-        )
+        reason = f"but the detections are of {len(detected.cameras)} cameras"
+        raise InputError(f"{IMAGES}: {str(path)!r} has no column {' or '.join(CAMERAS)}, {reason}.", IMAGES)
     named = table.texts[camera] if camera else [""] * len(table.lines)
     found = _with_images(detected, list(zip(_as_first_written(table.texts[time]), named, strict=True)))
     if (lacking := np.flatnonzero(~found.images[found.frame, found.camera])).size:
@@ -341,9 +336,7 @@ def _with_images(detected: DetectedTags, images: Sequence[tuple[str, str]]) -> D
     Images of cameras without detections are left out.
     """
     number = {name: index for index, name in enumerate(detected.cameras)}
-    own = [
-        (text, 0 if len(number) == 1 else number[name]) for text, name in images if len(number) == 1 or name in number
-    ]
+    own = [(text, number.get(name, 0)) for text, name in images if len(number) == 1 or name in number]
     texts = dict.fromkeys((*detected.times, *(text for text, _ in own)))
     same = {time_of(text): text for text in reversed(texts)}  # times keep the texts of the detections
     times = in_order([same[time_of(text)] for text in texts])

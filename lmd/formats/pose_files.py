@@ -13,7 +13,7 @@ from lmd.formats.columns import EULER, OWN_ANGLES, POSES, POSITION, QUATERNION, 
 from lmd.formats.registry import read
 from lmd.formats.trees import File
 from lmd.geometry.frames import roll_pitch_yaw
-from lmd.geometry.se3 import camera_pose, pose_of, poses_from_rows
+from lmd.geometry.se3 import camera_pose, pose_of, pose_rows, poses_from_rows
 from lmd.geometry.trajectory import check_order
 
 NANOSECONDS = 1e16  # a larger time is in nanoseconds, as it would be 300 million years in seconds
@@ -116,6 +116,15 @@ def checked_seconds(source: str, time: FloatArray, unit: float | None, positions
             raise InputError(f"its times contradict the unit in their column name: poses would be {step:.2g} s apart.")
     seconds(source, time, positions)
     return time
+
+
+def tum_text(seconds: FloatArray, poses: FloatArray) -> str:
+    """Text of a trajectory in TUM's format, without the poses that are unknown or have no time. The poses are
+    `(n, 4, 4)`, the times `(n,)`, seconds.
+    """
+    rows = np.column_stack([seconds, pose_rows(poses)])
+    lines = [f"{time:.7f} " + " ".join(f"{x:.9f}" for x in row) for time, *row in rows[np.isfinite(rows).all(axis=1)]]
+    return "\n".join(["# timestamp tx ty tz qx qy qz qw", *lines, ""])
 
 
 def steep(sines: FloatArray, path: object) -> str:

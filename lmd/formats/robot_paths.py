@@ -104,7 +104,8 @@ def _timed(file: File) -> FloatArray:
         raise InputError("its waypoints are all at one place.")
     places = curve(along)
     step = np.linalg.norm(np.diff(places, axis=0, prepend=places[:1]), axis=1)
-    heading, (fastest, pull, spin) = _headings(data, along, places, way := np.cumsum(step)), _limits(data, along)
+    way, (fastest, pull, spin) = np.cumsum(step), _limits(data, along)
+    heading = _headings(data, along, places, way)
     with np.errstate(divide="ignore"):
         energy = np.minimum(fastest, np.radians(spin) / np.abs(np.gradient(heading, way))) ** 2
     for i, state in zip((0, -1), ENDS, strict=True):

@@ -1,9 +1,9 @@
 """Similarity between a model of other programs, of any scale, and a map: scale with its standard deviation, residuals.
 
 An image has a pose X from its localisation and a pose Y from the model, both from the camera to the world. A similarity
-S (`lmd.formats.models`) moves Y to S Y. The residual is the twist log(X^-1 S Y), rad and metres. The covariance of the
-residual is that of the localisation plus that of the model. Errors of the map and the cameras cause
-a part of the localisation's covariance that is common to all images. The model's errors of position and of rotation are
+S (`lmd.formats.reconstructions`) moves Y to S Y. The residual is the twist log(X^-1 S Y), rad and metres. The
+covariance of the residual is that of the localisation plus that of the model. Errors of the map and the cameras cause a
+part of the localisation's covariance that is common to all images. The model's errors of position and of rotation are
 independent from image to image and along each axis; their variances are estimated from the residuals. Images whose
 chi^2 exceeds `MOVED_CHI_SQUARE` do not count.
 """
@@ -21,7 +21,7 @@ from lmd.adjust.tables import AXES
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.core.words import few
 from lmd.formats.detections import DetectedTags
-from lmd.formats.models import Model, image_names, similar
+from lmd.formats.reconstructions import Model, image_names, similar
 from lmd.geometry.se3 import adjoint_matrix, exp, inverse, log, pose_of
 from lmd.localise.changes import MOVED_CHI_SQUARE
 from lmd.localise.localise import FEWEST_FRAMES, Localisation

@@ -311,11 +311,7 @@ def _checksum(genes: FloatArray) -> int:
 
 
 class DeploymentSearch(Optimiser):
-    """Optimiser that evaluates one deployment at a time and keeps the best deployment.
-
-    Args:
-        seed: see `Optimiser`.
-    """
+    """Optimiser that evaluates one deployment at a time and keeps the best deployment."""
 
     def __init__(self, seed: int = 0) -> None:
         super().__init__(seed)

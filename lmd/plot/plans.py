@@ -17,6 +17,8 @@ from lmd.space.crowd import RADIUS, X, Y
 from lmd.space.space import Space, outwards
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from lmd.localise.localise import Localisation
     from lmd.survey.survey import Survey
 
@@ -78,7 +80,9 @@ def save_room_figure(path: str | Path, room: Space, title: str, people: FloatArr
     shrink(path)
 
 
-def save_accuracy_figure(path: str | Path, deployments: Mapping[str, tuple[Problem, Deployment]], title: str) -> None:
+def save_accuracy_figure(
+    path: str | Path, deployments: Mapping[str, tuple[Problem, Deployment, "pd.DataFrame"]], title: str
+) -> None:
     """Write a PNG with a panel for each deployment: the room from above, with the landmarks of the deployment, and with
     the median predicted error of the position as colour. All panels have one colour scale.
 
@@ -87,30 +91,31 @@ def save_accuracy_figure(path: str | Path, deployments: Mapping[str, tuple[Probl
 
     Args:
         path: path of the PNG.
-        deployments: problem and deployment of each panel, keyed by the heading of the panel.
+        deployments: problem, deployment and table `lmd.evaluation.accuracy.plan_of_errors` of each panel, keyed by the
+            heading of the panel.
         title: title of the figure.
     """
     from matplotlib import colormaps
     from matplotlib.colors import BoundaryNorm, LogNorm
 
-    from lmd.evaluation.accuracy import TOLERANCES, plan_of_errors
+    from lmd.evaluation.accuracy import TOLERANCES
 
-    tables = [plan_of_errors(problem, deployment) for problem, deployment in deployments.values()]
+    tables = [table for *_, table in deployments.values()]
     known = 1e3 * np.concatenate([table.iloc[:, -1] for table in tables])  # millimetres
     known = known[np.isfinite(known)]
     low, high = (known.min(), known.max()) if len(known) else (1.0, 10.0)
     along, steps = "time" in tables[0], [0.0, *np.multiply(1e3, TOLERANCES), 1e3]
     norm = BoundaryNorm(steps, 256, extend="max") if along else LogNorm(low, high)
     colours = colormaps[f"{common.COLOUR_MAP}_r"].with_extremes(over=NO_MEDIAN_COLOUR)  # bright is good
-    length, width, _ = np.max([common.size_of(problem.scene.room) for problem, _ in deployments.values()], axis=0)
+    length, width, _ = np.max([common.size_of(problem.scene.room) for problem, *_ in deployments.values()], axis=0)
     size = (1.0 + 5.0 * len(tables), 2.2 + 5.0 * width / length)
     figure, (panels,) = new_panels(size, title, 1, len(tables), sharex=True, sharey=True)
-    for axes, table, (heading, (problem, deployment)) in zip(panels, tables, deployments.items(), strict=True):
-        table["shown"] = (1e3 * table.iloc[:, -1]).replace(np.inf, ABOVE_ALL)  # infinite values have no logarithm
+    for axes, (heading, (problem, deployment, table)) in zip(panels, deployments.items(), strict=True):
+        shown = (1e3 * table.iloc[:, -1]).replace(np.inf, ABOVE_ALL)  # infinite values have no logarithm
         if along:
-            mesh = axes.scatter(table.x, table.y, 12.0, table.shown, cmap=colours, norm=norm)
+            mesh = axes.scatter(table.x, table.y, 12.0, shown, cmap=colours, norm=norm)
         else:
-            plan = table.pivot(index="y", columns="x", values="shown")
+            plan = table.assign(shown=shown).pivot(index="y", columns="x", values="shown")
             mesh = axes.pcolormesh(plan.columns, plan.index, plan, shading="nearest", cmap=colours, norm=norm)
         draw_plan(axes, problem.scene.room, lw=1.0)
         common.draw_tags(axes, deployment, common.landmark_groups(len(deployment), problem.fixed_count))

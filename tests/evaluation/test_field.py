@@ -144,11 +144,9 @@ def test_along_a_path_tags_are_counted_and_errors_predicted_as_by_hand():
             ratios.append(np.sum((found - poses[k, :3, 3]) ** 2) / along.predicted_error[k] ** 2)
     assert np.sqrt(np.mean(ratios)) == pytest.approx(1.0, abs=0.08)  # a few per cent are the prediction's
     figures = accuracy_metrics(problem, deployment, 0)
-    seconds = along.seconds.to_numpy()
-    assert figures["covered_share"] == pytest.approx(seconds[along.covered == 1].sum() / seconds.sum())
-    assert figures["localised_share_50mm"] == pytest.approx(
-        seconds[along.predicted_error <= 0.05].sum() / seconds.sum()
-    )
+    seconds, near = along.seconds.sum(), along.predicted_error <= 0.05
+    assert figures["covered_share"] == pytest.approx(along.seconds[along.covered == 1].sum() / seconds)
+    assert figures["localised_share_50mm"] == pytest.approx(along.seconds[near].sum() / seconds)
     runs = (along.covered != along.covered.shift()).cumsum()
     longest = along[along.covered == 0].groupby(runs).seconds.sum().max()
     assert figures["longest_uncovered_seconds"] == pytest.approx(longest)

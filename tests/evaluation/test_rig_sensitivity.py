@@ -8,7 +8,7 @@ from support.paper import paper_room, paper_scene
 
 from lmd.detection.frames import draw_poses
 from lmd.evaluation.maps import MountedTags, map_errors
-from lmd.evaluation.sensitivity import MISS_PROBABILITIES, RigMoments, sensitivity
+from lmd.evaluation.sensitivity import MISS_PROBABILITIES, RigViews, sensitivity
 from lmd.evaluation.validation import Sample
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
@@ -45,7 +45,7 @@ def shares(scene, deployment):
 
 @pytest.fixture(scope="module")
 def moments():
-    return RigMoments(PROBLEM.evaluator, DEPLOYMENT, OBJECTIVE.n, OBJECTIVE.precision(SCENE))
+    return RigViews(PROBLEM.evaluator, DEPLOYMENT, OBJECTIVE.n, OBJECTIVE.precision(SCENE))
 
 
 def test_a_camera_that_fails_leaves_the_rig_of_the_others(moments):

@@ -13,7 +13,8 @@ from support import processes, walks
 
 from lmd.adjust.tables import files_of_model
 from lmd.core.checks import InputError
-from lmd.formats.models import Model, model_files, read_model, tum_text
+from lmd.formats.pose_files import tum_text
+from lmd.formats.reconstructions import Model, model_files, read_model
 from lmd.geometry.camera import Camera
 from lmd.geometry.projection import project
 from lmd.geometry.se3 import exp, pose_of
@@ -168,7 +169,7 @@ def test_text_that_is_no_model_is_refused(images, message, tmp_path):
         read_model(tmp_path)
 
 
-@pytest.mark.thorough("docs/metric_frames.md", "lmd/localise", "lmd/formats/models.py", "pipelines")
+@pytest.mark.thorough("docs/metric_frames.md", "lmd/localise", "lmd/formats/reconstructions.py", "pipelines")
 def test_the_commands_of_the_page_do_what_it_says(tmp_path):
     page, rng = (processes.ROOT / "docs" / "metric_frames.md").read_text(encoding="utf-8"), np.random.default_rng(1)
     tags, frames = walks.spaced_tags(16, rng), walks.walk(30, rng)

@@ -13,7 +13,7 @@ from lmd.adjust.motion import seconds_of
 from lmd.adjust.prior import Hanging
 from lmd.core.checks import InputError
 from lmd.detection.corner_errors import inward
-from lmd.formats.models import tum_text
+from lmd.formats.pose_files import tum_text
 from lmd.formats.tag_maps import write_map_covariance
 from lmd.geometry.se3 import angle_between, camera_pose, exp, inverse, log
 from lmd.localise.fixed_map import FixedMap, surveyed_covariance

@@ -39,7 +39,8 @@ def test_where_few_views_see_enough_there_is_no_median():
 
 
 def test_the_picture_has_a_panel_for_each_deployment(tmp_path):
-    deployments = {f"K = {count}": drawn(problem_of(count)) for count in (60, 90, 6)}
+    subjects = {f"K = {count}": drawn(problem_of(count)) for count in (60, 90, 6)}
+    deployments = {name: (*subject, plan_of_errors(*subject)) for name, subject in subjects.items()}
     save_accuracy_figure(tmp_path / "three.png", deployments, "T")
     save_accuracy_figure(tmp_path / "one.png", {"K = 6": deployments["K = 6"]}, "T")
     three, one = (imread(tmp_path / f"{name}.png") for name in ("three", "one"))

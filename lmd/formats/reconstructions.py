@@ -20,7 +20,7 @@ from lmd.core.checks import FloatArray, InputError, IntArray, said_of
 from lmd.core.optional import optional
 from lmd.core.tables import is_number
 from lmd.formats.detections import DetectedTags
-from lmd.formats.pose_files import read_rows
+from lmd.formats.pose_files import read_rows, tum_text
 from lmd.formats.trees import File
 from lmd.geometry.camera import Camera
 from lmd.geometry.lens import EQUIDISTANT
@@ -130,15 +130,6 @@ def _nerfstudio(path: Path) -> Model:
         return {TRANSFORMS: {**rest, "frames": [{**frame, "transform_matrix": matrix} for frame, matrix in own]}}
 
     return Model([str(frame["file_path"]) for frame in frames], poses, moved)
-
-
-def tum_text(seconds: FloatArray, poses: FloatArray) -> str:
-    """Text of a trajectory in TUM's format, without the poses that are unknown or have no time. The poses are
-    `(n, 4, 4)`, the times `(n,)`, seconds.
-    """
-    rows = np.column_stack([seconds, pose_rows(poses)])
-    lines = [f"{time:.7f} " + " ".join(f"{x:.9f}" for x in row) for time, *row in rows[np.isfinite(rows).all(axis=1)]]
-    return "\n".join(["# timestamp tx ty tz qx qy qz qw", *lines, ""])
 
 
 def _line(*values: Any) -> str:
