@@ -39,9 +39,7 @@ def kernel(tmp_path_factory):
 
 
 @pytest.mark.slow
-@pytest.mark.thorough(
-    "lmd/__init__.py", "lmd/plot", "lmd/run.py", "lmd/suite", "notebooks", "pipelines/operations/tracking"
-)
+@pytest.mark.thorough("lmd/__init__.py", "lmd/plot", "lmd/run.py", "lmd/suite", "notebooks", "pipelines/operations")
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs_and_leaves_nothing_behind(path, kernel):
     manager, work = kernel

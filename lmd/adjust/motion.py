@@ -117,22 +117,24 @@ class Motion:
             offset: seconds that are added to the times of the frames, see `Clock`.
 
         Raises:
-            InputError: odometry covers less than half of the frames.
+            InputError: odometry covers less than half of the frames; gaps of more than `LONGEST_STEP` are not covered.
         """
         own, poses = odometry.time, inverse(odometry.poses[0]) @ odometry.poses
         covered = (times + offset >= own[0]) & (times + offset <= own[-1])
+        at = np.where(covered, times + offset, own[0])
+        (place, share), gaps = odometry.steps_at(at), np.diff(own) > LONGEST_STEP
+        covered &= ~gaps[place] | (share == 0.0)
         if 2 * covered.sum() < len(times):
             there = f"{np.nanmin(times):.10g} to {np.nanmax(times):.10g} s" if np.isfinite(times).any() else "no time"
             raise InputError(
-                f"odometry has poses from {own[0]:.10g} to {own[-1]:.10g} s, but the frames have {there}: give "
-                "odometry of the same drive and clock.",
+                f"odometry has poses from {own[0]:.10g} to {own[-1]:.10g} s, at most {np.diff(own).max():.3g} s apart, "
+                f"but the frames have {there}: give odometry of the same drive and clock, with a pose every "
+                f"{LONGEST_STEP:g} s.",
                 "odometry",
             )
         steps = log(inverse(poses[:-1]) @ poses[1:])
         far = np.linalg.norm(steps[:, 3:], axis=1) + METRES_PER_RAD * np.linalg.norm(steps[:, :3], axis=1)
         far += METRES_PER_SECOND * np.diff(own)
-        at = np.where(covered, times + offset, own[0])
-        place, share = odometry.steps_at(at)
 
         def at_frames(added: FloatArray) -> FloatArray:
             """For each frame, sum of the matrices of all steps of odometry before it, `(F, 6, 6)`; `added`
@@ -144,9 +146,7 @@ class Motion:
         ahead = adjoint_matrix(poses[1:])  # steps are short, so the error of a step is applied at its end
         turned = [ahead[..., part] @ np.swapaxes(ahead[..., part], 1, 2) for part in (slice(0, 3), slice(3, 6))]
         *drift, bias = (at_frames(far[:, None, None] * each) for each in (*turned, ahead))
-        path = replace(odometry, poses=poses).at(at)
-        gaps = np.diff(own) > LONGEST_STEP
-        path[~covered | (gaps[place] & (share != 0.0))] = np.nan
+        path = np.where(covered[:, None, None], replace(odometry, poses=poses).at(at), np.nan)
         piece = np.concatenate([[0], np.cumsum(gaps)])[place]
         return cls(times, DRIFT, path, np.stack(drift, axis=1), bias, piece, odometry=odometry, offset=offset)
 

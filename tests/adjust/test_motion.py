@@ -104,13 +104,14 @@ def test_the_bias_of_odometry_is_found():
     np.testing.assert_allclose(at.bias * np.repeat(BIAS, 3), lean, rtol=0.02, atol=1e-6)  # of the odometer's metres
 
 
-def test_odometry_of_another_clock_is_refused():
-    drive = Trajectory(np.arange(5.0), np.tile(np.eye(4), (5, 1, 1)))
-    with pytest.raises(
-        InputError,
-        match=r"from 0 to 4 s, but the frames have 100 to 104 s: give odometry of the same drive and clock",
-    ):
-        Motion.by_odometry(100.0 + np.arange(5.0), drive)
+FEW_LINKS = [(100.0, 1.0, "at most 1 s apart, but the frames have 100 to 104 s"), (0.5, 1.5, "a pose every 1 s")]
+
+
+@pytest.mark.parametrize(("later", "apart", "said"), FEW_LINKS)
+def test_odometry_that_links_few_frames_is_refused(later, apart, said):
+    drive = Trajectory(apart * np.arange(5.0), np.tile(np.eye(4), (5, 1, 1)))
+    with pytest.raises(InputError, match=said):
+        Motion.by_odometry(later + np.arange(5.0), drive)
 
 
 def test_odometry_does_not_link_frames_across_a_gap():
