@@ -30,7 +30,7 @@ def test_large_tags_hide_each_other_along_drives():
     objective, scene = Filtered(drives=drives, tolerance=0.05), along(scene, drives)
     deployment, targets = (RandomDeployment(count).draw(scene.room, rng) for count in (100, 60))
     state = objective.field(Evaluator(scene, threads=1)).state(deployment)
-    assert (state.hidden > 0).sum() > 50
+    assert (state.hidden > 0).sum() > 20
     check_field(objective, scene, deployment, targets, rng)
 
 

@@ -96,16 +96,16 @@ def hidden_by_others(sight: FiducialSight, offset: FloatArray, normals: FloatArr
     right, up = upright(normals)
     half = np.reshape(sight.half, (-1, 1))  # one number, or a column
     r, s = half * right, half * up
-    points = np.stack([offset, *(offset + way for way in (r + s, -(r + s), r - s, -(r - s)))])[
-        :, :, None
-    ]  # points of B
+    points = np.stack([offset, *(offset + way for way in (r + s, -(r + s), r - s, -(r - s)))])  # (5, K, 3)
     height = -dot(normals, offset)  # height of the camera above the plane of A, (K,)
-    side = dot(normals, points) + height  # heights of the points of B above the plane of A, (5, B, A)
+    side = dot(normals, points[:, :, None]) + height  # heights of the points of B above the plane of A, (5, B, A)
     crosses = ((height > 0.0) & (side < -TOLERANCE)) | ((height < 0.0) & (side > TOLERANCE))
+    b, a = np.nonzero(crosses.any(axis=0))  # few tags are behind the plane of another
     with np.errstate(all="ignore"):  # `share` is arbitrary for a line that does not cross the plane
-        share = height / (height - side)
-        at = share[..., None] * points - offset
-        within = (abs(dot(right, at)) <= sight.footprint) & (abs(dot(up, at)) <= sight.footprint)
-    hides = np.asarray(np.any(crosses & within, axis=0))
-    hides[np.arange(len(offset)), np.arange(len(offset))] = False
-    return np.asarray(hides.any(axis=1))
+        share = height[a] / (height[a] - side[:, b, a])
+        at = share[..., None] * points[:, b] - offset[a]
+        farthest = np.maximum(abs(dot(right[a], at)), abs(dot(up[a], at)))
+    within = farthest <= np.broadcast_to(sight.footprint, height.shape)[a]
+    hidden = np.zeros(len(offset), dtype=np.bool_)
+    hidden[b[(crosses[:, b, a] & within).any(axis=0) & (a != b)]] = True
+    return hidden
