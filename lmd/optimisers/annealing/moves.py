@@ -283,7 +283,8 @@ SINGLE_STAGE = Stage(
 SAMPLED_STAGE = replace(SINGLE_STAGE, width=(0.02, 0.004), share=0.2)
 GIVEN_STAGE = replace(SINGLE_STAGE, temperature=(1e-4, 2e-6), width=(0.02, 0.002), step=(0.3, 0.01))
 # A greedy start is good: less heat keeps what was chosen, and more jumps find the places that the choice has missed.
-CHOSEN_STAGE = replace(GIVEN_STAGE, temperature=(5e-5, 2e-6), jump=0.1, join=0.1)
+# Single tags are not bound to the places of others as the tags of a cluster are, so their last steps stay larger.
+CHOSEN_STAGE = replace(GIVEN_STAGE, temperature=(5e-5, 2e-6), step=(0.3, 0.05), jump=0.1, join=0.1)
 
 
 def changed(name: str, default: Stage, given: Stage | Mapping[str, Any]) -> Stage:
