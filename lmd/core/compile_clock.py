@@ -53,15 +53,13 @@ class CompileClock:
                     gc.set_threshold(*self._thresholds)
 
     def _print_progress(self, function: Any) -> None:
-        from tqdm import tqdm
-
-        lines = [] if self._kernels else [f"compiling kernels; {self.cache_note}"]
         self._kernels += 1
-        lines.append(
-            f"compiling kernel {self._kernels}, {self._spent:.0f} s so far: {name_of(function).partition(' (')[0]}"
-        )
+        text = f"compiling kernel {self._kernels}, {self._spent:.0f} s so far: {name_of(function).partition(' (')[0]}"
+        text = text if self._kernels > 1 else f"compiling kernels; {self.cache_note}\n{text}"
+        # Above a progress bar, if there may be one. A worker loads no tqdm, whose semaphore would outlive it.
+        write = sys.modules["tqdm"].tqdm.write if "tqdm" in sys.modules else print
         with suppress(OSError):  # standard error is closed
-            tqdm.write("\n".join(lines), file=sys.stderr)  # above a progress bar
+            write(text, file=sys.stderr)
 
     @property
     def active(self) -> bool:

@@ -114,7 +114,7 @@ def draw_band(axes: Any, x: Any, band: Any, label: str | None, mark: str = "", *
     """
     low, middle, high = band
     axes.fill_between(x, low, high, color=style["color"], alpha=0.2, lw=0)
-    axes.plot(x, middle, mark, label=label, **style)
+    axes.plot(x, middle, *filter(None, [mark]), label=label, **style)  # an empty format would set a line style
 
 
 def draw_arrows(axes: Any, places: FloatArray, ways: FloatArray, **style: Any) -> None:
