@@ -254,11 +254,12 @@ def _worth(target, p, units):
     return target.weight * units * FACTOR
 """
 CALL = """
-import numpy as np
+import sys; import numpy as np
 from mine import Mine
 from lmd.incremental.field import total_fitness
 
 print(total_fitness(Mine(2.0), np.arange(4)))
+assert "tqdm" not in sys.modules  # its lock is a semaphore, which a worker would leave behind
 """
 
 
