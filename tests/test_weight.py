@@ -12,13 +12,13 @@ import weight
 # amount, and raise none.
 BUDGET = {
     "files of lmd": 297,
-    "code lines of lmd": 28591,
+    "code lines of lmd": 28590,
     "files of pipelines": 48,
     "code lines of pipelines": 3400,
     "code lines of tests": 20442,
     "files of conf": 100,
     "keys of conf": 376,
-    "words of docs": 40852,
+    "words of docs": 40845,
     "commands": 12,
 }
 # Docstrings and comments with each phrase, at most. Lower a number when you have lowered the count.
