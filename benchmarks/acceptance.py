@@ -73,7 +73,7 @@ def main() -> None:
     errors, _ = UncertaintyStudy(corners="rendered").errors(problem, plan, 0)
     hung = HungMap(problem, plan, errors, block_diag(*error.covariances(problem, plan)), settings)
     stations, _ = hung.chosen(0)
-    rows: dict[str, list[tuple[bool, bool, bool]]] = {"right": [], f"a tag moved by {settings.shift:g} m": []}
+    rows: dict[str, list[tuple[bool, bool, bool]]] = {"correct": [], f"a tag moved by {settings.shift:g} m": []}
     for seed in range(options.seeds):
         rng = np.random.default_rng([seed, 1])
         mounted = error.draw(problem, plan, rng)

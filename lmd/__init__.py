@@ -1,7 +1,7 @@
 """Landmark deployment: places for fiducial markers from which a camera can localise itself.
 
 A `Scene` has a room, a camera, a PDF of the camera's orientations and a visibility model. A `Problem` has a scene, an
-objective and a start. `optimise` finds a deployment for a problem; `evaluate` scores any deployment.
+objective and a source of start deployments. `optimise` finds a deployment for a problem; `evaluate` scores any.
 
     >>> import lmd
     >>> room = lmd.Cuboid(size=(3.2, 3.2, 1.7), reachable_size=(2.6, 2.6, 1.2), spacing=0.8)

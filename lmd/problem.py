@@ -52,9 +52,7 @@ class Genome(Protocol):
         """Cameras that the genes `(dim,)` of a candidate encode; None if the scene's camera is fixed."""
 
     def reached(self, fitness: float) -> None:
-        """Take over the best `fitness` from a checkpoint, so that a resumed run makes the decisions of an uninterrupted
-        run.
-        """
+        """Receive the best `fitness` of a checkpoint, so that a resumed run decides as an uninterrupted run would."""
 
 
 def checked_genes(genes: FloatArray, *shape: int | str) -> FloatArray:
@@ -82,11 +80,12 @@ def checked_genes(genes: FloatArray, *shape: int | str) -> FloatArray:
 
 
 class Problem:
-    """Maximise the objective's fitness over deployments of K landmarks.
+    """Problem of maximising an objective's fitness over deployments of K landmarks.
 
-    `evaluator` and `relevance` `(P,)` belong to the room's grid and the PDF; all reported metrics are computed with
-    this pair. Optimisers use `fitness_evaluator` and `fitness_relevance`, which belong to the room's grid or to the
-    objective's sampling.
+    `evaluator` evaluates the views from the P positions of the room's grid, with the orientations of the PDF;
+    `relevance` `(P,)` has the weights of these positions. All reported metrics are computed with this pair. Optimisers
+    use `fitness_evaluator` and `fitness_relevance`: the pair for the objective's random sample of poses or, if it has
+    none, the pair for the grid.
 
     Args:
         scene: scene, which is constant.
@@ -132,7 +131,7 @@ class Problem:
             self.fitness_relevance = np.tile(weights, len(self.fitness_evaluator.positions) // len(weights))
 
     def with_rig(self, rig: Rig, start: DeploymentSource | None = None) -> "Problem":
-        """Problem of placing landmarks for another rig, with another start if `start` is given.
+        """Copy of the problem with the cameras of `rig`, and with the source of starts `start` if one is given.
 
         Raises:
             InputError: a camera would be outside the room.
@@ -171,7 +170,7 @@ class Problem:
 
     @property
     def free_edges(self) -> FloatArray:
-        """Individual edge lengths of the landmarks that are to be placed, `(N,)`, metres, see `Deployment.edges`."""
+        """Edge lengths of the landmarks to be placed, `(N,)`, metres; NaN for that of the scene's tag."""
         return self.edges[self.fixed_count :]
 
     @property
@@ -180,7 +179,7 @@ class Problem:
         return self.sizes[self.fixed_count :]
 
     def draw(self, rng: np.random.Generator) -> Deployment:
-        """Draw a deployment to start from: landmarks have surfaces, and footprints do not overlap."""
+        """Draw a deployment to start from; each landmark is assigned to a surface, and footprints do not overlap."""
         return self.scene.footprints.draw(self.start, rng, self.fixed)
 
     def free(self, deployment: Deployment) -> Deployment:
@@ -192,13 +191,19 @@ class Problem:
         return free if self.fixed is None else self.fixed + free
 
     def separated(self, deployment: Deployment, size: float = 1.0) -> Deployment | None:
-        """Copy of the deployment in which overlapping footprints are pushed apart; fixed landmarks stay. None if there
-        is no room, see `Footprints.separated`.
+        """Copy of the deployment in which overlapping footprints are pushed apart; fixed landmarks stay.
+
+        Args:
+            deployment: the deployment; the individual edge lengths of the start replace its own.
+            size: factor on the edge lengths of the footprints.
+
+        Returns:
+            the copy; None if there is no room for all footprints.
         """
         return self.scene.footprints.separated(replace(deployment, edges=self.edges), size, self.fixed_count)
 
     def labelled(self, deployment: Deployment) -> Deployment:
-        """Copy the labels and edge lengths of the start to an optimised deployment, by the index of the landmark.
+        """Copy of an optimised deployment with the labels and edge lengths of the start, by index of the landmark.
 
         Landmarks that an optimiser did not move keep their surveyed poses, too.
         """
@@ -218,17 +223,17 @@ class Problem:
         return float(self.fitness_from(self._values(self.fitness_evaluator, deployment)))
 
     def fitness_from(self, values: FloatArray) -> FloatArray:
-        """Fitness from the objective's values at the positions of `fitness_evaluator`, `(..., P)`; shape `(...)`."""
+        """Fitness `(...)` computed from the objective's values `(..., P)` at the positions of `fitness_evaluator`."""
         fitness = over_states(self.objective, values, self.fitness_evaluator, self.fitness_relevance)
         return np.asarray(returned(self.objective, "fitness", fitness, *values.shape[:-1]))
 
     def values(self, deployment: Deployment) -> FloatArray:
-        """The objective's value in [0, 1] at every position of the grid (in every crowd state), `(P,)`."""
+        """The objective's value in [0, 1] at every position of the grid and in every crowd state, `(P,)`."""
         return self._values(self.evaluator, deployment)
 
     @property
     def places(self) -> FloatArray:
-        """Positions of the grid; each position occurs once, even with a crowd."""
+        """Positions of the grid, metres, `(P / S, 3)`; each position occurs once, even if a crowd has S states."""
         return np.asarray(self.evaluator.positions[: len(self.relevance) // self.state_count])
 
     @property
@@ -243,7 +248,7 @@ class Problem:
         return np.asarray(values.reshape(self.state_count, -1).mean(axis=0))
 
     def _values(self, evaluator: Evaluator, deployment: Deployment) -> FloatArray:
-        """The objective's value at each position of an evaluator, for a deployment with its edge lengths."""
+        """The objective's value at each position of an evaluator, `(P,)`, for a deployment with its edge lengths."""
         sized, landmarks = evaluator.sized(deployment.edges), (deployment.positions[None], deployment.normals[None])
         return np.asarray(self._values_of(sized, *landmarks)[0])
 
@@ -253,19 +258,25 @@ class Problem:
         return np.asarray(returned(self.objective, "values", values, len(positions), len(evaluator.positions)))
 
     def metrics(self, deployment: Deployment) -> dict[str, float]:
-        """The objective's metrics on the grid, and the fitness."""
+        """The objective's metrics on the grid, and the fitness, keyed by name."""
         return self.figures(self.values(deployment), self.fitness_of(deployment))
 
     def figures(self, values: FloatArray, fitness: float) -> dict[str, float]:
-        """Compute the metrics, as `metrics` does, from the objective's values at the positions of the grid, `(P,)`, and
-        the fitness.
+        """Metrics as returned by `metrics`, for a deployment that has been evaluated already.
+
+        Args:
+            values: the objective's values at the positions of the grid, `(P,)`.
+            fitness: fitness of the deployment.
         """
         figures = self.objective.figures(values, self.relevance)
         return {**figures, **worst_figures(self.objective, values, self.evaluator), "fitness": fitness}
 
     def describe(self, figures: Mapping[str, float], count: int) -> dict[str, str]:
-        """Results of `metrics` as labelled sentences for displays, with the number of landmarks; the fitness comes
-        first.
+        """Describe results of `metrics` as sentences for displays, keyed by label; the fitness comes first.
+
+        Args:
+            figures: metrics, keyed by name.
+            count: number of landmarks.
         """
         drawn = " at the random poses of the search" if self.objective.sampling is not None else ""
         crowds = " of the worst crowds" if seeks_worst(self.evaluator) else ""
@@ -275,8 +286,7 @@ class Problem:
         return {"fitness": fitness, **described, **describe_crowd(self.objective, figures, self.evaluator)}
 
     def resampled(self, share: float, rng: np.random.Generator) -> tuple[Evaluator, FloatArray] | None:
-        """Evaluator at new random positions, as many as the objective's sampling has or a fraction of these, and the
-        relevance of the positions, `(Q,)`.
+        """Draw a new random sample of positions, as the objective's sampling does.
 
         For optimisers that can change the sample during a run, which avoids fitting the deployment to one sample.
 
@@ -285,7 +295,7 @@ class Problem:
             rng: random generator of the draw.
 
         Returns:
-            None if the objective has no sampling.
+            evaluator at the Q positions, and their relevance, `(Q,)`; None if the objective has no sampling.
         """
         sampling = self.objective.sampling
         if sampling is None:
@@ -294,7 +304,7 @@ class Problem:
         return evaluator, np.tile(self.relevance[:cells], len(evaluator.positions) // cells)
 
     def _repeats(self, share: float) -> int:
-        """Number of positions in each cell for a fraction `share` of the sampling, at least one."""
+        """Number of random positions to draw in each cell: the fraction `share` of the sampling's, at least one."""
         assert self.objective.sampling is not None, "there is a sampling"
         most = self.objective.sampling.positions
         return max(1, math.ceil(share * (max(most, self.state_count) if seeks_worst(self.evaluator) else most)))
@@ -327,9 +337,7 @@ def _fields(part: Any) -> dict[str, Any]:
 
 
 def _finite(value: Any) -> Any:
-    """Copy of `value` for JSON, in which None replaces infinite numbers, such as an infinite focus distance, and its
-    shape replaces each array.
-    """
+    """Copy of `value` for JSON: None stands for infinity and NaN, and a text with its shape for an array."""
     if isinstance(value, np.ndarray):
         return f"array of shape {value.shape}"
     if isinstance(value, Mapping):

@@ -34,7 +34,7 @@ except KeyboardInterrupt:
 
 
 def compose(command: str, *overrides: str) -> "DictConfig":
-    """Configuration of a command, see `composing.compose`."""
+    """Compose the configuration of a command with overrides such as `seed=1`, see `composing.compose`."""
     from .composing import compose as composed
 
     return composed(command, *overrides)

@@ -1,5 +1,6 @@
-"""Context of a running application: its package, configuration, command line and folder. An error ends the application
-with a message of one sentence.
+"""Context of a running application: its package, configuration, command line and output folder.
+
+An error ends the application with a message of one sentence.
 """
 
 import errno
@@ -35,8 +36,10 @@ WITHOUT_EFFECT = (
 
 
 def lmd_experiment(*, _root_: DictConfig) -> str:
-    """Name of the mlflow experiment in which the composed command records its runs: `EXPERIMENT`, or for some commands
-    a name of their own, such as `lmd compare`.
+    """Name of the mlflow experiment in which the composed command records its runs.
+
+    This is `EXPERIMENT` for the commands in `SHARING`. Other commands have an experiment of their own, such as `lmd
+    compare`.
     """
     studies = list(_root_.get("studies") or {})
     # The configuration of a job lacks Hydra's part, and a configuration composed from Python has no job.
@@ -52,15 +55,19 @@ OmegaConf.register_new_resolver("lmd.conf", lambda name: str(Path(CONF, name)), 
 
 
 def command_of(pipeline: str) -> str:
-    """Text of the shell command that starts `pipeline`, for messages, in the form in which the user called this
-    process.
+    """Text of the shell command that starts `pipeline`, for messages.
+
+    This is `python -m pipelines.NAME` in a checkout, and `lmd-NAME` if the package is installed.
     """
     return f"python -m pipelines.{pipeline}" if IN_CHECKOUT else f"lmd-{pipeline.replace('_', '-')}"
 
 
 def flat_settings(cfg: DictConfig, *keys: str) -> dict[str, Any]:
-    """Resolved settings below the given `keys` of the configuration (by default all settings), such as
-    `{"room.spacing": 0.5, ...}`.
+    """Resolved settings as a flat dictionary with dotted keys, such as `{"room.spacing": 0.5, ...}`.
+
+    Args:
+        cfg: configuration.
+        keys: top-level keys whose settings are returned; all keys by default.
     """
     resolved: Any = OmegaConf.to_container(cfg, resolve=True)
     return _flat({key: resolved[key] for key in keys or resolved})
@@ -79,8 +86,7 @@ def run_directory() -> Path:
 
 
 def choices(picked: Mapping[Any, Any] | None = None) -> dict[str, str]:
-    """Name of the option chosen in each config group, such as `{"room": "paper_simulation"}`, without Hydra's own
-    groups.
+    """Option chosen in each config group, such as `{"room": "paper_simulation"}`, without Hydra's own groups.
 
     A group that is used at another key, such as `odometry@objective.odometry`, gets the name of this key, because
     mlflow allows no @ in names.
@@ -94,11 +100,11 @@ def choices(picked: Mapping[Any, Any] | None = None) -> dict[str, str]:
 
 @contextmanager
 def ends_reported() -> Iterator[None]:
-    """Context that ends the process with one sentence and exit code 1 if input is refused, the disk is full, or a
-    folder has the name of a file to be written.
+    """Context in which an expected error ends the process with a message of one sentence and exit code 1.
 
-    After refused input no folder of the run is left. A failed allocation of memory counts as refused input, because
-    only the largest arrays are checked beforehand (`lmd.core.memory`).
+    Such errors are refused input, a full disk, and a folder that has the name of a file to be written. After refused
+    input no folder of the run is left. A failed allocation of memory counts as refused input, because only the largest
+    arrays are checked beforehand (`lmd.core.memory`).
     """
     from lmd.core.checks import InputError
 
@@ -117,8 +123,9 @@ def ends_reported() -> Iterator[None]:
 
 @contextmanager
 def doing(step: str) -> Iterator[None]:
-    """Context of one step of a command's work; the step's name is printed if the step takes longer than `SHOWN_AFTER`
-    seconds.
+    """Context of one step of a command's work.
+
+    The name `step` is printed if the step takes longer than `SHOWN_AFTER` seconds.
     """
     shown = threading.Timer(SHOWN_AFTER, print, [f"{step} ..."], {"file": sys.stderr, "flush": True})
     shown.daemon = True
@@ -130,8 +137,9 @@ def doing(step: str) -> Iterator[None]:
 
 
 def say(text: str) -> None:
-    """Print `text` unless it is empty. If stdout is a pipe to a program that has ended, such as `head`, the text is
-    dropped.
+    """Print `text` unless it is empty.
+
+    If stdout is a pipe to a program that has ended, such as `head`, the text is dropped.
     """
     try:
         print(text, end="\n" if text else "", flush=True)
@@ -140,60 +148,62 @@ def say(text: str) -> None:
 
 
 def discard_empty(directory: Path) -> None:
-    """Remove the directory of a run, unless it holds files of the run or is the working directory."""
+    """Remove the directory of a run, unless it contains files of the run or is the working directory."""
     is_ours = directory.is_dir() and not directory.samefile(Path.cwd())
     if is_ours and {path.name for path in directory.iterdir()} <= {".hydra", LOCK}:
         shutil.rmtree(directory)
 
 
 def spelled(override: str) -> str:
-    """Quote the value of an override such as `deployment.count=+5`, which Hydra would otherwise read as the number
-    5.
+    """Quote a number with a plus sign in an override of `deployment.count`, and return the override.
+
+    Hydra would read the value of `deployment.count=+5` as the number 5. Other overrides are returned unchanged.
     """
     return re.sub(r"(?<=[=,])\+(\d+)(?=,|$)", r"'+\1'", override) if override.startswith(COUNT) else override
 
 
 def quoted(path: str | Path) -> str:
-    """Text of the path for use as the value of an override, in quotes if Hydra needs them."""
+    """Path as text for the value of an override, in quotes if Hydra needs them."""
     escaped = str(path).replace("\\", "\\\\").replace("'", "\\'")
     return str(path) if re.fullmatch(r"[\w./-]*/[\w./-]*", str(path)) else f"'{escaped}'"
 
 
 def key_and_value(override: str) -> tuple[str, str]:
-    """Split an override, such as `+objective.n=2`, into key and value (`objective.n`, `2`)."""
+    """Split an override, such as `+objective.n=2`, into its key and its value, here `objective.n` and `2`."""
     key, _, value = override.partition("=")
     return key.lstrip("+~"), value
 
 
 def changes_results(key: str) -> bool:
-    """Return False for a config key or group that has no effect on the results of a run, such as the number of
-    threads.
-    """
+    """True if a config key or group may affect the results of a run; the number of threads, for example, does not."""
     return re.split("[./@]", key)[0] not in WITHOUT_EFFECT
 
 
 def search_path() -> list[str]:
-    """Overrides of this process that add folders to Hydra's search path. Pass these overrides on first, because
-    the other overrides may choose options in these folders.
+    """Overrides of this process that add folders to Hydra's search path.
+
+    If a process composes another configuration, these must precede the other overrides, which may choose options in
+    these folders.
     """
     own = HydraConfig.get().overrides.hydra if HydraConfig.initialized() else []
     return [override for override in own if override.startswith("hydra.searchpath=")]
 
 
 def config_dir() -> list[str]:
-    """Option `--config-dir` of this application, to be passed to another process; empty without such an option."""
+    """Option `--config-dir` of this application as words of a command line; empty if the option is not given.
+
+    The words are passed to another process.
+    """
     sources = HydraConfig.get().runtime.config_sources
     return [word for source in sources if source.provider == "command-line" for word in ("--config-dir", source.path)]
 
 
 def task_overrides() -> list[tuple[str, str]]:
-    """Overrides of this job as pairs: the config key or group that is overridden, and the text of the override."""
+    """Overrides of this job as pairs: the config key or group that is overridden, and the whole override."""
     return keyed_overrides(HydraConfig.get().overrides.task)
 
 
 def keyed_overrides(overrides: Iterable[str]) -> list[tuple[str, str]]:
-    """Pairs for each of the `overrides`: the config key or group that is overridden, and the whole text of the
-    override.
-    """
+    """Split each override into a pair: the config key or group that is overridden, and the whole override."""
     parsed = OverridesParser.create().parse_overrides(list(overrides))
     return [(str(override.key_or_group), str(override.input_line)) for override in parsed]

@@ -34,8 +34,9 @@ SAME_EDGE = 1e-6  # maximum difference between edges that count as equal, metres
 
 
 class Parts(NamedTuple):
-    """Arguments of `lmd.problem.Problem`. No argument is checked against another; for example, the objective may not
-    support the landmarks.
+    """Arguments of `lmd.problem.Problem`, which are not yet checked against each other.
+
+    For example, the objective may not support the landmarks.
     """
 
     scene: "Scene"
@@ -45,7 +46,7 @@ class Parts(NamedTuple):
     fixed: "Deployment | None"
 
     def draw(self, seed: int) -> "Deployment":
-        """Draw a deployment of the problem."""
+        """Draw a deployment of the problem with random numbers from `seed`."""
         import numpy as np
 
         return self.scene.footprints.draw(self.start, np.random.default_rng(seed), self.fixed)
@@ -70,7 +71,15 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
 
 
 def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
-    """Build the parts of a problem without checking that the parts fit together; arguments as for `build_problem`."""
+    """Build the parts of a problem without checking that the parts fit together.
+
+    Args:
+        cfg: the configuration.
+        count: config key that gives the number of landmarks, for error messages.
+
+    Raises:
+        InputError: a part refuses its arguments, or the landmarks cannot be drawn.
+    """
     from lmd.core.checks import InputError, check_members, integer
     from lmd.core.threads import MOST_THREADS
     from lmd.objectives.base import Objective
@@ -119,7 +128,7 @@ def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
 
 
 def _check_settings(cfg: DictConfig) -> None:
-    """Check the settings that are not passed to an object of the problem; the objects check their own settings.
+    """Check the settings that are not passed to an object of the problem, as each object checks its own settings.
 
     Raises:
         InputError: a setting has a value that is not allowed.
@@ -173,8 +182,12 @@ def _scene(cfg: DictConfig) -> "Scene":
 
 
 def camera_of(node: DictConfig) -> "Camera | Rig":
-    """Build the camera or the rig of the group `camera`; for a rig, the group's camera is built only if a mount has no
-    camera of its own.
+    """Build the camera or the rig of the config group `camera`.
+
+    For a rig, the group's camera is built only if a mount has no camera of its own.
+
+    Args:
+        node: the group.
 
     Raises:
         InputError: a camera or the rig refuses its arguments.
@@ -194,7 +207,7 @@ def camera_of(node: DictConfig) -> "Camera | Rig":
 
 
 def visibility_of(node: DictConfig) -> "tuple[Criteria, Crowd | None]":
-    """Build the visibility model and the crowd of the group `visibility`; the crowd is None if the group has no crowd.
+    """Build the visibility model and the crowd of the config group `visibility`; the crowd is None if none is set.
 
     Raises:
         InputError: the visibility model or the crowd refuses its arguments.
@@ -221,9 +234,10 @@ def refuse_crowd(problem: "Problem", command: str) -> None:
 
 
 def _note_unusual(room: "Space", tag: "Tag", deployment: "Deployment") -> None:
-    """Print two notes about unusual tags. One tells how many tags have each of the edge lengths that come from the
-    landmark file. The other has the ids of tags with a corner behind a face of the room, where no camera sees this
-    corner.
+    """Print notes about unusual tags, if there are any.
+
+    The first note lists the edge lengths that come from the landmark file, with the number of tags for each. The second
+    note has the ids of tags with a corner behind a face of the room, where no camera sees this corner.
     """
     from lmd.core.words import few
     from lmd.geometry.squares import corners

@@ -1,5 +1,6 @@
-"""Commands of the project. A command is a function that Hydra calls with a composed configuration; it stops on a
-signal, and can run as a sweep.
+"""Commands of the project.
+
+A command is a function that Hydra calls with a composed configuration. It stops on a signal, and can run as a sweep.
 """
 
 import atexit
@@ -32,7 +33,7 @@ PRINTED = {*HELP, "--hydra-help", "--cfg", "-c", "--info", "-i"}  # options with
 
 @dataclass(frozen=True)
 class Command:
-    """Command of the project: calling the object without arguments runs the command."""
+    """Command of the project; calling the object without arguments runs the command."""
 
     name: str
     """Name of the command, which is also the name of its module and of its configuration, such as `optimise`."""
@@ -78,7 +79,7 @@ class Command:
 
 
 def help_of(command: str, overrides: Iterable[str]) -> str:
-    """Text of `--help`: for each config group of a command, a line that lists the options of the group."""
+    """Text of `--help` for a command with the given overrides: each config group, with the options of the group."""
     from hydra import compose as by_hydra
     from hydra import initialize_config_dir
 
@@ -94,8 +95,9 @@ def help_of(command: str, overrides: Iterable[str]) -> str:
 
 
 def offer_file_formats() -> None:
-    """Let `lmd.formats.registry` also read the folders `file_formats` on the search path, in this process and in
-    processes that it starts.
+    """Let `lmd.formats.registry` also read the folders `file_formats` on Hydra's search path.
+
+    This holds for this process and for processes that it starts.
     """
     sources = HydraConfig.get().runtime.config_sources
     folders = [os.path.join(source.path, "file_formats") for source in sources if source.schema == "file"]

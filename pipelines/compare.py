@@ -30,7 +30,7 @@ BUDGETS = ("1", "2", "3")  # positions in the list of budgets of a suite problem
 
 
 def compare(cfg: DictConfig) -> Study:
-    """Prepare the configured comparison of optimisers, on one problem or on problems of the suite."""
+    """Prepare the configured comparison of optimisers, either on one problem or on problems of the suite."""
     from lmd.core.checks import InputError
 
     entries = cfg.optimisers
@@ -40,7 +40,7 @@ def compare(cfg: DictConfig) -> Study:
 
 
 def _on_one_problem(cfg: DictConfig) -> Study:
-    """Study that compares the optimisers on the single problem of the configuration."""
+    """Prepare the study that compares the optimisers on the single problem of the configuration."""
     from lmd.core.checks import choice
     from lmd.optimisers.ledger import curve
 
@@ -86,7 +86,7 @@ def _on_one_problem(cfg: DictConfig) -> Study:
 
 
 def _over_suite(cfg: DictConfig) -> Study:
-    """Study that compares the optimisers on problems of the suite, and writes the leaderboard.
+    """Prepare the study that compares the optimisers on problems of the suite and writes the leaderboard.
 
     Raises:
         InputError: a setting has a value that is not allowed.
@@ -122,7 +122,11 @@ def _over_suite(cfg: DictConfig) -> Study:
 
 
 def _configurations(taken: Mapping[str, Mapping[str, DictConfig]]) -> str:
-    """Text of a table with a row for each entry of `optimisers`: the exact configuration that was used for it."""
+    """Markdown table with the exact configuration that was used for each entry of `optimisers`, one row per entry.
+
+    Args:
+        taken: for each entry, its configuration on each problem by the name of the problem.
+    """
     from lmd.core.words import as_code, markdown_table
 
     flat = {entry: flat_settings(next(iter(configs.values())), "optimiser") for entry, configs in taken.items()}
@@ -134,8 +138,10 @@ def _configurations(taken: Mapping[str, Mapping[str, DictConfig]]) -> str:
 
 
 def problems_of(cfg: DictConfig) -> "Mapping[str, BlackBox]":
-    """Problems that the key `suite` chooses. The key is the name of a set, the name of a problem, or a list of such
-    names; a set is taken without its problems with several objectives.
+    """Problems of the suite that the key `suite` chooses, by name.
+
+    The value of the key is the name of a set, the name of a problem, or a list of such names. Problems with several
+    objectives are left out of a set.
 
     Raises:
         InputError: there is no such problem, or the configuration also chooses parts of a problem.
@@ -159,8 +165,12 @@ def problems_of(cfg: DictConfig) -> "Mapping[str, BlackBox]":
 
 
 def _taken(entry: str, cfg: DictConfig, boxes: "Mapping[str, BlackBox]") -> dict[str, DictConfig]:
-    """Configuration of an entry of `optimisers`, keyed by the name of the problem, for each problem that its optimiser
-    supports.
+    """Configuration of an entry of `optimisers` for each supported problem, by the name of the problem.
+
+    A note is printed for each problem that the entry's optimiser does not support.
+
+    Raises:
+        InputError: the optimiser supports none of the problems.
     """
     from lmd.core.checks import InputError
 
@@ -180,7 +190,13 @@ def _taken(entry: str, cfg: DictConfig, boxes: "Mapping[str, BlackBox]") -> dict
 
 
 def _composed(entry: str, words: str, is_shared: Callable[[str], bool]) -> DictConfig:
-    """Configuration of `optimise` for an entry of `optimisers`, which is a name followed by overrides."""
+    """Compose the configuration of `optimise` for an entry of `optimisers`.
+
+    Args:
+        entry: the entry, for error messages.
+        words: name of the optimiser followed by overrides, separated by spaces.
+        is_shared: function that tells by the key if an override of the command line also applies here.
+    """
     shared = [override for key, override in task_overrides() if is_shared(key)]
     name, *own = words.split()
     return editable(recompose("optimise", [*shared, f"optimiser={name}", *own], "optimisers", entry))

@@ -53,7 +53,7 @@ for _name, _groups in OPEN.items():
 
 
 def compose(command: str, *overrides: str) -> DictConfig:
-    """Compose the configuration of a command as its command line would, without running the command.
+    """Compose the configuration of a command as the command line would, without running the command.
 
     `building.build_problem` and `building.build_optimiser` make objects from the configuration.
 
@@ -142,8 +142,9 @@ def _final(cfg: DictConfig) -> DictConfig:
 
 
 def _overrides(cfg: DictConfig, command: str, given: Sequence[str], runtime: Any) -> list[str] | None:
-    """All overrides: first those that follow from keys such as `run` and `suite`, then those of the command line. None
-    if no key adds an override.
+    """All overrides of the command, or None if none is added to those of the command line.
+
+    Overrides that follow from keys such as `run` and `suite` come first, then the overrides of the command line.
 
     Args:
         cfg: configuration.
@@ -180,8 +181,11 @@ def _overrides(cfg: DictConfig, command: str, given: Sequence[str], runtime: Any
 
 
 def _stored(parts: Mapping[str, Any], option: str) -> dict[str, str]:
-    """Put the config nodes `parts`, keyed by group, into Hydra's config store under the name `option`; return the
-    overrides that choose these nodes.
+    """Store config nodes in Hydra's config store, and return the overrides that choose these nodes, by group.
+
+    Args:
+        parts: the nodes, by group.
+        option: name of the option under which each node is stored in its group.
     """
     for group, part in parts.items():
         ConfigStore.instance().store(option, part, group)
@@ -219,8 +223,9 @@ def _of_suite(cfg: DictConfig, named: Iterable[str]) -> dict[str, str]:
 
 
 def _of_survey(directory: Path, trust: Trust) -> dict[str, str]:
-    """Store the config nodes with which a survey was made (its run, cameras, tags and detector), and return the
-    overrides that choose these nodes.
+    """Store the camera and the tag of a survey as config nodes, and return the overrides that choose these nodes.
+
+    Further overrides choose the survey's run and detectors, and set `frames` and `margin` to 0.
     """
     before, parts = _parts_of(directory, "survey", trust, ("camera", "tag"))
     found = {"frames": "0", "margin": "0", "detectors": f"[{','.join(before.get('detectors') or {})}]"}
@@ -230,8 +235,7 @@ def _of_survey(directory: Path, trust: Trust) -> dict[str, str]:
 def _of_run(
     cfg: DictConfig, directory: Path, named: Iterable[str], command: str, options: Mapping[str, str], trust: Trust
 ) -> dict[str, str]:
-    """Store the config nodes of the problem and the landmarks of an earlier run, and return the overrides that choose
-    these nodes.
+    """Store the problem and the landmarks of an earlier run as config nodes, and return the overrides that choose them.
 
     If the command line chooses another source of landmarks, the fixed landmarks and the number of landmarks of that run
     remain the defaults.
@@ -262,7 +266,7 @@ def _of_run(
 def _parts_of(
     directory: Path, argument: str, trust: Trust, groups: Sequence[str], files: Sequence[str] = FILES[:1]
 ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-    """Two things from an earlier run: its whole configuration, and separately the nodes of the config groups `groups`.
+    """Read the configuration of an earlier run; return it as a whole, and the nodes of the config groups `groups`.
 
     Args:
         directory: folder of the run.
@@ -291,12 +295,11 @@ def count_of(run: str | Path) -> int:
 
 
 def compared(cfg: DictConfig) -> dict[str, DictConfig]:
-    """Configuration for each entry of `deployments`, keyed by the name of the entry; if there is no entry, only the
-    configuration of the command line.
+    """Configuration for each entry of `deployments`, by the name of the entry.
 
-    An entry is an option of `conf/deployment`, or a text `NAME: OPTION OVERRIDES` that gives the entry a name and
-    overrides. If the command line gives `deployment.path`, it applies to entries that read files; `deployment.count`
-    applies to all other entries.
+    Without entries, the result has only the configuration of the command line. An entry is an option of
+    `conf/deployment`, or a text `NAME: OPTION OVERRIDES` that gives the entry a name and overrides. If the command line
+    gives `deployment.path`, it applies to entries that read files; `deployment.count` applies to all other entries.
 
     Raises:
         InputError: an entry is refused.

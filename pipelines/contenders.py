@@ -1,5 +1,6 @@
-"""Contenders of a comparison. A contender is a run of one optimiser with one seed on one problem, and has a folder for
-its result.
+"""Contenders of a comparison.
+
+A contender is a run of one optimiser with one seed on one problem, and has a folder for its result.
 """
 
 import io
@@ -35,7 +36,7 @@ LONGEST = 120  # maximum number of characters of a folder's name; a longer name 
 
 @dataclass(frozen=True, eq=False)
 class Contender:
-    """Run of a comparison: an optimiser with a seed on a problem."""
+    """Run of a comparison: one optimiser with one seed on one problem."""
 
     optimiser: str
     """Entry of `optimisers` that names the optimiser, with its overrides."""
@@ -61,9 +62,7 @@ class Contender:
 
     @property
     def parts(self) -> tuple[Any, ...]:
-        """Settings that determine the result of the run. A result is stored under these settings, and found again by
-        them.
-        """
+        """Settings that determine the result of the run; a stored result is found by these settings."""
         if not self.problem:
             return flat_settings(self.cfg, *SAME_WHEN_RESUMED, "budget", "validate"), self.seed
         from lmd.suite import document
@@ -72,8 +71,9 @@ class Contender:
         return flat_settings(self.cfg, "optimiser", "encoding", "validate"), self.seed, *frozen
 
     def folder(self, comparison: Path) -> Path:
-        """Folder of the run within the folder of the comparison; a name that would be too long is cut, and ends in a
-        digest.
+        """Folder of the run within the folder `comparison`.
+
+        A name longer than `LONGEST` characters is cut and ends in a digest.
         """
         name, ending = self.name.replace("/", "_"), f" {digest(self.name)[:DIGEST_LENGTH]}"
         return comparison / "runs" / self.problem / (name if len(name) <= LONGEST else name[:LONGEST] + ending)
@@ -86,8 +86,9 @@ Log = Callable[[Contender, "OptimiserRun", str | None], None]
 def contend(
     cfg: DictConfig, jobs: Sequence[Contender], report: Told, log: Log = lambda *_: None, **about: Any
 ) -> Study:
-    """Study that does the runs of a comparison; results that an earlier comparison has stored for equal settings are
-    reused.
+    """Prepare the study that does the runs of a comparison and reports on them.
+
+    A result is reused if an earlier comparison has stored it for equal settings.
 
     Args:
         cfg: configuration of `compare`.
@@ -120,8 +121,14 @@ def contend(
 
 
 def _done(directory: Path, folder: str, job: Contender) -> "tuple[str, OptimiserRun]":
-    """Return the name and the result of the run `job`. The run is done first unless its result is already stored on
-    disk; the run's files are written in both cases.
+    """Return the name and the result of the run `job`, and write the files of the run.
+
+    The run is done first unless its result is already stored on disk.
+
+    Args:
+        directory: folder of the comparison.
+        folder: folder of the stored results.
+        job: the run.
     """
     from lmd.core.files import write_whole
     from lmd.evaluation.comparison import OptimiserRun
@@ -136,7 +143,7 @@ def _done(directory: Path, folder: str, job: Contender) -> "tuple[str, Optimiser
 
 
 def _searched(job: Contender) -> dict[str, Any]:
-    """Do a run on one thread; return a document (for JSON) with the run's metrics and the contents of its files."""
+    """Do a run on one thread, and return its metrics and the contents of its files as a document for JSON."""
     from lmd.core.tables import write_table
     from lmd.evaluation.tradeoff import SAMPLE
     from lmd.evaluation.validation import Sample, headline_off_grid, validation_metrics

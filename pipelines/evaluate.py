@@ -1,4 +1,4 @@
-"""Study deployments: `python -m pipelines.evaluate deployment=uniform|random|greedy|file [overrides]`.
+"""Evaluate deployments: `python -m pipelines.evaluate deployment=uniform|random|greedy|file [overrides]`.
 
 `studies=[score,bound,...]` chooses the studies, and `deployments=[a,b]` compares several deployments.
 """
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def evaluate(cfg: DictConfig) -> Study:
-    """Prepare the studies that `studies` lists, for the deployments of the configuration."""
+    """Prepare the studies listed in `studies` for the deployments of the configuration."""
     from lmd.core.checks import InputError, seed_number
 
     seed_number(cfg.seed)

@@ -18,10 +18,15 @@ if TYPE_CHECKING:
 
 
 def build_export(cfg: DictConfig, key: str, tag: "Tag") -> "Export":
-    """Build the export of the landmarks in all formats that a configuration lists at `key`.
+    """Build the export of the landmarks in all formats that the configuration lists at `key`.
 
-    The value null at `key` means all formats; printed formats whose Python packages are missing are then left out, and
+    The value null at `key` means all formats. Printed formats whose Python packages are missing are then left out, and
     named in a note.
+
+    Args:
+        cfg: configuration.
+        key: config key of the list of formats.
+        tag: tag of the landmarks.
 
     Raises:
         InputError: a format is unknown, or cannot hold the tags.

@@ -1,6 +1,4 @@
-"""Landmarks that the config groups `deployment` and `tag` describe: the fixed landmarks, the number of landmarks, and
-the sizes of the tags.
-"""
+"""Landmarks described by the config groups `deployment` and `tag`: fixed landmarks, number of landmarks, tag sizes."""
 
 import re
 from copy import deepcopy
@@ -48,18 +46,21 @@ def fixed_of(node: DictConfig, family: str | None) -> "Deployment | None":
 
 
 def table_in(node: DictConfig) -> dict[str, Any]:
-    """Arguments of `read_deployment` that describe a table of landmarks, taken from the keys of the config group
-    `deployment`.
-    """
+    """Arguments of `read_deployment` that describe a table of landmarks, from the config group `deployment`."""
     return {key: plain(node[key]) for key in TABLE if node.get(key) is not None}
 
 
 def others_of(node: DictConfig, fixed: "Deployment | None") -> tuple[int | None, DictConfig]:
-    """Return two things: the total number of landmarks, including fixed landmarks; and the config node that describes
-    the source of all other landmarks.
+    """Total number of landmarks, and config node of the source of the landmarks that are not fixed.
 
-    The number is None if no landmark is fixed or no count is given. A file may also contain the fixed landmarks, so the
-    number of landmarks in a file is checked after the fixed landmarks are added.
+    Args:
+        node: group `deployment`.
+        fixed: fixed landmarks; None if there are none.
+
+    Returns:
+        total number of landmarks, fixed ones included; None if no landmark is fixed or no count is given.
+        config node of the source. The count in it is None for a file, which may also contain the fixed landmarks, so
+            that the number in a file is checked after the fixed landmarks are added.
 
     Raises:
         InputError: the count has a sign, such as +5, so it adds landmarks to the fixed landmarks, but no landmark is
@@ -70,7 +71,7 @@ def others_of(node: DictConfig, fixed: "Deployment | None") -> tuple[int | None,
     count = node.get("count")
     more = MORE.fullmatch(count) if isinstance(count, str) else None
     if fixed is None and more:
-        raise InputError(f"count = {count} needs deployment.fixed, or no sign.", "count")
+        raise InputError(f"count = {count} needs deployment.fixed; otherwise write the number without a sign.", "count")
     source = deepcopy(node)
     for key in (*NO_SOURCE, *(key for key in TABLE if node.get(key) is None or "path" not in node)):
         source.pop(key, None)
@@ -84,7 +85,7 @@ def others_of(node: DictConfig, fixed: "Deployment | None") -> tuple[int | None,
 
 
 def take_sizes(node: DictConfig, tag: DictConfig) -> None:
-    """Set `tag.edges` to the edge lengths that the landmark files state, if the user gives no lengths.
+    """Set `tag.edges` to the edge lengths stated in the landmark files, if the user gives no lengths.
 
     Args:
         node: group `deployment`.
@@ -105,10 +106,10 @@ def take_sizes(node: DictConfig, tag: DictConfig) -> None:
 
 
 def spell_counts(node: DictConfig, tag: DictConfig) -> None:
-    """Convert a list in `deployment.count` to `tag.counts`, the number of placed tags of each size, and set
-    `deployment.count` to the sum of the list.
+    """Move a list in `deployment.count` to `tag.counts`, and set `deployment.count` to the sum of the list.
 
-    Fixed landmarks are not counted.
+    The list has the number of placed tags of each size. Fixed landmarks are not counted; if there are any, the sum has
+    a plus sign, as it adds landmarks to them.
 
     Args:
         node: group `deployment`, which is changed.
@@ -132,10 +133,10 @@ def spell_counts(node: DictConfig, tag: DictConfig) -> None:
 def divide_paper(
     cfg: DictConfig, scene: "Scene", objective: "Objective", threads: int | None, fixed: "Deployment | None"
 ) -> "Scene":
-    """Choose the number of tags of each size within the limit `tag.paper` or `tag.budget`, and return the scene with
-    these numbers. Nothing is chosen if the configuration gives the numbers.
+    """Choose the number of tags of each size within the limit `tag.paper` or `tag.budget`.
 
-    The chosen numbers are written to the groups `deployment` and `tag`, and are printed in a note.
+    The chosen numbers are written to the groups `deployment` and `tag`, and are printed in a note. Nothing is chosen if
+    the configuration gives the numbers or no limit.
 
     Args:
         cfg: configuration, which is changed.
@@ -143,6 +144,9 @@ def divide_paper(
         objective: objective of the landmarks.
         threads: number of threads; None for every processor.
         fixed: fixed landmarks.
+
+    Returns:
+        scene whose tag has the chosen numbers; `scene` itself if nothing is chosen.
 
     Raises:
         InputError: the limit is too small, or the objective cannot compare sizes.

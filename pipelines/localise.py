@@ -77,8 +77,9 @@ def localise(cfg: DictConfig) -> Study:
 
 
 def _cameras(cfg: DictConfig) -> "Camera | Rig":
-    """Cameras of the configuration; if the configuration gives none, and the map is the folder of a survey, the cameras
-    of this survey.
+    """Cameras of the configuration, or of a survey.
+
+    If the configuration gives no camera and the map is the folder of a survey, the cameras of this survey are used.
     """
     from lmd.formats.calibrations import calibrated_camera
     from lmd.formats.rigs import read_mounts, rig_of
@@ -95,7 +96,7 @@ def _cameras(cfg: DictConfig) -> "Camera | Rig":
 
 
 def _map(cfg: DictConfig, tag: "Tag") -> "FixedMap":
-    """Read the map of the tags.
+    """Read the map of the tags from `map` or `deployment.path`.
 
     Raises:
         InputError: no map or two maps are given, or the file is not a valid map.

@@ -31,12 +31,11 @@ def note(text: str) -> None:
 
 @contextmanager
 def keyed(group: str = "", /, **keys: str) -> Iterator[None]:
-    """Context that changes the message of an `InputError`: the message names the config key of an argument, not the
-    argument.
+    """Context in which the message of an `InputError` names the config key of an argument instead of the argument.
 
     Args:
         group: key of the node whose keys are the arguments; empty for top-level keys.
-        keys: config keys of arguments that do not come from this node, keyed by the name of the argument.
+        keys: config keys of arguments that do not come from this node, by the name of the argument.
     """
     from lmd.core.checks import InputError
 
@@ -53,6 +52,10 @@ def keyed(group: str = "", /, **keys: str) -> Iterator[None]:
 
 def instantiate(node: Any, **extra: Any) -> Any:
     """Build the object that a config node describes; no other function calls Hydra's `instantiate`.
+
+    Args:
+        node: config node with the key `_target_`.
+        extra: further arguments of the object.
 
     Raises:
         InputError: the object refuses its arguments.
@@ -75,8 +78,9 @@ def instantiate(node: Any, **extra: Any) -> Any:
 
 
 def _refusal(error: Exception, extra: Mapping[str, Any]) -> str:
-    """Message that replaces Hydra's error about a node: it states the fault, and lists the allowed arguments or the
-    existing names.
+    """Message that replaces Hydra's error about a node.
+
+    It states the fault, and lists the allowed arguments or the existing names.
 
     Args:
         error: Hydra's error.
@@ -105,18 +109,15 @@ def _refusal(error: Exception, extra: Mapping[str, Any]) -> str:
 
 
 def plain(node: Any) -> Any:
-    """Convert a config node to plain Python values, with interpolations resolved; other values are returned
-    unchanged.
-    """
+    """Convert a config node to plain Python values, with interpolations resolved; return other values unchanged."""
     return OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node
 
 
 def settings_of(cfg: DictConfig, key: str) -> DictConfig:
-    """Return the config node at a key. The value at the key must be a node; a user may have given the name of an option
-    instead.
+    """Return the config node at a key.
 
     Raises:
-        InputError: the value at the key is not a node.
+        InputError: the value at the key is not a node; a user may have given the name of an option instead.
     """
     from lmd.core.checks import InputError
 
@@ -127,7 +128,7 @@ def settings_of(cfg: DictConfig, key: str) -> DictConfig:
 
 
 def detectors_of(cfg: DictConfig) -> "dict[str, Detector]":
-    """Build the detectors of a configuration.
+    """Build the detectors of a configuration; return them by name.
 
     Raises:
         InputError: a detector refuses its arguments, or does not read the family of the tags.

@@ -78,8 +78,9 @@ def optimise(cfg: DictConfig) -> Study:
 
 
 def _accuracy(cfg: DictConfig, problem: "Problem", found: "Result") -> Mapping[str, float]:
-    """Accuracy with which single images localise the camera, as metrics; empty unless the objective is `Localisation`
-    and validation is switched on.
+    """Accuracy with which single images localise the camera, as metrics.
+
+    The result is empty unless the objective is `Localisation` and validation is switched on.
     """
     from lmd.evaluation.accuracy import accuracy_metrics
     from lmd.objectives.localisation import Localisation
@@ -89,7 +90,7 @@ def _accuracy(cfg: DictConfig, problem: "Problem", found: "Result") -> Mapping[s
 
 
 def _checkpoint_of(cfg: DictConfig, optimiser: "Optimiser", problem: "Problem") -> "Checkpoint":
-    """Make the checkpoint of a run; if the run resumes an earlier run, it continues from the earlier run's checkpoint.
+    """Make the checkpoint of a run; a run that resumes an earlier run continues from the earlier run's checkpoint.
 
     Raises:
         InputError: the run to resume has other settings, or cannot be read.
@@ -108,8 +109,7 @@ def _checkpoint_of(cfg: DictConfig, optimiser: "Optimiser", problem: "Problem") 
 def _run(
     problem: "Problem", budget: "Budget", checkpoint: "Checkpoint", tracker: "Tracker", every: float
 ) -> "tuple[Result, bool]":
-    """Run the optimiser; return the result and a flag, which is True if a second signal ended the run in the middle of
-    a batch.
+    """Run the optimiser; return the result, and True if a second signal ended the run in the middle of a batch.
 
     Args:
         problem: problem of the run.
@@ -139,7 +139,7 @@ def _run(
 
 
 def _how_to_go_on() -> str:
-    """Shell command that resumes this run; empty if there is no checkpoint."""
+    """Text with the shell command that resumes this run; empty if there is no checkpoint."""
     from lmd.optimisers.checkpoint import CHECKPOINT_FILE
 
     if not ((folder := run_directory()) / CHECKPOINT_FILE).exists():
@@ -149,7 +149,7 @@ def _how_to_go_on() -> str:
 
 
 def build_camera_problem(cfg: DictConfig) -> "tuple[CameraProblem, dict[Camera, Any]]":
-    """Build the problem of placing cameras; return the problem, and the calibration of each kind of camera.
+    """Build the problem of placing cameras; return it, and the source of the calibration of each kind of camera.
 
     Raises:
         InputError: the parts of the problem do not fit together.

@@ -39,13 +39,16 @@ locks = ExitStack()
 
 
 class RunDirectory(HydraCallback):
-    """Hydra callback for the directory of a run. Before the run it checks the disk, and locks this directory and the
-    directory of an earlier run that is resumed. Afterwards it removes the directory of a run without results.
+    """Hydra callback for the directory of a run.
+
+    Before the run, it checks the disk and locks this directory and the directory of an earlier run that is resumed.
+    After the run, it removes the directory if there are no results.
     """
 
     def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Check the disk, and lock the run's directory and the directory of the run that is resumed. Arrange that the
-        run's directory is removed if it has no results.
+        """Check the disk, and lock the run's directory and the directory of the run that is resumed.
+
+        The run's directory is removed at exit if it has no results.
         """
         directory, resume = Path(config.hydra.run.dir).resolve(), config.get("resume")
         resumed = directory if resume is None else Path(str(resume)).resolve()
@@ -65,13 +68,14 @@ class RunDirectory(HydraCallback):
                 locks.callback((place / LOCK).unlink, missing_ok=True)
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Check that the disk can take files in the sweep's directory."""
+        """Check that files can be written to the sweep's directory."""
         self._check(Path(config.hydra.sweep.dir))
 
     @staticmethod
     def _check(directory: Path) -> None:
-        """Exit the process if no files can be written to a directory. If the directory does not exist yet, the nearest
-        existing folder above it is checked.
+        """Exit the process with a message if no files can be written to `directory`.
+
+        If the directory does not exist yet, the nearest existing folder above it is checked.
         """
         directory = directory.resolve()
         there = next(place for place in (directory, *directory.parents) if place.exists())
@@ -87,12 +91,14 @@ class RunDirectory(HydraCallback):
 
 @contextmanager
 def held(directory: Path, wait: bool = True) -> Iterator[int | None]:
-    """Lock a directory for this process and for processes that inherit the yielded file descriptor; yield None if
-    another process holds the lock.
+    """Context that locks a directory for this process and for processes that inherit the yielded file descriptor.
 
     Args:
         directory: the directory.
         wait: True to wait until another process that holds the lock releases it.
+
+    Yields:
+        file descriptor of the lock; None if another process holds the lock and `wait` is False.
 
     Raises:
         OSError: the file of the lock cannot be written.
@@ -112,8 +118,7 @@ def held(directory: Path, wait: bool = True) -> Iterator[int | None]:
 
 
 def all_or_none(directory: Path, write: Callable[[Path], object]) -> list[Path]:
-    """Call `write` with a temporary folder, then move the written files to `directory`; after an error, none of the
-    files is left.
+    """Call `write` with a temporary folder, then move the written files to `directory`; after an error, leave none.
 
     Returns:
         paths of the moved files in `directory`, sorted.
@@ -134,8 +139,11 @@ def all_or_none(directory: Path, write: Callable[[Path], object]) -> list[Path]:
 
 
 def write_all(directory: Path, writers: Mapping[str, Callable[[Path], object]]) -> list[Path]:
-    """Write several files to a directory, either all of them or none (`all_or_none`). `writers` has a function for each
-    file name, which writes the file to a path.
+    """Write several files to a directory, either all of them or none, and return their paths.
+
+    Args:
+        directory: the directory.
+        writers: for each file name, the function that writes the file to a given path.
     """
 
     def fill(folder: Path) -> None:
@@ -164,7 +172,7 @@ def space_reserved(directory: Path) -> Iterator[None]:
 
 
 def read_history(path: Path) -> "list[Record]":
-    """Read the history of a run, its best fitness against evaluations and time, from a file."""
+    """Read the history of a run from a file: the best fitness against evaluations and time."""
     from lmd.core.tables import read_numbers
     from lmd.optimisers.ledger import Record, columns_of
 
@@ -172,10 +180,12 @@ def read_history(path: Path) -> "list[Record]":
 
 
 def read_document(path: Path, content_of: Callable[[dict[str, Any]], Content]) -> Content | None:
-    """Content of a JSON document; None if there is no file. A damaged file is renamed with a warning, and counts as
-    missing.
+    """Read a JSON document, and return its converted content; None if there is no file.
+
+    A damaged file is renamed with a warning, and counts as missing.
 
     Args:
+        path: path of the file.
         content_of: function that converts the keys and values of the document; it raises ValueError, KeyError or
             TypeError if the document is damaged.
     """

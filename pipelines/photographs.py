@@ -21,8 +21,15 @@ if TYPE_CHECKING:
 
 
 def detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector", tag: "Tag") -> "DetectedTags":
-    """Get the detections of tags that belong to the family of `tag`; if an image occurs more than once, only one copy
-    of it is used.
+    """Read the detections of the tags from photographs, or from a file of detections.
+
+    If an image occurs more than once, only one copy of it is used.
+
+    Args:
+        cfg: configuration.
+        cameras: cameras that took the photographs.
+        detector: detector that reads the photographs.
+        tag: tag whose family the detections must have.
 
     Raises:
         InputError: photographs and detections are both given or both missing, or a file cannot be read or holds another
@@ -57,8 +64,9 @@ def detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector",
 
 
 def with_camera_of_bag(cfg: DictConfig) -> DictConfig:
-    """Copy of the configuration. If the configuration gives no camera calibration, and `photographs` is a bag, the
-    calibration in the bag is added.
+    """Configuration in which the camera calibration of the bag `photographs` is used, if no other calibration is given.
+
+    The result is a changed copy, or `cfg` itself if `photographs` is not a bag with a calibration.
     """
     from lmd.formats.bags import CAMERA_INFO, Bag, is_bag
 
@@ -73,7 +81,7 @@ def with_camera_of_bag(cfg: DictConfig) -> DictConfig:
 
 
 def reader_of(cfg: DictConfig) -> "tuple[str, Detector]":
-    """Name of the configured detector, and the detector itself.
+    """Build the single configured detector; return its name and the detector.
 
     Raises:
         InputError: no detector or several detectors are configured, or the detector's corner errors are unknown.
@@ -84,12 +92,12 @@ def reader_of(cfg: DictConfig) -> "tuple[str, Detector]":
         raise InputError(f"detectors must name one detector, got {named}.")
     ((name, detector),) = detectors_of(cfg).items()
     if not hasattr(detector, "corner_errors"):
-        raise InputError(f"detectors: the class of {name} must have corner_errors, the errors of its corners.")
+        raise InputError(f"detectors: the class of {name} must have an attribute corner_errors.")
     return name, detector
 
 
 def odometry_of(given: Any, key: str) -> "Trajectory | None":
-    """Read the odometry as a trajectory of the body.
+    """Read the odometry as a trajectory of the body; None if there is no odometry.
 
     Args:
         given: value at the config key `key`: the path of a file, or a mapping of the reader's arguments; None if there

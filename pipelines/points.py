@@ -1,7 +1,8 @@
-"""Points of a trade-off between the number and the size of landmarks. A point is a number of landmarks, an edge length
-and a seed; the searches at the points run in parallel, and their results are stored on disk.
+"""Points of a trade-off between the number and the size of landmarks.
 
-A `Ladder` is the series of points with one edge length and one seed, in which only the number of landmarks varies.
+A point is a number of landmarks, an edge length and a seed. The searches at the points run in parallel, and their
+results are stored on disk. A `Ladder` is the series of points with one edge length and one seed, in which only the
+number of landmarks varies.
 """
 
 import re
@@ -58,16 +59,22 @@ class Ladder:
         return build_problem(self.point(count), "counts")
 
     def anew(self, count: int) -> "Found":
-        """Result of a search that places `count` landmarks, and begins from the configured start instead of from
-        another result.
-        """
+        """Result of a search that places `count` landmarks, and begins from the configured start."""
         from lmd.evaluation.tradeoff import ANEW
 
         return self._search(count, self.problem(count), ANEW)
 
     def improved(self, known: "Mapping[int, Found]", chosen: Iterable[int]) -> "dict[int, Found]":
-        """Results of new searches, keyed by the number of landmarks. Each search begins from the result in `known` for
-        a neighbouring number of landmarks; see `lmd.evaluation.tradeoff.improved`.
+        """Results of new searches that begin from results for neighbouring numbers of landmarks.
+
+        See `lmd.evaluation.tradeoff.improved`.
+
+        Args:
+            known: results of earlier searches, by the number of landmarks.
+            chosen: numbers of landmarks for which new searches are done.
+
+        Returns:
+            results by the number of landmarks.
         """
         from lmd.evaluation.tradeoff import improved
 
@@ -81,7 +88,13 @@ class Ladder:
         return self._kept(count, f"figures of {SAMPLE}", found.deployment, score)  # type: ignore[no-any-return]
 
     def _search(self, count: int, problem: "Problem", way: str) -> "Found":
-        """Search from the start of the given problem, with the budget of one point of the trade-off."""
+        """Result of a search from the start of `problem`, with the budget of one point of the trade-off.
+
+        Args:
+            count: number of landmarks.
+            problem: problem with the start of the search.
+            way: name of the kind of start, which is part of the result.
+        """
         from lmd.evaluation.tradeoff import Found
         from lmd.scene.deployment import Deployment
         from lmd.scene.deployment_sources import GivenDeployment
@@ -100,8 +113,14 @@ class Ladder:
     def _kept(
         self, count: int, what: str, given: "Deployment | None", compute: Computed, read: Callable[[Any], Any] = dict
     ) -> Any:
-        """Result of the kind `what` for the point with `count` landmarks. The result is read from disk or, if not yet
-        stored, computed and stored; see `kept`.
+        """Result for the point with `count` landmarks, read from disk, or computed and stored if it is not yet there.
+
+        Args:
+            count: number of landmarks.
+            what: kind of the result.
+            given: deployment from which the result is computed; None if there is none.
+            compute: function that computes the result as a document.
+            read: function that converts the document to the result.
         """
         settings = flat_settings(self.point(count), *SAME_WHEN_RESUMED, "budget")
         arrays = None if given is None else [getattr(given, name).tolist() for name in ARRAYS]
@@ -119,13 +138,14 @@ def figures_of(problem: "Problem", deployment: "Deployment", seed: int) -> dict[
 
 
 def shares_among(figures: Iterable[str]) -> list[str]:
-    """Names of those metrics that are fractions in [0, 1] to be maximised."""
+    """Names of the metrics that are fractions in [0, 1] to be maximised."""
     return [name for name in figures if not NO_SHARE.fullmatch(name)]
 
 
 class Points:
-    """Results at all points of a trade-off. A point is given by the index of its `Ladder` and its number of
-    landmarks.
+    """Results at all points of a trade-off.
+
+    A point is given by the index of its `Ladder` and its number of landmarks.
 
     Args:
         ladders: one `Ladder` for each pair of an edge length and a seed.
@@ -138,8 +158,13 @@ class Points:
         self._figures: dict[tuple[int, int], dict[str, float]] = {}
 
     def look(self, chosen: Sequence[tuple[int, int]]) -> None:
-        """Search at the chosen points, first from the configured start and then from the results of neighbouring
-        points, and evaluate the best result of each point.
+        """Search at the chosen points, and evaluate the best result of each point.
+
+        At each point, the first search begins from the configured start. Further searches begin from the results of
+        neighbouring points.
+
+        Args:
+            chosen: points, each the index of a `Ladder` and a number of landmarks.
         """
         anew = {(n, count): partial(self.ladders[n].anew, count) for n, count in chosen}
         for (n, count), found in self._done("searched anew", anew):
@@ -152,8 +177,12 @@ class Points:
         self._figures |= dict(self._done("scored", scored))
 
     def _done(self, what: str, jobs: Mapping[Any, Callable[[], Any]]) -> Iterator[tuple[Any, Any]]:
-        """Do jobs in several processes; yield the key and the result of each job, in the order of completion. The key
-        of a job is the index of a `Ladder` followed by one or more numbers of landmarks.
+        """Do jobs in several processes; yield the key and the result of each job, in the order of completion.
+
+        Args:
+            what: word for a job that is done, for messages, such as `scored`.
+            jobs: functions to call; the key of each is the index of a `Ladder`, followed by one or more numbers of
+                landmarks.
         """
         results = in_processes(_do, list(jobs.items()), self._workers, lambda job: self.name(*job[0]))
         for i, (key, result) in enumerate(results, 1):
@@ -161,13 +190,20 @@ class Points:
             yield key, result
 
     def name(self, number: int, *counts: int) -> str:
-        """Name, used in messages, of one point or of several points that belong to one `Ladder`."""
+        """Name of one point, or of several points of one `Ladder`, for messages.
+
+        Args:
+            number: index of the `Ladder`.
+            counts: numbers of landmarks.
+        """
         ladder, size = self.ladders[number], f" edge={self.ladders[number].edge}" if self.ladders[number].edge else ""
         return f"K={','.join(map(str, counts))}{size} seed={ladder.seed}"
 
     def __iter__(self) -> "Iterator[tuple[Ladder, int, str, Found, dict[str, float]]]":
-        """Iterate over the points. Each item has the `Ladder`, the number of landmarks, the name of the point, the
-        result of the search, and its metrics.
+        """Iterate over the points.
+
+        Each item has the `Ladder`, the number of landmarks, the name of the point, the result of the search, and its
+        metrics.
         """
         for n, count in sorted(self._figures):
             yield self.ladders[n], count, self.name(n, count), self._found[n][count], self._figures[n, count]

@@ -29,8 +29,14 @@ tqdm.set_lock(threading.RLock())  # tqdm's own lock has a semaphore, which a pro
 
 
 def bar(total: int | None, unit: str, initial: int = 0) -> "tqdm[Any]":
-    """Make a progress bar. On a terminal the bar is updated in place; in a file, a new line is written every
-    `LOG_SECONDS`.
+    """Make a progress bar.
+
+    On a terminal the bar is updated in place. In a file, a new line is written every `LOG_SECONDS`.
+
+    Args:
+        total: value at which the bar is full; None if unknown.
+        unit: name of the unit.
+        initial: value at the beginning.
     """
     interval = 0.1 if sys.stderr.isatty() else LOG_SECONDS
     return tqdm(total=total, initial=initial, unit=f" {unit}", mininterval=interval, leave=False)
@@ -61,7 +67,7 @@ class Progress:
         self.bar = bar(budget.evaluations, "evaluations", int(ledger.evaluations))
 
     def __call__(self, optimiser: Optimiser) -> bool:
-        """Show progress; return True if the run is to stop, see `lmd.optimisers.base.Callback`."""
+        """Show progress, and save a checkpoint if one is due; return True if the run is to stop."""
         ledger = optimiser.ledger
         with suppress(OSError):  # the terminal may be closed
             self.bar.set_postfix_str(f"best fitness {ledger.best_fitness:.2%}", refresh=False)
@@ -71,8 +77,9 @@ class Progress:
         return stop.requested
 
     def flush(self, optimiser: Optimiser, ended: bool = False) -> None:
-        """Save a checkpoint and record the new part of the curve; if the search has `ended`, the curve is drawn to the
-        end of the budget.
+        """Save a checkpoint, and record the new part of the curve.
+
+        If `ended` is True, the search has ended, and the curve is extended to the end of the budget.
         """
         self._warning_of(self.save)
         points = curve(optimiser.ledger.history, self.budget) if ended else self._curve(optimiser.ledger)
@@ -81,9 +88,7 @@ class Progress:
         self.saved = time.monotonic()
 
     def _curve(self, ledger: Ledger) -> list[tuple[int, float, float]]:
-        """Points of the curve of the best fitness. The curve ends at the step that corresponds to the part of the
-        budget that is spent.
-        """
+        """Points of the curve of the best fitness, up to the step of the budget that has been spent."""
         spent = ledger.seconds if self.budget.evaluations is None else ledger.evaluations
         return curve(ledger.history, self.budget, spent + ROUNDING)
 
@@ -104,7 +109,7 @@ class Progress:
 
 
 class Stages:
-    """Progress of the stages of a survey; a `lmd.survey.survey.Observer`."""
+    """Progress of the stages of a survey, with the interface `lmd.survey.survey.Observer`."""
 
     def __init__(self) -> None:
         self.interrupted: SurveyStage | None = None
@@ -112,7 +117,7 @@ class Stages:
         self._bar: tqdm[Any] | None = None
 
     def __call__(self, stage: "SurveyStage", done: int = 0, most: int = 0) -> bool:
-        """Show the stage; return True if the survey is to stop, see `lmd.survey.survey.Observer`."""
+        """Show the stage with `done` of `most` steps; return True if the survey is to stop."""
         if stop.requested and self.interrupted is None:
             self.interrupted = self._stage
         if self._bar is None or stage != self._stage:

@@ -1,5 +1,6 @@
-"""Provenance of a run: its parameters, its command, the version of the code, and the contents of the files that it
-reads. Results are stored under a digest of the provenance.
+"""Provenance of a run: parameters, command, version of the code, and contents of the files that the run reads.
+
+Results are stored under a digest of the provenance.
 """
 
 import getpass
@@ -34,13 +35,14 @@ LARGEST_READ = 1 << 32  # files up to this size are read, bytes; for larger file
 
 
 def command_line(pipeline: str, overrides: Sequence[str]) -> str:
-    """Command of this project as a line for a shell."""
+    """Command of this project as a line for a shell: the pipeline with its overrides."""
     return " ".join([command_of(pipeline), shlex.join(overrides)]).strip()
 
 
 def source_tags(pipeline: str) -> dict[str, str]:
-    """Labels (tags of mlflow) for the origin of a run: user, command, version and commit, mostly under names that
-    mlflow defines.
+    """Labels (tags of mlflow) for the origin of a run: user, command, version and commit.
+
+    Most of the labels have names that mlflow defines.
     """
     tags = {"mlflow.source.name": command_of(pipeline), "mlflow.source.type": "LOCAL", "mlflow.user": _user()}
     given = sys.argv[1:]
@@ -65,7 +67,7 @@ def _version() -> dict[str, str]:
 
 
 def repeating(tags: Mapping[str, str]) -> str:
-    """Text in Markdown on how to repeat a run: the command and the commit in the run's `source_tags`."""
+    """Text in Markdown that says how to repeat a run: its command and its commit, both from the run's `source_tags`."""
     from lmd.core.words import as_code
 
     commit = tags.get("mlflow.source.git.commit", "")[:9]
@@ -74,7 +76,7 @@ def repeating(tags: Mapping[str, str]) -> str:
 
 
 def write_sources(directory: Path) -> None:
-    """Write the list of installed packages to a directory; nothing is written if the disk is full."""
+    """Write the list of installed packages to a directory; if this fails, print a warning and write nothing."""
     try:
         directory.mkdir(parents=True, exist_ok=True)
         (directory / PACKAGES_FILE).write_text(_packages())
@@ -84,8 +86,9 @@ def write_sources(directory: Path) -> None:
 
 @cache
 def _packages() -> str:
-    """List of the installed packages, one line `name==version` for each. Names and versions are read from the names of
-    the packages' metadata folders, which takes a few milliseconds.
+    """List of the installed packages, one line `name==version` for each.
+
+    Names and versions are read from the names of the packages' metadata folders, which takes a few milliseconds.
     """
     found = {name for folder in filter(os.path.isdir, sys.path) for name in os.listdir(folder)}
     names = (name.removesuffix(".dist-info").replace("-", "==", 1) for name in found if name.endswith(".dist-info"))
@@ -103,8 +106,9 @@ def _git(*arguments: str) -> str:
 
 
 def parameters(cfg: DictConfig, choices: Mapping[str, str]) -> dict[str, Any]:
-    """Parameters of a run: the option chosen in each config group, and the settings below the groups, if they have a
-    value.
+    """Parameters of a run: the option chosen in each config group, and all settings that have a value.
+
+    Settings that have no effect on results are left out.
     """
     settings = {key: value for key, value in flat_settings(cfg).items() if value not in (None, [])}
     left_out = ("run", "_target_", "_partial_")  # the settings of an earlier run are themselves parameters
@@ -113,19 +117,19 @@ def parameters(cfg: DictConfig, choices: Mapping[str, str]) -> dict[str, Any]:
 
 
 def digest(*parts: Any) -> str:
-    """Digest of any values. For files that the values name, the contents are part of the digest, so that equal digests
-    mean equal input.
+    """Digest of any values, including the contents of files that the values name.
+
+    Equal digests therefore mean equal input.
     """
     text = json.dumps([*parts, contents_of(parts)], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def contents_of(settings: Any) -> dict[str, str]:
-    """Digest of the contents of every file named in `settings`, such as `{"contents of flight.csv":
-    "9f86d081884c7d65"}`.
+    """Digest of the contents of every file named in `settings`.
 
-    Every text in the settings that is the path of a file, or of a folder with files, is used. A word that happens to be
-    a path does no harm.
+    An example is `{"contents of flight.csv": "9f86d081884c7d65"}`. Every text in the settings that is the path of a
+    file, or of a folder with files, is used. A word that happens to be a path does no harm.
 
     Args:
         settings: resolved settings, nested in any way, or overrides.
@@ -141,7 +145,7 @@ def contents_of(settings: Any) -> dict[str, str]:
 
 
 def texts_in(settings: Any) -> Iterator[str]:
-    """All strings in `settings`, which may be nested in any way."""
+    """Yield all strings in `settings`, which may be nested in any way."""
     if isinstance(settings, str):
         yield settings
     elif isinstance(settings, Mapping | list | tuple):
@@ -157,14 +161,16 @@ def _digest_of(file: Path) -> str:
 
 
 def kept(folder: str, parts: tuple[Any, ...], compute: Computed, content_of: Callable[[Any], Content]) -> Content:
-    """Read a result from the disk; if it is not stored yet, compute and store it. The name on the disk is a digest of
-    everything that determines the result.
+    """Read a result from the disk; if it is not stored yet, compute and store it.
+
+    The name on the disk is a digest of everything that determines the result.
 
     Args:
-        folder: folder that holds the stored results.
-        parts: settings and deployments that determine the result, see `digest`; the digest includes the code of `lmd`.
+        folder: folder of the stored results.
+        parts: settings and deployments that determine the result, see `digest`; the digest also includes the code of
+            `lmd`.
         compute: function that computes the result as a document.
-        content_of: function that converts a document, see `read_document`.
+        content_of: function that converts a document to the result, see `read_document`.
     """
     from lmd.core.sources import package_digest
 

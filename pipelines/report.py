@@ -22,8 +22,9 @@ if TYPE_CHECKING:
 
 
 def report(cfg: DictConfig) -> None:
-    """Write report.md, with pictures, to the run directory. For each name of a sweep, the report describes the newest
-    sweep of that name.
+    """Write report.md, with pictures, to the run directory.
+
+    For each name of a sweep, the report describes the newest sweep of that name.
     """
     from lmd.core.checks import InputError
 
@@ -45,7 +46,7 @@ def report(cfg: DictConfig) -> None:
 
 
 def _load(reader: "MlflowReader", run_id: str, trust: Trust) -> "tuple[Problem, Deployment]":
-    """Load the problem and the deployment of a run from the files that the run has stored."""
+    """Load the problem and the deployment of a run from the files that the run has stored; return both."""
     import numpy as np
 
     from lmd.core.checks import InputError

@@ -1,7 +1,8 @@
-"""List the newest runs, or send entries that could not be recorded: `python -m pipelines.runs [last=20] [sync=FOLDER]`.
+"""List the newest runs, or send journals to the tracking store: `python -m pipelines.runs [last=20] [sync=FOLDER]`.
 
-Beforehand, unfinished runs whose process has ended are marked as failed. If the tracking store stops answering, a run
-continues with a journal in its folder; `sync` sends the journals below a folder to `tracking.uri`.
+If the tracking store stops answering, a run continues and writes its entries to a journal in its folder. `sync` sends
+the journals below a folder to `tracking.uri`. Before runs are listed, unfinished runs whose process has ended are
+marked as failed.
 """
 
 import socket
@@ -65,8 +66,10 @@ def runs(cfg: DictConfig) -> None:
 
 
 def going_on(run: "pd.Series") -> str:
-    """Shell command that resumes a run, taken from the record of the run. Empty if the run has finished or has left no
-    checkpoint, or if it is a job of a sweep, which the command of the sweep resumes.
+    """Shell command that resumes a run, taken from the record of the run; empty if there is none.
+
+    There is none if the run has finished or has left no checkpoint. There is also none for a job of a sweep, which the
+    command of the sweep resumes.
 
     Args:
         run: row of `MlflowReader.runs`.
@@ -85,7 +88,7 @@ def going_on(run: "pd.Series") -> str:
 
 
 def hand_in_below(folder: Path, uri: str) -> None:
-    """Send all journals below a folder to a store; exit with 1 if a journal could not be sent.
+    """Send all journals below a folder to the store `uri`; exit with code 1 if a journal could not be sent.
 
     The journal of a run that was recorded in another store is sent only if the command line gives `tracking.uri`.
 

@@ -1,5 +1,6 @@
-"""Score of a deployment. Landmarks and metrics are written first, and then all outputs that can be computed again from
-these.
+"""Score of a deployment.
+
+Landmarks and metrics are written first, and then all outputs that can be computed again from these.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -31,8 +32,9 @@ COMPARED = ("fitness", "off_grid", "qualified_ratio", "average_coverage_probabil
 
 
 def room_report(cfg: DictConfig, problem: "Problem") -> Report:
-    """Report with a picture of the room as the program has read it from its file, and of the people who may hide
-    landmarks. The report is made before anything is computed.
+    """Report with a picture of the room as read from its file, and of the people who may hide landmarks.
+
+    The report is made before anything is computed. It is empty if `picture` is switched off.
     """
     if not cfg.picture:
         return Report()
@@ -125,12 +127,13 @@ def scored(
 
 
 def score(cfg: DictConfig, own: Mapping[str, DictConfig]) -> Study:
-    """Prepare the score of deployments, and the configured studies: loss of tags, sensitivity, measured poses of tags,
-    and mounting errors.
+    """Prepare the score of deployments, and the configured studies of each deployment.
+
+    These studies are the loss of tags, the sensitivity, the measured poses of tags, and mounting errors.
 
     Args:
         cfg: configuration of the command.
-        own: configuration of each deployment, keyed by the deployment's name.
+        own: configuration of each deployment, by the name of the deployment.
     """
     subjects = {name: _Subject.of(each) for name, each in own.items()}
     (first, *_), is_alone = subjects.values(), len(subjects) == 1
@@ -195,7 +198,7 @@ class _Subject(NamedTuple):
 
 
 def mounting_of(cfg: DictConfig) -> "MountingError":
-    """Mounting error of a configuration; a single number is the standard deviation of the position.
+    """Build the mounting error of a configuration; a single number is the standard deviation of the position.
 
     Raises:
         InputError: a value is out of range.
@@ -208,7 +211,7 @@ def mounting_of(cfg: DictConfig) -> "MountingError":
 
 
 def _studied(cfg: DictConfig, subject: _Subject, name: str) -> Iterator[Report]:
-    """Yield the reports on the score and on the studies of a deployment."""
+    """Yield the reports on the studies and on the score of a deployment."""
     texts, summary = "", dict[str, Any]()
     with doing("studying the deployment"):
         for key, files, figures, text in _studies(cfg, subject):
@@ -223,11 +226,11 @@ Studied = tuple[str, Mapping[str, Any], Mapping[str, float], str]
 
 
 def _studies(cfg: DictConfig, subject: _Subject) -> Iterator[Studied]:
-    """Conduct the studies of a deployment, one after the other.
+    """Conduct the configured studies of a deployment, one after the other.
 
     Yields:
-        name of a study, which is empty if the metrics belong to the deployment itself; the study's files; its metrics;
-        its text.
+        for each study: its name, which is empty if the metrics belong to the deployment itself; its files; its metrics;
+            its text.
     """
     from lmd.core.checks import InputError
 

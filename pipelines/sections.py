@@ -104,8 +104,9 @@ def _curves(source: Source, jobs: pd.DataFrame) -> list[str]:
 
 
 def _origin(source: Source, sweep: str, jobs: pd.DataFrame) -> str:
-    """Text that says from which runs the results of a sweep come; if there are no runs, it names the command that makes
-    them.
+    """Text that says from which runs the results of a sweep come.
+
+    If `jobs` is empty, the text names the command that makes these runs.
     """
     if jobs.empty:
         command, more = COMMANDS[sweep]
@@ -120,7 +121,7 @@ def _origin(source: Source, sweep: str, jobs: pd.DataFrame) -> str:
 
 
 def _of_row(jobs: pd.DataFrame, name: str) -> pd.DataFrame:
-    """Runs of a sweep that belong to the row `name` of Table II of the paper."""
+    """Runs of `jobs` that belong to the row `name` of Table II of the paper."""
     _, column, value = TABLE_2_RUNS[name]
     return jobs[jobs[column] == value]
 
@@ -131,15 +132,15 @@ def _of_pair(jobs: pd.DataFrame, n: int, thold_p: float) -> pd.DataFrame:
 
 
 def _typical(jobs: pd.DataFrame) -> str:
-    """Id of the run with the median qualified ratio; if two runs are in the middle, the id of the run with the lower
-    ratio.
-    """
+    """Id of the run with the median qualified ratio; of two runs in the middle, the one with the lower ratio."""
     return str(jobs[RATIO].sort_values(kind="stable").index[(len(jobs) - 1) // 2])
 
 
 def _beside(printed: Any, jobs: pd.DataFrame) -> list[str]:
-    """Cells of a table row. Each cell has a value `printed` in the paper, and beside it the median of the runs, per
-    cent.
+    """Cells of a table row that compares the paper with the runs `jobs`.
+
+    The first cell is the number of runs. Two cells follow for each metric: the value `printed` in the paper, and the
+    median of the runs, in per cent. The last cell is the median off the grid.
     """
     cells = [f"{len(jobs)}"]
     for index in INDICES:

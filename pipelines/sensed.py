@@ -1,5 +1,6 @@
-"""Studies of `evaluate` that simulate cameras: flights in which a camera is localised, and detectors that read rendered
-images.
+"""Studies of `evaluate` that simulate cameras.
+
+In one study a camera is localised during flights, in the other study detectors read rendered images.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -22,8 +23,9 @@ Own = Mapping[str, DictConfig]
 
 
 def observe(cfg: DictConfig, own: Own) -> Study:
-    """Study of flights: a flying camera is localised by the landmarks of each deployment; all deployments have equal
-    flights.
+    """Study of flights: a flying camera is localised by the landmarks of each deployment.
+
+    All deployments have equal flights.
     """
     from lmd.estimation.study import Flights
 
@@ -68,16 +70,18 @@ def observe(cfg: DictConfig, own: Own) -> Study:
 
 
 def _any_tag(cfg: DictConfig) -> DictConfig:
-    """Configuration in which points replace the tags, if the visibility model is for points; otherwise the unchanged
-    configuration.
+    """Configuration without the tags' sizes, so that landmarks are points, if the visibility model is for points.
 
-    Tags whose white margins overlap are then accepted; pictures still show the margins.
+    Tags whose white margins overlap are then accepted; pictures still show the margins. If the model is for tags, the
+    configuration is returned unchanged.
     """
     return cfg if "tag" in cfg.visibility else OmegaConf.merge(cfg, {"tag": {"edge": None}})  # type: ignore[return-value]
 
 
 def in_batches(workers: int | None, function: Callable[[Any], Any], jobs: Sequence[Any]) -> Iterator[Any]:
-    """Apply a function to each job in several processes, and return the results in the order of the jobs; see
+    """Apply `function` to each job in several processes; yield the results in the order of the jobs.
+
+    `workers` is the number of processes; None for every processor. With `workers` fixed, this is a function of the type
     `lmd.estimation.recording.Each`.
     """
     from lmd.core.workers import in_processes
@@ -92,7 +96,7 @@ def in_batches(workers: int | None, function: Callable[[Any], Any], jobs: Sequen
 
 
 def _on_one_thread(function: Callable[[Any], Any], job: Any) -> Any:
-    """Do one job on a single thread, because several jobs run at the same time."""
+    """Apply `function` to a job on a single thread, because several jobs run in parallel."""
     from lmd.core.optional import optional
 
     optional("cv2", "detection").setNumThreads(1)
@@ -100,8 +104,9 @@ def _on_one_thread(function: Callable[[Any], Any], job: Any) -> Any:
 
 
 def detect(cfg: DictConfig, own: Own) -> Study:
-    """Study of detection: real detectors read images of the deployments, rendered from random poses that are equal for
-    all deployments.
+    """Study of detection: real detectors read rendered images of the deployments.
+
+    The images are taken at random poses, which are equal for all deployments.
     """
     from lmd.core.checks import integer
     from lmd.core.optional import optional
@@ -132,8 +137,9 @@ def detect(cfg: DictConfig, own: Own) -> Study:
 
 
 def rendered(cfg: DictConfig, count: int) -> "Rendered":
-    """Deployment of a configuration, the sightings that are predicted for `count` random poses, and the detectors to
-    test.
+    """Prepare the rendered images of a configuration's deployment, with the detectors to test.
+
+    The result also has the sightings that are predicted for `count` random poses.
 
     Raises:
         InputError: the deployment, the tag or a detector cannot be used.
@@ -151,8 +157,10 @@ def rendered(cfg: DictConfig, count: int) -> "Rendered":
 
 
 def _frames(study: "DetectionStudy", count: int, seed: int) -> dict[str, Callable[[Path], object]]:
-    """Functions that draw pictures, keyed by file name. Each draws one frame with the detections of the first detector;
-    the pictures show the first `count` frames of each deployment and camera.
+    """Functions that draw pictures, by the name of the file.
+
+    Each function draws one frame with the detections of the first detector. There is a picture of each of the first
+    `count` frames of each deployment and camera.
     """
     import numpy as np
 

@@ -83,9 +83,7 @@ class Source:
         return jobs
 
     def optimiser_runs(self, jobs: pd.DataFrame) -> list[OptimiserRun]:
-        """Results and histories of the optimiser runs in `jobs`; a run whose files are missing is left out, with a
-        note.
-        """
+        """Results and histories of the optimiser runs in `jobs`; a run with a missing file is left out, with a note."""
         found = []
         for run_id, job in jobs.iterrows():
             try:
@@ -99,8 +97,13 @@ class Source:
         return found
 
     def picture(self, name: str, caption: str, draw: Callable[..., None], *arguments: Any) -> str:
-        """Draw a picture by calling `draw` with a path in the report's folder and `arguments`; return the Markdown that
-        shows the picture.
+        """Draw a picture by calling `draw` with a path in the report's folder, and return the Markdown that shows it.
+
+        Args:
+            name: name of the file without its ending.
+            caption: text below the picture.
+            draw: function that writes a picture to a path.
+            arguments: further arguments of `draw`.
         """
         path = self.folder / f"{name}.png"
         draw(path, *arguments)

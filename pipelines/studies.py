@@ -55,8 +55,9 @@ def accuracy(cfg: DictConfig, own: Own) -> Study:
 
 
 def bound(cfg: DictConfig, own: Own) -> Study:
-    """Study of bounds: compute upper bounds on the fitness that any deployment can have in a problem, and the fraction
-    of such a bound that a greedy choice reaches.
+    """Study of bounds: compute upper bounds on the fitness that any deployment can have in a problem.
+
+    The study also computes the fraction of such a bound that a greedy choice reaches.
     """
     from lmd.core.checks import real
     from lmd.evaluation.bounds import (
@@ -125,8 +126,9 @@ def bound(cfg: DictConfig, own: Own) -> Study:
 
 
 def uncertainty(cfg: DictConfig, own: Own) -> Study:
-    """Study of uncertainty: describe the standard deviations of the pose from one image, by tables, fitted formulas
-    ("laws") and code.
+    """Study of uncertainty: describe the standard deviations of the pose from one image.
+
+    The results are tables, fitted formulas ("laws") and code.
     """
     from lmd.evaluation.uncertainty import UncertaintyStudy
     from lmd.evaluation.uncertainty import uncertainty as find
@@ -163,8 +165,10 @@ def uncertainty(cfg: DictConfig, own: Own) -> Study:
 
 
 def acceptance(cfg: DictConfig, own: Own) -> Study:
-    """Study of acceptance: choose stations whose measurements show a tag that hangs wrongly, or judge measurements that
-    were made at stations.
+    """Study of acceptance, which checks that tags hang as planned.
+
+    The study chooses stations at which a measurement would show a tag that hangs wrongly. If measurements from stations
+    are given, the study judges them instead.
     """
     from scipy.linalg import block_diag
 
@@ -185,8 +189,19 @@ def acceptance(cfg: DictConfig, own: Own) -> Study:
 
 
 def _hung(cfg: DictConfig, own: Own, study: str) -> "tuple[Problem, Deployment, FloatArray, FloatArray | None]":
-    """For a study of a single deployment: its problem; the deployment; the covariance of the mounting error of each
-    tag. The last item is the covariance of all tags together if the deployment is a surveyed map, else None.
+    """Problem and deployment of a study of a single deployment, and covariances of the mounting errors.
+
+    Args:
+        cfg: configuration of the command.
+        own: configuration of the deployment, by its name.
+        study: name of the study, for error messages.
+
+    Returns:
+        problem; deployment; covariance of the mounting error of each tag; covariance of all tags together if the
+            deployment is a surveyed map, else None.
+
+    Raises:
+        InputError: there are several deployments, or the problem has a crowd.
     """
     import numpy as np
 

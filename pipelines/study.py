@@ -1,5 +1,6 @@
-"""Execution of studies, common to all commands: runs are tracked, stopped and resumed, and reports are printed and
-written to files, each file completely or not at all.
+"""Execution of studies, common to all commands.
+
+Runs are tracked, stopped and resumed. Reports are printed and written to files, each file completely or not at all.
 """
 
 import sys
@@ -51,12 +52,14 @@ class Report:
     lines: Mapping[str, str] = field(default_factory=dict)
     """Lines, keyed by label, that are printed at the end of the terminal's text."""
     is_whole: bool = False
-    """True if the results are complete with this report. A signal that comes later does not make the run incomplete; it
-    only leaves out further reports.
+    """True if the results are complete with this report.
+
+    A signal that comes later does not make the run incomplete; it only leaves out further reports.
     """
     is_extra: bool = False
-    """True for a report that may be lost: files that do not fit on the disk are left out, and a signal may interrupt
-    the writing.
+    """True for a report that may be lost.
+
+    Files of such a report that do not fit on the disk are left out, and a signal may interrupt the writing.
     """
     is_cut: bool = False
     """True if a signal has ended the study early; the process exits with the signal's code."""
@@ -68,9 +71,7 @@ class Report:
 
 @dataclass(frozen=True)
 class Study:
-    """Study that is ready to be conducted: its settings are checked, and its objects (problem, optimiser and others)
-    are built.
-    """
+    """Study that is ready to be conducted: its settings are checked, and its objects are built."""
 
     subject: str
     """Subject of the run, one word."""
@@ -94,7 +95,7 @@ class Study:
 
 
 def conduct(cfg: DictConfig, study: Study) -> float | None:
-    """Conduct a study as a tracked run, and return the value for Hydra's sweeper.
+    """Conduct a study as a tracked run, and return the value for Hydra's sweeper; None if the study has none.
 
     Args:
         cfg: configuration of the run.
@@ -150,8 +151,14 @@ def conduct(cfg: DictConfig, study: Study) -> float | None:
 
 
 def _written(directory: Path, report: Report) -> tuple[list[Path], list[str]]:
-    """Write the files of a report; return the paths of the written files, and texts about the files that do not fit on
-    the disk.
+    """Write the files of a report.
+
+    Returns:
+        paths of the written files, and texts about the files of an extra report (`Report.is_extra`) that could not be
+            written.
+
+    Raises:
+        OSError: a file of a report that is not extra cannot be written.
     """
     writers = {name: _writer(name, content) for name, content in report.files.items()}
     files, failed = list[Path](), list[str]()
@@ -167,9 +174,7 @@ def _written(directory: Path, report: Report) -> tuple[list[Path], list[str]]:
 
 
 def _writer(name: str, content: Any) -> Callable[[Path], object]:
-    """Make a function that writes `content` to a path, in the format that the ending of the file name `name`
-    determines.
-    """
+    """Make a function that writes `content` to a path; the ending of the file name `name` determines the format."""
     if callable(content):
         return content  # type: ignore[no-any-return]
     if isinstance(content, str):
@@ -191,8 +196,10 @@ def _print_hint(study: Study) -> None:
 
 @contextmanager
 def tracked(cfg: DictConfig, study: Study) -> Iterator[Tracker]:
-    """Context with a started run of the configured tracker. An exception marks the run as FAILED, and Ctrl-C as KILLED;
-    if the input is refused, the record of the run is removed.
+    """Context with a started run of the configured tracker.
+
+    An exception marks the run as FAILED, and Ctrl-C as KILLED. If the input is refused, the record of the run is
+    removed.
 
     Args:
         cfg: configuration, whose settings are recorded as parameters.
@@ -232,12 +239,12 @@ def tracked(cfg: DictConfig, study: Study) -> Iterator[Tracker]:
 
 
 def title_of(problem: "Problem", subject: str) -> str:
-    """Title for the pictures of a run: its subject and the main settings of the problem."""
+    """Title for the pictures of a run: `subject`, the objective and the number of landmarks K."""
     return f"{subject} {problem.objective.name} K={problem.count}"
 
 
 def dataset_of(cfg: DictConfig, problem: "Problem") -> tuple[str, str]:
-    """Name and digest of a problem. mlflow calls this pair a dataset, and can filter runs by it.
+    """Name and digest of a problem, a pair that mlflow calls a dataset and by which it can filter runs.
 
     Equal problems have equal digests, whichever options compose them. A frozen problem of the suite has its own name
     and digest.
@@ -255,9 +262,7 @@ def dataset_of(cfg: DictConfig, problem: "Problem") -> tuple[str, str]:
 
 
 def derived(problem: "Problem") -> dict[str, Any]:
-    """Parameters of a run that the configuration does not state, because they follow from the problem: the numbers of
-    landmarks.
-    """
+    """Parameters of a run that follow from the problem and are not in the configuration: the numbers of landmarks."""
     counts = problem.scene.tag.counts
     return {"deployment.count": problem.count, **({} if counts is None else {"tag.counts": list(counts)})}
 

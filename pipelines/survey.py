@@ -89,9 +89,7 @@ def survey(cfg: DictConfig) -> Study:
 
 @contextmanager
 def _map_or_nothing(stages: "Stages") -> Iterator[None]:
-    """Context that prints a message if the survey is stopped before there is a map, and then removes the empty
-    folder.
-    """
+    """Context that removes the empty folder and prints a message if the survey is stopped before there is a map."""
     try:
         yield
     except Stopped:
@@ -101,7 +99,7 @@ def _map_or_nothing(stages: "Stages") -> Iterator[None]:
 
 
 def _scene(cfg: DictConfig, room: "Space | None", camera: "Camera | Rig", tag: "Tag") -> "Scene":
-    """Scene in which the map is audited. If no room is given, a placeholder stands for the room.
+    """Scene in which the map is audited; if no room is given, a placeholder stands for the room.
 
     Raises:
         InputError: the visibility model is for points, not for tags.
@@ -119,7 +117,7 @@ def _scene(cfg: DictConfig, room: "Space | None", camera: "Camera | Rig", tag: "
 
 
 def _known(cfg: DictConfig, tag: "Tag") -> "PriorKnowledge":
-    """Read the prior knowledge about the tags' poses.
+    """Read the prior knowledge about the tags' poses from the settings `survey` and `deployment`.
 
     Raises:
         InputError: a file cannot be read, or a number is out of range.
@@ -163,7 +161,7 @@ def _files(
     Args:
         found: result of the survey.
         room: the room; None if it is not given.
-        tag: the tags.
+        tag: tag whose family and sizes the tags have.
         title: title of the picture.
         detected: detections in all frames; None if they were read from a file.
     """
@@ -204,7 +202,13 @@ def _files(
 
 
 def _audit_files(audit: "Audit", detector: str, title: str) -> dict[str, Any]:
-    """Contents of the files of an audit, keyed by file name."""
+    """Contents of the files of an audit, keyed by file name.
+
+    Args:
+        audit: the audit.
+        detector: name of the detector.
+        title: title of the picture.
+    """
     import pandas as pd
 
     from lmd.detection.predictions import figures

@@ -1,8 +1,8 @@
-"""Trade off the objective against the number and size of landmarks: `python -m pipelines.tradeoff counts=[20,40,60]
-edges=[0.1,0.15] [overrides]`.
+"""Trade off the objective against the number and size of landmarks.
 
-The trade-off is one run and not a sweep, because the search at each point also starts from the results of neighbouring
-points. Searches run in parallel, and results are stored on disk.
+The command is `python -m pipelines.tradeoff counts=[20,40,60] edges=[0.1,0.15] [overrides]`. The trade-off is one run
+and not a sweep, because the search at each point also starts from the results of neighbouring points. Searches run in
+parallel, and results are stored on disk.
 """
 
 from functools import partial
@@ -32,8 +32,9 @@ COVERED, LOCALISED = "covered_share", "localised_share_20mm"  # figures off the 
 
 
 def tradeoff(cfg: DictConfig) -> Study:
-    """Prepare the searches for every combination of a number of landmarks, an edge length and a seed. If the key `size`
-    is set, prepare instead the study of the range at which tags are detected.
+    """Prepare the searches for every combination of a number of landmarks, an edge length and a seed.
+
+    If the key `size` is set, the study of the range at which tags are detected is prepared instead.
     """
     if cfg.size:
         return size(cfg)
@@ -88,7 +89,7 @@ def tradeoff(cfg: DictConfig) -> Study:
 
 
 def size(cfg: DictConfig) -> Study:
-    """Study of the range at which each size of the configured tag is detected by the configured camera."""
+    """Prepare the study of the range at which the configured camera detects each size of the configured tag."""
     from lmd.core.checks import InputError
     from lmd.evaluation.reach import Reading, reach_text
     from lmd.sight.models.fiducial import Fiducial
@@ -115,8 +116,9 @@ def _listed(name: str, value: Any) -> list[Any]:
 
 
 def _report(cfg: DictConfig, table: "pd.DataFrame", problem: "Problem", figure: str, wanted: float | None) -> Report:
-    """Report on the points in `table`: curves of the metrics, and the least number of landmarks with which the metric
-    `figure` reaches the value `wanted`.
+    """Report on the points in `table`: curves of the metrics, and the least number of landmarks that is enough.
+
+    A number is enough if the metric `figure` reaches the value `wanted`. If `wanted` is None, this part is left out.
     """
     from lmd.evaluation.maps import percent_text
     from lmd.evaluation.tradeoff import fewest, front

@@ -1,9 +1,9 @@
-"""Checks of configurations of other origin: they may only name code that is trusted, because Hydra imports and calls
-every `_target_`.
+"""Checks of configurations of other origin, which may name only trusted code.
 
-A configuration is of other origin if it is neither part of this project nor on the command line. Examples are the
-configuration of `run=DIR`, configurations in a tracking store, and the overrides of a resumed run. Such a configuration
-is read as plain data, and checked before any import. docs/trust.md lists the rights of each kind of file.
+The checks are needed because Hydra imports and calls every `_target_`. A configuration is of other origin if it is
+neither part of this project nor on the command line. Examples are the configuration of `run=DIR`, configurations in a
+tracking store, and the overrides of a resumed run. Such a configuration is read as plain data, and checked before any
+import. docs/trust.md lists the rights of each kind of file.
 """
 
 import re
@@ -32,23 +32,24 @@ MOST_CHARACTERS = 1_000_000
 
 @dataclass(frozen=True)
 class Trust:
-    """Code that the user trusts in configurations of other origin."""
+    """Code that the user trusts in configurations of other origin, such as the configuration of an earlier run."""
 
     names: tuple[str, ...] = ()
     """Names of packages and of single functions or classes that the user trusts."""
     folders: tuple[Path, ...] = (Path(CONF),)
-    """Folders with configuration files. A `_target_` in one of these files is trusted, but only in nodes of the config
-    group to which the file belongs.
+    """Folders with configuration files.
+
+    A `_target_` in one of these files is trusted, but only in nodes of the config group to which the file belongs.
     """
 
     @classmethod
     def of(cls, cfg: DictConfig, runtime: Any) -> "Trust":
-        """Make the object from the user's settings: the list `trust=[...]`, and the folders and packages on the search
-        path.
+        """Trust that follows from the user's settings: the list `trust=[...]`, and the search path of configurations.
 
         Args:
             cfg: configuration of the command.
-            runtime: Hydra's record of the run, which lists the places where Hydra has looked for configurations.
+            runtime: Hydra's record of the run, which lists the folders and packages where Hydra has looked for
+                configurations.
 
         Raises:
             InputError: `trust` is not a list of names.
@@ -63,11 +64,12 @@ class Trust:
         return cls((*names, *packages), tuple(Path(path).resolve() for schema, path in places if schema == "file"))
 
     def parts(self, found: Mapping[Any, Any], source: str, groups: Sequence[str]) -> dict[str, dict[str, Any]]:
-        """Nodes of the `groups` in a configuration of other origin.
+        """Check the nodes of the config groups `groups` in a configuration of other origin, and return them by group.
 
         Args:
             found: configuration as plain data.
             source: name of the configuration's source, for error messages.
+            groups: names of the groups; a group that the configuration lacks is left out.
 
         Raises:
             InputError: a node names code that is not trusted, or is not a node.
@@ -90,7 +92,7 @@ class Trust:
         return parts
 
     def check(self, source: str, key: str, value: Any) -> None:
-        """Check a value of a configuration of other origin.
+        """Check that a value of a configuration of other origin is plain data and names only trusted code.
 
         Args:
             source: name of the configuration's source, for error messages.
@@ -133,8 +135,9 @@ class Trust:
                 raise InputError(f"{place} is only imported by code that you trust: trust its own module too ({PAGE}).")
 
     def _texts_of(self, group: str) -> list[str]:
-        """Contents of the files of a config group, and of the configuration files of commands, in which some nodes
-        belong to no group.
+        """Contents of the files of a config group, and of the configuration files of commands.
+
+        The latter contain nodes that belong to no group.
         """
         files = (file for at in self.folders for file in (*(at / group).rglob("*.yaml"), *at.glob("*.yaml")))
         return [file.read_text(encoding="utf-8", errors="replace") for file in files]
@@ -164,9 +167,7 @@ def read_yaml(file: Path, source: str) -> dict[Any, Any]:
 
 
 def _place(found: Any, key: str, name: str) -> Any:
-    """Value to which an interpolation `${name}` refers if it occurs in the value at `key`; None if there is no such
-    value.
-    """
+    """Value to which the interpolation `${name}` refers in the value at `key`; None if there is no such value."""
     up = len(name) - len(name.lstrip("."))
     for word in [*(key.split(".")[:-up] if up else []), *re.findall(r"\w+", name)]:
         entries = dict(enumerate(found)) if isinstance(found, list) else found if isinstance(found, Mapping) else {}
@@ -175,8 +176,13 @@ def _place(found: Any, key: str, name: str) -> Any:
 
 
 def _leaves(source: str, key: str, value: Any, seen: set[int]) -> Iterator[tuple[str, Any]]:
-    """Yield pairs of a key and a value: all values below a key that are no containers, and the values of every
-    `_target_`.
+    """Yield the values below a key that are not containers, and the value of every `_target_`, as pairs (key, value).
+
+    Args:
+        source: name of the configuration's source, for error messages.
+        key: key of `value`.
+        value: plain data, nested in any way.
+        seen: ids of the containers that have been visited; updated.
 
     Raises:
         InputError: a container occurs twice, for example by an alias of YAML, or a key or a value is not plain data.

@@ -6,14 +6,14 @@ Modules from the ground up:
   unknowns.
 - `corners` has reprojection errors, their Jacobians, noise, outliers, robust weights and losses, and resection.
 - `prior` has the priors on the poses of tags, of sheets with several tags and of cameras on the body (*mounts*);
-  `motion` links frames.
+  `motion` predicts the pose of a frame relative to the previous frame; `links` compares the prediction with the poses.
 - `adjustment` minimises the loss; `frames` eliminates the frames' poses, independent or linked by motion, and computes
   their covariances.
 - `candidates` proposes poses from single sightings. `drive` estimates the noise of a motion model (its *spread*), and
   the smoothest sequence of poses.
-- `estimate` adjusts without outliers, and computes covariances: in the world frame or relative to the other tags
-  (`gauge`), also for errors that are correlated in time. `refinement` adds cameras, shifts of corners, shapes and sizes
-  of tags as unknowns.
+- `estimate` adjusts the poses without the outliers. It computes covariances, in the world frame or relative to the
+  other tags (`gauge`), and accounts for errors that are correlated in time. `refinement` adds more unknowns: intrinsics
+  of cameras, shifts of corners, and shapes and sizes of tags.
 - `faults` finds tags that were moved, ids that two tags share, and wrong tag sizes.
 - `tables` formats results: table rows, metrics and lines of text.
 """

@@ -1,13 +1,13 @@
 """Bundle adjustment: the poses of tags, frames and cameras that minimise the robust reprojection error.
 
-A sighting has eight residuals e, pixels, and chi^2 = |e|^2 / sigma^2, see `lmd.adjust.corners`. Levenberg-Marquardt
-steps, with the weights of iteratively reweighted least squares, minimise the sum of the losses of sightings (Student's,
-see `lmd.adjust.corners`), of priors, and of links of motion (`lmd.adjust.links`).
+A sighting (one tag detected in one image) has eight residuals e, pixels, and chi^2 = |e|^2 / sigma^2.
+Levenberg-Marquardt steps with iteratively reweighted least squares minimise a sum of losses: of sightings (Student's
+loss, see `lmd.adjust.corners`), of priors, and of the motion between frames (`lmd.adjust.links`).
 
-The *kept* unknowns are those that remain when the frames are eliminated (`lmd.adjust.frames`): poses of tags, mounts
-except the first, the bias of odometry, and nuisance parameters. Let H_ff, H_kk and H_kf be the blocks of the normal
-matrix, and g_f and g_k those of the right side, for frames (f) and kept unknowns (k). The step d_k of the kept unknowns
-solves
+The *kept* unknowns are those that remain when the frames are eliminated (`lmd.adjust.frames`): poses of tags, poses of
+cameras on the body (*mounts*) except the first, the bias of odometry, and nuisance parameters. Let H_ff, H_kk and H_kf
+be the blocks of the normal matrix, and g_f and g_k those of the right side, for frames (f) and kept unknowns (k). The
+step d_k of the kept unknowns solves
 
     (H_kk - H_kf H_ff^-1 H_fk) d_k = g_k - H_kf H_ff^-1 g_f.
 
@@ -48,7 +48,9 @@ CHANGE = 1e-3  # relative change for derivatives of determinants
 
 
 class System(NamedTuple):
-    """Normal equations at one linearisation, after the elimination of the frames."""
+    """Normal equations of the kept unknowns, which are all but the frames' poses, at one linearisation. The frames are
+    eliminated.
+    """
 
     matrix: FloatArray
     """Matrix on the left side, `(6 kept, 6 kept)`; `kept` is the number of blocks of six kept unknowns."""
@@ -59,29 +61,29 @@ class System(NamedTuple):
 
     @property
     def informed(self) -> tuple[IntArray, FloatArray]:
-        """Indices, `(n,)`, of the unknowns about which measurements or priors give information; and `matrix` restricted
-        to the rows and columns of these unknowns, `(n, n)`.
-        """
+        """Unknowns about which there is information: their indices, `(n,)`, and submatrix of `matrix`, `(n, n)`."""
         rows = np.flatnonzero(np.diag(self.matrix) > 0.0)
         return rows, self.matrix[np.ix_(rows, rows)]
 
     @property
     def covariance(self) -> FloatArray:
-        """Covariance of the kept unknowns, `(6 kept, 6 kept)`; NaN for unknowns about which there is no information."""
+        """Covariance of the kept unknowns, a matrix as large as `matrix`. NaN for unknowns about which there is no
+        information.
+        """
         (rows, matrix), whole = self.informed, np.full_like(self.matrix, np.nan)
         whole[np.ix_(rows, rows)] = np.linalg.inv(matrix)
         return whole
 
     @property
     def log_determinant(self) -> float:
-        """Logarithm of the determinant of the normal matrix of all unknowns, frames included, about which there is
-        information.
+        """Logarithm of the determinant of the normal matrix of all unknowns, frames included. Unknowns about which
+        there is no information are left out.
         """
         return float(np.linalg.slogdet(self.informed[1])[1]) + self.frames.log_determinant
 
     def reached(self, kept: FloatArray) -> FloatArray:
-        """Product H_fk x, `(F, 6, ...)`: the change of the frames' equations for values x of all kept unknowns,
-        `(kept, 6, ...)`.
+        """Product H_fk x, `(F, 6, ...)`, for values x of all kept unknowns, `kept` `(kept, 6, ...)`. H_fk is the block
+        of the normal matrix with the rows of the F frames and the columns of the kept unknowns.
         """
         return np.concatenate([part.reached(kept) for part in self.frames.parts])
 
@@ -89,15 +91,15 @@ class System(NamedTuple):
 class Adjustment:
     """Bundle adjustment of sightings; every sighting's tag and frame must have an initial pose.
 
-    Kept unknowns are in blocks of six: twists of tags, twists of mounts, the bias of odometry, nuisance parameters of
-    each camera, and shapes of tags.
+    The kept unknowns (all but the frames' poses) are in blocks of six: twists of tags, twists of mounts (poses of the
+    cameras on the body), the bias of odometry, nuisance parameters of each camera, and shapes of tags.
 
     Args:
         sightings: the sightings.
         prior: prior of the unknowns.
         nuisances: True if nuisance parameters of cameras and shapes of tags are unknowns, see `Sightings`.
-        inflation: factor on the standard deviations of sightings relative to the priors; the weights of sightings
-            relative to each other do not change.
+        inflation: factor on the standard deviations of sightings relative to those of the priors; the weights of
+            sightings relative to each other do not change.
     """
 
     def __init__(self, sightings: Sightings, prior: Prior, nuisances: bool = False, inflation: float = 1.0) -> None:
@@ -121,9 +123,12 @@ class Adjustment:
         self.share = max(1.0 - unknowns / (RESIDUALS * len(sightings)), LEAST_SHARE)  # of the squares, after a fit
 
     def _jacobians(self, some: Sightings, at: Reprojection) -> list[tuple[IntArray, FloatArray]]:
-        """Jacobians with respect to the kept unknowns. The list has one pair of arrays for each kind of unknown. The
-        first array has the index of the block of six unknowns on which each of n sightings depends, `(n,)`. The second
-        has the Jacobian of the sighting's residuals with respect to this block, `(n, 8, 6)`.
+        """Jacobians of n sightings `some`, whose reprojection is `at`, with respect to the kept unknowns.
+
+        The list has one pair of arrays for each block of six unknowns on which a sighting depends: its tag, its
+        camera's mount, nuisance parameters of the camera, the tag's shape. The first array has the index of this block
+        for each sighting, `(n,)`. The second has the Jacobian of the sighting's residuals with respect to this block,
+        `(n, 8, 6)`.
         """
         found = [(some.tag, at.by_tag)]
         if self.mounts.stop > self.mounts.start:
@@ -138,13 +143,14 @@ class Adjustment:
         return found
 
     def system(self, poses: Poses, floor: float, damping: float = 0.0, weight: float | None = None) -> System:
-        """Linearise at `poses` and eliminate the frames.
+        """Linearise at `poses`, eliminate the frames, and return the normal equations of the other unknowns.
 
         Args:
             poses: poses of tags, frames and mounts.
             floor: standard deviation of corners in addition to the detector's own, pixels.
             damping: relative increase of the diagonals of the blocks (Levenberg-Marquardt).
-            weight: weight of every sighting and prior; None for robust weights.
+            weight: weight of every sighting, while priors and links of motion have the weight 1; None for robust
+                weights of all.
         """
         kept, is_robust = Kept(self.kept), weight is None
         parts = [self._part(some, poses, floor, damping, weight, kept) for some in self._chunks]
@@ -162,8 +168,8 @@ class Adjustment:
     def _part(
         self, some: Sightings, poses: Poses, floor: float, damping: float, weight: float | None, kept: Kept
     ) -> Part:
-        """Add to `kept` the equations of the kept unknowns that follow from the sightings `some`; return the equations
-        of the frames of these sightings.
+        """Add the contributions of the sightings `some` to the normal equations `kept` of the kept unknowns. Return the
+        equations of the frames of these sightings.
         """
         at, variance = Reprojection(some, *poses.of(some)), some.variance(floor)
         trust = student_weight(at.squared / variance) if weight is None else weight
@@ -186,14 +192,22 @@ class Adjustment:
         return Part(block, summed(product(at.by_frame, error)[..., 0]), panel, rows)
 
     def _moved(self, poses: Poses, kept: FloatArray, system: System) -> Poses:
-        """Poses after a step `(kept, 6)` of the kept unknowns; the steps of the frames follow by back-substitution."""
+        """Poses after a step `kept` `(kept, 6)` of the kept unknowns. The steps of the frames follow from `system` by
+        back-substitution.
+        """
         frames, mounts, twists = poses.frames.copy(), poses.mounts.copy(), kept[self.mounts]
         frames[self.seen] = frames[self.seen] @ exp(system.frames.steps(system.reached(kept)))
         mounts[1 : 1 + len(twists)] = mounts[1 : 1 + len(twists)] @ exp(twists)
         return Poses(poses.tags @ exp(kept[: len(poses.tags)]), frames, mounts)
 
     def step(self, poses: Poses, floor: float, damping: float) -> Poses:
-        """Poses after one Levenberg-Marquardt step. Unknowns about which there is no information do not change."""
+        """Poses after one Levenberg-Marquardt step. Unknowns about which there is no information do not change.
+
+        Args:
+            poses: poses before the step.
+            floor: standard deviation of corners in addition to the detector's own, pixels.
+            damping: relative increase of the diagonals of the blocks.
+        """
         system, kept = self.system(poses, floor, damping), np.zeros(6 * self.kept)
         rows, matrix = system.informed
         matrix[np.diag_indices_from(matrix)] *= 1.0 + LEAST_DAMPING
@@ -203,8 +217,8 @@ class Adjustment:
     def joint_step(
         self, poses: Poses, floor: float, damping: float, off: FloatArray
     ) -> tuple[Poses, FloatArray, FloatArray]:
-        """Take one Levenberg-Marquardt step of all unknowns, including the nuisance parameters, which are in units of
-        their prior standard deviations.
+        """Take one Levenberg-Marquardt step of all unknowns, including nuisance parameters. The unit of a nuisance
+        parameter is its prior standard deviation.
 
         Args:
             poses: best poses for the present nuisance parameters.
@@ -213,7 +227,8 @@ class Adjustment:
             off: distance of the nuisance parameters from their prior means, `(n, 6)`.
 
         Returns:
-            poses; step of the nuisance parameters, `(n, 6)`, and their covariance, `(6 n, 6 n)`.
+            poses after the step; step of the nuisance parameters, `(n, 6)`; covariance of the nuisance parameters,
+            `(6 n, 6 n)`.
         """
         system = self.system(poses, floor, damping)
         system.right[self.first_lens :] -= self.nuisance_information[:, None] * off
@@ -223,8 +238,13 @@ class Adjustment:
         return self._moved(poses, step, system), step[self.first_lens :], covariance[first:, first:]
 
     def loss(self, poses: Poses, floor: float, sightings: Sightings | None = None) -> float:
-        """Total loss of sightings, priors and links of motion. If `sightings` are given, they replace the sightings of
-        the adjustment: they are the same detections, converted with other parameters of the cameras.
+        """Total loss of sightings, priors and links of motion.
+
+        Args:
+            poses: all poses.
+            floor: standard deviation of corners in addition to the detector's own, pixels.
+            sightings: the same detections, converted with other parameters of the cameras; None for the sightings of
+                the adjustment.
         """
         some = self.sightings if sightings is None else sightings
         return self._loss(squared_errors(some, poses), self._prior_loss(poses), floor)
@@ -236,16 +256,17 @@ class Adjustment:
         return prior_loss + student_loss(error / self.sightings.variance(floor)) / self.inflation**2
 
     def run(self, poses: Poses, floor: float, steps: int, most: float | None = None) -> tuple[Poses, float]:
-        """Minimise the loss by Levenberg-Marquardt.
+        """Minimise the loss by Levenberg-Marquardt steps, and estimate the floor. The floor is the standard deviation
+        of corners in addition to the detector's own.
 
         Args:
             poses: initial poses.
-            floor: initial standard deviation of corners in addition to the detector's own, pixels.
+            floor: initial floor, pixels.
             steps: maximum number of steps.
             most: upper limit of the estimated floor, pixels; None for a limit equal to the initial floor.
 
         Returns:
-            poses; floor, pixels: the standard deviation of corners beyond the detector's own.
+            poses; estimated floor, pixels.
         """
         self._update_share(poses, floor)
         damping, most, some = FIRST_DAMPING, floor if most is None else most, self.sightings
@@ -268,13 +289,16 @@ class Adjustment:
 
     def fixed_system(self, poses: Poses, floor: float) -> System:
         """Normal equations in which all sightings have an equal weight, as in ordinary least squares. The weight is
-        chosen such that the covariance is that of the robust fit, see `efficiency`.
+        chosen such that the covariance equals that of the robust fit, see `efficiency`.
         """
         slope, spread = self.efficiency(poses, floor)
         return self.system(poses, floor, 0.0, slope**2 / spread)
 
     def efficiency(self, poses: Poses, floor: float) -> tuple[float, float]:
-        """See `lmd.adjust.corners.efficiency`."""
+        """Two factors by which robust weights change the covariance, at the given poses and floor. They are the mean
+        slope of the robust estimating equations and the variance of their right side, see
+        `lmd.adjust.corners.efficiency`.
+        """
         self._update_share(poses, floor)
         return efficiency(squared_errors(self.sightings, poses) / self.sightings.variance(floor) / self.share)
 
@@ -282,8 +306,8 @@ class Adjustment:
         """Marginal covariance of the body-frame twist (X -> X exp(twist)) of each frame with sightings, `(F, 6, 6)`.
 
         With the covariance C of the kept unknowns, the frames have the covariance H_ff^-1 + H_ff^-1 H_fk C H_kf
-        H_ff^-1. The factor `inflation` enlarges C, and H_ff^-1 if frames are linked; without links it does not, as the
-        errors in one frame are independent of those in other frames.
+        H_ff^-1. The factor `inflation` enlarges C. It enlarges H_ff^-1 only if frames are linked: without links, errors
+        in one frame are independent of errors in other frames.
         """
         system = self.fixed_system(poses, floor)
         values, vectors = np.linalg.eigh(np.nan_to_num(system.covariance))
@@ -291,8 +315,8 @@ class Adjustment:
         return system.frames.covariances(system.reached(root), self.inflation**-2.0 if self.links is None else 1.0)
 
     def _update_share(self, poses: Poses, floor: float) -> None:
-        """Set `share`, the fraction of the sightings' squared errors that is expected to remain after the fit. Without
-        links of motion and without a map as the prior, `share` keeps its value.
+        """Set `share`, the fraction of the sightings' squared errors that is expected to remain after the fit. It
+        changes only with links of motion or with a map as the prior (`Prior.joint`).
         """
         if self.links is not None or self.prior.joint is not None:
             here, there = (self.system(poses, floor, 0.0, weight).log_determinant for weight in (1.0, 1.0 + CHANGE))
@@ -301,8 +325,8 @@ class Adjustment:
 
 
 def _orthonormal(poses: FloatArray) -> FloatArray:
-    """Poses whose rotations are made orthonormal again, because products of poses accumulate rounding errors. Poses of
-    NaN stay NaN.
+    """Copy of `poses` with orthonormal rotations, because products of poses accumulate rounding errors. Poses of NaN
+    stay NaN.
     """
     result, known = poses.copy(), np.isfinite(poses).all(axis=(1, 2))
     result[known] = pose_of(nearest_rotations(poses[known, :3, :3]), poses[known, :3, 3])

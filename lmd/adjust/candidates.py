@@ -1,7 +1,7 @@
-"""Candidate poses from single sightings: poses of frames if the tags are placed, or of tags if the frames are placed;
-and rough poses of cameras on the body.
+"""Candidate poses of frames and tags from single sightings, and measured poses of cameras on the body.
 
-Two poses of a tag in front of a camera look alike (IPPE), so each sighting proposes two poses.
+A sighting is one tag in one image. It proposes poses of the frame if the tag has a pose, or of the tag if the frame has
+one. Two poses of a tag in front of a camera have similar images (IPPE), so each sighting proposes two poses.
 
 Source: Collins and Bartoli, "Infinitesimal Plane-Based Pose Estimation".
 """
@@ -40,7 +40,8 @@ class SinglePoses(NamedTuple):
 
 
 def single_poses(sightings: Sightings) -> SinglePoses:
-    """Poses of the tag of each sighting, by IPPE in a pinhole camera that is turned towards the tag.
+    """Two poses of each sighting's tag in the frame of the camera, by IPPE. IPPE is applied to the image of a virtual
+    pinhole camera that is turned towards the tag.
 
     Raises:
         InputError: the corners of a tag are not in order around the tag.
@@ -73,12 +74,12 @@ def single_poses(sightings: Sightings) -> SinglePoses:
 
 
 class Candidates:
-    """Candidate poses for the *owners* of some sightings, the frames or tags to be placed: frames whose tags are
-    placed, or tags whose frames are placed.
+    """Candidate poses for *owners*: frames whose tags have poses, or tags whose frames have poses. Each sighting
+    belongs to one owner.
 
     Args:
         some: the sightings with which candidates are compared.
-        poses: poses of the placed tags and frames, and of the mounts.
+        poses: poses of the placed tags and frames, and of the cameras on the body (mounts).
         by_frame: True if owners are frames, False if they are tags.
     """
 
@@ -90,9 +91,12 @@ class Candidates:
         self._order, self._begins = np.argsort(self.owner, kind="stable"), np.cumsum(self.counts) - self.counts
 
     def _judges(self, owner: IntArray) -> tuple[Sightings, IntArray, Callable[[FloatArray], Reprojection]]:
-        """Data for comparing P candidate poses, whose owners are `owner` `(P,)`, with the sightings of these owners.
-        Returns: the sightings, repeated for each candidate; for each of them, the index of the candidate; and a
-        function that computes the reprojection of these sightings from the candidate poses `(P, 4, 4)`.
+        """Prepare the comparison of P candidate poses with sightings. `owner` `(P,)` is the index of each candidate's
+        owner.
+
+        Returns:
+            the sightings of the owners, repeated for each candidate; for each of these sightings, the index of its
+            candidate; function that computes the reprojection of these sightings from the candidate poses `(P, 4, 4)`.
         """
         pose = np.repeat(np.arange(len(owner)), self.counts[owner])
         pairs = self._order[self._begins[owner[pose]] + rank_within(pose)]
@@ -105,8 +109,8 @@ class Candidates:
         return some, pose, at
 
     def agreed(self, poses: FloatArray) -> FloatArray:
-        """Number of sightings of each owner that agree with the pose of this owner, `(M,)`; `poses` `(M, 4, 4)` has one
-        pose for each of the M owners.
+        """Number of sightings that agree with the pose of their owner, for each of the M owners, `(M,)`. `poses`
+        `(M, 4, 4)` has one pose for each owner.
         """
         some, pose, at = self._judges(np.arange(len(self.owners)))
         return np.asarray(np.bincount(pose, agreeing(some, at(poses).squared), minlength=len(self.owners)))
@@ -127,7 +131,7 @@ class Candidates:
         robust losses of decreasing scale.
 
         Args:
-            single: two poses of the tag of each sighting in its camera, `(N, 2, 4, 4)`.
+            single: two poses of each sighting's tag in the frame of the camera, `(N, 2, 4, 4)`.
         """
         some = np.flatnonzero(rank(self.some, self.owner) < PROPOSING)
         owner, mounts = np.repeat(self.owner[some], 2), self._mounts[some, None]
@@ -150,12 +154,12 @@ class Candidates:
 def place(
     some: Sightings, single: FloatArray, poses: Poses, by_frame: bool, fewest: int, share: float
 ) -> tuple[IntArray, FloatArray]:
-    """Estimate poses of frames from placed tags, or of tags from placed frames; their present poses are candidates as
-    well.
+    """Estimate poses of frames from placed tags, or of tags from placed frames. The present poses of these frames or
+    tags are candidates as well.
 
     Args:
         some: sightings.
-        single: two poses of the tag of each sighting in its camera, `(N, 2, 4, 4)`.
+        single: two poses of each sighting's tag in the frame of the camera, `(N, 2, 4, 4)`.
         poses: present poses.
         by_frame: True to place frames, False to place tags.
         fewest: minimum number of a frame's or tag's sightings that must agree with its pose.
@@ -179,8 +183,8 @@ def place(
 
 
 def placed_tags(some: Sightings, poses: Poses, fewest: int, share: float) -> FloatArray:
-    """Poses of tags, estimated from the sightings `some` with all frames fixed, `(K, 4, 4)`; NaN for tags that cannot
-    be placed, see `place`.
+    """Poses of tags, estimated from the sightings `some` with all frames fixed, `(K, 4, 4)`. NaN for a tag if fewer
+    than `fewest` of its sightings, or a smaller fraction than `share`, agree with the pose.
     """
     nowhere = np.full((len(some.ids), 4, 4), np.nan)
     some = some.of(poses.known_frames[some.frame])
@@ -191,8 +195,8 @@ def placed_tags(some: Sightings, poses: Poses, fewest: int, share: float) -> Flo
 
 
 def rank(sightings: Sightings, owner: IntArray) -> IntArray:
-    """Place of each sighting in the order of decreasing sizes in the image, among the sightings of its owner (its frame
-    or tag): 0 for the largest, `(N,)`.
+    """Rank of each sighting by its size in the image among the sightings of its owner, `(N,)`: 0 for the largest.
+    `owner` `(N,)` is the index of the frame or tag to which each sighting belongs.
     """
     order = np.lexsort((-sightings.sizes, owner))
     result = np.empty(len(sightings), dtype=np.int64)
@@ -201,18 +205,18 @@ def rank(sightings: Sightings, owner: IntArray) -> IntArray:
 
 
 def rank_within(owner: IntArray) -> IntArray:
-    """For each entry of the sorted array `owner`, the number of equal entries before it."""
+    """For each entry of the sorted array `owner`, the number of entries before it that have the same value."""
     return np.asarray(np.arange(len(owner)) - np.searchsorted(owner, owner))
 
 
 def measured_mounts(views: FloatArray, mounts: FloatArray) -> FloatArray:
-    """Poses of the cameras on the body, `(C, 4, 4)`. If frames in which two cameras show tags contradict the given pose
-    of a camera, its pose is measured from these frames; the other poses are as given.
+    """Poses of the cameras on the body, `(C, 4, 4)`: measured if frames contradict the given pose, else as given. A
+    camera is measured from the frames in which both it and the first camera show tags.
 
     Args:
-        views: pose of each camera in each frame, estimated from the camera's own images, `(C, F, 4, 4)`; NaN if not
-            known.
-        mounts: poses of the cameras on the body, which is the first camera, `(C, 4, 4)`.
+        views: pose of each camera in the world at each frame, estimated from the camera's own images, `(C, F, 4, 4)`;
+            NaN if not known.
+        mounts: given poses of the cameras on the body, which is the first camera, `(C, 4, 4)`.
     """
     found = mounts.copy()
     for camera in range(1, len(mounts)):

@@ -1,12 +1,12 @@
 """Reprojection errors of sightings: residuals, Jacobians, noise, robust weights, and Gauss-Newton steps.
 
-A sighting has 8 residuals e, pixels, see `lmd.adjust.sightings`. Errors are modelled by a multivariate Student
-distribution with nu degrees of freedom. With chi^2 = |e|^2 / sigma^2 of d residuals, the robust loss is (nu + d) / 2
-log(1 + chi^2 / nu). The weight in iteratively reweighted least squares is (nu + d) / (nu + chi^2).
+A sighting (one tag detected in one image) has 8 residuals e, pixels, see `lmd.adjust.sightings`. Errors are modelled by
+a multivariate Student distribution with nu degrees of freedom. With chi^2 = |e|^2 / sigma^2 of d residuals, the robust
+loss is (nu + d) / 2 log(1 + chi^2 / nu). The weight in iteratively reweighted least squares is (nu + d) / (nu + chi^2).
 
 The variance of a corner's coordinate is the detector's variance plus the squared *floor*, which stands for errors of
-lenses and bodies. The floor is estimated such that the weighted mean of chi^2 equals its expected value for normal
-errors.
+lens models and of the shapes of tags. The floor is estimated such that the weighted mean of chi^2 equals its expected
+value for normal errors.
 
 Source: Lange et al., "Robust Statistical Modeling Using the t Distribution".
 """
@@ -38,7 +38,7 @@ AGREES, AGREES_PIXELS = 0.15, 2.0
 
 @dataclass(frozen=True)
 class Poses:
-    """Poses of tags, frames and mounts."""
+    """Poses of tags, of the body at each frame, and of the cameras on the body (*mounts*)."""
 
     tags: FloatArray
     """`(K, 4, 4)` tag to world; NaN if not known."""
@@ -48,7 +48,7 @@ class Poses:
     """`(C, 4, 4)` camera to body; the first camera is the body."""
 
     def of(self, sightings: Sightings) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Poses `(N, 4, 4)` of the tag, the frame and the mount of each sighting."""
+        """Pose of the tag, of the frame and of the camera's mount of each sighting, `(N, 4, 4)` each."""
         return self.tags[sightings.tag], self.frames[sightings.frame], self.mounts[sightings.camera]
 
     @property
@@ -94,7 +94,7 @@ class Reprojection:
 
     @cached_property
     def _by_seen(self) -> FloatArray:
-        """Derivatives of the residuals with respect to the corners in the camera's frame, `(N, 4, 2, 3)`."""
+        """Derivatives of the residuals with respect to the corners' positions in the camera's frame, `(N, 4, 2, 3)`."""
         some, depth = self._sightings, self._depth[..., None]
         error = self.error.reshape(-1, 4, 2, 1)
         slope = (some.tangents - error * some.directions[..., None, :]) / np.maximum(depth, NEAREST)
@@ -102,32 +102,32 @@ class Reprojection:
 
     @cached_property
     def _by_body(self) -> FloatArray:
-        """Derivatives of the residuals with respect to the corners in the body's frame, `(N, 4, 2, 3)`."""
+        """Derivatives of the residuals with respect to the corners' positions in the body's frame, `(N, 4, 2, 3)`."""
         return np.asarray(self._by_seen @ np.swapaxes(self._mounted, 1, 2)[:, None])
 
     @cached_property
     def _by_corner(self) -> FloatArray:
-        """Derivatives of the residuals with respect to the corners in the tag's frame, `(N, 4, 2, 3)`."""
+        """Derivatives of the residuals with respect to the corners' positions in the tag's frame, `(N, 4, 2, 3)`."""
         return np.asarray(self._by_body @ self._turn[:, None])
 
     @cached_property
     def by_tag(self) -> FloatArray:
-        """Jacobian of the residuals with respect to the pose of the tag, `(N, 8, 6)`."""
+        """Jacobian of the residuals with respect to a twist of the tag's pose, `(N, 8, 6)`."""
         return -_by_twist(self._by_corner, self._corners)
 
     @cached_property
     def by_frame(self) -> FloatArray:
-        """Jacobian of the residuals with respect to the pose of the body, `(N, 8, 6)`."""
+        """Jacobian of the residuals with respect to a twist of the body's pose, `(N, 8, 6)`."""
         return _by_twist(self._by_body, self._body)
 
     @cached_property
     def by_mount(self) -> FloatArray:
-        """Jacobian of the residuals with respect to the pose of the camera on the body, `(N, 8, 6)`."""
+        """Jacobian of the residuals with respect to a twist of the camera's pose on the body, `(N, 8, 6)`."""
         return _by_twist(self._by_seen, self._seen)
 
     @cached_property
     def by_shape(self) -> FloatArray:
-        """Jacobian of the residuals with respect to the shape of the tag, see `Sightings.shapes`, `(N, 8, 6)`."""
+        """Jacobian of the residuals with respect to the six deformations `Sightings.shapes` of the tag, `(N, 8, 6)`."""
         return np.asarray(np.einsum("nqij,sqj->nqis", self._by_corner, SHAPES)).reshape(-1, RESIDUALS, 6)
 
     @cached_property
@@ -137,8 +137,8 @@ class Reprojection:
 
 
 def _by_twist(slope: FloatArray, points: FloatArray) -> FloatArray:
-    """Jacobian of the residuals, `(N, 8, 6)`, with respect to a twist of the frame in which `points` `(N, 4, 3)` are
-    given, from the derivatives `slope` with respect to the points.
+    """Jacobian of the residuals with respect to a twist of the frame in which points are given, `(N, 8, 6)`. `slope`
+    `(N, 4, 2, 3)` has the derivatives of the residuals with respect to the `points` `(N, 4, 3)`.
     """
     return np.concatenate([cross(slope, points[:, :, None]), -slope], axis=-1).reshape(-1, RESIDUALS, 6)
 
@@ -149,38 +149,43 @@ def squared_errors(sightings: Sightings, poses: Poses) -> FloatArray:
 
 
 def agreeing(sightings: Sightings, error: FloatArray) -> BoolArray:
-    """Mask of the sightings whose squared error `error`, pixels^2, `(N,)`, is small enough for a rough pose; False for
-    NaN.
+    """Mask of the sightings that agree with a rough pose, `(N,)`; False where the error is NaN. `error` `(N,)` has the
+    squared errors of the sightings, pixels^2.
     """
     return np.asarray(np.sqrt(error / 4.0) < AGREES * sightings.sizes + AGREES_PIXELS)
 
 
 def fitting(sightings: Sightings, error: FloatArray, floor: float) -> BoolArray:
-    """Mask of the inliers among N sightings with squared errors `error`, pixels^2, `(N,)`; False where the error is
-    NaN.
+    """Mask of the inliers among N sightings, `(N,)`; False where the error is NaN. `error` `(N,)` has the squared
+    errors of the sightings, pixels^2. `floor`, pixels, is the standard deviation of corners in addition to the
+    detector's own.
     """
     near = np.sqrt(error / 4.0) <= np.maximum(OUTLIER_PIXELS, OUTLIER_SHARE * sightings.sizes)
     return np.asarray((error / sightings.variance(floor) <= OUTLIER_CHI_SQUARE) | near)
 
 
 def student_weight(square: FloatArray, residuals: int | IntArray = RESIDUALS) -> FloatArray:
-    """Weights (nu + d) / (nu + chi^2), for chi^2 `square` of d residuals."""
+    """Robust weights (nu + d) / (nu + chi^2), for chi^2 `square` of d `residuals`. Here nu is the constant
+    `DEGREES_OF_FREEDOM`.
+    """
     return np.asarray((DEGREES_OF_FREEDOM + residuals) / (DEGREES_OF_FREEDOM + square))
 
 
 def student_losses(square: FloatArray, residuals: int = RESIDUALS) -> FloatArray:
-    """Losses 0.5 (nu + d) log(1 + chi^2 / nu), for chi^2 `square` of d residuals."""
+    """Robust losses 0.5 (nu + d) log(1 + chi^2 / nu), for chi^2 `square` of d `residuals`. Here nu is the constant
+    `DEGREES_OF_FREEDOM`.
+    """
     return np.asarray((DEGREES_OF_FREEDOM + residuals) / 2.0 * np.log1p(square / DEGREES_OF_FREEDOM))
 
 
 def student_loss(square: FloatArray, residuals: int = RESIDUALS) -> float:
-    """Sum of the `student_losses`."""
+    """Sum of the robust losses 0.5 (nu + d) log(1 + chi^2 / nu), see `student_losses`."""
     return float(student_losses(square, residuals).sum())
 
 
 def floor_of(error: FloatArray, noise: FloatArray, most: float) -> float:
-    """Find the floor (standard deviation of corners in addition to the detector's own), pixels, at which
-    the squared errors have their expected mean.
+    """Find the floor (standard deviation of corners in addition to the detector's own), pixels, at which the squared
+    errors have their expected mean.
 
     Args:
         error: squared errors |e|^2 of sightings, scaled up for the degrees of freedom of the fit, pixels^2, `(N,)`.
@@ -210,13 +215,16 @@ def efficiency(square: FloatArray) -> tuple[float, float]:
 
 
 def weighted_product(one: FloatArray, other: FloatArray, weight: FloatArray) -> FloatArray:
-    """Product A^T w B of each sighting, `(N, a, b)`, for A `(N, r, a)`, B `(N, r, b)` and weights `(N,)`."""
+    """Product A^T w B of each sighting, `(N, a, b)`. A is `one` `(N, r, a)`, B is `other` `(N, r, b)`, and w is
+    `weight` `(N,)`.
+    """
     return np.asarray((np.swapaxes(one, 1, 2) * weight[:, None, None]) @ other)
 
 
 def sums_by(owner: IntArray, count: int) -> Callable[[FloatArray], FloatArray]:
-    """Make a function that sums values of sightings by owner. `owner` `(N,)` has the index of each sighting's owner, a
-    frame or tag. The function maps values `(N, ...)` of the sightings to sums `(count, ...)`, one for each owner.
+    """Make a function that sums values of sightings by owner. `owner` `(N,)` has the index of the frame or tag to which
+    each sighting belongs. The function maps values `(N, ...)` of the sightings to sums `(count, ...)`, one for each
+    owner.
     """
     from scipy.sparse import csc_array
 
@@ -230,8 +238,8 @@ def sums_by(owner: IntArray, count: int) -> Callable[[FloatArray], FloatArray]:
 
 
 def add_at(cells: FloatArray, first: IntArray, second: IntArray, values: FloatArray) -> None:
-    """Add values `(N, ...)` to the entries `cells[first, second]` of an array `(n, m, ...)`; pairs of indices may
-    repeat. This function is many times as fast as `numpy.add.at`.
+    """Add values `(N, ...)` to the entries `cells[first, second]` of an array `(n, m, ...)`, in place. Pairs of indices
+    may repeat. This is many times faster than `numpy.add.at`.
     """
     keys, pair = np.unique(first * cells.shape[1] + second, return_inverse=True)
     cells[np.divmod(keys, cells.shape[1])] += sums_by(pair, len(keys))(values)
@@ -249,11 +257,11 @@ def newton_step(
     summed: Callable[[FloatArray], FloatArray],
     damping: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Gauss-Newton steps `(n, m)` and normal matrices `(n, m, m)` of n poses. Each pose belongs to a frame or
-    tag, which is the *owner* of some of the N sightings.
+    """Gauss-Newton steps `(n, m)` and normal matrices `(n, m, m)` of n poses with m unknowns each. Each pose is that of
+    a frame or tag, the *owner* of some of the N sightings.
 
     Args:
-        jacobian: derivatives of each sighting's r residuals with respect to the pose of its owner, `(N, r, m)`.
+        jacobian: derivatives of each sighting's r residuals with respect to the unknowns of its owner, `(N, r, m)`.
         error: residuals of each sighting, `(N, r)`.
         weight: weight of each sighting, `(N,)`.
         summed: function that adds up an array over the sightings of each owner, see `sums_by`.
@@ -264,8 +272,8 @@ def newton_step(
 
 
 def resected(sightings: Sightings, poses: Poses, floor: float) -> Poses:
-    """Refine the poses of the frames of some sightings while tags and mounts are fixed (resection), and return all
-    poses.
+    """Copy of `poses` in which the frames of the sightings are refined with fixed tags and mounts (resection). `floor`,
+    pixels, is the standard deviation of corners in addition to the detector's own.
     """
     seen, owner = np.unique(sightings.frame, return_inverse=True)
     summed, variance, frames = sums_by(owner, len(seen)), sightings.variance(floor), poses.frames.copy()

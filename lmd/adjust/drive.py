@@ -1,8 +1,7 @@
-"""Motion of a body, estimated from its drive: noise of the motion model (its *spread*), errors across gaps between
-frames, and smoothest sequence of poses.
+"""Motion of a body, estimated from its drive: noise of the motion model, and smoothest sequence of poses.
 
-The spread s scales the standard deviations of a motion model, and is estimated by maximum evidence. With theta = log
-s^2,
+The noise of a motion model is its *spread* s, which scales the standard deviations of the model. The spread is
+estimated by maximum evidence. With theta = log s^2,
 
     d chi^2 / d theta + d log |Q| / d theta + d log |H| / d theta = 0.
 
@@ -10,11 +9,11 @@ Here chi^2 is that of the links' errors, Q is the covariance of these errors, an
 unknowns. The prior of s has the weight of `ASSUMED_LINKS` links.
 
 Errors of the constant-velocity model across gaps are measured in pieces of the drive without gaps. For two frames that
-are as far apart as the gap is long, the velocities before and after predict the relative pose. The error of the
-prediction is the difference from the relative pose that the frames in between give.
+are as far apart as the gap is long, the velocities before and after predict the relative pose. The error is the
+difference between this prediction and the relative pose that the frames in between give.
 
-A frame that shows one tag has two poses with similar images; the smoothest sequence of poses decides between them
-(Viterbi).
+A frame that shows one tag has two poses with similar images; of these, the pose that makes the sequence of poses
+smoothest is taken (Viterbi).
 
 Source: MacKay, "Bayesian Interpolation".
 """
@@ -55,7 +54,9 @@ def with_motion(joint: Adjustment, motion: Motion) -> Adjustment:
 
 
 def spread_motion(joint: Adjustment, poses: Poses, floor: float) -> Motion:
-    """Motion model of an adjustment, with the noise level (spread) that maximises the evidence."""
+    """Motion model of the adjustment `joint` with the noise level (spread) that maximises the evidence. `floor`,
+    pixels, is the standard deviation of corners in addition to the detector's own.
+    """
     motion, links = joint.prior.motion, joint.links
     assert motion is not None
     assert links is not None
@@ -91,7 +92,7 @@ def spread_motion(joint: Adjustment, poses: Poses, floor: float) -> Motion:
 
 
 def measured_motion(joint: Adjustment, poses: Poses, floor: float) -> Motion:
-    """Motion model of an adjustment, with the noise level (spread) that maximises the evidence. For a constant
+    """Motion model of the adjustment `joint` with the noise level (spread) that maximises the evidence. For a constant
     velocity, the model also gets the measured errors across gaps between frames.
 
     Raises:
@@ -107,8 +108,8 @@ def measured_motion(joint: Adjustment, poses: Poses, floor: float) -> Motion:
 
 
 def with_rough_clock(motion: Motion, frames: IntArray, part: IntArray, poses: FloatArray) -> Motion:
-    """Motion with the offset of the odometry's clock, see `Clock`, at which the odometry fits rough poses best. The
-    motion is returned unchanged if it is a constant velocity, or if the best offset is not significant.
+    """Copy of `motion` with the offset of the odometry's clock at which the odometry fits rough poses best. The motion
+    is returned unchanged if it is a constant velocity, or if the best offset is not significant.
 
     Args:
         motion: motion between all frames.
@@ -134,12 +135,15 @@ def with_rough_clock(motion: Motion, frames: IntArray, part: IntArray, poses: Fl
 
 
 def bridged_gaps(motion: Motion, poses: FloatArray) -> FloatArray:
-    """Measure the spread of the constant-velocity model across gaps between frames, for each length of gap, see
-    `Motion.gaps`.
+    """Measure the noise level (spread) of the constant-velocity model across gaps between frames. The measurement is
+    repeated for several lengths of gap.
 
     Args:
         motion: motion model of constant velocity, whose frames are divided into pieces (`Motion.piece`).
         poses: poses of the frames, `(F, 4, 4)`; frames of one piece are contiguous and share a world frame.
+
+    Returns:
+        rows of length of gap, seconds, spread of rotation and spread of translation, `(n, 3)`, see `Motion.gaps`.
     """
     assert motion.piece is not None
     rows, clock = [], motion.times - np.nanmin(motion.times)
@@ -171,8 +175,8 @@ def bridged_gaps(motion: Motion, poses: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Nodes:
-    """Nodes, sorted by part, then by time. A node is a frame together with one part (a group of tags, see
-    `lmd.survey.groups`) of which the frame shows tags.
+    """Nodes, sorted by part, then by time. A node is a pair of a frame and a part (a group of tags, see
+    `lmd.survey.groups`) some of whose tags the frame shows.
     """
 
     sightings: Sightings
@@ -204,9 +208,9 @@ class Nodes:
 
 
 def smoothest(nodes: Nodes, poses: Poses) -> Poses:
-    """Poses with one pose for each node, in the world frame of the node's part. A node keeps its rough pose if several
-    of its sightings agree with that pose. Else its largest sighting in the image proposes two poses, and the pose that
-    makes the sequence of nodes smoothest is taken.
+    """Copy of `poses` with one pose for each node instead of each frame, in the world frame of the node's part. A node
+    keeps its rough pose if several of its sightings agree with that pose. Otherwise its largest sighting in the image
+    proposes two poses; the one that makes the sequence of nodes smoothest is taken.
     """
     some, motion, placed = nodes.sightings, nodes.motion, poses.frames[nodes.frame]
     order = np.lexsort((-some.sizes, some.frame))

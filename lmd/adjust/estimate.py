@@ -1,12 +1,12 @@
-"""Estimate of poses: bundle adjustment without outliers from initial poses, marginal covariances, blocks of time.
+"""Estimate of poses from initial poses: bundle adjustment without outliers, covariances, and errors correlated in time.
 
 *Blocks of time*: the covariance C of an adjustment assumes that errors of sightings are independent. The errors in a
 drive are correlated, as exposure, blur and errors of the lens model change slowly. So the frames are divided into
-blocks of time with equal numbers of sightings. Block b adds S_b to the normal equations S = C^-1, and g_b to their
-right side, which sums to 0. Block b contributes x_b = C (1 - S_b C)^-1/2 g_b to the error of the map. The covariance of
-the map is the sum of x_b x_b', which equals C if errors are uncorrelated. With the inverse in place of the inverse
-root, this would be the jackknife, which leaves out one block at a time. The jackknife overestimates the effect of a
-block that alone determines a part of the map.
+blocks of time with equal numbers of sightings. Block b adds S_b to the normal matrix S = C^-1, and g_b to the right
+side; at the solution the sum of all g_b is 0. Block b contributes x_b = C (1 - S_b C)^-1/2 g_b to the error of the map.
+The covariance of the map is the sum of x_b x_b', which equals C if errors are uncorrelated. With the inverse in place
+of the inverse root, this would be the jackknife, which leaves out one block at a time. The jackknife overestimates the
+effect of a block that alone determines a part of the map.
 
 Source: Bell and McCaffrey, "Bias reduction in standard errors for linear regression with multi-stage samples" (CR2).
 """
@@ -42,7 +42,7 @@ LEAST_PART = 1e-9  # minimum eigenvalue of a block's information, relative to th
 
 @dataclass(frozen=True)
 class Lenses:
-    """Nuisance parameters of the cameras, see `lmd.adjust.refinement`."""
+    """Nuisance parameters of the cameras: intrinsics and shifts of corners, see `lmd.adjust.refinement`."""
 
     seen: Observations
     """Detections, with the cameras as given before the refinement."""
@@ -58,7 +58,7 @@ class Lenses:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Estimated poses of the tags, frames and mounts of some sightings."""
+    """Estimated poses of tags, of the body at each frame, and of the cameras on the body (mounts), from sightings."""
 
     sightings: Sightings
     """All sightings, with the shapes of tags."""
@@ -90,8 +90,11 @@ class Estimate:
     """Offset of the odometry's clock; None without odometry."""
 
     def adjusted(self, most: float = FLOOR_PIXELS) -> "Estimate":
-        """Estimate in which the poses of the map (the tags of group 0, and their frames) are adjusted without outliers.
-        The floor, see `lmd.adjust.corners`, is at most `most`, pixels.
+        """Estimate in which the poses of the map (tags of group 0, and their frames) are adjusted without the outliers.
+
+        Args:
+            most: upper limit, pixels, of the floor, the standard deviation of corners in addition to the detector's
+                own.
 
         Raises:
             InputError: no two sightings agree on a pose of the camera.
@@ -130,8 +133,8 @@ class Estimate:
 
     @cached_property
     def covariance(self) -> FloatArray:
-        """Covariance of the unknowns that `Adjustment` keeps. The error of a pose is a twist in the coordinate frame of
-        the tag or camera itself.
+        """Covariance of the unknowns that `Adjustment` keeps, which are all but the frames' poses. The error of a pose
+        is a twist in the coordinate frame of the tag or camera itself.
         """
         with threadpool_limits(limits=ONE_THREAD):
             return self.adjustment.fixed_system(self.poses, self.floor).covariance
@@ -143,8 +146,8 @@ class Estimate:
         return np.asarray((self.group == 0) & np.isfinite(of_tags).all(axis=1))
 
     def _blocks(self, first: int, last: int, size: int = 6) -> FloatArray:
-        """Covariances of single poses: the diagonal blocks, `(n, size, size)`, of the covariance of the kept unknowns.
-        Only the blocks of six with the indices `first` to `last` (excluded) are used.
+        """Diagonal blocks, `(n, size, size)`, of the covariance of the kept unknowns. Only the part of the covariance
+        from the block of six unknowns with the index `first` to that with the index `last` (excluded) is used.
         """
         return diagonal_blocks(self.covariance[6 * first : 6 * last, 6 * first : 6 * last], size)
 
@@ -165,14 +168,18 @@ class Estimate:
 
     @cached_property
     def gauge_free_covariance(self) -> FloatArray:
-        """Covariance of the twists of the n `known` tags relative to the other tags, see `gauge_free`, `(6 n, 6 n)`."""
+        """Covariance of the twists of the n `known` tags relative to each other, `(6 n, 6 n)`. A common motion of all
+        tags does not count, see `gauge_free`.
+        """
         rows = rows_of(np.flatnonzero(self.known))
         left = gauge_free(self.poses.tags[self.known])
         return np.asarray(left @ self.covariance[np.ix_(rows, rows)] @ left.T)
 
     @cached_property
     def gauge_free_covariances(self) -> FloatArray:
-        """Covariance of the twist of each tag relative to the other tags, see `gauge_free`, `(K, 6, 6)`."""
+        """Covariance of the twist of each tag relative to the other tags, `(K, 6, 6)`. A common motion of all tags does
+        not count, see `gauge_free`. NaN for tags that are not `known`.
+        """
         known, found = self.known, np.full((len(self.group), 6, 6), np.nan)
         found[known] = diagonal_blocks(self.gauge_free_covariance)
         return found
@@ -209,18 +216,18 @@ class Estimate:
 
     @property
     def are_astray(self) -> BoolArray:
-        """Mask of the tags most of whose sightings are outliers, at least `FEWEST_MISFITS` sightings, `(K,)`."""
+        """Mask of the tags with more outliers than inliers, and with at least `FEWEST_MISFITS` outliers, `(K,)`."""
         counts = self.sightings.counts(self.misfits)
         return np.asarray((counts >= FEWEST_MISFITS) & (counts > self.sightings.counts(self.used)))
 
     def with_tags(self, chosen: IntArray | BoolArray, tags: FloatArray) -> "Estimate":
-        """Estimate in which the `chosen` tags have the poses `tags` `(n, 4, 4)`."""
+        """Copy of the estimate in which the `chosen` tags have the poses `tags` `(n, 4, 4)`."""
         every = self.poses.tags.copy()
         every[chosen] = tags
         return replace(self, poses=replace(self.poses, tags=every))
 
     def moved(self, motion: FloatArray) -> "Estimate":
-        """Estimate with all poses moved by a rigid motion `(4, 4)` of the world frame."""
+        """Copy of the estimate with all poses moved by a rigid motion `(4, 4)` of the world frame."""
         poses = replace(self.poses, tags=motion @ self.poses.tags, frames=motion @ self.poses.frames)
         return replace(self, poses=poses, prior=replace(self.prior, tags=motion @ self.prior.tags))
 
@@ -228,8 +235,9 @@ class Estimate:
 def constraining(sightings: Sightings, used: BoolArray, prior: Prior) -> BoolArray:
     """Mask of those `used` sightings that constrain the map, `(N,)`.
 
-    A sighting that is alone in its frame constrains the map only if the frame is linked to another frame. In a known
-    map (`Prior.joint`) such a sighting determines the pose of the frame.
+    A sighting that is alone in its frame constrains the map only if motion links the frame to another frame. With a
+    known map (`Prior.joint`) all `used` sightings count, because a single sighting then determines the pose of its
+    frame.
     """
     if prior.joint is not None:
         return used
@@ -273,7 +281,9 @@ def _blocks_of_time(found: Estimate) -> list[IntArray]:
 
 
 def _without_links(found: Estimate) -> Estimate:
-    """Estimate of the largest part of the map that images alone connect, without links of motion."""
+    """Estimate of the largest part of the map that images connect without the links of motion. Other tags get the group
+    -1.
+    """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

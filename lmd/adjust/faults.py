@@ -41,7 +41,7 @@ Begun = TypeVar("Begun")
 
 
 class SecondPlace(NamedTuple):
-    """Second pose of a tag."""
+    """Second pose of a tag that was moved, or whose id another tag has as well."""
 
     tag: int
     """Index of the tag."""
@@ -69,7 +69,7 @@ class Faults(NamedTuple):
 
 
 def second_places(found: Estimate, gross: BoolArray) -> list[SecondPlace]:
-    """Second poses of tags: poses on which several outliers of a tag agree; `gross` is the mask of the outliers,
+    """Second poses of tags: poses on which several outliers of a tag agree. `gross` is the mask of all outliers,
     `(N,)`.
     """
     every, counts, places = found.sightings, found.sightings.counts(gross), []
@@ -91,8 +91,8 @@ def second_places(found: Estimate, gross: BoolArray) -> list[SecondPlace]:
 
 
 def _change(first: IntArray, second: IntArray) -> int | None:
-    """Index of the first frame after a tag was moved; None if the frames alternate between the two poses. The frames
-    `first` show the tag at one pose, the frames `second` at the later pose.
+    """Index of the first frame after a tag was moved; None if the frames alternate between its two poses. `first` has
+    the indices of the frames that show the tag at the earlier pose, `second` of those that show it at the later pose.
     """
     begins = int(np.quantile(second, OUT_OF_ORDER_SHARE / 2.0))
     mixed = (first >= begins).mean() > OUT_OF_ORDER_SHARE
@@ -103,14 +103,17 @@ def _change(first: IntArray, second: IntArray) -> int | None:
 def with_best_edges(
     seen: Observations, begun: Callable[[Observations], tuple[Begun, int]], plan: FloatArray | None = None
 ) -> tuple[Begun, BoolArray]:
-    """Call `begun` twice: with the stated edge lengths and with the edge lengths that `odd_sizes` estimates. Returns:
-    the result with which more sightings agree; the mask of the tags whose edge length in this result differs from the
-    stated one, `(K,)`.
+    """Call `begun` with stated and with estimated edge lengths, and return the better result. The lengths are estimated
+    by `odd_sizes`; if none differs, `begun` is only called with the stated lengths.
 
     Args:
         seen: detections.
         begun: function of detections that returns a result and the number of sightings that agree with it.
         plan: `(K, 3)` positions of the tags in a map, metres, NaN if unknown; None without a map.
+
+    Returns:
+        the result with which clearly more sightings agree, that with the stated lengths if in doubt; mask of the tags
+        whose size must be estimated from all frames, see `odd_sizes`, `(K,)`; all False with the stated lengths.
     """
     (found, agreed), (factors, odd) = begun(seen), odd_sizes(seen.through().with_separate_cameras(), plan)
     if odd.any():
@@ -121,16 +124,17 @@ def with_best_edges(
 
 
 def odd_sizes(sightings: Sightings, plan: FloatArray | None = None) -> tuple[FloatArray, BoolArray]:
-    """Estimated factor on the stated edge length of each tag, `(K,)`, and mask of the tags whose size must be
-    estimated from all frames, `(K,)`.
-
-    The mask has the tags with a factor other than 1. If there are any, it also has the tags whose size relative to
-    other tags, or to the map, is unknown.
+    """Find tags whose stated edge length is grossly wrong.
 
     Args:
         sightings: sightings in which each camera is treated as a body of its own, see
             `Sightings.with_separate_cameras`.
-        plan: see `with_best_edges`.
+        plan: `(K, 3)` positions of the tags in a map, metres, NaN if unknown; None without a map.
+
+    Returns:
+        estimated factor on the stated edge length of each tag, `(K,)`; mask of the tags whose size must be estimated
+        from all frames, `(K,)`. The mask has the tags with a factor other than 1. If there are any, it also has the
+        tags whose size relative to other tags, or to the map, is unknown.
     """
     size, alone = _relative_sizes(sightings) if plan is None else _planned_sizes(sightings, plan)
     odd = np.abs(size) > ODD
@@ -138,8 +142,8 @@ def odd_sizes(sightings: Sightings, plan: FloatArray | None = None) -> tuple[Flo
 
 
 def _together(sightings: Sightings) -> Iterator[tuple[int, int, FloatArray, FloatArray]]:
-    """Iterate over the pairs of tags i < j that n images show together. Yields i, j, and the centres of both tags,
-    `(n, 3)` each, metres, in the camera frame of each image.
+    """Iterate over the pairs of tags i < j that at least `FEWEST_TOGETHER` images show together. Yields i, j, and the
+    centres of both tags in the camera frame of each of these n images, metres, `(n, 3)` each.
     """
     count, every = len(sightings.ids), np.arange(len(sightings))
     centres = single_poses(sightings).poses[:, 0, :3, 3]
@@ -157,8 +161,9 @@ def _together(sightings: Sightings) -> Iterator[tuple[int, int, FloatArray, Floa
 
 
 def _losses(one: FloatArray, two: FloatArray, expected: float | None) -> FloatArray:
-    """Robust loss, `(...,)`, of n measured distances between two tags with the centres `one` and `two`, `(..., n, 3)`
-    each. The distances are compared with the distance `expected`, or with their median if it is None.
+    """Robust loss of n measured distances between two tags, `(...,)`. `one` and `two` `(..., n, 3)` are the measured
+    centres of the tags. The distances are compared with the distance `expected`, or with their median if `expected` is
+    None.
     """
     away = np.log(np.maximum(np.linalg.norm(two - one, axis=-1), 1e-9))
     off = away - (np.median(away, axis=-1, keepdims=True) if expected is None else np.log(expected))
@@ -166,10 +171,17 @@ def _losses(one: FloatArray, two: FloatArray, expected: float | None) -> FloatAr
 
 
 def _planned_sizes(sightings: Sightings, plan: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Factors on edge lengths, from the distances between tags. Returns two arrays, `(K,)` each. The first has the
-    logarithm of the factor on each tag's edge length at which the measured distances from other tags fit those in the
-    map best. The second is the mask of the tags that no image shows with another tag of the map. In each pair, the
-    other tag keeps its size or gets an equal factor.
+    """Factors on edge lengths with which the measured distances between tags fit the distances in a map best.
+
+    For each pair of tags, a factor is tried on one tag alone and on both tags.
+
+    Args:
+        sightings: sightings of K tags.
+        plan: positions of the tags in the map, metres, NaN if unknown, `(K, 3)`.
+
+    Returns:
+        logarithm of the factor on each tag's edge length, `(K,)`; mask of the tags that too few images show together
+        with any other tag of the map, `(K,)`.
     """
     pairs = [pair for pair in _together(sightings) if np.isfinite(plan[[pair[0], pair[1]]]).all()]
     factors, alone = np.ones(len(plan)), np.ones(len(plan), dtype=bool)
@@ -214,14 +226,17 @@ def _relative_sizes(sightings: Sightings) -> tuple[FloatArray, BoolArray]:
 
 
 def with_sizes(found: Estimate, odd: BoolArray, others: float, tried: bool) -> tuple[Estimate, BoolArray]:
-    """Estimate in which the sizes of some tags are unknowns of the refinement, and the mask of the tags whose size
-    differs from the stated size, `(K,)`.
+    """Make the sizes of tags unknowns of the refinement.
 
     Args:
         found: estimate with the stated sizes.
-        odd: mask of the tags whose stated size is known to be wrong, `(K,)`.
-        others: prior standard deviation of the size of the other tags, see `Sightings.size_sigmas`.
+        odd: mask of the tags whose stated size is wrong or in doubt, `(K,)`.
+        others: prior standard deviation of the growth of the other tags, metres; NaN for that of their other
+            deformations, see `Sightings.size_sigmas`.
         tried: True to test the stated sizes of all other tags as well.
+
+    Returns:
+        the estimate; mask of the tags in `odd` and of the tags whose size proved to be wrong, `(K,)`.
     """
     for _ in range(ROUNDS if tried else 0):
         found, changed = resized(found, odd, np.ones_like(odd))
@@ -243,12 +258,13 @@ def other_sizes(found: Estimate, odd: BoolArray) -> dict[int, float]:
 
 
 def resized(found: Estimate, odd: BoolArray, among: BoolArray) -> tuple[Estimate, BoolArray]:
-    """Estimate in which the edge lengths of wrongly sized tags are estimated from all frames, and the mask of these
-    tags, `(K,)`.
+    """Estimate with corrected edge lengths of wrongly sized tags, and mask of these tags, `(K,)`. The edge lengths are
+    estimated from all frames.
 
     Args:
         found: estimate.
-        odd: mask of the tags whose stated size is known to be wrong, `(K,)`; their edge lengths are always estimated.
+        odd: mask of the tags whose stated size is known to be wrong, `(K,)`; the edge lengths of these tags are
+            estimated even if they hardly change.
         among: mask of the tags whose stated size may be wrong, `(K,)`.
     """
     every, tags, count = found.sightings, found.poses.tags.copy(), len(found.group)
@@ -276,7 +292,8 @@ def resized(found: Estimate, odd: BoolArray, among: BoolArray) -> tuple[Estimate
 
 
 def without_faults(found: Estimate, odd: BoolArray) -> tuple[Estimate, Faults]:
-    """Estimate with corrected sizes, in which moved tags have their later poses; and all faults.
+    """Find the faults of all tags; return a corrected estimate and the faults. The estimate has corrected sizes, and
+    the later poses of moved tags.
 
     Args:
         found: estimate.

@@ -1,7 +1,7 @@
 """Elimination of the frames from the normal equations of a bundle adjustment.
 
-A sighting connects one frame with tags, cameras and other *kept* unknowns (see `lmd.adjust.adjustment`). So the block
-H_ff of the frames is block diagonal, or block tridiagonal if motion links each frame with the next one
+A sighting connects one frame with tags, cameras and other *kept* unknowns (see `lmd.adjust.adjustment`). So the frames'
+block H_ff of the normal matrix is block diagonal, or block tridiagonal if motion links each frame with the next one
 (`lmd.adjust.motion`). With links, its Cholesky factor is a band matrix. Time and memory are linear in the number of
 frames.
 
@@ -21,7 +21,7 @@ COLUMNS = 512  # number of columns of the kept unknowns that are processed toget
 
 
 class Part(NamedTuple):
-    """Normal equations of f successive frames."""
+    """Normal equations of f successive frames: diagonal blocks, and blocks that couple the frames to kept unknowns."""
 
     block: FloatArray
     """Blocks of H_ff due to the sightings, `(f, 6, 6)`."""
@@ -33,14 +33,16 @@ class Part(NamedTuple):
     """Indices of these r blocks, `(r,)`."""
 
     def reached(self, kept: FloatArray) -> FloatArray:
-        """Product H_fk x, `(f, 6, ...)`, for values x of all kept unknowns, `(kept, 6, ...)`."""
+        """Product H_fk x, `(f, 6, ...)`, for values x of all kept unknowns, `kept` `(kept, 6, ...)`. H_fk is the block
+        of the normal matrix that couples these f frames to the kept unknowns.
+        """
         some = kept[self.rows]
         wide = self.panel.reshape(-1, 6 * len(self.rows)) @ some.reshape(6 * len(self.rows), -1)
         return wide.reshape(len(self.panel), 6, *some.shape[2:])
 
 
 class SeparateFrames:
-    """Frames that are independent of each other; `parts` has their equations."""
+    """Frames that are independent of each other; `parts` has the normal equations of the frames."""
 
     def __init__(self, parts: list[Part]) -> None:
         self.parts = parts
@@ -49,7 +51,9 @@ class SeparateFrames:
         self.gradient = np.concatenate([part.gradient for part in parts])
 
     def eliminate(self, matrix: FloatArray, right: FloatArray) -> None:
-        """Subtract H_kf H_ff^-1 H_fk from `matrix` `(6 kept, 6 kept)` and H_kf H_ff^-1 g_f from `right` `(kept, 6)`."""
+        """Eliminate the frames from the equations of the kept unknowns, which change in place. H_kf H_ff^-1 H_fk is
+        subtracted from `matrix` `(6 kept, 6 kept)`, and H_kf H_ff^-1 g_f from `right` `(kept, 6)`.
+        """
         ends = np.cumsum([len(part.block) for part in self.parts])
         for part, block in zip(self.parts, np.split(self.block, ends[:-1]), strict=True):
             lower = np.asarray(np.linalg.cholesky(block), dtype=np.float64)
@@ -61,26 +65,26 @@ class SeparateFrames:
             right[part.rows] -= (wide @ solved(lower, part.gradient).ravel()).reshape(-1, 6)
 
     def steps(self, pull: FloatArray) -> FloatArray:
-        """Twists x of the frames, `(F, 6)`, that solve H_ff x = g_f - pull; `pull` `(F, 6)` is H_fk times the step of
-        the kept unknowns.
+        """Twists x of the frames, `(F, 6)`, that solve H_ff x = g_f - pull. `pull` `(F, 6)` is the product of H_fk and
+        the step of the kept unknowns.
         """
         return solved(self.block, self.gradient - pull)
 
     def covariances(self, reach: FloatArray, share: float) -> FloatArray:
-        """Covariances of the frames: the diagonal blocks, `(F, 6, 6)`, of `share` H_ff^-1 + H_ff^-1 R R^T H_ff^-1,
-        where `reach` is R `(F, 6, m)`.
+        """Covariances of the frames, `(F, 6, 6)`. They are the diagonal blocks of s H_ff^-1 + H_ff^-1 R R^T H_ff^-1,
+        where s is `share` and R is `reach` `(F, 6, m)`.
         """
         moved = np.linalg.solve(self.block, reach)
         return np.asarray(share * np.linalg.inv(self.block) + moved @ np.swapaxes(moved, 1, 2))
 
     @property
     def log_determinant(self) -> float:
-        """Log-determinant of H_ff."""
+        """Logarithm of the determinant of H_ff, the frames' block of the normal matrix."""
         return float(np.linalg.slogdet(self.block)[1].sum())
 
 
 class LinkedFrames:
-    """F frames that links of motion connect; the class has the methods of `SeparateFrames`.
+    """F frames that are connected by links of motion; the class has the methods of `SeparateFrames`.
 
     Args:
         parts: equations of the frames due to the sightings.
@@ -88,7 +92,7 @@ class LinkedFrames:
         poses: poses of the frames, `(F, 4, 4)`.
         is_robust: True for robust weights of the links.
         kept: equations of the kept unknowns, to which those of the bias of odometry are added.
-        bias: index of the bias among the kept unknowns.
+        bias: index of the bias of odometry among the blocks of kept unknowns.
     """
 
     def __init__(
@@ -167,22 +171,24 @@ class LinkedFrames:
         return 2.0 * float(np.log(self.factor[0]).sum())
 
     def _solved(self, right: FloatArray) -> FloatArray:
-        """H_ff^-1 times `right` `(n, m)`."""
+        """Product of H_ff^-1, the inverse of the frames' block of the normal matrix, and `right` `(n, m)`."""
         from scipy.linalg import cho_solve_banded
 
         return np.asarray(cho_solve_banded((self.factor, True), right, check_finite=False))
 
     def _half_solved(self, right: FloatArray) -> FloatArray:
-        """L^-1 times `right` `(n, m)`, with the Cholesky factor L of H_ff."""
+        """Product of L^-1 and `right` `(n, m)`. L is the Cholesky factor of H_ff, the frames' block of the normal
+        matrix.
+        """
         from scipy.linalg.lapack import dtbtrs
 
         return np.asarray(dtbtrs(self.factor, right, uplo="L")[0])
 
     def _inverse_blocks(self) -> FloatArray:
-        """Diagonal blocks of H_ff^-1, `(F, size, size)`, with the number `size` of unknowns of a frame.
+        """Diagonal blocks of H_ff^-1, `(F, size, size)`; `size` is the number of unknowns of a frame.
 
-        With the blocks L_k and M_k of the Cholesky factor in column k, block k of the inverse is Z_k = L_k^-T (I +
-        M_k^T Z_k+1 M_k) L_k^-1.
+        Let L_k be the diagonal block of the Cholesky factor in column k, and M_k the block below it. Then block k of
+        the inverse is Z_k = L_k^-T (I + M_k^T Z_k+1 M_k) L_k^-1.
         """
         size = self.right.shape[1]
         rows = np.arange(size)
@@ -199,7 +205,9 @@ class LinkedFrames:
 
 
 def banded(diagonal: FloatArray, below: FloatArray) -> FloatArray:
-    """Lower band of a block tridiagonal matrix with blocks `(F, b, b)`, in scipy's layout, `(2 b, F b)`."""
+    """Lower band of a symmetric block tridiagonal matrix, in scipy's layout, `(2 b, F b)`. The matrix has the blocks
+    `diagonal` `(F, b, b)`, and `below` `(F, b, b)` under them.
+    """
     count, size, _ = diagonal.shape
     band, rows = np.zeros((2 * size, count, size)), np.arange(size)
     for column in range(size):

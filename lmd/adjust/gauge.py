@@ -15,7 +15,7 @@ REFINING_STEPS = 8
 
 
 def rows_of(tags: IntArray) -> IntArray:
-    """Row indices of the tags `tags` in a matrix that has six rows for each tag."""
+    """Indices `(6 n,)` of the rows of the n tags with indices `tags` `(n,)` in a matrix with six rows for each tag."""
     return np.asarray((6 * tags[:, None] + np.arange(6)).ravel())
 
 
@@ -29,9 +29,10 @@ def diagonal_blocks(covariance: FloatArray, size: int = 6) -> FloatArray:
 def gauge_free(tags: FloatArray) -> FloatArray:
     """Matrix L `(6 n, 6 n)` that removes the best-fitting motion of the whole map from the twists of n tags.
 
-    Let T `(6 n, 6)` be the twists of all tags due to a motion of the world. T_p and x_p are the rows of T and of the
-    twists x that belong to the centres. The motion that fits x best is g = T_p^+ x_p, so L x = x - T g. If P is the
-    covariance of the twists, L P L^T is the covariance of the tags relative to each other.
+    Let x `(6 n,)` be the twists of all tags, and T `(6 n, 6)` their derivative with respect to a motion of the world.
+    T_p and x_p are the rows of T and x that belong to the tags' centres. The motion that fits x best is g = T_p^+ x_p,
+    so L x = x - T g. If P is the covariance of the twists, L P L^T is the covariance of the tags relative to each
+    other.
 
     Args:
         tags: poses of the tags, `(n, 4, 4)`.
@@ -78,14 +79,14 @@ def worst_sigmas(covariances: FloatArray) -> FloatArray:
 
 
 def twists_between(here: FloatArray, there: FloatArray) -> FloatArray:
-    """Twists from poses `here` to poses `there`, `(n, 6)`; NaN where one of the two poses is not known."""
+    """Twists that lead from the poses `here` to the poses `there`, `(n, 6)`; NaN where one pose is not known."""
     twists, known = np.full((len(here), 6), np.nan), np.isfinite(here[:, 0, 0]) & np.isfinite(there[:, 0, 0])
     twists[known] = log(inverse(here[known]) @ there[known])
     return twists
 
 
 def align_tags(here: FloatArray, there: FloatArray) -> FloatArray | None:
-    """Motion `(4, 4)` that aligns centres and normals of the tags `here` with the tags `there`, by a robust fit.
+    """Rigid motion that aligns the centres and normals of tags with those in another world, by a robust fit.
 
     Pairs of tags propose motions. The motion with the least loss is refined by reweighted least squares over all tags.
 
@@ -93,7 +94,7 @@ def align_tags(here: FloatArray, there: FloatArray) -> FloatArray | None:
         here, there: poses of K tags in two worlds, `(K, 4, 4)`; rotations about the normals do not matter.
 
     Returns:
-        None if the tags determine no rotation.
+        rigid motion, `(4, 4)`; None if the tags determine no rotation.
     """
     points, others = (tags[:, None, :3, 3] + [[0.0], [ARM]] * tags[:, None, :3, 2] for tags in (here, there))
     one, other = np.triu_indices(len(here), 1)
@@ -104,8 +105,8 @@ def align_tags(here: FloatArray, there: FloatArray) -> FloatArray | None:
         return None
 
     def squares(motion: FloatArray) -> FloatArray:
-        """Squared difference of each tag's two poses after a motion, `(K,)`: the sum of
-        (distance of the centres / `PLACE_SCALE`)^2 and (angle between the normals / `NORMAL_SCALE`)^2.
+        """Squared difference of each tag's two poses after a motion, `(K,)`: the sum of (distance of the centres /
+        `PLACE_SCALE`)^2 and (angle between the normals / `NORMAL_SCALE`)^2.
         """
         moved = motion @ here
         away = np.linalg.norm(moved[:, :3, 3] - there[:, :3, 3], axis=1) / PLACE_SCALE
@@ -127,8 +128,14 @@ def angle_between_normals(here: FloatArray, there: FloatArray) -> FloatArray:
 
 
 def _fitted(points: FloatArray, others: FloatArray, weights: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Rigid motions `(n, 4, 4)` that map `points` `(n, m, 3)` to the points `others` in the least-squares sense
-    (Kabsch), and mask of the motions whose rotation the points determine, `(n,)`.
+    """Rigid motions that map points to other points in the weighted least-squares sense (Kabsch).
+
+    Args:
+        points, others: n sets of m corresponding points each, `(n, m, 3)`.
+        weights: weights of the points, `(n, m)` or `(1, m)`.
+
+    Returns:
+        motions, `(n, 4, 4)`; mask of the motions whose rotation the points determine, `(n,)`.
     """
     share = weights / weights.sum(axis=1, keepdims=True)
     middles = [(share[..., None] * each).sum(axis=1, keepdims=True) for each in (points, others)]

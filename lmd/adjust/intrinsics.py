@@ -1,6 +1,4 @@
-"""Intrinsics of cameras, and shifts of corners in their images, as unknowns: priors, derivatives, and estimates with
-their standard deviations.
-"""
+"""Intrinsics of cameras and shifts of corners as unknowns: priors, derivatives, estimates and their uncertainty."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -27,7 +25,7 @@ GRID_SIDE = 9  # number of places along each side of the image at which `unsure`
 
 @dataclass(frozen=True)
 class Optics:
-    """Camera, and the shift of the tags' edges in its images."""
+    """Camera, and the shift by which blur and exposure move the edges of tags in its images."""
 
     camera: Camera
     """The camera."""
@@ -40,7 +38,7 @@ class Optics:
         return np.append(intrinsics_of(self.camera), self.shifts)
 
     def at(self, values: FloatArray) -> "Optics":
-        """Optics with the intrinsics and shifts `values`.
+        """Copy with other intrinsics and shifts, `values` `(P + 2,)`, in the order of the property `values`.
 
         Raises:
             InputError: no camera has these intrinsics.
@@ -74,8 +72,8 @@ class Calibrated:
 
     @cached_property
     def unsure(self) -> float:
-        """Standard deviation of image points that the uncertainty of the intrinsics causes, as a median over the image,
-        pixels. Displacements that a rotation of the camera could explain do not count.
+        """Standard deviation of image points due to the intrinsics' uncertainty, as a median over the image, pixels.
+        Displacements that a rotation of the camera could explain do not count.
         """
         size, bundle = len(self.sigma), _bundle(self.found)
         moved = parameter_slopes(self.found, bundle).reshape(-1, size)
@@ -104,7 +102,7 @@ class Calibrated:
 
 
 def _coefficients(camera: Camera) -> tuple[float, ...]:
-    """Coefficients of the camera's lens; if it has no lens model, those of `plumb_bob`, which are all 0."""
+    """Distortion coefficients of the camera; for a camera without a lens model, those of `plumb_bob`, all 0."""
     return camera.distortion or (0.0,) * len(UNDISTORTED)
 
 
@@ -114,7 +112,11 @@ def intrinsics_of(camera: Camera) -> FloatArray:
 
 
 def with_intrinsics(camera: Camera, values: FloatArray) -> Camera:
-    """Camera with other intrinsics, see `intrinsics_of`.
+    """Copy of `camera` with other intrinsics.
+
+    Args:
+        camera: the camera.
+        values: focal lengths and principal point, pixels, and coefficients of the lens, `(P,)`, see `intrinsics_of`.
 
     Raises:
         InputError: no camera has these intrinsics.
@@ -125,7 +127,7 @@ def with_intrinsics(camera: Camera, values: FloatArray) -> Camera:
 
 
 def prior_sigmas(camera: Camera, rough: bool = False) -> FloatArray:
-    """Prior standard deviations of the intrinsics, `(P,)`.
+    """Prior standard deviations of focal lengths, principal point and lens coefficients, `(P,)`, see `intrinsics_of`.
 
     Args:
         camera: camera before the estimate.
@@ -151,7 +153,9 @@ def _bundle(camera: Camera) -> FloatArray:
 
 
 def parameter_slopes(camera: Camera, directions: FloatArray) -> FloatArray:
-    """Derivatives of image points with respect to the intrinsics, pixels, `(..., 2, P)`, at `directions` `(..., 3)`."""
+    """Derivatives of the image points of rays with respect to the P intrinsics, pixels per unit, `(..., 2, P)`.
+    `directions` `(..., 3)` are the rays in the camera's frame.
+    """
     image = directions[..., :2] / directions[..., 2:] if camera.lens is None else camera.lens.project(directions)
     columns = [image * axis for axis in np.eye(2)] + [np.broadcast_to(axis, image.shape) for axis in np.eye(2)]
     given = _coefficients(camera)

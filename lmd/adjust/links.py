@@ -1,7 +1,8 @@
-"""Links between consecutive frames of a drive: differences between the frames' relative pose and the relative pose that
-a model of the motion predicts.
+"""Links between consecutive frames of a drive. A link compares the frames' relative pose with the relative pose that a
+model of the motion predicts.
 
-`lmd.adjust.motion` has the models, odometry and nearly constant velocity, with the formulas of errors and covariances.
+The two models are odometry and a nearly constant velocity; `lmd.adjust.motion` has the formulas of their errors and
+covariances.
 """
 
 from dataclasses import dataclass
@@ -136,12 +137,15 @@ class Links:
         return 0.5 * float((least + slipped).sum()) + 0.5 * bias
 
     def weights(self, squares: FloatArray) -> FloatArray:
-        """Robust weights of the links, `(M,)`, from their chi^2 `squares` `(M,)`."""
+        """Robust weights of the links, `(M,)`, from their chi^2 `squares` `(M,)`; all 1 for a constant velocity."""
         return np.ones(len(squares)) if self.steps is None else MOST_SQUARE / np.maximum(squares, MOST_SQUARE)
 
     def check(self, poses: FloatArray) -> None:
-        """Raise `InputError` if odometry contradicts the images, from which the poses of the frames, `(F, 4, 4)`, were
-        estimated.
+        """Check that odometry does not contradict the images. `poses` `(F, 4, 4)` are those of the frames, estimated
+        from the images.
+
+        Raises:
+            InputError: too many links do not fit, or the bias of odometry is too large.
         """
         if self.steps is None or not len(self.first):
             return
@@ -149,8 +153,8 @@ class Links:
         off = float((self.squares(at.error) > MOST_SQUARE).mean())
         if off > MOST_OFF or np.abs(at.bias).max() > MOST_BIAS:
             raise InputError(
-                "odometry contradicts the motion in the images: give mount or frame=body if its poses are not "
-                "of the (first) camera, and check that drive and clock (to 0.5 s) match the images.",
+                "odometry contradicts the motion in the images: if its poses are not of the (first) camera, give mount "
+                "or frame=body; check that it is of the same drive as the images, with a clock at most 0.5 s off.",
                 "odometry",
             )
 

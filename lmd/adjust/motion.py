@@ -3,15 +3,17 @@
 Both models constrain the relative pose of consecutive frames, with a covariance that grows with the gap between the
 frames. A frame that shows a single tag thus places the tag relative to the tags in earlier and later frames.
 
-- *Odometry* O is a trajectory in a frame of its own; its relative poses drift. The error of frame j relative to frame i
-  is r = log((O_i^-1 O_j)^-1 T_i^-1 T_j). Each short step adds independent errors of rotation and translation, with a
-  covariance Q in proportion to the step's length; errors propagate to frame j. With the sum C of Ad_O Q Ad_O^T over all
-  steps, the covariance of r is Ad_O_j^-1 (C_j - C_i) Ad_O_j^-T. The bias b per metre, a twist for scale and heading, is
-  an unknown of the drive. With the sum B of Ad_O times the length of each step, r contains Ad_O_j^-1 (B_j - B_i) b.
+- *Odometry* O is a trajectory in a frame of its own; its relative poses drift. With the poses T of the body, the error
+  of frame j relative to frame i is r = log((O_i^-1 O_j)^-1 T_i^-1 T_j). Each short step adds independent errors of
+  rotation and translation, with a covariance Q in proportion to the step's length; errors propagate to frame j. Let C_i
+  be the sum of Ad_O Q Ad_O^T over all steps before frame i. Then the covariance of r is
+  Ad_O_j^-1 (C_j - C_i) Ad_O_j^-T. The bias b per metre, a twist for scale and heading, is an unknown of the drive. Let
+  B_i be the sum of Ad_O times the length of the step. Then r contains Ad_O_j^-1 (B_j - B_i) b.
 - *Constant velocity*: the velocity u in the world and the turn rate w of the body change by white noise, and are
-  unknowns of each frame. A link over dt has the errors phi - dt w_i, p_j - p_i - dt u_i, w_j - w_i, u_j - u_i with phi
-  = log(R_i^T R_j). The covariance of these errors is s^2 [dt^3 / 3, dt^2 / 2; dt^2 / 2, dt]. The model has the velocity
-  in the world, as a camera carried straight ahead may turn on the way.
+  unknowns of each frame. Let R be the rotation and p the position of the body, and phi = log(R_i^T R_j). A link over dt
+  has the errors phi - dt w_i, p_j - p_i - dt u_i, w_j - w_i, u_j - u_i. The covariance of these errors is
+  s^2 [dt^3 / 3, dt^2 / 2; dt^2 / 2, dt]. The model has the velocity in the world, as a camera carried straight ahead
+  may turn on the way.
 
 Real bodies are not driven by white noise, so the errors across long gaps do not follow from the errors of short links.
 These errors are measured in pieces of the drive without gaps, see `lmd.adjust.drive`.
@@ -62,7 +64,7 @@ class Clock(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """Sentence for the user."""
+        """Sentence for the user on the offset of the clocks."""
         if self.sigma >= HIDDEN and not self.is_corrected:
             return "the motion does not show an offset of the camera's clock from the odometry's"
         side, done = (
@@ -114,10 +116,11 @@ class Motion:
         Args:
             times: times of the frames, `(F,)`, seconds.
             odometry: trajectory of the body.
-            offset: seconds that are added to the times of the frames, see `Clock`.
+            offset: seconds that are added to the times of the frames to obtain times of the odometry.
 
         Raises:
-            InputError: odometry covers less than half of the frames; gaps of more than `LONGEST_STEP` are not covered.
+            InputError: odometry covers less than half of the frames. Frames in gaps of more than `LONGEST_STEP` seconds
+                between poses of odometry are not covered.
         """
         own, poses = odometry.time, inverse(odometry.poses[0]) @ odometry.poses
         covered = (times + offset >= own[0]) & (times + offset <= own[-1])
@@ -127,8 +130,8 @@ class Motion:
         if 2 * covered.sum() < len(times):
             there = f"{np.nanmin(times):.10g} to {np.nanmax(times):.10g} s" if np.isfinite(times).any() else "no time"
             raise InputError(
-                f"odometry has poses from {own[0]:.10g} to {own[-1]:.10g} s, at most {np.diff(own).max():.3g} s apart, "
-                f"but the frames have {there}: give odometry of the same drive and clock, with a pose every "
+                f"odometry has poses from {own[0]:.10g} to {own[-1]:.10g} s, with gaps up to {np.diff(own).max():.3g} "
+                f"s, but the frames have {there}: give odometry of the same drive and clock, with gaps of at most "
                 f"{LONGEST_STEP:g} s.",
                 "odometry",
             )
@@ -137,8 +140,8 @@ class Motion:
         far += METRES_PER_SECOND * np.diff(own)
 
         def at_frames(added: FloatArray) -> FloatArray:
-            """For each frame, sum of the matrices of all steps of odometry before it, `(F, 6, 6)`; `added`
-            `(T - 1, 6, 6)` has one matrix for each step.
+            """Sum, for each frame, of the matrices of all steps of odometry before the frame, `(F, 6, 6)`. `added`
+            `(T - 1, 6, 6)` has the matrices of the steps.
             """
             sums = np.concatenate([0.0 * added[:1], np.cumsum(added, axis=0)])
             return np.asarray(sums[place] + share[:, None, None] * added[place])
@@ -151,7 +154,7 @@ class Motion:
         return cls(times, DRIFT, path, np.stack(drift, axis=1), bias, piece, odometry=odometry, offset=offset)
 
     def shifted(self, offset: float) -> "Motion":
-        """Motion with another `offset` of the odometry's clock, seconds, and with the present spread."""
+        """Copy of the motion with another `offset` of the odometry's clock, seconds; the spread does not change."""
         assert self.odometry is not None
         return replace(Motion.by_odometry(self.times, self.odometry, offset), spread=self.spread)
 
@@ -172,7 +175,9 @@ class Motion:
         return np.where(self.relates(frames, frames)[:, None, None], result.transpose(2, 1, 0), 0.0)
 
     def of(self, frames: IntArray, part: IntArray) -> "Motion":
-        """Motion between the frames with indices `frames` `(n,)`; only frames with equal `part` `(n,)` are linked."""
+        """Motion restricted to n frames with the indices `frames` `(n,)`. Only frames with equal numbers in `part`
+        `(n,)` are linked.
+        """
         piece = part if self.piece is None else part * (self.piece.max() + 1) + self.piece[frames]
         path, drift, bias = (None if own is None else own[frames] for own in (self.path, self.drift, self.bias_sums))
         return replace(self, times=self.times[frames], piece=piece, path=path, drift=drift, bias_sums=bias)
@@ -197,8 +202,8 @@ class Motion:
         return np.where((seconds > SHORTEST_GAP)[:, None], np.maximum(spreads, measured), spreads)
 
     def relates(self, i: IntArray, j: IntArray) -> BoolArray:
-        """Mask of the pairs of frames i and j, `(M,)` each, for which the motion constrains their relative pose,
-        `(M,)`.
+        """Mask of the pairs of frames whose relative pose the motion constrains, `(M,)`. `i` and `j` `(M,)` are the
+        indices of the frames.
         """
         between = np.abs(self.times[j] - self.times[i])
         if self.path is None:
@@ -208,15 +213,15 @@ class Motion:
         return np.asarray(there if self.piece is None else there & (self.piece[i] == self.piece[j]))
 
     def follows(self, frames: IntArray) -> BoolArray:
-        """For each of the ascending `frames` `(F,)` except the first frame: True if the frame is linked to its
-        predecessor, `(F - 1,)`.
+        """True for each frame that is linked to its predecessor, `(F - 1,)`. `frames` `(F,)` has the ascending indices
+        of the frames; the first frame has no predecessor, and no entry in the result.
         """
         i, j = frames[:-1], frames[1:]
         return np.asarray(self.relates(i, j) & (self.times[j] > self.times[i]))
 
     def linked(self, frames: IntArray) -> BoolArray:
-        """For each of the ascending `frames` `(F,)`: True if the frame is linked to its predecessor or its successor,
-        `(F,)`.
+        """True for each frame that is linked to its predecessor or its successor, `(F,)`. `frames` `(F,)` has the
+        ascending indices of the frames.
         """
         follows = np.concatenate([[False], self.follows(frames), [False]])
         return np.asarray(follows[1:] | follows[:-1])
@@ -232,8 +237,8 @@ class Motion:
         return Links(6, first, seconds, information, inverse(self.path[i]) @ self.path[j], bias)
 
     def information(self, i: IntArray, j: IntArray) -> FloatArray:
-        """Inverse covariances of the errors in the poses of the frames with indices j `(M,)` relative to the frames
-        with indices i `(M,)`, see `Links.information`.
+        """Inverse covariances of the errors of M links from frames `i` to frames `j`, indices `(M,)` each. They have
+        the shape `(M, 6, 6)` for odometry, `(M, 12, 12)` for a constant velocity.
         """
         turn, place = self.spread
         if self.path is None or self.drift is None:
@@ -267,9 +272,9 @@ class Motion:
 
 
 def seconds_of(times: Sequence[str]) -> FloatArray:
-    """Times of frames, seconds, `(F,)`, from texts; NaN for a text that is the name of an image.
+    """Times of frames, seconds, `(F,)`, from texts; NaN for a text that is not a number, such as the name of an image.
 
-    Numbers are seconds, or milliseconds, microseconds or nanoseconds since 1970. The resolution is a tenth of a
+    Numbers are seconds, or milliseconds, microseconds or nanoseconds since 1970. The resolution is a quarter of a
     microsecond.
     """
     result = np.full(len(times), np.nan)

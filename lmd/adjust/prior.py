@@ -3,8 +3,8 @@
 *Sheets* hold several tags. The poses of the tags on a sheet are known; the pose of the sheet is not. Tag k has the pose
 R_k on its sheet (x to the right, y up, z out of the sheet) and the pose T_k = B R_k exp(d_k) in the world. B is the
 pose of the sheet, and d_k a twist due to printing and bending. B is eliminated, so sheets are not unknowns of the
-bundle adjustment. With A_k = Ad(R_k^-1) and the information matrix D of the twists d, the tags of a sheet have the
-joint information matrix D - D A (A' D A)^-1 A' D.
+bundle adjustment. Let A be the stack of the matrices A_k = Ad(R_k^-1), and D the information matrix of the twists d.
+Then the tags of a sheet have the joint information matrix D - D A (A' D A)^-1 A' D.
 """
 
 from dataclasses import dataclass, field
@@ -23,7 +23,7 @@ STEPS = 6  # Gauss-Newton steps for the pose of a sheet
 
 
 class Kept:
-    """Normal equations of the kept unknowns (see `lmd.adjust.adjustment`), in `count` blocks of six."""
+    """Normal equations of the kept unknowns (all but the frames' poses), in `count` blocks of six, at first 0."""
 
     def __init__(self, count: int) -> None:
         self.matrix, self.right = np.zeros((6 * count, 6 * count)), np.zeros((count, 6))
@@ -31,8 +31,8 @@ class Kept:
         self.diagonal = np.zeros((count, 6, 6))  # added to the matrix last, so that it can be damped
 
     def add(self, index: IntArray | slice, information: FloatArray, off: FloatArray) -> None:
-        """Add independent priors on the unknowns of the blocks `index` `(n,)`: `information` `(n, 6)` is the inverse
-        variance of each unknown, `off` `(n, 6)` its distance from the expected value.
+        """Add independent priors on the unknowns of the blocks with the indices `index` `(n,)`. `information` `(n, 6)`
+        is the inverse variance of each unknown, `off` `(n, 6)` is its distance from the expected value.
         """
         self.diagonal[index] += information[..., None] * np.eye(6)
         self.right[index] -= information * off
@@ -62,7 +62,7 @@ class Sheets:
 
     @cached_property
     def turned(self) -> FloatArray:
-        """Matrices A_k = Ad(R_k^-1) of the tags, `(M, 6, 6)`."""
+        """Matrices A_k = Ad(R_k^-1) of the tags, `(M, 6, 6)`, where R_k is the pose of tag k on its sheet."""
         return adjoint_matrix(inverse(self.poses))
 
     @cached_property
@@ -72,12 +72,14 @@ class Sheets:
         return one, other
 
     def fitted(self, tags: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Twists d_k of the tags on sheets, `(M, 6)`, and chi^2 of each twist, `(M,)`. Each sheet is placed where it
-        fits the poses `tags` `(K, 4, 4)` of its tags best. The twist d_k leads from the pose that the sheet gives a tag
-        to the tag's pose in `tags`.
+        """Fit the pose of each sheet to the poses `tags` `(K, 4, 4)` of its tags.
 
         Each tag proposes a pose of its sheet; the fit starts with the proposal on which the tags of the sheet agree
         best.
+
+        Returns:
+            twists d_k from the pose that the fitted sheet gives a tag to the tag's pose in `tags`, `(M, 6)`; chi^2 of
+            each twist, `(M,)`.
         """
 
         def off(sheets: FloatArray, which: IntArray | slice) -> tuple[FloatArray, FloatArray]:
@@ -97,7 +99,9 @@ class Sheets:
         return off(sheets[self.board], slice(None))
 
     def _normal(self, scaled: FloatArray) -> FloatArray:
-        """Matrix A' D A of each sheet, `(S, 6, 6)`, for the diagonals `scaled` of D, `(M, 6)`."""
+        """Normal matrix A' D A of the pose of each sheet, `(S, 6, 6)`. `scaled` `(M, 6)` has the diagonal of D, the
+        information on the twist of each tag.
+        """
         return self._summed(np.swapaxes(self.turned, 1, 2) @ (scaled[..., None] * self.turned))
 
     def _summed(self, values: FloatArray) -> FloatArray:
@@ -105,8 +109,8 @@ class Sheets:
         return sums_by(self.board, self.board.max() + 1)(values)
 
     def add_to(self, kept: Kept, tags: FloatArray, is_robust: bool) -> None:
-        """Add the joint information of the sheets' tags to the normal equations `kept`, linearised at the poses `tags`
-        `(K, 4, 4)`.
+        """Add the joint information on the tags of the sheets to the normal equations `kept`. The equations are
+        linearised at the poses `tags` `(K, 4, 4)`, with robust weights if `is_robust`.
         """
         (twists, squares), (one, other) = self.fitted(tags), self.pairs
         scaled = self.information * (student_weight(squares, 6)[:, None] if is_robust else np.ones((len(squares), 1)))
@@ -156,7 +160,7 @@ class Mounts:
         return np.tile(np.repeat(self.sigmas, 3) ** -2.0, (len(self.poses) - 1, 1))
 
     def off(self, mounts: FloatArray) -> FloatArray:
-        """Twists from the expected poses to `mounts` `(C, 4, 4)`, `(C - 1, 6)`."""
+        """Twists from the expected poses to `mounts` `(C, 4, 4)`, for all cameras but the first, `(C - 1, 6)`."""
         return log(inverse(self.poses[1:]) @ mounts[1:])
 
 
@@ -198,13 +202,13 @@ class Prior:
         return np.asarray(self.information[:, :3].any(axis=1))
 
     def off(self, tags: FloatArray) -> FloatArray:
-        """Twists from the expected poses to `tags`, `(K, 6)`; 0 for tags without a prior."""
+        """Twists from the expected poses to the poses `tags` `(K, 4, 4)`, `(K, 6)`; 0 for tags without a prior."""
         twists = np.zeros((len(tags), 6))
         twists[self.known] = log(inverse(self.tags[self.known]) @ tags[self.known])
         return twists
 
     def squares(self, off: FloatArray) -> FloatArray:
-        """chi^2 of each tag, `(K,)`, from its twist `off` `(K, 6)` from the expected pose."""
+        """chi^2 of each tag, `(K,)`, from the twist `off` `(K, 6)` between the expected and the present pose."""
         return np.asarray((self.information * off**2).sum(axis=1))
 
     def loss(self, poses: Poses) -> float:
@@ -225,8 +229,8 @@ class Prior:
         return loss
 
     def add_to(self, kept: Kept, poses: Poses, is_robust: bool) -> None:
-        """Add the information on tags and mounts to the normal equations `kept`, linearised at `poses`. With
-        `is_robust`, tags get robust weights, except tags with exact poses or correlated errors.
+        """Add the information on tags, sheets and mounts to the normal equations `kept`, linearised at `poses`. If
+        `is_robust`, tags and sheets get robust weights, except tags with exact poses or correlated errors.
         """
         count, off = len(self.tags), self.off(poses.tags)
         if self.joint is not None:

@@ -71,8 +71,8 @@ def _lenses_of(found: Estimate) -> Lenses:
 
 
 def _through(found: Estimate, lenses: Lenses) -> Estimate:
-    """Copy of the estimate whose cameras have the nuisance parameters `lenses`. The sightings are computed again for
-    these cameras; shapes of tags are kept.
+    """Copy of the estimate whose cameras have the nuisance parameters `lenses`. The sightings are computed again with
+    these cameras; the shapes of tags are kept.
     """
     names = ("edges", "shapes", "shape_sigma", "size_sigmas", "taken")
     some = replace(lenses.seen.through(lenses.optics), **{name: getattr(found.sightings, name) for name in names})
@@ -81,7 +81,7 @@ def _through(found: Estimate, lenses: Lenses) -> Estimate:
 
 
 def nuisances_off(found: Estimate) -> FloatArray:
-    """Distances of all nuisance parameters from their prior means, in prior standard deviations, `(n, 6)`."""
+    """Differences of all nuisance parameters from their prior means, in prior standard deviations, `(n, 6)`."""
     if found.lenses is None:
         return np.zeros((0, 6))
     some, cameras = found.sightings, found.lenses.off.reshape(-1, 6)
@@ -90,7 +90,11 @@ def nuisances_off(found: Estimate) -> FloatArray:
 
 def minimised(found: Estimate, is_stopped: Callable[[int, int], bool] = _never) -> Estimate:
     """Estimate after joint Levenberg-Marquardt steps of all unknowns, nuisance parameters included. The steps end when
-    one is small, or when `is_stopped` returns True.
+    one is small compared with the standard deviations.
+
+    Args:
+        found: estimate with nuisance parameters of the cameras as unknowns.
+        is_stopped: function of the number of finished rounds and the maximum number of rounds; it returns True to stop.
     """
     now, damping, cameras = found, 0.0, _lenses_of(found).off.size // 6
     for done in range(MOST_ROUNDS):
@@ -121,7 +125,13 @@ def minimised(found: Estimate, is_stopped: Callable[[int, int], bool] = _never) 
 def _stepped(
     found: Estimate, joint: Adjustment, used: BoolArray, damping: float
 ) -> tuple[Estimate, FloatArray, FloatArray, float] | None:
-    """Take one joint step with the sightings `used`, `(N,)`; damping grows until the loss does not increase.
+    """Take one joint step of all unknowns; damping grows until the loss does not increase.
+
+    Args:
+        found: estimate before the step.
+        joint: bundle adjustment of the inliers, with nuisance parameters as unknowns.
+        used: mask of the inliers, `(N,)`.
+        damping: first relative increase of the diagonals of the normal equations' blocks.
 
     Returns:
         estimate after the step; step and variances of the nuisance parameters, `(n, 6)` each; damping for the next
@@ -129,7 +139,7 @@ def _stepped(
     """
 
     def loss(one: Estimate, some: Sightings | None = None) -> float:
-        """Loss of the estimate `one`: the losses of its sightings (of `some` instead, if given) and of all priors."""
+        """Loss of the estimate `one`: losses of its sightings, or of `some` sightings if given, and of all priors."""
         nuisances = 0.5 * float((joint.nuisance_information[:, None] * nuisances_off(one) ** 2).sum())
         return nuisances + joint.loss(one.poses, found.floor, some)
 
@@ -146,8 +156,9 @@ def _stepped(
 
 
 def _after(found: Estimate, step: FloatArray, poses: Poses) -> Estimate:
-    """Estimate with the poses `poses`, after a step `step` `(n, 6)` of the nuisance parameters. The part of the step
-    that changes cameras is halved until the changed cameras are valid.
+    """Estimate with the poses `poses`, and with nuisance parameters changed by `step` `(n, 6)`. The unit of a step is
+    the prior standard deviation. The part of the step that changes cameras is halved until the changed cameras are
+    valid.
     """
     lenses, some = _lenses_of(found), found.sightings
     cameras = lenses.off.size // 6
@@ -172,9 +183,9 @@ def with_nuisances(
     Args:
         sightings: sightings through `optics`.
         optics: optics of each camera.
-        sigmas: prior standard deviations of the values of each camera, `(P + 2,)`.
-        poses: all poses. Derivatives are taken at the projected corners of tags with a pose: detected corners share the
-            noise of the residuals, which would bias the parameters.
+        sigmas: for each camera, prior standard deviations of its intrinsics and shifts, `(P + 2,)`.
+        poses: all poses. Derivatives are taken at the projected corners of tags with a pose. Derivatives at detected
+            corners would have the noise of the residuals, and bias the parameters.
     """
     at = Reprojection(sightings, *poses.of(sightings))
     error = at.error.reshape(-1, 4, 2)
@@ -214,9 +225,10 @@ def refine(
 
 
 def _more_unknowns(found: Estimate, slopes: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Normal equations of k <= 6 more unknowns, which all images share, after the elimination of all other unknowns.
+    """Normal equations of k <= 6 more unknowns that all images share; all other unknowns are eliminated.
 
-    Each camera's images give estimates; these are averaged with the inverse of their joint covariance.
+    The images of each camera give one estimate of these unknowns. The estimates are averaged with the inverse of their
+    joint covariance.
 
     Args:
         found: estimate with poses.
@@ -239,12 +251,12 @@ def _more_unknowns(found: Estimate, slopes: FloatArray) -> tuple[FloatArray, Flo
 
 
 def synchronised(found: Estimate, again: Callable[[Estimate], Estimate]) -> Estimate:
-    """Estimate with the offset of the camera's clock from the odometry's clock, see `Clock`. If the offset is
+    """Estimate with the offset of the camera's clock from the odometry's clock, see `Clock`. If this offset is
     significant, the odometry is taken at the corrected times.
 
     Args:
         found: adjusted estimate.
-        again: adjusts an estimate whose motion has changed.
+        again: function that adjusts an estimate whose motion model has changed.
     """
     for _ in range(CLOCK_ROUNDS):
         motion, clock = found.prior.motion, _clock(found)
@@ -260,15 +272,15 @@ def synchronised(found: Estimate, again: Callable[[Estimate], Estimate]) -> Esti
 
 
 def _clock(found: Estimate) -> Clock | None:
-    """Estimate the offset of the odometry's clock from the camera's clock; its prior standard deviation is one second.
-    None without odometry.
+    """Estimate the offset of the odometry's clock from the camera's clock; None without odometry. The prior standard
+    deviation of the offset is one second.
 
     If the camera's clock is behind, images show the body farther along its way than at their times. The derivative of
-    the residuals with respect to the offset is their derivative with respect to the pose of the body, times the body's
+    the residuals with respect to the offset is the derivative with respect to the pose of the body, times the body's
     velocity.
 
     Drift of odometry looks like changes of the velocity, and would make the offset seem known where the velocity is
-    constant. The velocities from even and from odd steps of odometry have independent drift, so the product of their
+    constant. The velocities from even and from odd steps of odometry have independent drift, so the product of the two
     derivatives has the information that the motion contains (instrumental variables).
     """
     motion, used = found.prior.motion, found.sightings.of(found.used)
@@ -282,11 +294,11 @@ def _clock(found: Estimate) -> Clock | None:
 
 
 def edge_doubts(found: Estimate) -> list[str]:
-    """List with one sentence that doubts the edge length of the tags, if another edge length of all tags explains the
-    images and the known poses better; else an empty list.
+    """List with one sentence that doubts the stated edge length of the tags; empty if there is no reason for doubt.
 
-    The common growth of all tags is estimated as one more unknown. Larger edges move corners outward in proportion to
-    the size of a tag in the image; a shift does not depend on the size.
+    The edge length is doubted if another edge length of all tags explains the images and the known poses better. The
+    common growth of all tags is estimated as one more unknown. Larger edges move corners outward in proportion to the
+    size of a tag in the image; a shift does not depend on the size.
 
     Args:
         found: result of `refine`.

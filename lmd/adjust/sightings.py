@@ -50,7 +50,9 @@ SHAPES = _shapes()
 
 @dataclass(frozen=True)
 class Sightings:
-    """N sightings of K tags in F frames of C cameras on one body, sorted by frame."""
+    """N sightings of K tags in F frames of C cameras on one body, sorted by frame. A sighting is one tag detected in
+    one image.
+    """
 
     ids: IntArray
     """`(K,)` ids of the tags, ascending."""
@@ -103,7 +105,7 @@ class Sightings:
         return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 
     def with_separate_cameras(self) -> "Sightings":
-        """Sightings with every camera as a body of its own: C F frames, ordered by camera."""
+        """Copy in which every camera is a body of its own, so there are C F frames of one camera, ordered by camera."""
         order = np.argsort(self.frame + self.camera * self.frames, kind="stable")
         some = self.of(order)
         frames = some.frame + some.camera * self.frames
@@ -128,19 +130,19 @@ class Sightings:
         return np.asarray(self.edges + 2.0 * self.shapes[:, MODES] / np.linalg.norm(SQUARE))
 
     def variance(self, floor: float) -> FloatArray:
-        """Variance of a coordinate of a corner, pixels^2, `(N,)`: the detector's variance plus the square of `floor`,
-        pixels.
+        """Variance of a coordinate of a corner, pixels^2, `(N,)`: the sum of the detector's variance and of `floor`^2.
+        `floor`, pixels, is the standard deviation of other errors.
         """
         return np.asarray(self.noise**2 + floor**2)
 
     def counts(self, chosen: BoolArray | None = None) -> IntArray:
-        """Number of sightings of each tag, `(K,)`, among the `chosen` sightings, mask `(N,)`; None for all."""
+        """Number of sightings of each tag, `(K,)`; only of the sightings in the mask `chosen` `(N,)`, if given."""
         return np.bincount(self.tag if chosen is None else self.tag[chosen], minlength=len(self.ids))
 
 
 def shift_basis(pitch: FloatArray) -> FloatArray:
-    """Factors, `(N, 2)`, by which the two shift parameters s_1 and s_2 (see `lmd.adjust.refinement`) are multiplied at
-    each pitch `(N,)`: 1 and (2 / pitch)^2.
+    """Factors 1 and (2 / pitch)^2, `(N, 2)`, on the parameters s_1 and s_2 of the shift of edges. `pitch` `(N,)` has
+    the pixels per module of each tag in its image. See `lmd.adjust.refinement`.
     """
     return np.stack([np.ones_like(pitch), (SMALL_PITCH / pitch) ** 2], axis=1)
 
@@ -152,7 +154,7 @@ def within_images(detected: DetectedTags, cameras: Sequence[Camera]) -> BoolArra
 
 
 def outside_doubts(seen: "Observations") -> list[str]:
-    """Sentences on cameras with many detections outside their image."""
+    """Sentences for the user, one for each camera that has many detections outside its image."""
     detected, cameras = seen.detected, [one.camera for one in seen.optics]
     whole = within_images(detected, cameras)
     doubts = []
@@ -194,15 +196,15 @@ class Observations:
             raise InputError(f"cameras must have one camera for each of {named}, got {len(self.optics)}.", "cameras")
 
     def renumbered(self, quarters: IntArray | int) -> "Observations":
-        """Detections with renumbered corners: the corner with index 0 gets the index `quarters`, which is one number
-        for all tags, or an array `(K,)` with a number for each tag.
+        """Copy with renumbered corners: the corner with index 0 gets the index `quarters`. That is one number for all
+        tags, or an array `(K,)` with a number for each tag.
         """
         every = np.broadcast_to(quarters, len(self.ids))
         return replace(self, detected=self.detected.renumbered(self.ids, every))
 
     def through(self, optics: Sequence[Optics] | None = None) -> Sightings:
-        """Sightings of the detections by cameras with other `optics`; detections with a corner outside the image or
-        outside the domain of the lens model are left out.
+        """Sightings, computed from the detections with the cameras and shifts `optics`; None for the own `optics`.
+        Detections with a corner outside the image or outside the domain of the lens model are left out.
         """
         cameras, shifts = zip(*((one.camera, one.shifts) for one in optics or self.optics), strict=True)
         known = np.flatnonzero(np.isin(self.detected.ids, self.ids))

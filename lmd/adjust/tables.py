@@ -24,15 +24,13 @@ a_few = partial(few, most=12)
 
 
 def pose_columns(poses: FloatArray) -> dict[str, ArrayLike]:
-    """Columns of positions and quaternions, with the names `ROW`, for poses `(n, 4, 4)`; empty cells for tags or frames
-    without a pose.
-    """
+    """Columns of positions and quaternions, named `ROW`, for poses `(n, 4, 4)`. Poses of NaN give empty cells."""
     return dict(zip(ROW, pose_rows(poses).T, strict=True))
 
 
 def covariance_columns(poses: FloatArray, covariances: FloatArray) -> dict[str, ArrayLike]:
-    """Columns of covariances in the world frame, computed from covariances of twists `(n, 6, 6)`; the columns hold the
-    upper triangle of each matrix, row by row.
+    """Columns of covariances of position and rotation in the world frame. They hold the upper triangle of each matrix,
+    row by row. `covariances` `(n, 6, 6)` are those of the twists of the `poses` `(n, 4, 4)`.
     """
     world = in_world(poses, covariances)
     return {f"cov_{AXES[i]}_{AXES[j]}": world[:, i, j] for i in range(6) for j in range(i, 6)}
@@ -47,7 +45,7 @@ def quantiles(name: str, values: FloatArray) -> dict[str, float]:
 
 
 def both(figures: Mapping[str, float], name: str, factor: float = 1e3, digits: str = ".2g") -> str:
-    """Text with the median and the 90 % quantile of the quantity `name`, which `quantiles` put into `figures`; both
+    """Text with the median and the 90 % quantile of the quantity `name`, taken from `figures` (see `quantiles`). Both
     values are multiplied by `factor`.
     """
     low, high = (factor * figures[f"{name}/{share}"] for share in (50, 90))
@@ -75,8 +73,8 @@ def clock_figures(found: Estimate) -> dict[str, float]:
 
 
 def document_of(found: Estimate, detected: DetectedTags, sizes: Mapping[int, float]) -> dict[str, Any]:
-    """Entries of a JSON file: cameras, images, and the estimated edge lengths, metres, keyed by id, of tags whose
-    stated size is wrong.
+    """Entries of a JSON file on the clock, images, cameras and wrong sizes. `sizes` has the estimated edge lengths,
+    metres, keyed by id, of tags whose stated size is wrong.
     """
     return {
         "clock": found.clock and found.clock.sentence,
@@ -90,8 +88,8 @@ def document_of(found: Estimate, detected: DetectedTags, sizes: Mapping[int, flo
 def lines_of(
     found: Estimate, detected: DetectedTags, sizes: Mapping[int, float], doubts: Sequence[str]
 ) -> dict[str, str]:
-    """Lines for a terminal, keyed by label: the estimate, the entries of `document_of`, and the sentences `doubts` on
-    values that contradict the images.
+    """Lines for a terminal, keyed by label: errors of corners, the clock, cameras, images, wrong sizes and doubts.
+    `sizes` is as for `document_of`; `doubts` are sentences on values that contradict the images.
     """
     lines, cameras = {}, found.calibrated
     if found.used.any():
@@ -102,7 +100,7 @@ def lines_of(
         lines["clock"] = found.clock.sentence
     if found.inflation > 1.0:
         more = f"{found.inflation:.1f} times as much as the noise of corners explains"
-        lines["blocks"] = f"of time disagree {more}, which these figures count"
+        lines["blocks"] = f"of time disagree {more}; the standard deviations include this"
     for number, camera in enumerate(cameras, 1):
         lines[f"camera {number}" if len(cameras) > 1 else "camera"] = camera.to_text()
     copies = [f"such as {copy} of {first}" for copy, first in detected.copies.items()]
@@ -116,8 +114,9 @@ def lines_of(
 
 
 def files_of_model(found: Estimate, detected: DetectedTags, cameras: Sequence[Camera]) -> tuple[dict[str, Any], str]:
-    """Files of a model for other programs, and a note on them, see `lmd.formats.reconstructions.model_files`. The model
-    has the images of an estimate; its points are the corners of the tags.
+    """Files of a model for other programs, and a note on the files, see `lmd.formats.reconstructions.model_files`.
+
+    The model has the images of an estimate; its points are the corners of the tags.
 
     Args:
         found: the estimate.

@@ -27,7 +27,8 @@ class Box(Checked):
         low, high: opposite corners, body frame, metres.
         faces: those of the `FACES` that may carry cameras; empty for a box that carries no camera and only blocks the
             view.
-        name: name of the box; with several boxes it precedes the names of the box's faces, as in `mast_front`.
+        name: name of the box, which precedes the names of its faces, as in `mast_front`; empty for faces with names
+            like `front`.
 
     Raises:
         InputError: the box is empty, or `faces` has an unknown name.
@@ -134,8 +135,11 @@ class Body(Checked):
         return tuple(left)
 
     def own_part(self, centre: FloatArray, rays: FloatArray) -> float:
-        """Fraction of R rays that start at a camera's centre and hit the body; 1 if the centre is inside the body. The
-        centre `(3,)` and the directions `(R, 3)` of the rays are in the body frame.
+        """Fraction of R rays from a camera's centre that hit the body; 1 if the centre is inside the body.
+
+        Args:
+            centre: the camera's centre, body frame, metres, `(3,)`.
+            rays: directions of the rays, body frame, `(R, 3)`.
         """
         low, high = self.corners
         if ((centre > low) & (centre < high)).all(axis=1).any():

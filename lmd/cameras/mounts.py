@@ -69,7 +69,7 @@ class MountSpace(Checked):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the genes of a camera."""
+        """Names of the G genes of a camera: place, yaw, and those of pitch, roll and kind of camera that vary."""
         turns = tuple(name for name in ("yaw", "pitch", "roll") if np.ptp(getattr(self, name)) or name == "yaw")
         return ("along", "up", *turns, *(("lens",) if len(self.lenses) > 1 else ()))
 
@@ -126,8 +126,8 @@ class MountSpace(Checked):
             if len(genes) == self.count:
                 return np.stack(genes)
         raise InputError(
-            f"count = {self.count} cameras do not fit on the body: they must be {self.apart:g} m apart and must not "
-            "see the body.",
+            f"count = {self.count} cameras do not fit on the body: they must be at least {self.apart:g} m apart and "
+            "must not see the body.",
             "count",
         )
 
@@ -187,7 +187,7 @@ class MountSpace(Checked):
 
 
 def rounded(camera: Camera, place: FloatArray, yaw: float, pitch: float, roll: float) -> Mount:
-    """Make a mount rounded to whole millimetres and milliradians."""
+    """Make a mount of a camera, with its pose in the body frame rounded to whole millimetres and milliradians."""
     yaw, pitch, roll = (round(value, DECIMALS) + 0.0 for value in (_turned(yaw), pitch, roll))
     return Mount(camera, tuple((np.round(place, DECIMALS) + 0.0).tolist()), yaw, pitch, roll)
 

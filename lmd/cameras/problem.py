@@ -58,8 +58,10 @@ class CameraViews:
         return mount in self._kept
 
     def visible_tags(self, mount: Mount) -> np.ndarray:
-        """Tags that a camera with the given mount sees from each of the N poses of the body, as bit sets of W words,
-        `(N, W)`.
+        """Tags that a camera with the given mount sees from each of the N poses of the body.
+
+        Returns:
+            bit mask of the tags for each pose, `(N, W)` 64-bit integers, see `lmd.core.bits`.
         """
         if mount not in self._kept:
             self._kept[mount] = self._look(mount)
@@ -82,7 +84,10 @@ class CameraViews:
         return packed(found)
 
     def units(self, mounts: Sequence[Mount], n: int) -> np.ndarray:
-        """Quantised probability P_n at each of P positions, `(P,)`, for the rig that consists of all `mounts`."""
+        """Probability P_n that a rig with all `mounts` sees at least n tags, at each of P positions, `(P,)`.
+
+        The probabilities are integers, in units of 1 / `PROBABILITY_ONE`.
+        """
         union = np.uint64(0)
         for mount in mounts:
             union = union | self.visible_tags(mount)  # type: ignore[assignment] # an array from the first on
@@ -93,7 +98,7 @@ class CameraViews:
 
 
 class CameraProblem(Problem):
-    """Problem of placing the cameras of a rig so that the fitness of the objective is greatest.
+    """Problem of finding mounts for the cameras of a rig that give the greatest fitness; the tags are given.
 
     The fitness is bit-identical to the fitness of a `Problem` with the resulting rig. For objectives that count
     landmarks, the views of each camera are evaluated once and cached; for other objectives every rig is evaluated
@@ -135,9 +140,7 @@ class CameraProblem(Problem):
         return isinstance(self.objective, Coverage)
 
     def _corners(self) -> tuple[Mount, ...]:
-        """Mounts at the corners of the body's faces, to test that the body is in the room: it is if all these corners
-        are.
-        """
+        """Mounts at the corners of the faces that may carry cameras, for the test that the body is inside the room."""
         at = [
             face.point(a, b) + self.space.body.standoff * face.normal
             for face in self.space.body.surfaces()
@@ -169,8 +172,9 @@ class CameraProblem(Problem):
         return np.asarray(self.objective.values(evaluator, *landmarks)[0])
 
     def fitness_of_cameras(self, mounts: Sequence[Mount] | None) -> float:
-        """Fitness of the rig of these mounts; -inf if the mounts are not admissible. The slow test `stay` is made only
-        if the fitness is a new best.
+        """Fitness of the rig with these mounts; -inf if they are None, or if a new best rig leaves the room.
+
+        The test for the room, `stay`, is slow, so it is made only if the fitness is a new best.
         """
         if mounts is None:
             return -np.inf
@@ -182,7 +186,7 @@ class CameraProblem(Problem):
         return fitness
 
     def reached(self, fitness: float) -> None:
-        """See `Genome.reached`; from now on, the test `stay` is made only for a higher fitness."""
+        """See `Genome.reached`; from now on, only rigs with a higher fitness are tested for staying inside the room."""
         self._most = max(self._most, fitness)
 
     @property

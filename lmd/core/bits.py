@@ -1,6 +1,7 @@
-"""Sets of axes (orientations of a camera) as bits: axis a is bit a % 64 of word a // 64, where words are 64-bit
-integers. The counts of all axes of a word are stored as binary digits: digit j of the counts is a word, with a bit for
-each axis.
+"""Bit masks of axes (orientations of a camera), and counters for each axis that are stored as binary digits.
+
+A mask is an array of 64-bit integers, called words: axis a is bit a % 64 of word a // 64. The counts of the 64 axes of
+a word are J words: digit j of the counts is a word that holds bit j of the count of each axis.
 """
 
 from typing import Any, TypeAlias
@@ -69,7 +70,7 @@ def _prefetch(array, index):  # type: ignore[no-untyped-def] # noqa: ARG001
 
 @inlined
 def add_digit(digit: np.uint64, carry: np.uint64, decrement: np.uint64) -> tuple[np.uint64, np.uint64]:
-    """Add `carry` to one binary digit of the counts, or subtract `carry` at the axes in `decrement`.
+    """Add `carry` to one binary digit of the counts; at the axes in `decrement`, subtract `carry` instead.
 
     All arguments are words with a bit for each axis. Returns the new digit, and the carry (or borrow) for the next
     digit.
@@ -79,16 +80,18 @@ def add_digit(digit: np.uint64, carry: np.uint64, decrement: np.uint64) -> tuple
 
 @inlined
 def equal_so_far(equal: np.uint64, digit: np.uint64, n: Integer, j: Integer) -> np.uint64:
-    """Word of those axes among `equal` whose counts have the value of n in binary digit j; `digit` has this digit of
-    all counts.
+    """Word of those axes in the word `equal` whose count has the same bit j as n.
+
+    `digit` is digit j of the counts, a word with a bit for each axis.
     """
     return equal & (digit if n >> j & 1 else ~digit)
 
 
 @inlined
 def add_set(digits: WordArray, axes: np.uint64, decrement: np.uint64) -> None:
-    """Add 1 to the counts at `axes`, or subtract 1 at those that are also in `decrement`. `digits` `(J,)` are the
-    binary digits of the counts, the lowest digit first.
+    """Add 1 to the counts at the axes in the word `axes`; subtract 1 instead at those that are also in `decrement`.
+
+    `digits` `(J,)` are the binary digits of the counts, the lowest digit first; they are changed in place.
     """
     for j in range(np.uint64(len(digits))):
         digits[j], axes = add_digit(digits[j], axes, decrement)

@@ -56,9 +56,7 @@ class InputError(ValueError):
         self.argument = argument
 
     def within(self, whole: str) -> "InputError":
-        """Copy of the error for an argument that belongs to `whole`: the copy names the argument `whole.argument`. If
-        the error names no argument, the error itself.
-        """
+        """Copy of the error that names `whole.argument` as its argument; the error itself if it names no argument."""
         if self.argument is None:
             return self
         return InputError(f"{whole}.{self}", f"{whole}.{self.argument}")
@@ -66,9 +64,7 @@ class InputError(ValueError):
 
 @contextmanager
 def argument_of(whole: str) -> Iterator[None]:
-    """Context manager: an `InputError` raised in the block that names an argument then names
-    `<whole>.<argument>`.
-    """
+    """Context manager that renames the argument of an `InputError` from its block: `x` becomes `<whole>.x`."""
     try:
         yield
     except InputError as error:
@@ -77,10 +73,9 @@ def argument_of(whole: str) -> Iterator[None]:
 
 @contextmanager
 def said_of(source: object, argument: str | None = None, known: Container[str | None] = ()) -> Iterator[None]:
-    """Context manager: an `InputError` raised in its block is replaced by one whose message begins with the `source` of
-    the input, and whose argument is `argument`.
+    """Context manager that puts `source` before the message of an `InputError` from its block.
 
-    Errors about an argument in `known` stay unchanged.
+    The new error names `argument`. Errors about an argument in `known` are raised unchanged.
     """
     try:
         yield
@@ -172,7 +167,9 @@ def choice(name: str, value: Any, options: Sequence[str]) -> str:
 
 
 def vector(name: str, value: Any, size: int | None, **bounds: Any) -> tuple[float, ...]:
-    """Return `value` as a tuple of `size` floats, each checked by `real`; `size` None allows any length but 0.
+    """Return `value` as a tuple of `size` floats, each checked by `real` with the given `bounds`.
+
+    `size` None allows any length but 0.
 
     Raises:
         InputError: wrong length, or an entry is not an admissible number.
@@ -187,7 +184,7 @@ def vector(name: str, value: Any, size: int | None, **bounds: Any) -> tuple[floa
 
 
 def span(name: str, value: Any, *, point: bool = True, **bounds: float) -> tuple[float, float]:
-    """Return `value` as a range of two floats, each checked by `real`; `point` allows equal ends.
+    """Return `value` as a range of two floats, checked by `real` with the given `bounds`; `point` allows equal ends.
 
     Raises:
         InputError: `value` is not a pair of admissible numbers, or the first number exceeds the second number.

@@ -1,6 +1,6 @@
-"""numba compiler for `lmd`'s functions that prints its progress, and a clock that leaves out the time of compilation.
+"""Compiler for `lmd`'s functions that prints its progress, and a clock that stops during compilation.
 
-Functions of other packages are not timed.
+The clock does not stop for functions of other packages.
 """
 
 import gc
@@ -32,8 +32,9 @@ class CompileClock:
 
     @contextmanager
     def stopped(self, function: Any) -> Iterator[None]:
-        """Stop the clock while a function is compiled; print its name unless the compilation is nested in another
-        compilation.
+        """Context manager that stops the clock while a function is compiled.
+
+        It prints the name of the function unless the compilation is nested in another compilation.
         """
         with self._lock:
             self._compiling += 1
@@ -67,7 +68,7 @@ class CompileClock:
         return self._compiling > 0
 
     def read(self) -> float:
-        """Time without compilation, seconds."""
+        """Seconds since an arbitrary origin, without the time of compilation."""
         with self._lock:
             return (self._began if self._compiling else time.perf_counter()) - self._spent
 
@@ -84,7 +85,8 @@ class TimedCompiler(Compiler):
         """Compile a function.
 
         Raises:
-            TypeError: the function returns arrays without a reference count, see `StrictCompiler`.
+            TypeError: `returns_arrays` is False, and the function returns an array in a tuple or without a reference
+                count.
         """
         counted, models = self.state.flags.nrt, self.state.targetctx.data_model_manager
         with CLOCK.stopped(func):

@@ -70,16 +70,17 @@ def is_compiling() -> bool:
 
 
 def kernel(function: F) -> F:
-    """Compile a function at its first call and cache the result on disk; the kernel runs without the GIL.
+    """Make a kernel, which is compiled at its first call, is cached on disk, and runs without the GIL.
 
-    A kernel may return an array, but not a tuple with an array, see `inner`.
+    A kernel may return an array, but not a tuple with an array: such an array would be freed too early.
     """
     return _made_kernel(function, _OPTIONS)
 
 
 def borrowing(function: F) -> F:
-    """Make a kernel from a function that neither allocates nor returns arrays, so that numba need not count references
-    to its arguments.
+    """Make a kernel from a function that neither allocates nor returns arrays.
+
+    For such a kernel, numba need not count references to the arguments.
     """
     return _made_kernel(function, _OPTIONS | _UNCOUNTED)
 
@@ -114,8 +115,8 @@ def inlined(function: F) -> F:
     """Like `inner`, but LLVM inlines the function regardless of its size.
 
     Then LLVM vectorises loops that call the function, and moves invariant terms out of the loops. An inlined function
-    also saves the passing of arguments. A field, a state and a scratch are hundreds of numbers; passing these at each
-    position would take longer than the function's work.
+    also saves the passing of arguments. The state of an objective and its working arrays are named tuples of hundreds
+    of numbers; passing these at each position would take longer than the function's work.
     """
     return _made_inner(function, _INNER, _UNCOUNTED | _INLINED)
 

@@ -40,9 +40,9 @@ class Dispatched(Protocol[P, R_co]):
 
 
 def dispatched(declaration: Callable[P, R_co]) -> Dispatched[P, R_co]:
-    """Make a dispatched function, called like `declaration`; calls are inlined (`compiled.inlined`).
+    """Make a function that calls the function registered for the class of its first argument.
 
-    The body of `declaration` is not used.
+    It is called like `declaration`, whose body is not used. Its calls are inlined, see `compiled.inlined`.
     """
     return _dispatched(declaration, None, OVERLOAD_INLINED)
 

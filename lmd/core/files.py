@@ -27,11 +27,11 @@ LARGEST_YAML = 1 << 19
 _BINARIES = {
     b"PK\x03\x04": "an archive, such as NumPy's .npz: write its contents as text",
     b"\x93NUMPY": "a NumPy array: write its contents as text",
-    b"MATLAB": "a file of MATLAB: for a calibration writelines(jsonencode(toStruct(cameraParams)), 'lens.json')",
+    b"MATLAB": "a file of MATLAB: for a calibration run writelines(jsonencode(toStruct(cameraParams)), 'lens.json')",
     b"\x80\x04": "a pickle of Python, which may run code: write it by numpy.savez('lens.npz', mtx=mtx, dist=dist)",
-    b"SQLite format 3": "a database, such as a bag of ROS 2: play it, and ros2 topic echo --csv TOPIC > drive.csv",
-    b"\x89MCAP0": "a bag of ROS 2: play it, and ros2 topic echo --csv TOPIC > drive.csv",
-    b"#ROSBAG": "a bag of ROS: rostopic echo -b FILE -p TOPIC > drive.csv",
+    b"SQLite format 3": "a database, such as a bag of ROS 2: play it, and run ros2 topic echo --csv TOPIC > drive.csv",
+    b"\x89MCAP0": "a bag of ROS 2: play it, and run ros2 topic echo --csv TOPIC > drive.csv",
+    b"#ROSBAG": "a bag of ROS: run rostopic echo -b FILE -p TOPIC > drive.csv",
     b"ULog": "a log of PX4: ulog2csv FILE writes tables",
     b"\xff\xfe": "in UTF-16: save it as UTF-8",
     b"\xfe\xff": "in UTF-16: save it as UTF-8",
@@ -93,10 +93,10 @@ def write_whole(path: Path, content: bytes) -> None:
 
 
 def read_text(path: Any, name: str, largest: float = math.inf) -> str:
-    """Text of a file in UTF-8, see `read_bytes`.
+    """Text of a file in UTF-8 of at most `largest` bytes; `name` is the argument that gave the path, for messages.
 
     Raises:
-        InputError: as in `read_bytes`, or the file is not UTF-8.
+        InputError: the file cannot be read, is too large (see `read_bytes`), or is not UTF-8.
     """
     content = read_bytes(path, name, largest)
     if kind := next((kind for start, kind in _BINARIES.items() if content.startswith(start)), ""):
@@ -112,7 +112,11 @@ _TEXT, _COMMENT, _LAST_COMMA = r'"(?:\\.|[^"\\])*+(?:"|\Z)', r"//[^\n]*|/\*.*?\*
 
 
 def read_keys(path: Any, name: str) -> dict[str, Any]:
-    """Keys and values of a file in YAML or JSON, see `read_bytes` and `parse_keys`."""
+    """Keys and values of a file in YAML or JSON; `name` is the argument that gave the path, for messages.
+
+    Raises:
+        InputError: the file cannot be read (see `read_bytes`), is neither YAML nor JSON, or has no keys.
+    """
     return parse_keys(path, read_text(path, name, LARGEST_YAML), name)
 
 
@@ -197,8 +201,9 @@ def check_aliases(text: str) -> None:
 
 
 def _values(node: Any, known: dict[int, float]) -> float:
-    """Number of values that a YAML node has after its aliases are expanded; infinite for a node that contains
-    itself.
+    """Number of values that a YAML node has after its aliases are expanded; infinite for a node that contains itself.
+
+    `known` collects the numbers of all visited nodes, keyed by id.
     """
     if id(node) not in known:
         known[id(node)] = math.inf

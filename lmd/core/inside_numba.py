@@ -39,8 +39,9 @@ class _Library(JITCodeLibrary):
             passes.run(function, builder)
 
     def _linked_into(self, module: Any) -> Any:
-        """Link the libraries that this library calls into `module`. Callers are linked first, so that LLVM drops
-        functions without a caller.
+        """Add to `module` the code of all libraries that this library calls; return `module`.
+
+        Callers are linked first, so that LLVM drops functions without a caller.
         """
         for library in reversed(_called_by(self, {})):
             self._reload_init.update(library._reload_init)
@@ -84,13 +85,14 @@ class _InnerLibrary(_Library):
     codegen = property(lambda self: self)  # numba calls `codegen().set_env`
 
     def set_env(self, name: str, environment: Any) -> None:
-        """Ignore the environment that numba sets: only machine code needs it, and an inner function has none of its
-        own.
-        """
+        """Ignore the environment that numba sets, because an inner function has no machine code of its own."""
 
 
 def _called_by(library: Any, found: dict[Any, None]) -> list[Any]:
-    """Libraries that a library calls, directly or through inner functions; callees precede callers."""
+    """Libraries that a library calls, directly or through inner functions; callees precede callers.
+
+    `found` collects them as its keys; pass an empty dictionary.
+    """
     for called in library._linking_libraries:
         if called not in found:
             if isinstance(called, _InnerLibrary):
@@ -115,7 +117,7 @@ class _Flags(Flags):
 
 
 class KernelCompiler(StrictCompiler):
-    """Compiler of kernels; inner functions are linked into a kernel once."""
+    """Compiler of kernels; an inner function is linked into the kernel, not first into the functions that call it."""
 
     library: type[_Library] = _KernelLibrary
 
@@ -126,7 +128,10 @@ class KernelCompiler(StrictCompiler):
         self.state.flags = _Flags(self.state.flags)
 
     def compile_extra(self, func: Any) -> Any:
-        """See `TimedCompiler`; after an error all locks are released, so that no other process waits."""
+        """Compile a kernel, see `TimedCompiler`.
+
+        After an error all locks of the kernel are released, so that no other process waits.
+        """
         try:
             return super().compile_extra(func)
         except BaseException:
@@ -162,9 +167,9 @@ class AllocatingCompiler(InnerCompiler):
 
 
 class Cache(FunctionCache):
-    """Disk cache of kernels; an entry is valid while the digest of its source code is unchanged.
+    """Disk cache of kernels; an entry is valid while the digest of the kernel's source code is unchanged.
 
-    There is one index for each set of modules that define the classes of arguments, since reading an index imports
+    There is one index for each set of modules that define the classes of arguments, because reading an index imports
     these modules. If several processes need a kernel, one of them compiles it.
     """
 
@@ -173,7 +178,10 @@ class Cache(FunctionCache):
         self._locks = LOCKS.setdefault(function, {})
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Load a kernel from the cache; if another process is compiling the kernel, wait for that process."""
+        """Load a kernel from the cache; if another process is compiling the kernel, wait for that process.
+
+        Returns None if the kernel must be compiled here.
+        """
         classes = classes_in(getattr(sig, "args", sig))
         names = sorted({kind.__module__ for kind in classes})
         base = f"{self._impl.filename_base}-{hashlib.sha256(repr(names).encode()).hexdigest()[:8]}"

@@ -15,7 +15,10 @@ Bundle = TypeVar("Bundle")
 
 
 def layers(bundle: Bundle, number: int) -> Bundle:
-    """Stack `number` copies of a named tuple of arrays along a new first axis; shared arrays stay shared."""
+    """Stack `number` copies of a named tuple of arrays along a new first axis.
+
+    An array that occurs several times in the tuple is copied only once, so it stays shared.
+    """
     made: Bundle = _copied(bundle, number, {})
     return made
 
@@ -58,7 +61,7 @@ def _layer(bundle, number):  # type: ignore[no-untyped-def] # noqa: ARG001 # num
 
 
 def _written(part: Any, name: str, kinds: dict[str, Any], lines: list[str]) -> str:
-    """Python expression, as text, for the layer `number` of a variable: a named tuple in which each array is indexed.
+    """Source code of an expression for the layer `number` of a variable: a named tuple in which each array is indexed.
 
     Nested tuples are assigned to variables first; otherwise LLVM takes half a minute for a large tuple.
 

@@ -31,7 +31,7 @@ def check_memory(needed: float, what: str, argument: str | None = None) -> None:
     """Raise `InputError` if less memory is free than is needed.
 
     Args:
-        needed: needed memory, bytes.
+        needed: needed memory, bytes; up to `LITTLE` it is not checked.
         what: subject of the message, which begins with `argument` if `argument` is given.
         argument: name of the argument that is the cause.
     """
@@ -44,7 +44,7 @@ def check_memory(needed: float, what: str, argument: str | None = None) -> None:
 
 
 def check_views(each: float, positions: int, orientations: int, landmarks: int | None = None) -> None:
-    """Call `check_memory` for data that is stored for every view (position and orientation).
+    """Raise `InputError` if too little memory is free for data about every view (position and orientation).
 
     Args:
         each: memory per view, or per landmark and view, bytes.

@@ -49,9 +49,7 @@ def missing_of(error: BaseException | None) -> InputError | None:
 
 
 def lack_of(target: str) -> str:
-    """Sentence for the user that says why the dotted path `target` leads to no class, such as the part of the path that
-    is missing.
-    """
+    """Reason, for a message, why the dotted path `target` leads to no class, such as its part that is missing."""
     found, parts = None, target.split(".")
     for i, part in enumerate(parts):
         whole = ".".join(parts[: i + 1])

@@ -87,7 +87,11 @@ def _counts(module: str) -> bool:
 
 
 def _used_by(function: FunctionType) -> Iterator[tuple[str, Any]]:
-    """Yield the global and nonlocal names in the code of a function with their values; functions are unwrapped."""
+    """Yield name and value of each global or nonlocal variable in the code of a function, and of its default arguments.
+
+    Default arguments have the name `default`. A tuple is followed by its entries, and decorated functions are
+    unwrapped.
+    """
     names = set(_names_in(function.__code__))
     spaces = [function.__globals__, inspect.getclosurevars(function).nonlocals]
     values = [("default", value) for value in function.__defaults__ or ()]

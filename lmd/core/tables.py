@@ -127,8 +127,8 @@ def read_table(path: Any, *, name: str) -> Table:
         name: argument that gave the path, for messages.
 
     Raises:
-        InputError: the file is missing, is not a CSV, or has semicolons instead of commas, too many columns, two
-            columns with one name, or rows of different lengths.
+        InputError: the file is missing, is not a CSV, or has no header, semicolons instead of commas, too many columns,
+            two columns with one name, or rows of different lengths.
     """
     rows = csv_rows(path, numbered_lines(read_text(path, name)), name)
     if not rows:
@@ -141,7 +141,7 @@ def read_table(path: Any, *, name: str) -> Table:
 
 
 def csv_rows(path: Any, lines: Sequence[tuple[int, str]], name: str) -> list[tuple[int, list[str]]]:
-    """Rows of a CSV from its numbered lines; each row has the number of its last line.
+    """Rows of a CSV from its numbered lines: for each row, the number of its last line and its values.
 
     Raises:
         InputError: the lines are not a CSV, have semicolons instead of commas, or too many columns.
@@ -223,10 +223,10 @@ def _time_key(text: str) -> tuple[float, str]:
 
 
 def seconds(source: str, time: FloatArray, positions: FloatArray | None = None) -> None:
-    """Raise `InputError` if times `(T,)` of the file `source`, seconds from any origin, seem to be in smaller units.
+    """Raise `InputError` if times `(T,)` of the file `source` seem to be in smaller units than seconds.
 
-    With `positions` `(T, 3)`, metres, the speed is checked too: frames that are seconds apart, while the camera hardly
-    moves, have times in milliseconds.
+    The times may have any origin. With `positions` `(T, 3)`, metres, the speed is checked too: frames that are seconds
+    apart, while the camera hardly moves, have times in milliseconds.
     """
     latest = float(np.abs(time).max())
     if latest > LATEST:

@@ -34,12 +34,11 @@ if hasattr(os, "register_at_fork"):
 
 
 def at_once(threads: int, work: Callable[..., T], *arguments: Iterable[Any]) -> list[T]:
-    """Call `work` in threads, once for each set of arguments, like `map`; return the results in the order of the
-    arguments.
+    """Call `work` for each set of arguments, like `map`, in at most `threads` threads; return the list of results.
 
-    The calling thread works too, so Ctrl-C interrupts it as usual. After an error, no further call begins, and the
-    function waits for calls that have begun. `work` may call `at_once`; calls for which no thread is free run in the
-    calling thread.
+    The results are in the order of the arguments. The calling thread works too, so Ctrl-C interrupts it as usual. After
+    an error, no further call begins, and the function waits for calls that have begun. `work` may call `at_once`; calls
+    for which no thread is free run in the calling thread.
     """
     calls = list(zip(*arguments, strict=True))
     found: list[Any] = [None] * len(calls)
@@ -75,7 +74,10 @@ def _exhaust(left: Iterator[int]) -> None:
 
 
 def in_parts(threads: int, work: Callable[[int, int], object], size: int, parts: int) -> None:
-    """Call `work(first, last)` for at most `parts` equal ranges that cover `range(size)`."""
+    """Call `work(first, last)`, in at most `threads` threads, for at most `parts` ranges that cover `range(size)`.
+
+    A range is from `first` to `last - 1`; all ranges have about equal lengths.
+    """
     edges = np.linspace(0, size, min(size, parts) + 1).astype(int).tolist()
     at_once(threads, lambda part: work(*part), itertools.pairwise(edges))
 

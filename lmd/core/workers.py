@@ -127,7 +127,10 @@ def ready_server() -> None:
 
 
 def _begin() -> None:
-    """Ignore a terminal's interrupts in a worker; the parent process receives them, too, and ends its workers."""
+    """Prepare a worker: it ignores a terminal's interrupts, and ends when its parent process ends.
+
+    The parent receives the interrupts, too, and ends its workers.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_the_parent, daemon=True).start()
 

@@ -1,1 +1,1 @@
-"""Detectors of fiducial tags, calibration of the detectors' limits, and comparison of predictions with detections."""
+"""Detectors of fiducial tags, calibration of a detector's limits, and comparison of predicted and actual detections."""

@@ -1,5 +1,7 @@
-"""Fit of a detector's limits (smallest pitch, largest incidence angle and others at which it finds a tag) to views of
-single tags, with scores of the fitted limits.
+"""Fit of a detector's limits to views of single tags, and scores of the fitted limits.
+
+Limits are the smallest pitch (pixels per module), the largest incidence angle and other values at which a detector
+still finds a tag.
 """
 
 import math
@@ -43,17 +45,19 @@ class Fit:
     recall: float
     """Recall: of the tags that the detector found, the fraction that was predicted as detected."""
     circles: tuple[float, ...] = ()
-    """Diameter of each camera's image circle, pixels; infinite if none was found. Empty if the views are not from a
-    recording (`TagViews.placed` is None).
+    """Diameter of each camera's image circle, beyond which the detector finds nothing, pixels; infinite if no circle
+    was found. The tuple is empty if the views are not from a recording (`TagViews.placed` is None).
     """
 
     @property
     def known_circles(self) -> dict[int, float]:
-        """Diameters in `circles` that are finite, pixels, keyed by the number of the camera, from 1."""
+        """Finite diameters in `circles`, pixels, keyed by the number of the camera, from 1."""
         return {number: diameter for number, diameter in enumerate(self.circles, 1) if math.isfinite(diameter)}
 
     def circles_text(self, detector: str) -> str:
-        """Sentences on cameras with an image circle, outside of which the detector finds nothing."""
+        """Text with a line for each camera whose image circle was found, for messages; `detector` is the detector's
+        name.
+        """
         return "".join(
             f"{detector} finds nothing beyond an image circle of {diameter:.0f} pixels, of camera {number}\n"
             for number, diameter in self.known_circles.items()
@@ -69,12 +73,12 @@ class DetectorCalibration:
     fit: Fit
     """Fitted limits and their scores."""
     rooms: dict[str, float]
-    """Scores of predictions in rendered rooms, see `frame_scores`; may be empty."""
+    """Scores of the predictions in frames of rendered rooms, keyed as in `frame_scores`; may be empty."""
     photographs: int = 0
     """Number of photographs that the views were taken from; 0 for rendered views."""
 
     def figures(self) -> dict[str, float]:
-        """Limits and scores as one row of a table, keyed by column."""
+        """Limits and scores as one row of a table, keyed by the name of the column."""
         limits, fit = self.fit.limits, self.fit
         return {
             "views": len(self.views),
@@ -87,7 +91,7 @@ class DetectorCalibration:
         }
 
     def preset(self, detector: str, family: str, source: str) -> str:
-        """Text of a preset file with the limits, and with the scores as comments.
+        """Text of a preset file (YAML) that contains the limits, with the scores as comments.
 
         Args:
             detector: name of the detector.
@@ -160,9 +164,9 @@ def fit(views: TagViews, rng: np.random.Generator, margin: float) -> Fit:
     Args:
         views: at least two views; views of a recording must be from images taken at two or more different times.
         rng: random generator that halves the views.
-        margin: margin to the border of the image in the limits, pixels. Views that are not from a recording do not
-            determine the margin, so this value is kept. For a recording the value is the lower bound of the fitted
-            margin.
+        margin: least distance of a tag's corners from the image border at which the detector finds the tag, pixels.
+            Views that are not from a recording do not determine the margin, so this value is kept. For a recording the
+            value is the lower bound of the fitted margin.
 
     Raises:
         InputError: there are too few views, or the margin is negative.
@@ -186,7 +190,8 @@ def fit(views: TagViews, rng: np.random.Generator, margin: float) -> Fit:
 
 def predicted_views(views: TagViews, limits: Limits, circles: tuple[float, ...]) -> BoolArray:
     """Mask of the views whose tag should be detected according to the detector's limits and the cameras' image circles,
-    `(M,)`.
+    `(M,)`. `circles` are the diameters of the image circles, pixels, one for each camera; they are used only for views
+    from a recording.
     """
     found = limits.found(views.pitch, views.incidence, views.edge, views.sigma)
     if (placed := views.placed) is None:
@@ -195,7 +200,9 @@ def predicted_views(views: TagViews, limits: Limits, circles: tuple[float, ...])
 
 
 def _best(views: TagViews, margin: float) -> tuple[Limits, tuple[float, ...]]:
-    """Limits and image circles with the fewest errors on `views`.
+    """Find the limits, and the diameters of the cameras' image circles, with the fewest errors on `views`: for a
+    recording, the number of wrong predictions, otherwise max(false positives, false negatives). `margin`, pixels, is
+    the margin in the limits; for a recording, it is the lower bound of the fitted margin.
 
     Limits that are optimised jointly form a group. A group is an array of masks, one for each combination of values of
     the limits. A mask marks the views that meet the limits with these values.
@@ -238,14 +245,21 @@ def _circles(views: TagViews, placed: Placed) -> list[FloatArray]:
 def _searched(
     groups: list[BoolArray], start: list[Choice], seen: BoolArray, kinds: tuple[Errors, ...]
 ) -> tuple[int, list[Choice]]:
-    """Minimise several objectives, the functions `kinds`, one after the other. The search for each starts at the
-    optimum of the previous one.
+    """Minimise several error counts, one after the other. The search for each starts at the optimum of the previous
+    one.
 
-    The search is a coordinate descent: groups are optimised in turn, each over all combinations of values of its
-    limits, until no group lowers the objective.
+    The search is a coordinate descent: groups of limits are optimised in turn, each over all combinations of values of
+    its limits, until no group lowers the error count.
+
+    Args:
+        groups: for each group, masks of the M views that meet its limits, one mask for each combination of values,
+            `(..., M)`.
+        start: for each group, the indices of the combination at which the first search starts.
+        seen: mask of the views whose tag is detected, `(M,)`.
+        kinds: functions that count the errors, given a mask of the predicted views and `seen`.
 
     Returns:
-        minimum of the last objective; and for each group, the indices of the chosen combination of values.
+        minimum of the last error count; and for each group, the indices of the chosen combination of values.
     """
     chosen, least = list(start), 0
     for errors in kinds:
@@ -273,7 +287,7 @@ def _larger_errors(predicted: BoolArray, seen: BoolArray) -> NDArray[np.intp]:
 
 def limits_markdown(figures: dict[str, dict[str, float]]) -> str:
     """Markdown table with the limits of each detector, and the accuracy with which these limits predict the held-out
-    views.
+    views. `figures` has the results of `DetectorCalibration.figures`, keyed by detector.
     """
     head = ["detector", "views", "a", "k", "m [px]", "b [degrees]", "margin [px]"]
     head += ["held-out accuracy / precision / recall"]

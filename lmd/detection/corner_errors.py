@@ -1,5 +1,5 @@
-"""Quality of a tag's image, on which its detection depends: pitch (pixels per module), apparent edge and incidence
-angle. Errors of detected corners as functions of the pitch.
+"""Measures of image quality that decide whether a tag is detected: pitch (pixels per module), apparent edge length and
+incidence angle. Also the errors of detected corners as functions of the pitch.
 """
 
 import math
@@ -34,11 +34,11 @@ def pitch(
         centres: centres of the tags, world frame, metres, `(K, 3)`.
         normals: unit normals of the front faces, `(K, 3)`.
         tag: tag type, with the number of modules, and with the edge length unless `edges` are given.
-        edges: edge length of each tag, metres, `(K,)`.
+        edges: edge length of each tag, metres, `(K,)`; None for the edge length of `tag`.
 
     Returns:
-        pitches, `(..., K)`, pixels, also for tags seen from behind; NaN for tags behind the camera or outside the view
-        of its lens.
+        pitches, pixels per module, `(..., K)`, also for tags seen from behind; NaN for tags behind the camera or
+        outside the view of its lens.
     """
     square, determinant = _stretch(camera, pose, centres, normals)
     root = np.sqrt(np.maximum(square**2 - 4.0 * determinant**2, 0.0))
@@ -55,18 +55,35 @@ def apparent_edge(
     edges: FloatArray | None = None,
 ) -> FloatArray:
     """Edge length, pixels, of a square whose area equals that of the tag's image: sqrt(|det J|) times the tag's edge
-    length; arguments as for `pitch`.
+    length.
+
+    J is the Jacobian of the projection with respect to displacements in the tag's plane.
+
+    Args:
+        camera: intrinsics and lens.
+        pose: poses of the camera, camera to world, `(..., 4, 4)`.
+        centres: centres of the tags, world frame, metres, `(K, 3)`.
+        normals: unit normals of the front faces, `(K, 3)`.
+        tag: tag type, with the edge length unless `edges` are given.
+        edges: edge length of each tag, metres, `(K,)`; None for the edge length of `tag`.
+
+    Returns:
+        apparent edge lengths, `(..., K)`; NaN for tags behind the camera or outside the view of its lens.
     """
     _, determinant = _stretch(camera, pose, centres, normals)
     return np.asarray(np.sqrt(determinant) * (tag.size if edges is None else edges))
 
 
 def incidence(pose: FloatArray, centres: FloatArray, normals: FloatArray) -> FloatArray:
-    """Incidence angle: angle between a tag's normal and the direction from the tag's centre to the camera. Arguments
-    are as in `pitch`.
+    """Incidence angle: angle between a tag's normal and the direction from the tag's centre to the camera.
+
+    Args:
+        pose: poses of the camera, camera to world, `(..., 4, 4)`.
+        centres: centres of the tags, world frame, metres, `(K, 3)`.
+        normals: unit normals of the front faces, `(K, 3)`.
 
     Returns:
-        `(..., K)`, rad in [0, pi]; the front is visible below pi / 2.
+        angles, rad in [0, pi], `(..., K)`; the front is visible below pi / 2.
     """
     towards = pose[..., None, :3, 3] - centres
     along = (towards * normals).sum(axis=-1)
@@ -77,8 +94,9 @@ def incidence(pose: FloatArray, centres: FloatArray, normals: FloatArray) -> Flo
 def _stretch(
     camera: Camera, pose: FloatArray, centres: FloatArray, normals: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Values |J|_F^2 and |det J| of each tag, pixels^2 / metre^2, `(..., K)` each, with the Jacobian J of `pitch`. NaN
-    for tags behind the camera or outside the view of its lens.
+    """Values |J|_F^2 and |det J| of each tag, pixels^2 / metre^2, `(..., K)` each. J is the Jacobian of the projection
+    with respect to displacements in the tag's plane. The values are NaN for tags behind the camera or outside the view
+    of its lens.
     """
     y, n = to_camera(pose, centres), np.asarray(normals @ pose[..., :3, :3])
     if camera.lens is not None:
@@ -109,8 +127,9 @@ LEAST_SHARE = 0.1
 class CornerErrors(Checked):
     """Log-normal distribution of the root mean square error of a tag's four corners, as a function of the pitch.
 
-    Between the given pitches, log quantiles are interpolated linearly in the log pitch; beyond the given pitches,
-    quantiles are constant. The direction of the error vector in its eight dimensions is uniform.
+    Between the given pitches, the logarithm of a quantile is interpolated linearly in the logarithm of the pitch;
+    beyond the given pitches, quantiles are constant. The direction of the error vector in its eight dimensions is
+    uniform.
 
     Raises:
         InputError: the numbers of values and of pitches differ, or the spread is negative.
@@ -184,8 +203,8 @@ LEAST_TAGS, MOST_CLASSES, OBLIQUE_CLASSES = 40, 12, 3
 
 
 def inward(image: FloatArray) -> FloatArray:
-    """Displacement of the corners of N tags, pixels, `(N, 4, 2)`, if all edges of a tag move by one pixel towards its
-    middle. `image` are the corners in the image, `(N, 4, 2)`.
+    """Displacement of the corners of N tags, pixels, `(N, 4, 2)`, if all edges of a tag move by one pixel towards the
+    middle of the tag. `image` has the corners in the image, pixels, `(N, 4, 2)`.
     """
     (along, other) = (np.roll(image, way, axis=1) - image for way in (1, -1))
     along, other = (edge / np.linalg.norm(edge, axis=-1, keepdims=True) for edge in (along, other))
@@ -200,8 +219,8 @@ def shortest_side(image: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class MeasuredCorners:
-    """Errors of corners for one detector, camera and lighting, as functions of the pitch: independent noise and a shift
-    of edges.
+    """Corner errors of one detector with one camera and lighting, as functions of the pitch: independent noise, and a
+    shift of the tag's edges.
     """
 
     pitch: tuple[float, ...]
@@ -260,7 +279,7 @@ class MeasuredCorners:
         """Standard deviation of one coordinate of one corner without the mean shift, pixels, in the shape of `pitch`.
 
         Args:
-            pitch: pixels per module, `(...)`.
+            pitch: pitches, pixels per module, `(...)`.
             incidence: incidence angles, rad, `(...)`.
         """
         sigma = np.exp(np.interp(np.log(pitch), np.log(self.pitch), np.log(self.noise)))

@@ -68,7 +68,7 @@ class Detector(Protocol):
 
 
 def read_family(name: str, value: Any, table: str, other: str) -> str:
-    """Check that a library reads the family `value`, and return the name of this family in `FAMILIES`.
+    """Check that a library of tag detectors reads the family `value`, and return the name of this family in `FAMILIES`.
 
     Args:
         name: name of the argument.
@@ -101,7 +101,7 @@ class ArucoDetector(Checked):
     family: Annotated[str, partial(read_family, table="dictionary", other="AprilTag")] = "36h11"
     """Tag family: one of those in `lmd.scene.families.FAMILIES` that OpenCV supports."""
     preset: Annotated[str, partial(choice, options=tuple(ARUCO_PRESETS))] = "default"
-    """Name of the settings of `cv2.aruco`: `default`, or `fine` to detect also smaller tags."""
+    """Name of the settings of `cv2.aruco`: `default`, or `fine` to detect smaller tags as well."""
 
     @property
     def corner_errors(self) -> CornerErrors:
@@ -159,14 +159,17 @@ def _aruco(family: str, preset: str) -> Any:
 
 @lru_cache(maxsize=8)
 def _apriltag(family: str, quad_decimate: float) -> Any:
-    """Detector of the AprilTag library, cached as in `_aruco`."""
+    """Detector object of the AprilTag library, cached here and not in `AprilTagDetector`, so that an `AprilTagDetector`
+    can be pickled.
+    """
     library = optional("pyapriltags", "detection")
     return library.Detector(families=FAMILIES[family].apriltag, nthreads=1, quad_decimate=quad_decimate)
 
 
 def _grey(image: UInt8Array) -> UInt8Array:
     if not isinstance(image, np.ndarray) or image.ndim != 2 or image.dtype != np.uint8:
-        raise InputError(f"image must be a grey image of 8-bit numbers, got {getattr(image, 'dtype', type(image))}.")
+        got = f"{image.dtype} of shape {image.shape}" if isinstance(image, np.ndarray) else type(image)
+        raise InputError(f"image must be a grey image of 8-bit numbers, with two axes, got {got}.")
     return np.ascontiguousarray(image)
 
 
@@ -182,18 +185,22 @@ CORNER_TOLERANCE = 5.0
 
 @dataclass(frozen=True)
 class Matches:
-    """Tags that a detector found in one frame or in N frames; for N frames the arrays have a leading axis."""
+    """Tags that a detector found in one frame or in N frames; for N frames the arrays have a leading axis of length
+    N.
+    """
 
     detected: BoolArray
     """True for tags detected with their id and with corners within the tolerance, `(..., K)`."""
     corners: FloatArray
-    """Detected corners, in the convention of `Detections`, `(..., K, 4, 2)`; NaN for tags not detected."""
+    """Detected corners, pixels, `(..., K, 4, 2)`, with the origin and the order of `Detections.corners`; NaN for tags
+    not detected.
+    """
     false: IntArray
     """Number of false detections: those that match no tag of the room in both id and corners, `(...)`."""
 
     @classmethod
     def stacked(cls, frames: Sequence["Matches"]) -> Self:
-        """Stack the matches of N single frames."""
+        """Stack the matches of N single frames along a new first axis."""
         return cls(*(np.stack([getattr(one, field.name) for one in frames]) for field in fields(cls)))
 
     @classmethod
@@ -204,7 +211,7 @@ class Matches:
     @classmethod
     def beside(cls, parts: Sequence["Matches"]) -> Self:
         """Join the matches of C cameras, each with N frames and K tags, along the axis of the tags, to arrays
-        `(N, C K)`.
+        `(N, C K)`; the numbers of false detections are summed.
         """
         detected = np.concatenate([part.detected for part in parts], axis=1)
         corners = np.concatenate([part.corners for part in parts], axis=1)
@@ -221,8 +228,8 @@ def match(
     Args:
         detections: detections of the frame.
         ids: ids of the K tags, all different, `(K,)`.
-        expected: exact corners, convention and order as in `Detections`, pixels, `(K, 4, 2)`; tags with NaN are never
-            matched.
+        expected: exact corners, pixels, `(K, 4, 2)`, with the origin and the order of `Detections.corners`; tags with
+            NaN are never matched.
         tolerance: largest distance between detected and exact corner, pixels.
     """
     corners = np.full((len(ids), 4, 2), np.nan)
@@ -264,7 +271,7 @@ class Shares(NamedTuple):
 
 
 def shares_of_frames(seen: BoolArray) -> Shares:
-    """Fractions of the frames with at least n tags.
+    """Fractions of the frames with at least n tags, for n = 1, 2, 3, 4, with their standard errors.
 
     Args:
         seen: mask of the predicted or detected tags, `(N, K)`.
@@ -274,13 +281,15 @@ def shares_of_frames(seen: BoolArray) -> Shares:
 
 
 def agreement(predicted: BoolArray, detected: BoolArray, n: int = 2) -> float:
-    """Fraction of the frames in which prediction and detection agree on whether at least n tags are found."""
+    """Fraction of the N frames in which prediction and detection agree on whether at least `n` tags are found.
+    `predicted` and `detected` are masks of the K tags, `(N, K)` each.
+    """
     return float(((predicted.sum(axis=1) >= n) == (detected.sum(axis=1) >= n)).mean())
 
 
 def corner_error(found: FloatArray, expected: FloatArray) -> FloatArray:
-    """Root mean square distance of a tag's four corners `found` from the exact corners `expected`, `(..., 4, 2)` each,
-    pixels, `(...)`.
+    """Root mean square distance of the four detected corners of each tag, `found`, from the exact corners, `expected`,
+    pixels, `(...)`. Both arguments are `(..., 4, 2)`.
     """
     return np.asarray(np.sqrt(((found - expected) ** 2).sum(axis=-1).mean(axis=-1)))
 

@@ -45,8 +45,8 @@ def draw_crowd(scene: Scene, positions: FloatArray, seed: int) -> tuple[Scene, l
         seed: seed of the crowds.
 
     Returns:
-        scene with N crowd states, one for each frame; and for each frame the cylinders of the people around the camera,
-        `(M, 5)`, or None for a scene without a crowd.
+        scene with N crowd states, one for each frame; and for each frame the people around the camera as cylinders (x,
+        y, radius, lower and upper z, metres), `(M, 5)`. The second result is None for a scene without a crowd.
     """
     if scene.crowd is None:
         return scene, None
@@ -68,8 +68,9 @@ def tagged_room(room: Space, deployment: Deployment, tag: Tag) -> TaggedRoom:
 
 
 def qualities(renderer: Renderer, poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Image quality of each of K tags in N frames, `(N, K)` each: pitch, incidence angle, apparent edge, and standard
-    deviation of the blur. `Limits.found` decides from these values which tags are detected.
+    """Measures of image quality of each of K tags in N frames, `(N, K)` each: pitch (pixels per module), incidence
+    angle (rad), apparent edge length (pixels), and standard deviation of the blur (pixels). `Limits.found` decides from
+    these values which tags are detected.
 
     Args:
         renderer: camera and tags.
@@ -84,8 +85,8 @@ def qualities(renderer: Renderer, poses: FloatArray) -> tuple[FloatArray, FloatA
 
 
 def blur(camera: Camera, depth: FloatArray, imaging: Imaging) -> FloatArray:
-    """Standard deviation of the total blur of points at the depths `depth`, metres, in front of the camera; pixels, in
-    the shape of `depth`.
+    """Standard deviation of the total blur of points, pixels, in the shape of `depth`. `depth` has the depths of the
+    points in front of the camera, metres.
     """
     sigma = blur_sigma(camera, depth, imaging.psf_sigma) if imaging.defocus else np.full_like(depth, imaging.psf_sigma)
     return np.hypot(sigma, imaging.motion_blur / math.sqrt(12.0))  # motion blur has a uniform distribution
@@ -106,7 +107,7 @@ def overlapping(room: TaggedRoom) -> BoolArray:
 
 
 def rendered_frame(renderer: Renderer, pose: FloatArray, number: int, seed: int) -> UInt8Array:
-    """Render frame `number` of a run, `(h, w)`; the noise depends only on `number` and `seed`."""
+    """Render frame `number` as a grey image `(h, w)`; the noise depends only on `number` and `seed`."""
     return renderer.frame(pose, np.random.default_rng([seed, FRAMES_STREAM, number]))
 
 
@@ -126,7 +127,8 @@ def detect_in_frames(
         poses: poses of the camera in the frames, camera to world, `(N, 4, 4)`.
         first: number of the first frame.
         seed: seed of the noise.
-        people: for each frame, the cylinders of the people around the camera, `(M, 5)`; None without a crowd.
+        people: for each frame, the people around the camera as cylinders (x, y, radius, lower and upper z, metres),
+            `(M, 5)`; None without a crowd.
 
     Returns:
         matches in the frames, keyed by the name of the detector.

@@ -42,14 +42,14 @@ class Images(Protocol):
 
     @property
     def remarks(self) -> Sequence[str]:
-        """Remarks for the user on files that are not read, each a sentence without a full stop."""
+        """Remarks for the user, such as on files that are not read; each is a sentence without a full stop."""
 
     @property
     def is_random_access(self) -> bool:
         """True if an image can be read without reading the images before it."""
 
     def read(self, first: int, last: int, camera: Camera) -> Iterator[UInt8Array]:
-        """Read images `first` to `last` (excluded), `(h, w)` each.
+        """Read images `first` to `last` (excluded), `(h, w)` each; they must have the size of `camera`.
 
         Raises:
             InputError: an image cannot be read, or its size differs from the camera's.
@@ -87,14 +87,14 @@ class Photographs:
 
     @property
     def unread(self) -> list[str]:
-        """Names of the images whose format is not supported."""
+        """Names of the image files whose format is not supported."""
         return [printable(path.name) for path in self._with(UNREAD)]
 
     @property
     def remarks(self) -> list[str]:
         """See `Images.remarks`."""
         left = self.unread
-        return [f"{len(left)} images of {str(self.folder)!r} have an unread format, such as {left[0]}"] if left else []
+        return [f"{len(left)} images of {str(self.folder)!r} are unsupported, such as {left[0]}"] if left else []
 
     @property
     def names(self) -> list[str]:
@@ -132,11 +132,11 @@ def folder_entries(folder: str | Path, argument: str) -> list[Path]:
 
 
 def read_image(path: Path, camera: Camera, argument: str) -> UInt8Array:
-    """Read a grey image, `(h, w)`.
+    """Read an image file as a grey image, `(h, w)`.
 
     Args:
         path: file of the image.
-        camera: camera with the required size.
+        camera: camera whose image size the file must have.
         argument: name of the argument that gave the path, for messages.
 
     Raises:
@@ -160,7 +160,9 @@ def read_image(path: Path, camera: Camera, argument: str) -> UInt8Array:
 
 
 def wrong_size(path: Path, argument: str, written: tuple[int, ...], size: tuple[int, int]) -> InputError:
-    """Make the error about an image or a video whose size differs from the camera's."""
+    """Make the error about an image or a video whose size `written` differs from the size `size` of the camera; sizes
+    are (width, height), pixels.
+    """
     found, needed = (" x ".join(map(str, pair)) for pair in (written, size))
     return InputError(f"{argument}: {str(path)!r} has {found} pixels, but the camera has {needed}.", argument)
 
@@ -180,8 +182,8 @@ def pixels_of(content: bytes) -> tuple[int, ...] | None:
 
 
 def blur_of(image: UInt8Array, found: Detections, modules: int) -> float:
-    """Blur of an image, pixels. For each tag it is the standard deviation of the blur across the tag's second most
-    blurred edge; the median over the tags is returned.
+    """Blur of an image, pixels: the median, over the tags in the image, of the blur of a tag. The blur of a tag is the
+    standard deviation of the blur across the second most blurred edge of the tag.
 
     Across an edge, the grey level rises from black to white. The distance between 16 and 84 % of this step is two
     standard deviations of the blur. Motion blurs only the edges perpendicular to the motion.
@@ -189,7 +191,7 @@ def blur_of(image: UInt8Array, found: Detections, modules: int) -> float:
     Args:
         image: grey image, `(h, w)`.
         found: detections in the image.
-        modules: number N of modules along an edge in the tags' family.
+        modules: number of modules along an edge of a tag.
 
     Returns:
         blur, pixels; NaN if no tag is large enough.

@@ -37,7 +37,7 @@ Factor = Annotated[tuple[float, float], partial(span, low=1e-3)]
 
 @dataclass(frozen=True)
 class ViewRanges(Checked):
-    """Ranges of the parameters of random views. Each parameter is drawn uniformly from its range; of `sigma`, the
+    """Ranges of the parameters of random views. Each parameter is drawn uniformly from its range, except `sigma`, whose
     logarithm is drawn uniformly.
 
     Raises:
@@ -82,14 +82,27 @@ class Mosaics(Checked):
     def views(
         self, cameras: Sequence[Camera], tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator
     ) -> TagViews:
-        """Rendered views by a single camera, see `sample_views`. Light and blur are random, so `imaging` is ignored."""
+        """Draw random views, render them and run a detector; return the views with the detections.
+
+        Light and blur are random, so `imaging` is ignored.
+
+        Args:
+            cameras: sequence of exactly one camera.
+            tag: family and quiet zone of the tags.
+            detector: detector of the family.
+            imaging: ignored.
+            rng: random generator for all parameters.
+
+        Raises:
+            InputError: there are several cameras, or none of the views fits a tile of a mosaic.
+        """
         return sample_views(only(cameras), tag, detector, self.count, rng, self.sampling)
 
 
 def sample_views(
     camera: Camera, tag: Tag, detector: Detector, count: int, rng: np.random.Generator, ranges: ViewRanges
 ) -> TagViews:
-    """Draw random views, render them and run a detector.
+    """Draw random views, render them and run a detector; return the views with the detections.
 
     Args:
         camera: size and focal lengths of the images; its distortion and blur are ignored.
@@ -130,7 +143,9 @@ def sample_views(
 
 
 def _tile_centres(camera: Camera, tile: int, count: int) -> FloatArray:
-    """Centres of the first `count` tiles, row by row, pixels, `(count, 2)`."""
+    """Centres of the first `count` tiles of a mosaic, row by row, pixels, `(count, 2)`; `tile` is the edge of a tile,
+    pixels.
+    """
     row, column = np.divmod(np.arange(count), image_size(camera)[0] // tile)
     return (np.stack([column, row], axis=-1) + 0.5) * tile
 
@@ -138,8 +153,9 @@ def _tile_centres(camera: Camera, tile: int, count: int) -> FloatArray:
 def _place(
     camera: Camera, tag: Tag, tile: int, pitches: FloatArray, tilts: FloatArray, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Place M tags with random orientations, each in the middle of its tile. Returns their centres, normals and up
-    vectors, camera's frame, `(M, 3)` each.
+    """Place M tags with given pitches (pixels per module) and incidence angles (`tilts`, rad), each in the middle of
+    its tile; the directions of tilt and of the upper edge are random. `tile` is the edge of a tile, pixels. Returns the
+    centres, normals and up vectors of the tags in the camera's frame, `(M, 3)` each.
     """
     matrix = intrinsics(camera)
     at = _tile_centres(camera, tile, len(pitches)) + rng.uniform(-0.5, 0.5, (len(pitches), 2))
@@ -168,7 +184,18 @@ def _detect(
     patches: Float32Array,
     rng: np.random.Generator,
 ) -> TagViews:
-    """Render one mosaic and run the detector on it."""
+    """Render one mosaic of M tags, run the detector on it, and return the views with the detections.
+
+    Args:
+        camera: size and focal lengths of the mosaic.
+        tag: family and size of the tags.
+        detector: detector of the family.
+        scene: centres, normals and up vectors of the tags, camera's frame, `(M, 3)` each.
+        sigmas: standard deviation of the blur of each tag, pixels, `(M,)`.
+        ranges: ranges of noise, texture and exposure.
+        patches: periodic pattern for the background.
+        rng: random generator for ids, noise, texture and exposure.
+    """
     centres, normals, ups = scene
     squares = corners(centres, normals, ups, tag.size)
     ids = rng.integers(tag.ids, size=len(sigmas))
@@ -191,8 +218,8 @@ def _detect(
 
 
 def _errors(detections: Detections, ids: NDArray[np.int64], expected: FloatArray) -> FloatArray:
-    """Corner errors of a mosaic's tags, pixels, `(M,)`; NaN for tags that are not detected. Several tags may have one
-    id.
+    """Root mean square corner error of each tag of a mosaic, pixels, `(M,)`; NaN for tags that are not detected.
+    `expected` has the exact corners, pixels, `(M, 4, 2)`. Several tags may have equal `ids`.
     """
     error = np.full(len(ids), np.nan)
     for number, found in zip(detections.ids, detections.corners, strict=True):

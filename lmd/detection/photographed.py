@@ -79,7 +79,7 @@ class BagImages(Checked):
     @cached_property
     def _taken(self) -> list[tuple[str, int]]:
         """For each image that is not skipped, the time in its header as a text, and the time of its recording, ns; in
-        the order of the times.
+        the order of the times in the headers.
         """
         found: dict[str, int] = {}
         for message in self.bag.messages(self.topic):
@@ -143,10 +143,17 @@ class BagImages(Checked):
 
 
 def images_in(path: Any, topic: Any, rate: float, argument: str, count: int) -> dict[str, BagImages]:
-    """Images of `count` topics of a bag, keyed by topic; arguments as in `Bag.chosen`.
+    """Images of `count` topics of a bag, keyed by topic.
+
+    Args:
+        path: path of the bag.
+        topic: topic or list of topics of images; None for all topics of images.
+        rate: maximum number of images per second that are taken from a topic.
+        argument: name of the argument that gave the path, for messages.
+        count: number of topics that must be found.
 
     Raises:
-        InputError: the bag cannot be read, or lacks the topics.
+        InputError: the bag cannot be read or lacks a topic, or the number of topics is not `count`.
     """
     bag = Bag(path, argument)
     return {name: BagImages(bag, name, rate) for name in bag.chosen(topic, IMAGE, COMPRESSED, count=count)}
@@ -165,13 +172,14 @@ def detected_in_photographs(
     Args:
         given: folder of images, a video or a bag; for several cameras, a folder with a folder for each camera, or a
             bag.
-        cameras: the cameras; images must have the sizes that these state.
+        cameras: the cameras; photographs must have the image sizes of the cameras.
         detector: detector of the tags.
-        modules: number of modules on an edge in the tags' family.
+        modules: number of modules along an edge of a tag.
         each: function that applies a function to all jobs, and returns the results in the order of the jobs.
-        topic: topic of a bag, or of each camera.
+        topic: topic of the images in a bag; for several cameras, a list with the topic of each camera.
         rate: maximum number of frames per second taken from a video or a bag.
-        workers: number of processes of `each`, None for one per processor; the result does not depend on this number.
+        workers: number of processes that `each` uses; None for one per processor. The result does not depend on this
+            number.
 
     Raises:
         InputError: there are no photographs, or a photograph cannot be read.
@@ -199,7 +207,7 @@ def detected_in_photographs(
 
 
 class Chunk(NamedTuple):
-    """Range of consecutive images, which one worker process reads."""
+    """Range of consecutive images, from `first` to `last` (excluded), which one worker process reads."""
 
     images: Images
     camera: "Camera"
@@ -212,7 +220,16 @@ class Chunk(NamedTuple):
 def detected_in(
     images: Images, camera: "Camera", detector: "Detector", modules: int, each: Each, workers: int | None
 ) -> DetectedTags:
-    """Detect tags in the images of one camera; images that are much more blurred than the others are left out.
+    """Detect tags in the images of one camera; images that are much more blurred than the others are left out. Remarks
+    on the images are printed as warnings.
+
+    Args:
+        images: the images.
+        camera: camera that took the images.
+        detector: detector of the tags.
+        modules: number of modules along an edge of a tag.
+        each: function that applies a function to all jobs, and returns the results in the order of the jobs.
+        workers: number of processes that `each` uses; None for one per processor.
 
     Raises:
         InputError: an image cannot be read, or no image shows a tag.
@@ -236,7 +253,7 @@ def detected_in(
 
 
 def read(job: Chunk) -> "list[tuple[Detections, float]]":
-    """Read the images of a chunk; return the detections in each image and its blur, pixels, see `blur_of`."""
+    """Read the images of a chunk; return, for each image, the detections and the blur of the image, pixels."""
     found = []
     for image in job.images.read(job.first, job.last, job.camera):
         detections = job.detector.detect(image)

@@ -50,7 +50,9 @@ class CameraPrediction:
     and no whole tags.
     """
     people: Sequence[FloatArray] | None = None
-    """For each of the N frames, the cylinders of people who may hide tags, `(M, 5)`; None without a crowd."""
+    """For each of the N frames, the people who may hide tags, as cylinders (x, y, radius, lower and upper z, metres),
+    `(M, 5)`; None without a crowd.
+    """
 
     @cached_property
     def corners(self) -> FloatArray:
@@ -72,7 +74,9 @@ class CameraPrediction:
 
     @cached_property
     def incidence(self) -> FloatArray:
-        """Angle between a tag's normal and the direction to the camera, degrees, `(N, K)`; NaN as for `pitch`."""
+        """Angle between a tag's normal and the direction to the camera, degrees, `(N, K)`; NaN for tags that are not
+        whole.
+        """
         room = self.renderer.room
         return np.where(self.whole, np.degrees(incidence(self.poses, room.centres, room.normals)), np.nan)
 
@@ -122,21 +126,22 @@ class Prediction:
 def figures(prediction: Prediction, seen: Matches) -> dict[str, float]:
     """Metrics of one deployment and one detector.
 
-    A frame of a rig consists of the simultaneous images of all cameras. `predicted_<n>`, `detected_<n>` and
-    `agreement_<n>` count tags that any camera shows, and the pose is that of the body; the other metrics count a tag
-    once for each camera.
+    A frame of a rig consists of the simultaneous images of all cameras. In `predicted_<n>`, `detected_<n>` and
+    `agreement_<n>`, a tag counts once if at least one camera shows it. The pose is that of the body. The other metrics
+    count a tag once for each camera.
 
     - `predicted_<n>`, `detected_<n>`: P(>= n), the fraction of frames with at least n tags; with the suffix `_error`,
       its standard error.
     - `agreement_<n>`: fraction of frames in which prediction and detection agree on whether at least n tags are found.
     - `precision`, `recall`: precision and recall over all tags in all frames.
-    - `left_out`: tags that are detected but not predicted; `left_out_<criterion>`: those that fail the criterion.
+    - `left_out`: tags that are detected but not predicted; `left_out_<criterion>`: of these, the tags that fail the
+      criterion.
     - `overrated`: tags that are predicted but not detected. Of these, `overrated_cut`: tags cut by the image border;
       `overrated_overlapping`: whole tags that overlap another tag.
     - `false_a_frame`: false detections per frame.
     - `corner_median`, `corner_90`: quantiles of the corner error, pixels.
-    - `pose_share`: fraction of frames whose detections determine a pose. Further metrics are quantiles of the pose
-      errors, metres and rad.
+    - `pose_share`: fraction of frames whose detections determine a pose; `position_median`, `position_90`,
+      `attitude_median`, `attitude_90`: quantiles of the pose errors, metres and rad.
     """
     part = prediction.parts[0]
     row: dict[str, float] = {"frames": len(prediction.poses), "tags": part.visible.shape[1]}
@@ -184,7 +189,11 @@ def by_pitch(prediction: Prediction, seen: Matches) -> pd.DataFrame:
 
 
 def by_incidence(prediction: Prediction, seen: Matches) -> pd.DataFrame:
-    """Table of whole tags by incidence angle, `incidence_from` to `incidence_to` degrees; columns as in `by_pitch`."""
+    """Table of whole tags in bins of incidence angle.
+
+    Columns: `incidence_from`, `incidence_to` (degrees), number of `tags`, the fractions that are `predicted` and
+    `detected`, and `corner_median`, `corner_90` (pixels). Bins without a tag are left out.
+    """
     return _by_class(prediction, seen, "incidence", prediction.incidence, INCIDENCES)
 
 
@@ -198,8 +207,8 @@ def _shares(prediction: Prediction, seen: Matches, members: BoolArray) -> dict[s
 
 
 def _by_class(prediction: Prediction, seen: Matches, name: str, values: FloatArray, bounds: FloatArray) -> pd.DataFrame:
-    """Table of whole tags, with a row for each bin of `values` `(N, K)`; `bounds` are the edges of the bins. Columns as
-    in `by_pitch`.
+    """Table of whole tags, with a row for each bin of `values` `(N, K)` that contains a tag; `bounds` are the edges of
+    the bins. Columns: `<name>_from`, `<name>_to`, `tags`, `predicted`, `detected`, `corner_median`, `corner_90`.
     """
     error = corner_error(seen.corners, prediction.corners)
     place = np.searchsorted(bounds, values, side="right") - 1
@@ -216,8 +225,8 @@ def _by_class(prediction: Prediction, seen: Matches, name: str, values: FloatArr
 
 
 def by_tag(prediction: Prediction, seen: Matches) -> pd.DataFrame:
-    """Table with a row for each tag. Columns: `id`, `overlapping`; `predicted` and `detected`, numbers of frames;
-    `precision`; `recall`.
+    """Table with a row for each tag. Columns: `id`; `overlapping`; `predicted` and `detected`, the numbers of frames in
+    which the tag is predicted and detected; `precision`; `recall`.
 
     In a frame of a rig, a tag counts as predicted (or detected) if it is predicted (or detected) for any camera.
     """
@@ -234,7 +243,7 @@ def by_tag(prediction: Prediction, seen: Matches) -> pd.DataFrame:
 
 
 def to_markdown(table: pd.DataFrame) -> str:
-    """Format `figures` as Markdown, one row for each deployment and detector.
+    """Format the metrics of `figures` as two Markdown tables, each with one row for each deployment and detector.
 
     Args:
         table: columns `deployment` and `detector`, followed by the metrics of `figures`.

@@ -1,4 +1,5 @@
-"""Views of single tags, and detections of these tags, to which a detector's limits are fitted.
+"""Views of single tags, each with the information whether the tag was detected. A detector's limits are fitted to such
+views.
 
 Sources are a survey (`SurveyedViews`) and renderings (`lmd.detection.mosaic.Mosaics`).
 """
@@ -35,10 +36,10 @@ class Placed:
     moment: IntArray
     """Index of the image's time among the times of all images, in ascending order, `(M,)`."""
     border: FloatArray
-    """Distance from the border of the image to the corner of the tag that is nearest to it, pixels, `(M,)`."""
+    """Distance between the border of the image and the nearest corner of the tag, pixels, `(M,)`."""
     circle: FloatArray
-    """Diameter of the smallest `Camera.image_circle` that contains the tag, pixels, `(M,)`; NaN if the camera's lens
-    has no distortion.
+    """Diameter of the smallest image circle (`Camera.image_circle`) that contains the tag, pixels, `(M,)`; NaN if the
+    camera's lens has no distortion.
     """
 
     def __getitem__(self, which: object) -> "Placed":
@@ -47,7 +48,7 @@ class Placed:
 
 @dataclass(frozen=True)
 class TagViews:
-    """M views of single tags, detected and missed tags."""
+    """M views of single tags, with detected and with missed tags."""
 
     pitch: FloatArray
     """Pitch, pixels per module, see `lmd.detection.corner_errors.pitch`, `(M,)`."""
@@ -62,8 +63,8 @@ class TagViews:
     error: FloatArray
     """Root mean square error of the corners, pixels, `(M,)`; NaN for tags not detected."""
     placed: Placed | None = None
-    """Place of each tag in its image, and time of the image, for views from a recording; None for other views, such as
-    rendered ones.
+    """Position of each tag in its image, and time of the image, for views from a recording; None for other views, such
+    as rendered views.
     """
 
     def __len__(self) -> int:
@@ -83,7 +84,7 @@ _ARRAYS = tuple(field.name for field in fields(TagViews))[:-1]
 
 
 def only(cameras: Sequence[Camera]) -> Camera:
-    """Return the only camera.
+    """Return the only camera of the sequence `cameras`.
 
     Raises:
         InputError: there are several cameras.
@@ -95,7 +96,7 @@ def only(cameras: Sequence[Camera]) -> Camera:
 
 @dataclass(frozen=True)
 class SurveyedViews:
-    """Views in the images of a survey, with one camera or several.
+    """Views of single tags in the images of a survey, which was made with one camera or with several cameras.
 
     Raises:
         InputError: the folder is not the folder of a survey.
@@ -124,8 +125,8 @@ class SurveyedViews:
     def views(
         self, cameras: Sequence[Camera], tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator
     ) -> TagViews:
-        """Views in the images of the survey, with the detections that the survey recorded; `tag`, `detector` and `rng`
-        are ignored.
+        """Views of single tags in the images of the survey, with the detections that the survey recorded; `tag`,
+        `detector` and `rng` are ignored.
 
         Args:
             cameras: cameras of the images, several for a rig.

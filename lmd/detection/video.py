@@ -183,7 +183,9 @@ class Video(Checked):
         raise wrong_size(Path(self.path), self.argument, found[0], size)
 
     def _at(self, number: int, size: tuple[int, int]) -> Any:
-        """Open the video and grab frame `number`."""
+        """Open the video and grab frame `number`, so that `retrieve` decodes this frame; `size` is the required width
+        and height.
+        """
         cv2, video = optional("cv2", "detection"), self._opened(size)
         if number and self._index.seeks:
             wanted = 1e3 * self._index.times[number]

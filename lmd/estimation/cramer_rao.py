@@ -1,11 +1,12 @@
 """Cramer-Rao bound on the pose of a camera from the images of landmarks.
 
-A perturbation of the pose X to X exp(w, v) moves a landmark at y_i = (x, y, z) in the camera's frame by y_i x w - v.
-The image of the landmark moves by J_i (w, v) with
-`J_i = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)] [[y_i]x  -I]`. For a distorting lens, the lens's Jacobian
-(`lmd.geometry.lens`) replaces the factors of the focal lengths. With pixel noise sigma the information is sum J_i^T J_i
-/ sigma^2, and no unbiased estimate from this one frame has a smaller covariance than the inverse of the information.
-Fewer than three landmarks, or collinear landmarks, do not determine the pose: the bound is infinite.
+A perturbation of the pose X to X exp(w, v) moves a landmark at y_i = (x, y, z) in the camera's frame by y_i x w - v,
+where y_i x w is a cross product. The image of the landmark moves by J_i (w, v) with
+`J_i = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)] [[y_i]x  -I]` and the focal lengths f_u, f_v in pixels. For
+a distorting lens, the lens's Jacobian (`lmd.geometry.lens`) replaces the factors of the focal lengths. With pixel noise
+sigma the Fisher information about the pose is sum J_i^T J_i / sigma^2, and no unbiased estimate from this one frame has
+a smaller covariance than the inverse of the information. Fewer than three landmarks, or collinear landmarks, do not
+determine the pose: the bound is infinite.
 
 A camera of a rig with the pose M on the body (`lmd.scene.rig.Rig.extrinsics`) moves by Ad_{M^-1} (w, v) when the body
 moves by (w, v). The Fisher information of all images at one time is the sum of Ad^T I Ad over the cameras, where I is
@@ -46,15 +47,15 @@ def pose_information(
     seen: BoolArray,
     noise: Sequence[FloatArray] | None = None,
 ) -> FloatArray:
-    """Fisher information that the images of C cameras have about the pose of their body in each frame, for body twists
-    (w, v), `(F, 6, 6)`.
+    """Fisher information about the pose of a body in each of F frames, from the images of its C cameras, `(F, 6, 6)`.
+    The pose is parametrised by body twists (w, v).
 
     Args:
         cameras: intrinsics and distortion of the cameras.
         extrinsics: poses of the cameras in the frame of the body, `(C, 4, 4)`.
         poses: poses X of the body, `(F, 4, 4)`.
         landmarks: positions C_i of the landmarks, world frame, metres, `(K, 3)`.
-        seen: mask of the landmarks in view of each camera, `(C, F, K)`; landmarks in view must be in front of it.
+        seen: mask of the landmarks in view of each camera, `(C, F, K)`; these landmarks must be in front of the camera.
         noise: for each camera, standard deviation of the image points of the landmarks in view, pixels, `(M,)`, in the
             order of `np.nonzero` of the camera's mask `seen`; None for one pixel.
     """
@@ -68,8 +69,8 @@ def pose_information(
 
 
 def determines_pose(information: FloatArray) -> BoolArray:
-    """True for each of the information matrices `(..., 6, 6)` that is invertible, and so determines a pose, `(...)`.
-    The matrices are scaled to a unit diagonal first, so that the result does not depend on units.
+    """Mask of the Fisher information matrices `information` `(..., 6, 6)` that are invertible, and therefore determine
+    a pose, `(...)`. The matrices are scaled to a unit diagonal first, so that the result does not depend on units.
     """
     diagonal = np.diagonal(information, axis1=-2, axis2=-1)
     scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, np.inf))
@@ -82,7 +83,7 @@ def cramer_rao_bound(information: FloatArray) -> tuple[FloatArray, FloatArray]:
     does not determine the pose.
 
     The deviations are the square roots of the traces of the position block and the attitude block of the inverse
-    information, see `determines_pose`.
+    information. `determines_pose` decides whether the information determines the pose.
 
     Args:
         information: Fisher information about poses, `(..., 6, 6)`.
@@ -133,7 +134,9 @@ class CramerRaoMap:
 
 
 def cramer_rao_map(scene: Scene, evaluator: Evaluator, deployment: Deployment) -> CramerRaoMap:
-    """Compute the bound at every position of `evaluator` and every orientation of the PDF, in every crowd state."""
+    """Compute the Cramer-Rao bounds on the pose at every position of `evaluator`, over all orientations of the PDF and
+    all crowd states.
+    """
     pdf, positions, weight = scene.pdf, evaluator.positions, scene.probability(evaluator.positions)
     _, first = np.unique(scene.orientations.index_of, return_index=True)
     turns = camera_pose(np.zeros(3), pdf.yaw[first], pdf.pitch[first], np.asarray(pdf.roll)[first])
@@ -153,8 +156,8 @@ def cramer_rao_map(scene: Scene, evaluator: Evaluator, deployment: Deployment) -
 
 
 def _finite_median(values: FloatArray, weight: FloatArray) -> FloatArray:
-    """Weighted median of the finite values in each row of `values` `(P, D)`; `(P,)`; infinite for rows without finite
-    values.
+    """Weighted median of the finite values in each row of `values` `(P, D)`; the result has the shape `(P,)` and is
+    infinite for rows without finite values.
     """
     known = np.isfinite(values)
     weights = np.where(known | ~known.any(axis=1, keepdims=True), weight, 0.0)
@@ -168,7 +171,7 @@ class CramerRaoBound:
 
     A tag is measured by the images of its corners, a point by the image of its centre. An estimator that uses earlier
     frames may have smaller errors. For the error Er (see `Errors.frobenius`) the bound is the expectation tr S_vv + 2
-    tr S_ww, where S is the bound on the covariance.
+    tr S_ww, where S_vv and S_ww are the blocks of position and attitude of the bound on the covariance.
     """
 
     def errors(self, recording: Recording, start: FloatArray) -> Errors:

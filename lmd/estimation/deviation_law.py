@@ -89,7 +89,8 @@ BY_NUMBER = {"photonvision"}  # rules with one value of a for a single tag and o
 def fit_power(distance: FloatArray, tags: IntArray, deviation: FloatArray) -> PowerLaw:
     """Fit a power law to the standard deviations of V views with mean distances [m] and numbers of tags, `(V,)` each.
 
-    The exponent of a variable that is nearly constant over the views is 0.
+    `deviation` has the standard deviations, metres or rad. If the distance or the number of tags is nearly constant
+    over the views, its exponent is 0.
     """
     logs = {"distance": np.log(distance), "tags": -np.log(tags)}
     varied = {name: value for name, value in logs.items() if value.std() >= LEAST_VARIATION}
@@ -100,24 +101,24 @@ def fit_power(distance: FloatArray, tags: IntArray, deviation: FloatArray) -> Po
 
 
 def _scale(deviation: FloatArray, shape: FloatArray) -> float:
-    """Scale a with which the ratios deviation / (a shape) have the mean square 1; `deviation` and `shape` have one
-    value for each view.
+    """Scale factor for which the ratios `deviation` / (factor * `shape`) have the mean square 1 over the views. `shape`
+    has the values of the law without its scale; both arguments have one value for each view, `(V,)`.
     """
     return float(np.sqrt(((deviation / shape) ** 2).mean()))
 
 
 def fit_law(distance: FloatArray, tags: IntArray, deviation: FloatArray) -> Law:
     """Fit a law to the standard deviations of V views, `(V,)`: one power law to the views of one tag, another to the
-    views of several tags. If there are fewer than `LEAST_VIEWS` views of one kind, that kind gets the power law fitted
-    to all views.
+    views of several tags. `distance` has the mean distances, metres, and `tags` the numbers of tags, `(V,)` each. If
+    there are fewer than `LEAST_VIEWS` views of one kind, that kind gets the power law fitted to all views.
 
     Raises:
         InputError: there are fewer than `LEAST_VIEWS` views.
     """
     if len(deviation) < LEAST_VIEWS:
         raise InputError(
-            f"views: only {len(deviation)} of the random views determine one pose, and a law needs {LEAST_VIEWS}: ask "
-            "for more views, or for more or larger tags.",
+            f"views: only {len(deviation)} of the random views determine one pose, but a law needs {LEAST_VIEWS}: give "
+            "more views, or more or larger tags.",
             "views",
         )
 
@@ -129,8 +130,9 @@ def fit_law(distance: FloatArray, tags: IntArray, deviation: FloatArray) -> Law:
 
 
 def fit_rule(shape: str, distance: FloatArray, tags: IntArray, deviation: FloatArray) -> Rule:
-    """Fit the scales of the rule with the name `shape`, a key of `RULES`, as the scales of power laws are fitted. For
-    the other arguments see `fit_power`.
+    """Fit the rule named `shape`, a key of `RULES`, to the standard deviations of V views, `(V,)`. `distance` has the
+    mean distances, metres, and `tags` the numbers of tags, `(V,)` each. As for power laws, the ratios of the standard
+    deviations to the rule then have the mean square 1.
     """
     per_view = RULES[shape](distance, tags)
 
@@ -142,8 +144,8 @@ def fit_rule(shape: str, distance: FloatArray, tags: IntArray, deviation: FloatA
 
 
 def ratio_quantiles(deviation: FloatArray, predicted: FloatArray) -> dict[str, float]:
-    """Quantiles, at the probabilities `LEVELS`, of the ratio deviation / predicted over the views, and `factor_90`: 90
-    % of the ratios are within this factor of 1.
+    """Quantiles, at the probabilities `LEVELS`, of the ratio `deviation` / `predicted` over the V views, `(V,)` each,
+    and `factor_90`: 90 % of the ratios are within this factor of 1.
     """
     ratio = deviation / predicted
     found = {

@@ -1,5 +1,5 @@
-"""Drives (motions of the camera) for the objective of the filtered pose, cut from recordings or drawn from a source of
-trajectories.
+"""Drives (motions of the camera) for the objective `lmd.objectives.filtered`, the fraction of the time in which a
+Kalman filter knows the pose. Drives are cut from recordings, or drawn from a source of trajectories.
 """
 
 from collections.abc import Sequence
@@ -34,8 +34,8 @@ def filtered(
     start_attitude: float,
     **settings: object,
 ) -> tuple[Filtered, Scene]:
-    """Make the objective of the filtered pose along drives, and the scene in which the camera positions are the
-    positions of the drives' frames.
+    """Make the objective `Filtered` for drives, and a copy of the scene in which the camera positions are the positions
+    of the drives' frames.
 
     A source of random trajectories provides `drives` drives for the objective, and `fresh` further drives for the
     validation. A recording, of the scene or from a file, is cut into drives of `block` seconds, and every `held_out`-th
@@ -49,7 +49,8 @@ def filtered(
         seed: seed of the drives.
         block: length of a drive of a recording, seconds.
         held_out: every `held_out`-th drive of a recording is kept for the validation, at least 2.
-        start_position, start_attitude: see `Drives`.
+        start_position, start_attitude: standard deviations of the initial position along each axis, metres, and of the
+            initial attitude about each axis, rad.
         settings: further arguments of `Filtered`.
 
     Raises:
@@ -90,14 +91,14 @@ def filtered(
 
 
 def _draw(scene: Scene, source: TrajectorySource, seed: Sequence[int], count: int) -> list[Trajectory]:
-    """Draw `count` random trajectories. With a larger `count`, further trajectories are added to these, which do not
-    change.
+    """Draw `count` random trajectories. A greater `count` appends further trajectories and does not change the first
+    ones.
     """
     return [source.draw(scene, np.random.default_rng([*seed, i])) for i in range(count)]
 
 
 def cut(trajectory: Trajectory, seconds: float) -> list[Trajectory]:
-    """Cut a trajectory into parts with a duration of `seconds` each; a part of less than two frames is left out.
+    """Cut a trajectory into parts with a duration of `seconds` each; a part of fewer than two frames is left out.
 
     Raises:
         InputError: a part is shorter than the time between two frames.
@@ -110,13 +111,13 @@ def cut(trajectory: Trajectory, seconds: float) -> list[Trajectory]:
 
 
 def _divided(parts: Sequence[Trajectory], every: int) -> tuple[list[Trajectory], list[Trajectory]]:
-    """Divide the drives of a recording. Returns: drives for the objective; held-out drives for the validation, which
-    are every `every`-th drive.
+    """Divide the drives of a recording into drives for the objective, and held-out drives for the validation; return
+    both lists. Every `every`-th drive is held out. Raises `InputError` if there are fewer than `every` drives.
     """
     kept = [part for i, part in enumerate(parts) if i % every == every - 1]
     if not kept:
         raise InputError(
-            f"block: held_out = {every} needs {every} drives, the recording gives {len(parts)}: shorten the blocks.",
+            f"block: held_out = {every} needs {every} drives, but the recording gives {len(parts)}: shorten blocks.",
             "block",
         )
     return [part for i, part in enumerate(parts) if i % every != every - 1], kept

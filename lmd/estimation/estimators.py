@@ -3,10 +3,11 @@
 The consistency of an estimator is judged by its normalised estimation errors squared (NEES), which should follow a
 chi-square distribution.
 
-Let S be the stated covariance of the body twist (w, v) of the error Xh^-1 X = exp(w, v) of an estimate Xh. The estimate
-is consistent if (w, v)^T S^-1 (w, v) follows the chi-square distribution with 6 degrees of freedom. The diagonal blocks
-of S give the normalised squares of rotation and of position, with 3 degrees of freedom each. See Y. Bar-Shalom, X. R.
-Li and T. Kirubarajan, "Estimation with applications to tracking and navigation", 2001, section 5.4.
+An estimate Xh of the pose X has the error Xh^-1 X = exp(w, v). Let S be the covariance that the estimator states for
+the body twist (w, v). The estimate is consistent if (w, v)^T S^-1 (w, v) follows the chi-square distribution with 6
+degrees of freedom. The diagonal blocks of S give the normalised squares of rotation and of position, with 3 degrees of
+freedom each. See Y. Bar-Shalom, X. R. Li and T. Kirubarajan, "Estimation with applications to tracking and navigation",
+2001, section 5.4.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -55,12 +56,12 @@ class Errors:
     (rotation), `(S, T)`.
     """
     position: FloatArray
-    """Position error |p - ph|, metres, `(S, T)`."""
+    """Position error: distance between the true and the estimated position, metres, `(S, T)`."""
     attitude: FloatArray
-    """Attitude error: angle of the rotation between R and Rh, rad, `(S, T)`."""
+    """Attitude error: angle of the rotation between the true and the estimated attitude, rad, `(S, T)`."""
     squares: FloatArray | None = None
-    """Normalised squared errors, see `lmd.estimation.estimators.squares`, `(S, T, 3)`; None if the estimator states no
-    covariances.
+    """Normalised squared errors (NEES) of the whole pose, of its rotation, and of its position, `(S, T, 3)`; None if
+    the estimator states no covariances.
     """
 
     @property
@@ -90,8 +91,9 @@ def errors_of(
     Args:
         recording: S runs.
         start: initial estimate of the pose, `(S, 4, 4)`.
-        run: function that gives, for each frame of a run, the estimate Xh `(4, 4)` and the covariance of its error as a
-            body twist, `(6, 6)`; NaN without an estimate.
+        run: function of the recording, the index s of a run and the run's initial estimate `(4, 4)`. It gives, for each
+            frame of the run, the estimate Xh `(4, 4)` and the covariance of its error as a body twist, `(6, 6)`; NaN
+            without an estimate.
     """
     runs = [list(run(recording, s, first)) for s, first in enumerate(start)]
     errors = pose_errors(recording.poses, np.array([[pose for pose, _ in one] for one in runs]))

@@ -36,7 +36,7 @@ class TrajectorySource(Protocol):
 class Pace(Checked):
     """Limits of the motion between waypoints, and the frame rate.
 
-    Between two waypoints position, yaw and pitch follow the minimum-jerk profile 10 t^3 - 15 t^4 + 6 t^5, as fast as
+    Between two waypoints, position, yaw and pitch follow the minimum-jerk profile 10 t^3 - 15 t^4 + 6 t^5, as fast as
     `speed` and `turn_rate` allow. At a waypoint the camera is at rest.
 
     Raises:
@@ -51,8 +51,8 @@ class Pace(Checked):
     """Frame rate, frames per second."""
 
     def seconds(self, steps: FloatArray) -> FloatArray:
-        """Least time, seconds, `(...)`, that each change of (x, y, z, yaw, pitch), `(..., 5)`, takes without exceeding
-        the limits.
+        """Least time, seconds, `(...)`, in which the camera can make each of the changes `steps` of (x, y, z, yaw,
+        pitch), metres and radians, `(..., 5)`, without exceeding the limits.
         """
         way, turn = np.linalg.norm(steps[..., :3], axis=-1), np.linalg.norm(steps[..., 3:], axis=-1)
         return np.asarray(PEAK_SLOPE * np.maximum(way / self.speed, turn / self.turn_rate))
@@ -121,7 +121,9 @@ def _random_waypoint(scene: Scene, rng: np.random.Generator) -> FloatArray:
 
 
 def _next_waypoint(scene: Scene, before: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Draw waypoints until one has a free straight path from `before`."""
+    """Draw random waypoints (x, y, z, yaw, pitch) until one has a free straight path from the waypoint `before`; return
+    this waypoint, `(5,)`. Raises `InputError` if none of `MOST_DRAWS` waypoints has such a path.
+    """
     for _ in range(MOST_DRAWS):
         waypoint = _random_waypoint(scene, rng)
         if not np.array_equal(waypoint, before) and scene.room.passable(before[:3], waypoint[:3]):

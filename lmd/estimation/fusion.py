@@ -54,7 +54,7 @@ class Uncertainty(Checked):
 
 
 class Measurement(Protocol):
-    """Interface of what an estimator measures in one frame: d numbers that can be predicted from the pose."""
+    """Interface of an estimator's measurement in one frame: d numbers that can be predicted from the pose."""
 
     @property
     def value(self) -> FloatArray:
@@ -65,13 +65,15 @@ class Measurement(Protocol):
         """Covariance of the measured numbers, `(d, d)`."""
 
     def predicted(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Predict the measurement at a pose X, `(d,)`, and return its Jacobian with respect to a body twist (w, v),
-        `(d, 6)`.
+        """Prediction of the measured numbers for a pose X `(4, 4)`, `(d,)`; and its Jacobian with respect to a body
+        twist (w, v), `(d, 6)`.
         """
 
 
 class CameraPoints(NamedTuple):
-    """Positions of m landmarks in the camera's frame, y = X^-1 C, in metres. A `Measurement` of `3 * m` numbers."""
+    """Measured positions of m landmarks in the camera's frame, metres, y = X^-1 C for the pose X and the world position
+    C. A `Measurement` of `3 * m` numbers.
+    """
 
     landmarks: FloatArray
     value: FloatArray
@@ -79,7 +81,9 @@ class CameraPoints(NamedTuple):
 
     @classmethod
     def of(cls, recording: Recording, s: int, t: int, uncertainty: Uncertainty) -> "CameraPoints":
-        """Measurement of the landmarks detected in frame t of run s."""
+        """Make the measurement of the landmarks that are detected in frame t of run s; `uncertainty` has the lower
+        bound on the pixel noise.
+        """
         seen, these = recording.seen[s, t], recording.detections(s, t, t + 1)
         noise = np.maximum(recording.noise[these], uncertainty.least_pixel_noise)[:, None, None]
         covariance = _block_diagonal(noise**2 * recording.covariance[these])
@@ -100,7 +104,9 @@ class CornerImages(NamedTuple):
 
     @classmethod
     def of(cls, recording: Recording, s: int, t: int, uncertainty: Uncertainty) -> "CornerImages":
-        """Measurement of the tag corners detected in frame t of run s."""
+        """Make the measurement of the tag corners that are detected in frame t of run s; `uncertainty` has the lower
+        bound on the pixel noise.
+        """
         images = images_of(recording, s, t)
         noise = np.maximum(np.concatenate([image.noise for image in images]), uncertainty.least_pixel_noise).repeat(2)
         return cls(images, np.concatenate([image.pixels for image in images]).reshape(-1), np.diag(noise**2))
@@ -122,7 +128,8 @@ class CornerImages(NamedTuple):
 
 @dataclass(frozen=True)
 class InvariantKalmanFilter(Uncertainty):
-    """Left-invariant extended Kalman filter of GTSAM; it measures landmarks as the observer does, y_i = X^-1 C_i.
+    """Left-invariant extended Kalman filter of GTSAM. By default it uses the positions of landmarks in the camera's
+    frame, y_i = X^-1 C_i, as `lmd.estimation.observer` does.
 
     Raises:
         InputError: a value is not positive, or `measured` is unknown.
@@ -130,7 +137,7 @@ class InvariantKalmanFilter(Uncertainty):
 
     measured: Annotated[str, partial(choice, options=("points", "corners"))] = field(default="points", kw_only=True)
     """Measurements: `points`, the position of each tag from its own image, or `corners`, the image points of all
-    corners.
+    corners. Recordings of points always use `points`.
     """
 
     def errors(self, recording: Recording, start: FloatArray) -> Errors:
@@ -159,9 +166,10 @@ class InvariantKalmanFilter(Uncertainty):
 class FixedLagSmoother(Uncertainty):
     """Fixed-lag smoother of GTSAM (iSAM2): a factor graph of the odometry and the measurements of recent frames.
 
-    Tags are measured by the images of their corners. The smoother starts with the first frame whose images determine
-    the pose uniquely; the estimates for earlier frames are integrated from the odometry. Points are measured as in the
-    Kalman filter. The estimate of a frame is not corrected by later frames.
+    Tags are measured by the images of their corners. The smoother starts with the first frame, other than frame 0,
+    whose images determine the pose uniquely; the estimates for earlier frames are integrated from the odometry.
+    Landmarks that are points are measured by their positions in the camera's frame, and the smoother then starts with
+    frame 0. The estimate of a frame is not corrected by later frames.
 
     Raises:
         InputError: a value is not positive.
@@ -176,7 +184,8 @@ class FixedLagSmoother(Uncertainty):
 
     def run(self, recording: Recording, s: int, start: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
         """Iterate over the frames of run s. Yields the estimated pose, `(4, 4)`, and the covariance of its error as a
-        body twist, `(6, 6)`, which is NaN before the frame with which the smoother starts.
+        body twist, `(6, 6)`, which is NaN before the frame with which the smoother starts. `start` is the initial
+        estimate, `(4, 4)`.
         """
         gtsam = optional("gtsam", "estimators")
         diagonal, drift = gtsam.noiseModel.Diagonal.Sigmas, self.drift(recording)
@@ -208,8 +217,8 @@ class FixedLagSmoother(Uncertainty):
 
 
 def _beginning(recording: Recording, s: int, t: int, expected: FloatArray) -> FloatArray | None:
-    """Pose with which the smoother starts at frame t of run s; None if the images of the frame do not determine a
-    unique pose. If landmarks are points, this is the pose `expected`.
+    """Pose with which the smoother starts at frame t of run s; None if t is 0 or the images of the frame do not
+    determine a unique pose. If landmarks are points, the result is always the pose `expected`.
     """
     if recording.corners is None:
         return expected

@@ -1,12 +1,12 @@
-"""Equivariant Kalman filter that estimates the pose and the bias of a gyro.
+"""Equivariant Kalman filter that estimates the pose of a body and the bias of its gyro.
 
-The state is a pose T and a constant bias b of the measured body twist w. The gyro measures the angular part of w. With
-the noise n of w and white noise `walk`,
+The state is a pose T and a bias b of the measured body twist w, whose angular part is measured by the gyro. Landmark i
+at C_i is measured at y_i in the camera's frame. With the noise n of w and white noise `walk`,
 
     T' = T (w - b - n),    b' = walk,    y_i = T^-1 C_i + noise.
 
-The filter is an extended Kalman filter of 12 numbers. The prediction Th <- Th exp(h (w - bh)) is exact for constant w
-and b. Here ad, Ad and J are those of `lmd.geometry.se3`.
+The filter is an extended Kalman filter of 12 numbers. Th and bh are the estimates, h is the time step. The prediction
+Th <- Th exp(h (w - bh)) is exact for constant w and b. Here ad, Ad and J are those of `lmd.geometry.se3`.
 
 The tangent group of SE(3) with the product (A, a)(B, b) = (A B, a + Ad_A b) acts on states by (T, b) -> (T A, Ad_A^-1
 (b - a)). The system is equivariant. With the origin (I, 0) the equivariant error is (e, z) = (T Th^-1, Ad_Th (b - bh)),
@@ -14,13 +14,14 @@ in the frame of the map. The dynamics are
 
     e' = -e z,    z' = ad_W z    with W = Ad_Th (w - bh).
 
-So the error of the bias has linear dynamics, which depend on the estimate only through W. For e = exp(x) a step has
+So the error of the bias has linear dynamics, which depend on the estimate only through W. For e = exp(x), the errors
+change in a time step by
 
     x <- x - h J(h W) z,    z <- Ad_exp(h W) z.
 
 The output is equivariant, too: T y moves C_i. With c_i = (C_i + Th y_i) / 2, the residual Th y_i - C_i is [c_i]x u - v
-for x = (u, v), up to third-order errors. A correction (dx, dz) changes the errors to those of the new estimate: x <-
-J(dx) x and z <- Ad_exp(dx) z, which keeps the gyro's bias free of a linear part.
+for x = (u, v), up to third-order errors. After a correction (dx, dz), the errors relative to the new estimate are x <-
+J(dx) x and z <- Ad_exp(dx) z. So the linear part of the estimated bias stays 0.
 
 Source: P. van Goor, T. Hamel and R. Mahony, "Equivariant filter (EqF)", IEEE Trans. Automatic Control 68 (6), 2023; A.
 Fornasier et al., "Overcoming bias: equivariant filter design for biased attitude estimation with online calibration",
@@ -48,7 +49,9 @@ class State(NamedTuple):
     bias: FloatArray
     """Estimated bias bh, rad/s and m/s, `(6,)`."""
     covariance: FloatArray
-    """Covariance of the errors (x, z), `(12, 12)`."""
+    """Covariance of the errors (x, z), `(12, 12)`: x is the twist of the pose error, exp(x) = T Th^-1, and z = Ad_Th (b
+    - bh) is the error of the bias in the map's frame.
+    """
 
 
 @dataclass(frozen=True)
@@ -70,8 +73,8 @@ class EquivariantFilter(Uncertainty):
             yield state.pose, to_body @ state.covariance[:6, :6] @ to_body.T
 
     def states(self, recording: Recording, s: int, start: FloatArray) -> Iterator[State]:
-        """Iterate over the frames of run s. Yields the estimated pose and bias, with the covariance of the errors (x,
-        z) of the filter.
+        """Iterate over the frames of run s. Yields the estimated pose and bias in each frame, with the covariance of
+        their errors. `start` is the initial estimate of the pose, `(4, 4)`.
         """
         known = recording.odometry
         gyro = np.repeat([1.0, 0.0], 3)
@@ -92,7 +95,7 @@ class EquivariantFilter(Uncertainty):
             state: estimate before the step.
             twist: measured body twist w, `(6,)`.
             step: duration h of the step, seconds.
-            density: standard deviations of twist and bias per root second, in the body's frame, `(12,)`.
+            density: standard deviations of the errors of twist and bias per root second, in the body's frame, `(12,)`.
         """
         moved = step * (twist - state.bias)
         pose = state.pose @ exp(moved)
@@ -101,8 +104,8 @@ class EquivariantFilter(Uncertainty):
         return State(pose, state.bias, transition @ state.covariance @ transition.T + noise)
 
     def _from_body(self, pose: FloatArray, squares: FloatArray) -> FloatArray:
-        """Covariance `(12, 12)` of errors (x, z) of the filter. The independent errors of twist and bias in the body's
-        frame, from which it is computed, have the variances `squares` `(12,)`.
+        """Convert the variances `squares` `(12,)` of independent errors of twist and bias, in the frame of a body with
+        the pose `pose`, to the covariance of the filter's errors (x, z) in the map's frame, `(12, 12)`.
         """
         turn = np.kron(np.eye(2), adjoint_matrix(pose))
         return np.asarray(turn @ np.diag(squares) @ turn.T)
@@ -118,7 +121,7 @@ class EquivariantFilter(Uncertainty):
         return self.moved(State(state.pose, state.bias, covariance), gain @ residual)
 
     def transition(self, pose: FloatArray, moved: FloatArray, step: float) -> FloatArray:
-        """Matrix that maps the errors (x, z) before a step to those after the step, `(12, 12)`.
+        """Matrix that maps the errors (x, z) of pose and bias before a step to the errors after the step, `(12, 12)`.
 
         Args:
             pose: estimated pose Th before the step, `(4, 4)`.
@@ -132,8 +135,9 @@ class EquivariantFilter(Uncertainty):
         ])  # fmt: skip
 
     def residual(self, pose: FloatArray, seen: CameraPoints) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Residual Th y_i - C_i of m landmarks, `(3 m,)`; its Jacobian with respect to x, `(3 m, 6)`; and its
-        covariance, `(3 m, 3 m)`.
+        """Residual Th y_i - C_i of m landmarks, `(3 m,)`; its Jacobian with respect to the pose error x, `(3 m, 6)`;
+        and its covariance, `(3 m, 3 m)`. `pose` is the estimated pose Th; `seen` has the measured positions y_i and the
+        world positions C_i.
         """
         moved = act(pose, seen.value.reshape(-1, 3))
         middle = skew((moved + seen.landmarks) / 2.0)
@@ -142,8 +146,8 @@ class EquivariantFilter(Uncertainty):
         return (moved - seen.landmarks).reshape(-1), jacobian, turn @ seen.covariance @ turn.T
 
     def moved(self, state: State, change: FloatArray) -> State:
-        """State corrected by the estimated error (dx, dz), `(12,)`, with the covariance in the coordinates of the new
-        state.
+        """State corrected by the estimated errors `change` = (dx, dz) of pose and bias, `(12,)`; its covariance is that
+        of the errors relative to the new state.
         """
         step, reset = exp(change[:6]), np.zeros((12, 12))
         reset[:6, :6], reset[6:, 6:] = left_jacobian(change[:6]), adjoint_matrix(step)

@@ -1,8 +1,9 @@
 """Observer on SE(3): X-hat' = X-hat (U - epsilon - P(k_0 I_4 Q(Y-hat - Y))) from the landmarks in view.
 
-Notation: landmark i at C_i is measured at y_i = X^-1 C_i and predicted at yh_i = Xh^-1 C_i in the camera's frame. The
-error is e_i = yh_i - y_i, and f = 1/2 sum k_i |e_i|^2. All sums are over the landmarks visible at that instant. Twists
-(w, v) have the metric diag(l^2 I, I). The descent direction is
+Notation: X is the camera pose, X-hat or Xh its estimate, and U the measured twist. Landmark i at C_i is measured at y_i
+= X^-1 C_i and predicted at yh_i = Xh^-1 C_i in the camera's frame. The error is e_i = yh_i - y_i, and the cost is f =
+1/2 sum k_i |e_i|^2 with the gains k_i. All sums are over the landmarks visible at that instant. Twists (w, v) have the
+metric diag(l^2 I, I). The descent direction of f is
 
 - left-invariant, as printed:  -eps = (l^-2 sum k_i yh_i x e_i, sum k_i e_i).
 - right-invariant:             -eps = Ad_{Xh^-1} (l^-2 sum k_i C_i x s_i, sum k_i s_i) with s_i = C_i - Xh y_i.
@@ -41,9 +42,9 @@ class Observer(Checked):
     form: Annotated[str, partial(choice, options=FORMS)] = "right"
     """Form of the observer: `right`-invariant, or `left`-invariant as printed."""
     gain: Positive = 10.0
-    """Rate kappa, 1/s. In each frame all gains k_i are kappa / sum(1 + |z_i|^2 / l^2), where z is C in the
-    right-invariant form and y in the left-invariant form. So the fastest rate of convergence is kappa for any number of
-    landmarks.
+    """Rate kappa, 1/s. In each frame all gains k_i are kappa / sum(1 + |z_i|^2 / l^2), where z_i is C_i in the
+    right-invariant form and y_i in the left-invariant form. So the fastest rate of convergence is kappa for any number
+    of landmarks.
     """
     damping: NotNegative = 1.0
     """Damping gain k_0, 1/s."""
@@ -65,12 +66,14 @@ class Observer(Checked):
     def correction(
         self, estimate: FloatArray, landmarks: FloatArray, measured: FloatArray, seen: BoolArray
     ) -> FloatArray:
-        """Correction of the estimate, the body twist -epsilon - P(k_0 I_4 Q(Yh - Y)), rad/s and m/s, `(..., 6)`; zero
+        """Correction of the estimate: the body twist -epsilon - P(k_0 I_4 Q(Yh - Y)), rad/s and m/s, `(..., 6)`; zero
         without a landmark in view.
 
         Args:
             estimate: estimated poses Xh, `(..., 4, 4)`.
-            landmarks, measured, seen: as in `landmark_gain`.
+            landmarks: positions C_i, world frame, metres, `(..., K, 3)`.
+            measured: measured positions y_i, camera frame, metres, `(..., K, 3)`.
+            seen: mask of the landmarks in view, `(..., K)`.
         """
         gain = self.landmark_gain(landmarks, measured, seen)[..., None]
         back = inverse(estimate)
@@ -95,8 +98,9 @@ class Observer(Checked):
         """Estimated poses Xh at every frame, corrected with the landmarks in view in the frame, `(S, T, 4, 4)`.
 
         Each step is exact for a constant twist and a constant correction: Xh <- Xh exp(h U), then Xh <- Xh exp(h xi)
-        with the landmarks of the new frame. The origin is moved to the centroid of all K landmarks, so that the arms
-        C_i of the right-invariant form are short and the form converges faster.
+        with the correction xi from the landmarks of the new frame. U is the measured twist and h the time step. The
+        origin is moved to the centroid of all K landmarks, so that the arms C_i of the right-invariant form are short
+        and the form converges faster.
 
         Args:
             recording: S runs.

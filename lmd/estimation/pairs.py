@@ -25,7 +25,7 @@ def paired(figures: pd.DataFrame) -> pd.DataFrame:
         the first deployment. `position_better` is the number of flights in which the deployment of the row has the
         smaller error. `within_20mm_gain` is the mean increase, from the first deployment to that of the row, of the
         fraction of frames with a position error below 20 mm. `position_p` and `within_20mm_p` are two-sided p-values of
-        the Wilcoxon signed-rank test. NaN without a flight.
+        the Wilcoxon signed-rank test. `position_ratio` and `position_p` are NaN without such a flight.
     """
     rows = []
     for estimator, runs in figures.groupby("estimator", sort=False):
@@ -51,7 +51,7 @@ def paired(figures: pd.DataFrame) -> pd.DataFrame:
 
 
 def _p_value(differences: FloatArray) -> float:
-    """P-value of the Wilcoxon signed-rank test for paired `differences`; 1 if all are 0."""
+    """P-value of the Wilcoxon signed-rank test for paired `differences`; 1 if all are 0, NaN if there are none."""
     if not differences.size:
         return np.nan
     return float(wilcoxon(differences).pvalue) if differences.any() else 1.0

@@ -25,8 +25,8 @@ class PerspectiveNPoint:
     from the images of all cameras.
 
     The estimator uses the corners of all tags in view, or the centres of at least four points. If several poses fit
-    almost equally well, as for a distant tag, it takes the pose nearest to the prediction by odometry from the last
-    unique pose.
+    almost equally well, as for a distant tag, the estimator takes the pose nearest to the one that odometry predicts
+    from the last unique pose.
     """
 
     def __post_init__(self) -> None:
@@ -61,7 +61,9 @@ class PerspectiveNPoint:
 
 
 def likely(found: list[Solution]) -> list[FloatArray]:
-    """Poses that fit almost as well as the best pose, including the best pose."""
+    """Poses that fit almost as well as the best pose, including the best pose. `found` is in ascending order of the
+    error.
+    """
     return [solution.pose for solution in found if solution.square - found[0].square < TOLD_APART]
 
 

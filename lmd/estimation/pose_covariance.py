@@ -1,7 +1,7 @@
-"""Covariance of the pose that least squares estimate from one image, with errors of corners and of the map.
+"""Covariance of the pose that a least-squares solver estimates from one image, with errors of corners and of the map.
 
 J_t (8, 6) is the Jacobian of the image corners of tag t with respect to the body twist (w, v). The solver gives these
-corners the weight w_t. Let H = sum w_t J_t^T J_t. The error of the pose is to first order
+corners the weight w_t. Let H = sum w_t J_t^T J_t, over all tags in view. The error of the pose is to first order
 
     e = H^-1 sum w_t J_t^T r_t,    r_t = n_t + (b + mu_t) s_t + M_t m_t.
 
@@ -17,8 +17,8 @@ The mean of e e^T, called covariance here, is H^-1 N H^-1. The matrix in the mid
 
     N = sum w_t^2 sigma_t^2 J_t^T Q J_t + g g^T + beta^2 sum h_c h_c^T + sum B_t P_tu B_u^T.
 
-Here g = sum w_t mu_t J_t^T s_t is over all images, h_c = sum w_t J_t^T s_t over the tags in camera c. B_t = sum w_t
-J_t^T M_t is over the cameras.
+Here g = sum w_t mu_t J_t^T s_t is summed over all images, and h_c = sum w_t J_t^T s_t over the tags in the image of
+camera c. B_t = sum w_t J_t^T M_t is summed over the cameras.
 
 With w_t = 1 / sigma_t^2, Q = I, and without shifts and P this is the Cramer-Rao bound. Solvers such as OpenCV's
 `solvePnP` have w_t = 1; a tag with a large sigma_t or P_tt may then raise the covariance.
@@ -61,13 +61,16 @@ class TagErrors:
     weights: str = "equal"
     """Weights of corners: `equal`, or `noise` for 1 / sigma^2."""
     joint: FloatArray | None = None
-    """Additional joint covariance P_tu of all tags, tag by tag, `(6 K, 6 K)`; None for independent tags."""
+    """Additional joint covariance P_tu of the errors in position and rotation of all tags, tag by tag, `(6 K, 6 K)`;
+    None for independent tags.
+    """
 
     def at(self, pitches: FloatArray, incidences: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Standard deviation of a coordinate of a corner, and mean shift inward, pixels, `(...)` each.
+        """Standard deviation of a coordinate of a corner, and mean shift of the edges towards the tag's centre, pixels,
+        `(...)` each.
 
         Args:
-            pitches: pixels per module, `(...)`.
+            pitches: pitches of the tags, pixels per module, `(...)`.
             incidences: incidence angles, rad, `(...)`.
         """
         if isinstance(self.noise, float):
@@ -95,11 +98,13 @@ def pose_covariances(
     """Covariance of the body's pose as estimated from the images of C cameras in each of F frames.
 
     Args:
-        cameras, extrinsics: see `lmd.estimation.cramer_rao.pose_information`.
+        cameras: intrinsics and distortion of the cameras.
+        extrinsics: poses of the cameras in the frame of the body, `(C, 4, 4)`.
         poses: poses X of the body, `(F, 4, 4)`.
         deployment: K tags with their poses in the map.
         tag: family of the tags, and edge length of the tags for which `deployment` has none.
-        seen: mask of the tags in view of each camera, `(C, F, K)`; the corners of these tags must be in front of it.
+        seen: mask of the tags in view of each camera, `(C, F, K)`; the corners of these tags must be in front of the
+            camera.
         errors: errors of the K tags.
 
     Returns:
@@ -145,8 +150,9 @@ def pose_covariances(
 
 
 def _by_map(by_map: FloatArray, shown: BoolArray, errors: TagErrors) -> FloatArray:
-    """Term of N due to errors of the map: the sum of B_t P_tu B_u^T in each frame, `(F, 6, 6)`. The mask `shown` `(F,
-    K)` marks the P pairs of a frame and a tag in view; `by_map` `(P, 6, 6)` has the matrix B of each pair.
+    """Contribution of the map's errors to the matrix N (see the module's docstring): the sum of B_t P_tu B_u^T in each
+    frame, `(F, 6, 6)`. The mask `shown` `(F, K)` marks the P pairs of a frame and a tag in view; `by_map` `(P, 6, 6)`
+    has the matrix B of each pair.
     """
     frames, (frame, which) = len(shown), np.nonzero(shown)
     back = np.swapaxes(by_map, 1, 2)

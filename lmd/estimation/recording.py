@@ -46,7 +46,7 @@ class Odometry(Checked):
         """Measure twists, `(T - 1, 6)`, rad/s and m/s.
 
         For white noise of density q, the integral over h seconds has the variance q^2 h, and the mean over h seconds
-        q^2 / h.
+        has the variance q^2 / h.
 
         Args:
             twists: true twists, `(T - 1, 6)`.
@@ -139,7 +139,9 @@ class Observation(NamedTuple):
     noise: FloatArray
     """Standard deviation of the image coordinates of each detection, as estimators assume it, pixels, `(M,)`."""
     covariance: FloatArray
-    """Covariance of the measured position for one pixel of noise, m^2, `(M, 3, 3)`."""
+    """Covariance of the measured position of each detection for one pixel of noise, camera's frame, m^2,
+    `(M, 3, 3)`.
+    """
     corners: FloatArray | None = None
     """Detected corners of tags, pixels from the outer corner of the image's top left pixel, in the order of
     `lmd.geometry.squares.CORNERS`, `(M, 4, 2)`; None for points.
@@ -147,8 +149,8 @@ class Observation(NamedTuple):
 
 
 def merged(parts: Sequence[Observation], mounted: FloatArray) -> Observation:
-    """Merge the observations of all cameras of a body into one observation in the body's frame. The T frames have C K
-    landmarks each: every one of the K landmarks once for each of the C cameras.
+    """Merge the observations of all cameras of a body into one observation in the body's frame. The merged observation
+    has C K landmarks: the K landmarks as detected by the first camera, then by the second camera, and so on.
 
     Args:
         parts: observation of each camera in its own frame.
@@ -174,7 +176,7 @@ class Sensor(Protocol):
     """Interface of sensors that detect landmarks in the images of a camera."""
 
     def observed(self, flights: Sequence[Flight], each: Each = map) -> list[Observation]:
-        """Observe the landmarks of S flights.
+        """Observe the landmarks of S flights; return one observation for each flight.
 
         Args:
             flights: S flights.
@@ -212,13 +214,15 @@ class Recording:
     points: FloatArray
     """Measured positions of the landmarks in the camera's frame, metres, `(S, T, K, 3)`."""
     noise: FloatArray
-    """See `Observation`, `(M,)`."""
+    """Standard deviation of the image coordinates of each detection, as estimators assume it, pixels, `(M,)`."""
     covariance: FloatArray
-    """See `Observation`, `(M, 3, 3)`."""
+    """Covariance of the measured position of each detection for one pixel of noise, m^2, `(M, 3, 3)`."""
     tags: FloatArray | None = None
     """Corners of the tags, world frame, metres, `(S, K, 4, 3)`; None for points."""
     corners: FloatArray | None = None
-    """Detected corners, see `Observation`, `(M, 4, 2)`; None for points."""
+    """Detected corners of tags, pixels from the outer corner of the image's top left pixel, `(M, 4, 2)`; None for
+    points.
+    """
 
     @property
     def seen_by(self) -> BoolArray:
@@ -283,6 +287,6 @@ def check_images(flights: Sequence[Flight]) -> None:
     """Raise `InputError` if a flight has all landmarks in view; for sensors that measure in images."""
     if any(flight.all_visible for flight in flights):
         raise InputError(
-            "all_visible must be false where measurements are not exact: a landmark behind the camera has no image.",
+            "all_visible must be false if measurements are not exact: a landmark behind the camera has no image.",
             "all_visible",
         )

@@ -63,15 +63,15 @@ class RenderedDetector(Checked):
     def _validate(self) -> None:
         self.tag.check_edge()
         if not hasattr(self.reader, "corner_errors"):
-            raise InputError(f"reader must have corner_errors, {type(self.reader).__name__} does not.", "reader")
+            raise InputError(f"reader must have corner_errors; {type(self.reader).__name__} has none.", "reader")
 
     def tags(self, deployment: Deployment) -> FloatArray:
         """See `Sensor.tags`."""
         return corners_of(deployment, self.tag)
 
     def batch(self, look: Look) -> "Batch":
-        """Batch with the frames that one camera takes on a flight. Flights with equal random generators `rng` give
-        equal frames.
+        """Make the batch of the frames that one camera takes on a flight. Flights with equal random generators `rng`
+        give equal frames.
         """
         flight = look.flight
         room = tagged_room(flight.evaluator.scene.room, flight.deployment, self.tag)

@@ -27,7 +27,8 @@ class PointDetector(Checked):
     """Detector of landmarks that are points; a `lmd.estimation.recording.Sensor`.
 
     For each landmark three numbers are measured, with independent normal errors. Two are the image coordinates of the
-    centre; the third is the apparent length f a / z of the edge, which gives the depth z.
+    centre; the third is the apparent length f a / z of the landmark's edge, which gives the depth z. Here f is the
+    focal length, pixels, and a the edge length.
 
     Raises:
         InputError: a value is out of range.
@@ -60,9 +61,10 @@ class PointDetector(Checked):
     def measured(self, points: FloatArray, camera: Camera, rng: np.random.Generator) -> FloatArray:
         """Simulate the measurement of landmarks at y = (x, y, z) in the camera's frame.
 
-        The noise of (x / z, y / z) is the pixel noise divided by the focal length. The depth f a / w is computed from
-        the apparent edge w >= 1 pixel with its noise. For a distorting lens, the noise is added to the distorted image;
-        for a fisheye, the edge gives the distance instead of z.
+        The noise of (x / z, y / z) is the pixel noise divided by the focal length. The measured depth is f a / w, where
+        f is the focal length, a the edge length of the landmark, and w >= 1 pixel the noisy apparent edge length. For a
+        distorting lens, the noise is added to the distorted image; for a fisheye, the edge gives the distance instead
+        of z.
 
         Args:
             points: true positions y, metres, `(..., 3)`; the result is arbitrary for z <= 0.
@@ -89,8 +91,8 @@ class PointDetector(Checked):
         return np.asarray(focal[0] * self.edge / width * ray)
 
     def covariance(self, measured: FloatArray, camera: Camera) -> FloatArray:
-        """Covariance of y = z (a, b, 1) for one pixel of noise in the image point (a, b) and in the apparent edge,
-        which gives z.
+        """Covariance of the measured positions y for one pixel of noise in each image coordinate and in the apparent
+        edge length, which gives the depth.
 
         Args:
             measured: measured positions y, metres, `(M, 3)`.
@@ -168,8 +170,10 @@ def noisy_detector(tag: Tag, reader: str, pixel_noise: float, missed: float, edg
 
     Args:
         tag: tag at every landmark.
-        reader, missed: see `TagDetector`.
-        pixel_noise, missed, edge: see `PointDetector`.
+        reader: detector of tags, one of `CORNER_ERRORS`, whose errors are drawn.
+        pixel_noise: standard deviation of the image coordinates of points, pixels.
+        missed: probability that a visible landmark is not detected.
+        edge: edge length of landmarks that are points, metres.
     """
     return PointDetector(pixel_noise, missed, edge) if tag.is_point else TagDetector(tag, reader, missed)
 
@@ -198,8 +202,9 @@ def observation(
 
 
 def _places(camera: Camera, edges: FloatArray, found: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Rotation `(M, 3, 3)` from each tag's frame (right, up, normal) to the camera's frame, and centre of the tag
-    `(M, 3)`.
+    """Rotation `(M, 3, 3)` from each tag's frame (right, up, normal) to the camera's frame, and centre of the tag in
+    the camera's frame, metres, `(M, 3)`. `edges` has the edge lengths, metres, `(M,)`, and `found` the detected
+    corners, pixels, `(M, 4, 2)`.
 
     Two poses of a square have similar images (IPPE); the pose with the smaller reprojection error is taken.
     """
@@ -225,8 +230,8 @@ def _places(camera: Camera, edges: FloatArray, found: FloatArray) -> tuple[Float
 def _covariance(camera: Camera, edges: FloatArray, turns: FloatArray, centres: FloatArray) -> FloatArray:
     """Covariance of tags' centres in the camera's frame for one pixel of noise at their corners, m^2, `(M, 3, 3)`.
 
-    The covariance is a block of the inverse information on the tag's pose. A corner y = R q + t moves by -R [q]x w + v,
-    with w in the tag's frame.
+    The covariance is a block of the inverse information on the tag's pose. A change (w, v) of the tag's pose, with w in
+    the tag's frame, moves a corner y = R q + t by -R [q]x w + v.
     """
     squares = _squares(edges)
     y = centres[:, None] + squares @ np.swapaxes(turns, 1, 2)  # (M, 4, 3)

@@ -46,7 +46,9 @@ class InitialError(Checked):
     """Attitude error, rad."""
 
     def applied(self, pose: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Draw a first estimate of a camera's pose, `(4, 4)`, which differs from the true `pose` by the errors."""
+        """Draw a first estimate of a camera's pose, `(4, 4)`, which differs from the true `pose` by errors of these
+        sizes in random directions.
+        """
         directions = rng.normal(size=(2, 3))
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         turn = np.concatenate([self.attitude * directions[0], np.zeros(3)])
@@ -83,8 +85,8 @@ class Flights:
         return cls(seeds, trajectories, np.stack(start))
 
     def over(self, problem: Problem, all_visible: bool = False) -> list[Flight]:
-        """Flights with the start deployment of `problem`; if this deployment is random, a new one is drawn for each
-        seed.
+        """Make the S flights with the start deployment of `problem`; if this deployment is random, a new one is drawn
+        for each seed. With `all_visible` every landmark is in view in all frames.
         """
         flights = []
         for seed, trajectory in zip(self.seeds, self.trajectories, strict=True):
@@ -121,13 +123,15 @@ class FlightStudy:
     def figures(self) -> pd.DataFrame:
         """Table of the localisation errors, with one row for each deployment, estimator and seed.
 
-        Columns: `mean_visible`, `share_visible_<n>`; `mean_error` (Er over the whole flight); `available`, the fraction
-        of frames with an estimate. `settling_time` (s) is the time after which Er stays below 1 % of its initial value;
-        infinite if there is no such time or a frame has no estimate. `position_error` (m) and `attitude_error` (rad)
-        are medians over the second half of the flight. `within_<n>mm` is the fraction of frames in the second half with
-        a position error below n mm; frames without an estimate count as larger errors. `nees_joint`, `nees_rotation`
-        and `nees_position` are means, over the second half, of the normalised squared errors divided by their degrees
-        of freedom. The means are about 1 if the stated covariances are right, and NaN if no covariances are stated.
+        Column `mean_visible` is the mean number of detected landmarks, and `share_visible_<n>` the fraction of the time
+        with at least n detected landmarks. `mean_error` is the mean of Er over the whole flight. `available` is the
+        fraction of frames with an estimate. `settling_time` (s) is the time after which Er stays below 1 % of its
+        initial value; infinite if there is no such time or a frame has no estimate. `position_error` (m) and
+        `attitude_error` (rad) are medians over the second half of the flight. `within_<n>mm` is the fraction of frames
+        in the second half with a position error below n mm; frames without an estimate count as larger errors.
+        `nees_joint`, `nees_rotation` and `nees_position` are means, over the second half, of the normalised squared
+        errors divided by their degrees of freedom. The means are about 1 if the stated covariances are right, and NaN
+        if no covariances are stated.
         """
         rows = []
         for name, outcome in self.outcomes.items():

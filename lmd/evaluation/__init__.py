@@ -19,7 +19,7 @@ class Study(Protocol):
         """Tables keyed by name, each with named columns; the index of a DataFrame is not one of its columns."""
 
     def metrics(self) -> dict[str, float]:
-        """Metrics with finite values, keyed by name."""
+        """Metrics, keyed by name; all values are finite."""
 
     def to_text(self) -> str:
         """Text for a terminal."""

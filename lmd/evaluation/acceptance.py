@@ -1,15 +1,15 @@
-"""Acceptance of a hung map: the fewest stations whose measurement shows a tag that hangs wrongly, and the verdict on
-measured stations.
+"""Acceptance of a map after its tags were hung: a choice of few stations whose measurement reveals a tag that hangs
+wrongly, and the verdict on the measured stations.
 
 A station is a pose of the camera or of the rig's body. At S stations a person measures the position by tape, and
 localisation reports it from one image. Let m `(6 K,)` be the errors in position and rotation of the K tags of the map.
 To first order the differences d `(3 S,)` between the reported and the taped positions are
 
-    d = A m + n.    In a right map d has the covariance C = A P A^T + N.
+    d = A m + n.    In a map without wrong tags (a right map), d has the covariance C = A P A^T + N.
 
 - A `(3 S, 6 K)` is the Jacobian of the estimated positions, see `lmd.estimation.pose_covariance`.
-- P is the covariance of m in a right map, which the person who hangs the tags leaves, or a survey.
-- N is the covariance of n, the errors of corners in the images and of the tape.
+- P is the covariance of m in a right map: the errors that remain after hanging the tags or after a survey.
+- N is the covariance of n, the effect of the errors of corners in the images and of the tape.
 
 If tag k hangs wrongly by s `(2,)`, right and up in its plane, B_k s is added to the mean of d. B_k `(3 S, 2)` has the
 columns of A for these directions. With the information F_k = B_k^T C^-1 B_k, the estimated shift is s_k = F_k^-1 B_k^T
@@ -20,7 +20,7 @@ The K tests of the tags share half of the rate of false alarms equally (Bonferro
 C_ss^-1 d_s with three degrees of freedom, share the other half.
 
 Stations are chosen greedily. Let G be the sum of A_s^T N_s^-1 A_s over the chosen stations, and R = (I + P G)^-1. Then
-A^T C^-1 A is G R, and station c adds (A_c R)^T (N_c + A_c R P A_c^T)^-1 A_c R to it.
+A^T C^-1 A is G R, and station c adds (A_c R)^T (N_c + A_c R P A_c^T)^-1 A_c R to this matrix.
 """
 
 from dataclasses import dataclass
@@ -57,7 +57,7 @@ PLACE, REPORTED = ["x", "y", "z", "yaw_deg"], ["reported_x", "reported_y", "repo
 
 @dataclass(frozen=True)
 class Acceptance(Checked):
-    """Settings of the acceptance of a hung map.
+    """Settings of the acceptance of a map after its tags were hung.
 
     Raises:
         InputError: a value is out of range.
@@ -70,9 +70,11 @@ class Acceptance(Checked):
     shift: Positive = 0.02
     """Shift of a tag in its plane that the measurement must show, metres."""
     power: Annotated[float, partial(real, low=0.5, high=0.9999)] = 0.95
-    """Least probability with which this shift is found."""
+    """Least probability with which a tag that is off by `shift` is found."""
     alarm: Annotated[float, partial(real, low=1e-6, high=0.5)] = 0.01
-    """Greatest probability that the test of a station or of a tag fails in a right map."""
+    """Greatest probability of a false alarm: at least one test of a station or a tag fails although no tag hangs
+    wrongly.
+    """
     mean: Positive = 0.05
     """Greatest accepted mean of the position errors of all stations, metres. Only stations whose bound on the position
     error is at most this value are chosen.
@@ -84,12 +86,12 @@ class Acceptance(Checked):
     pitch: Annotated[float, partial(real, low=-np.pi / 2.0, high=np.pi / 2.0)] = 0.0
     """Pitch of the optical axis at all stations, upward, rad."""
     zone: Positive = 2.0
-    """Edge length of the square zones of the floor plan, metres; a zone fails if one of its stations does."""
+    """Edge length of the square zones of the floor plan, metres; a zone fails if one of its stations fails."""
 
 
 @dataclass(frozen=True)
 class HungMap:
-    """Map of K hung tags, and the errors of a right map."""
+    """Map of K hung tags, and the errors that are expected if no tag hangs wrongly (in a right map)."""
 
     problem: Problem
     """Problem with the scene."""
@@ -106,8 +108,8 @@ class HungMap:
 
     @cached_property
     def along(self) -> FloatArray:
-        """Matrix `(6 K, 2 K)` that maps shifts of the K tags, each right and up in its plane, to the errors m of all
-        tags.
+        """Matrix `(6 K, 2 K)` that converts shifts of the K tags to the vector m `(6 K,)` of the errors in position and
+        rotation of all tags, world frame. Each tag has two shifts, right and up in its plane.
         """
         return np.asarray(block_diag(*np.pad(np.stack(upright(self.tags.normals), axis=-1), [(0, 0), (0, 3), (0, 0)])))
 
@@ -120,14 +122,16 @@ class HungMap:
         """Predict the localisation at stations.
 
         Args:
-            stations: columns `PLACE`, metres and degrees, `(S, 4)`.
+            stations: position (m) and heading (degrees) of each station, the columns `PLACE`, `(S, 4)`.
             read: mask of the tags that the camera reads if they are in view, `(S, K)`.
 
         Returns:
             shown: mask of the tags that are in view and read, `(S, K)`.
-            slopes, noise: matrices A_s `(S, 3, 6 K)` and N_s `(S, 3, 3)`; N_s is infinite without a pose.
-            right: covariances C_ss in a right map, `(S, 3, 3)`.
-            bounds: bounds on the errors of position (m) and heading (degrees) in a right map, `(2, S)`. The
+            slopes: Jacobian A_s of the position at each station with respect to the errors of all tags, `(S, 3, 6 K)`.
+            noise: covariance N_s of the position due to the errors of corners and of the tape, `(S, 3, 3)`; infinite
+                without a pose.
+            right: covariance of the position if no tag hangs wrongly, `(S, 3, 3)`.
+            bounds: bounds on the errors of position (m) and heading (degrees) if no tag hangs wrongly, `(2, S)`. The
                 distribution of the squared position error is approximated by a scaled chi-square distribution of equal
                 mean and variance.
         """
@@ -148,8 +152,9 @@ class HungMap:
         return shown, slopes[:, :3], noise[:, :3, :3], right, bounds
 
     def report(self, seed: int) -> tuple[dict[str, Any], dict[str, float], str]:
-        """Files, metrics and text of the study: `judged` if measured stations are given, otherwise the stations that
-        are `chosen` with the seed, and the page to print.
+        """Files (keyed by their names), metrics and text of the study. If measured stations are given, these are the
+        results of `judged`. Otherwise the files are the tables of stations and tags that `chosen` makes with the
+        `seed`, and a page to print; there are no metrics.
         """
         if self.settings.measured is not None:
             return self.judged(self.settings.measured)
@@ -168,8 +173,9 @@ class HungMap:
             stations: table with a row for each station. The columns are name, zone, position (m), heading (degrees),
                 the reported position (empty), ids of the tags in view, and bounds on the errors of position (m) and
                 heading (degrees).
-            tags: table with the number of stations that see each tag. Another column has the least shift that these
-                stations show with the stated power in the worst direction (m; NaN for a tag that no station sees).
+            tags: table with the number of stations that see each tag. Another column has the least shift, in the worst
+                direction, that these stations reveal with the probability `Acceptance.power` (m; NaN for a tag that no
+                station sees).
 
         Raises:
             InputError: at every candidate, the bound on the position error exceeds `mean`.
@@ -195,20 +201,24 @@ class HungMap:
 
     def _reached(self, information: FloatArray) -> FloatArray:
         """Noncentrality of the test of a tag that is shifted by `Acceptance.shift` in the worst direction, divided by
-        the noncentrality needed for the stated power, `(...)`. `information` are the matrices F, `(..., 2, 2)`.
+        the noncentrality needed for the stated power, `(...)`. `information` has the Fisher information F about the
+        shift of each tag, `(..., 2, 2)`.
         """
         needed = chndtrinc(self.limit, 2, 1.0 - self.settings.power)
         return np.asarray(self.settings.shift**2 / needed * np.linalg.eigvalsh(information)[..., 0])
 
     def _tested(self, slopes: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Matrices F of the tags, `(K, 2, 2)`, and the matrix B^T C^-1 of all tags and stations, `(2 K, 3 S)`."""
+        """Fisher information F about the shift of each tag, `(K, 2, 2)`; and the matrix B^T C^-1 of all tags and
+        stations, `(2 K, 3 S)`. `slopes` and `noise` are the matrices A_s `(S, 3, 6 K)` and N_s `(S, 3, 3)` of the
+        stations, see `views`.
+        """
         ours = np.concatenate(slopes)
         weighted = np.linalg.solve(ours @ self.spread @ ours.T + block_diag(*noise), ours @ self.along).T
         return diagonal_blocks(weighted @ ours @ self.along, 2), weighted
 
     def _fewest(self, slopes: FloatArray, noise: FloatArray) -> list[int]:
         """Indices of the stations chosen greedily among candidates; `slopes` and `noise` are the candidates' matrices
-        A_s and N_s.
+        A_s `(S, 3, 6 K)` and N_s `(S, 3, 3)`, see `views`.
         """
         chosen, reached, total = list[int](), 0.0, np.zeros_like(self.spread)
         while True:
@@ -227,9 +237,9 @@ class HungMap:
         """Decide from measured stations whether the map is accepted.
 
         Args:
-            path: CSV with the columns `station,zone,x,y,z,yaw_deg`, as taped (m, degrees);
-                `reported_x,reported_y,reported_z` (m) and `tags`, the ids of the tags that were read, as reported by
-                localisation; other columns are ignored.
+            path: CSV of the stations. The columns `station,zone,x,y,z,yaw_deg` are as taped (m, degrees). The columns
+                `reported_x,reported_y,reported_z` (m) and `tags`, the ids of the tags that were read, are as reported
+                by localisation. Other columns are ignored.
 
         Returns:
             files: tables and figures, keyed by the name of their file. `acceptance.csv` has a row for each station:
@@ -252,7 +262,7 @@ class HungMap:
         shown, slopes, noise, right, bounds = self.views(at, read)
         error, outside = np.linalg.norm(off, axis=1), ~self.problem.scene.room.contains(at[:, :3])
         for i in np.flatnonzero(outside | (shown.sum(axis=1) < LEAST_TAGS)).tolist():
-            fault = "is outside the room, in metres" if outside[i] else f"sees fewer than {LEAST_TAGS} of its tags"
+            fault = "is outside the room; give metres" if outside[i] else f"sees fewer than {LEAST_TAGS} listed tags"
             raise InputError(f"{path} line {table.lines[i]}: station {names[i]!r} at {at[i].tolist()} {fault}.")
         stations = pd.DataFrame({"station": names, "zone": table.texts["zone"], "error": error, "bound": bounds[0]})
         stations["chi_square"] = (off * np.linalg.solve(right, off[..., None])[..., 0]).sum(axis=1)

@@ -38,7 +38,8 @@ def as_localisation(objective: Objective) -> Localisation:
 
 def predicted_errors(problem: Problem, deployment: Deployment, evaluator: Evaluator) -> tuple[FloatArray, FloatArray]:
     """Predict the standard deviation of the camera's position in each view, metres, `(P, D)` for P positions and D
-    orientations; return these standard deviations, and P_n at each position, `(P,)`.
+    orientations; return these standard deviations, and the probability P_n at each position that a view covers n
+    landmarks, `(P,)`.
 
     The noise of a corner, and the rule that decides whether a single tag localises the camera, come from the objective,
     or from the default `Localisation`.
@@ -57,12 +58,13 @@ def _share_name(tolerance: float) -> str:
 
 
 def accuracy_metrics(problem: Problem, deployment: Deployment, seed: int, sample: Sample = SAMPLE) -> dict[str, float]:
-    """Metrics of accuracy: the mean of P_n, and for each of `TOLERANCES` the fraction of the views whose predicted
-    error is at most this tolerance. Further metrics are the median and the 90 % quantile of the predicted error over
-    the views, metres.
+    """Metrics of accuracy: the mean of P_n (the probability that a view covers n landmarks), and for each of
+    `TOLERANCES` the fraction of the views whose predicted error is at most this tolerance. Further metrics are the
+    median and the 90 % quantile of the predicted error over the views, metres.
 
     For a recording the views are its poses, weighted by their durations, and `longest_uncovered_seconds` is the longest
-    time without a view of n landmarks. Views without a finite error count as infinite; infinite quantiles are left out.
+    time without a view of n landmarks. The predicted error is infinite for views that cover fewer than n landmarks, and
+    for ambiguous views of a single tag. Quantiles that are infinite are left out.
 
     Args:
         problem: problem with the scene, n, and the noise of a corner.
@@ -145,8 +147,8 @@ def plan_of_errors(problem: Problem, deployment: Deployment) -> "pd.DataFrame":
 
 
 def _quantiles(errors: FloatArray, weight: FloatArray, level: float = 0.5) -> FloatArray:
-    """Weighted quantile of each row of `errors` `(P, V)`; the result has the shape `(P,)`. The weights, `(1, V)` or
-    `(P, V)`, have the sum 1 in each row.
+    """Weighted quantile, at the probability `level`, of each row of `errors` `(P, V)`; the result has the shape `(P,)`.
+    The weights, `(1, V)` or `(P, V)`, have the sum 1 in each row.
     """
     weights = np.broadcast_to(weight, errors.shape)
     return np.asarray(np.quantile(errors, level, axis=1, weights=weights, method="inverted_cdf"))

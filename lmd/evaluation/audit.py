@@ -1,5 +1,5 @@
-"""Audit of a visibility model: detections in the frames of a survey are compared with the model's predictions. Also the
-columns of `in_view.csv`.
+"""Audit of a visibility model: detections in the frames of a survey are compared with the model's predictions. The
+module also makes the columns of `in_view.csv`, the survey's table of tags in view.
 """
 
 from collections.abc import Callable, Sequence
@@ -45,8 +45,8 @@ Verdicts = Callable[[Scene, Deployment, FloatArray, Camera], dict[str, BoolArray
 
 @dataclass(frozen=True)
 class Audit:
-    """Audit of N frames of a survey and the K tags of its map. Arrays have a column for each pair of a camera and a
-    tag. With C cameras these are C K columns: those of the first camera come first.
+    """Audit of N frames of a survey and the K tags of its map. With C cameras, arrays have C K columns, one for each
+    pair of a camera and a tag; the columns of the first camera come first.
     """
 
     prediction: Prediction
@@ -87,8 +87,8 @@ class Audit:
 
     @cached_property
     def missed_in_a_row(self) -> BoolArray:
-        """Mask of the misses in a row, `(N, C K)`: sightings of a tag that are predicted but not detected, in at least
-        `IN_A_ROW` successive images in which the tag is predicted.
+        """Mask of the misses in a row, `(N, C K)`. A predicted tag that is not detected is missed; a miss counts here
+        if it belongs to at least `IN_A_ROW` misses in successive images for which the tag is predicted.
 
         A tag well within the detector's limits is rarely missed in many successive images unless it is hidden or in
         glare.
@@ -150,8 +150,8 @@ def audited(survey: Survey, scene: Scene, verdicts: Verdicts) -> Audit:
     Args:
         survey: survey made with the scene's cameras; their mounts are taken from the survey.
         scene: room, cameras and visibility model.
-        verdicts: function that returns, for each criterion of the visibility model, the tags that meet it, see
-            `lmd.evaluation.verdicts`.
+        verdicts: function that returns, for each criterion of the visibility model, the mask of the tags that meet it,
+            see `lmd.evaluation.verdicts`.
 
     Raises:
         InputError: the scene's tag is a point.

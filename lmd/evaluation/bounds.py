@@ -29,23 +29,23 @@ K_s max_j g_js; each maximum is sought where a tag of that size may hang.
 
 A localised view covers n landmarks, so the bounds also hold for `Localisation`, although they ignore its tolerance.
 
-A second upper bound follows from submodularity, holds for the choice of landmarks from a grid of poses, and is compared
-with the greedy choice.
+A second upper bound follows from submodularity. It holds for landmarks chosen from a grid of poses, and is compared
+with the value of the greedy choice.
 
 Greedy selection maximises f, the `selection` of an objective, which is monotone and submodular in the landmarks without
 occlusion. So for *any* set S the best K poses of a grid, each taken once, reach at most
 
     f(S) + the sum of the K largest gains at S.        (Nemhauser, Wolsey and Fisher 1978)
 
-S is the greedy choice or empty, whichever gives the lower bound. The greedy choice always reaches 1 - 1/e of the best
-value; the bound shows the fraction that it reaches at least in this problem. A landmark adds nothing to the views from
-which it is hidden, and more landmarks never lower f, so the bound also holds with occlusion.
+S is the greedy choice or empty, whichever gives the smaller bound. The greedy choice always reaches 1 - 1/e of the best
+value; the bound gives a fraction that the greedy choice certainly reaches in this problem. A landmark adds nothing to
+the views from which it is hidden, and more landmarks never lower f, so the bound also holds with occlusion.
 
 This bound is valid only for poses of the grid, and for the surrogate f instead of the objective itself.
 
-With K_s tags of size s, a candidate is a pose with a size. For each size s, the gains of the best choice at S are at
-most the K_s largest gains of that size. The greedy choice always reaches half of the best value (Fisher, Nemhauser and
-Wolsey 1978, for a partition matroid).
+With K_s tags of size s, a candidate is a pose with a size. For each size s, the gains at S of the landmarks in the best
+choice add up to at most the sum of the K_s largest gains of that size. The greedy choice always reaches half of the
+best value (Fisher, Nemhauser and Wolsey 1978, for a partition matroid).
 """
 
 import math
@@ -114,14 +114,14 @@ class UpperBound:
     dual: Dual
     """Multipliers for which the bounds hold."""
     gain: float
-    """Largest gain of a flush landmark, computed with the multipliers `dual`; for several sizes, the mean of their
-    largest gains weighted by the numbers of tags.
+    """Largest gain of a flush landmark (its contribution to the bound), computed with the multipliers `dual`; for
+    several sizes, the mean of their largest gains weighted by the numbers of tags.
     """
 
 
 def average_upper_bound(problem: Problem, count: int, search: Search) -> UpperBound:
-    """Upper bound on the mean of P_n that `count` landmarks can reach; the mean is over the grid positions, with equal
-    weights.
+    """Upper bound on the mean of P_n, the probability that a view covers n landmarks, that `count` landmarks can reach;
+    the mean is over the grid positions, with equal weights.
     """
     size = len(problem.evaluator.positions)
     shares, n = np.full(size, 1.0 / size), _at_most_coverage(problem).n
@@ -165,10 +165,10 @@ def fewest_landmarks(problem: Problem, target: float, search: Search) -> int:
 
 
 def affordable(problem: Problem, count: int, search: Search) -> Search:
-    """Choose the spacing of the poses so that a search ends within its time limit; the time of the search is estimated
-    from the time of evaluating some poses.
+    """Return `search` with the spacing of the poses chosen so that the search for the bound with `count` landmarks ends
+    within its time limit. The time of the search is estimated from the time of evaluating some poses.
 
-    Without a time limit the search is returned unchanged.
+    Without a time limit `search` is returned unchanged.
 
     Raises:
         InputError: there is no upper bound for the objective, or the visibility model has no compiled code.
@@ -189,7 +189,9 @@ def affordable(problem: Problem, count: int, search: Search) -> Search:
 
 
 def _at_most_coverage(problem: Problem) -> Coverage | Localisation:
-    """Return the objective of the problem, after a check that its values never exceed P_n."""
+    """Return the objective of the problem, after a check that its values never exceed P_n, the probability that a view
+    covers n landmarks. Raises `InputError` otherwise.
+    """
     if not isinstance(problem.objective, Coverage | Localisation):
         raise InputError(
             f"there is no upper bound for the objective {type(problem.objective).__name__}, only for Coverage and "
@@ -224,7 +226,7 @@ def _free_sizes(problem: Problem, count: int) -> FloatArray:
 
 
 def _kinds(problem: Problem, evaluator: Evaluator, count: int, spacing: float) -> list[Kind]:
-    """Free landmarks among `count` landmarks, grouped by size.
+    """Free landmarks among `count` landmarks, grouped by size; cells of the walls are at most `spacing` metres wide.
 
     Raises:
         InputError: tags have several sizes and `count` is not the problem's number of landmarks, so the numbers of each
@@ -239,7 +241,9 @@ def _kinds(problem: Problem, evaluator: Evaluator, count: int, spacing: float) -
 
 
 def _bound(problem: Problem, relaxation: Relaxation, count: int, search: Search) -> UpperBound:
-    """Find multipliers on the grid of poses, and the bound that these multipliers give for the whole walls."""
+    """Compute upper bounds on the fitness with `count` landmarks: find multipliers on the grid of poses, then the bound
+    that these multipliers give for the whole walls.
+    """
     kinds, limit = _kinds(problem, relaxation.evaluator, count, search.spacing), search.limit
     free, numbers = count - problem.fixed_count, np.array([kind.number for kind in kinds])
     solving = limit.part(MULTIPLIERS_SHARE)
@@ -264,8 +268,8 @@ GUARANTEE, GUARANTEE_OF_SIZES = 1.0 - np.exp(-1.0), 0.5
 
 @dataclass(frozen=True)
 class SelectionBound:
-    """Upper bound on the surrogate (`selection`) of an objective, and the value that the greedy choice reaches. Both
-    are gains over the fixed landmarks alone.
+    """Upper bound on the surrogate (`selection`) that greedy selection maximises in place of the objective, and the
+    value that the greedy choice reaches. Both are gains over the fixed landmarks alone.
     """
 
     label: str
@@ -286,7 +290,8 @@ class SelectionBound:
 def selection_upper_bound(
     problem: Problem, count: int, spacing: float, limit: TimeLimit | None = None
 ) -> SelectionBound:
-    """Bound the surrogate (`selection`) for `count` landmarks, including fixed landmarks, chosen from a grid of poses.
+    """Upper bound on the objective's surrogate (`selection`) for `count` landmarks, including fixed landmarks, chosen
+    from a grid of poses.
 
     The surrogate counts the views that the problem's fitness counts. The greedy choice keeps footprints apart; the
     bound also holds for overlapping footprints. The result does not depend on the number of threads.
@@ -310,7 +315,7 @@ def selection_upper_bound(
     add_each(selection, problem.fixed_with_edges)
 
     def largest(gains: FloatArray) -> float:
-        """For each size s, the sum of the K_s largest gains; the total over all sizes is returned. `gains` has the
+        """Sum, over all sizes s of the landmarks, of the K_s largest gains of candidates of that size; `gains` has the
         gains of all candidates.
         """
         counts = zip(*np.unique(sizes, return_counts=True), strict=True)

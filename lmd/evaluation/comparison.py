@@ -58,7 +58,9 @@ class Comparison:
     table: pd.DataFrame
     """One row for each optimiser, the best optimiser first; see `compared` for the columns."""
     targets: tuple[float, ...]
-    """Quartiles of the final fitness of all runs; column `evaluations_to_<i>` belongs to quartile i, from 1 on."""
+    """Distinct quartiles of the final fitness of all runs, ascending; column `evaluations_to_<i>` of the table belongs
+    to target i, from 1 on.
+    """
     reference: str
     """Name of the optimiser with which the others are compared by the effect sizes and P-values of the table."""
     test: str
@@ -169,8 +171,8 @@ def attainable(least: Callable[[int], float], seeds: int) -> str:
     """Sentence that states the least P-value that a test can reach with the given number of seeds.
 
     Args:
-        least: function from a number of seeds to the least corrected P-value of the test: that of optimisers that are
-            ranked alike in all seeds. The function returns NaN for too few seeds.
+        least: function that returns the least corrected P-value of the test for a number of seeds; the least value
+            results if the optimisers have the same ranks in all seeds. The function returns NaN for too few seeds.
         seeds: number of seeds.
     """
     lowest, runs = least(seeds), f"With {seeds} seed{'s' * (seeds != 1)}"
@@ -249,9 +251,9 @@ def curve_targets(runs: Sequence[OptimiserRun]) -> FloatArray:
 
 
 def attained(runs: Sequence[OptimiserRun], axis: str, at: FloatArray, targets: FloatArray) -> FloatArray:
-    """Share of reached targets at N moments of the search, `(N,)`. Each run is paired with each of the `targets`
-    `(T,)`; in this share of pairs the run has reached the target. The moments are those of `best_at`. This is an
-    empirical cumulative distribution function.
+    """Share of reached targets at N moments of the search, `(N,)`: the fraction of the pairs of a run and one of the
+    `targets` `(T,)` in which the run has reached the target. The moments are the values `at` `(N,)` of the field `axis`
+    of `Record`, such as `evaluations`. The result is an empirical cumulative distribution function.
     """
     share: FloatArray = (best_at(runs, axis, at)[:, :, None] >= targets).mean(axis=(0, 2))
     return share

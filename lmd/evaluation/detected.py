@@ -93,7 +93,9 @@ class Rendered:
 
 
 class Frames(NamedTuple):
-    """Consecutive frames of one camera; the noise of a frame depends on the frame's number."""
+    """Consecutive frames of one camera. `first` is the number of the first frame; the noise of a frame depends on the
+    frame's number.
+    """
 
     renderer: Renderer
     detectors: "Mapping[str, Detector]"

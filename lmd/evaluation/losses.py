@@ -29,7 +29,7 @@ class Losses:
     without: FloatArray
     """Fitness if landmarks i and j are removed, `(K, K)`; on the diagonal, if only landmark i is removed."""
     order: IntArray
-    """Indices of the landmarks in the order in which they are removed one after the other, `(K,)`, see
+    """Indices of the landmarks in the order of removal, `(K,)`: each removal leaves the greatest fitness, see
     `removal_order`.
     """
     left: FloatArray
@@ -102,8 +102,8 @@ class Losses:
 
 
 def _listed(tags: Iterable[tuple[int, float]]) -> str:
-    """Text that lists the first `TAGS_LISTED` of `tags`: each id, with the fraction paired with it in per cent; `none`
-    if there is no tag.
+    """Text that lists the first `TAGS_LISTED` of `tags`, pairs of an id and a fraction, which is given in per cent;
+    `none` if there is no tag.
     """
     return ", ".join(f"{number} ({100.0 * each:.2f})" for number, each in islice(tags, TAGS_LISTED)) or "none"
 

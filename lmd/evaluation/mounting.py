@@ -108,13 +108,15 @@ class MountingError(Checked):
         return MountedTags(replace(moved, normals=normals), ups)
 
     def _separated(self, problem: Problem, moved: Deployment) -> Deployment:
-        """Move overlapping landmarks apart on their surfaces. Landmarks that belong to no surface do not move."""
+        """Copy of `moved` in which overlapping landmarks are moved apart on their surfaces; landmarks that belong to no
+        surface stay.
+        """
         on = np.flatnonzero(moved.surfaces >= 0)
         if not len(on):
             return moved
         apart = problem.scene.footprints.separated(moved[on], fixed=int((on < problem.fixed_count).sum()))
         if apart is None:
-            raise InputError(f"position = {self.position:g} m is too large: some tags find no free place.", "position")
+            raise InputError(f"position = {self.position:g} m moves tags too far: some find no free place.", "position")
         return moved.put(on, apart)
 
 
@@ -174,7 +176,7 @@ class Mounted:
 
 
 def mounted(problem: Problem, plan: Deployment, error: MountingError, seed: int, sample: Sample = SAMPLE) -> Mounted:
-    """Score a plan with random mounting errors. Results do not depend on the number of threads.
+    """Compute the metrics of a plan with random mounting errors. Results do not depend on the number of threads.
 
     Args:
         problem: problem with the scene and the objective.
@@ -208,8 +210,8 @@ def _figures(problem: Problem, deployments: list[Deployment], seed: int, sample:
 def off_grid_figures(problem: Problem, deployments: list[Deployment], seed: int, sample: Sample) -> pd.DataFrame:
     """Table of the objective's shares (`Objective.shares`) off the grid, with a row for each deployment of K landmarks.
 
-    The shares are means over one sample of random positions; an objective with its own validation (`SelfValidating`)
-    computes the shares itself.
+    A share is a metric that is a mean over positions. Here the means are over one sample of random positions, but an
+    objective with its own validation (`SelfValidating`) computes its shares itself.
     """
     objective = problem.objective
     if isinstance(objective, SelfValidating):
@@ -236,7 +238,8 @@ def read_measured(path: str | Path, problem: Problem, plan: Deployment, **table:
         path: CSV with the columns of a plan, or a tag map.
         problem: problem of the plan.
         plan: K landmarks.
-        table: `axes` and `columns` of `lmd.formats.tag_maps.read_deployment`.
+        table: `axes` and `columns`, which describe a file that does not define its axes or columns, see
+            `lmd.formats.tag_maps.read_deployment`.
 
     Raises:
         InputError: the file is not a deployment or does not have the ids of the plan, or a tag is outside the room and
@@ -323,7 +326,7 @@ def as_measured(
 
 
 def _moved(plan: Deployment, measured: Deployment) -> pd.DataFrame:
-    """Make the table `Measured.moved`."""
+    """Make the table `Measured.moved`, the differences between the planned and the measured poses."""
     way = measured.places - plan.places
     chord = np.linalg.norm(measured.normals - plan.normals, axis=1)  # more accurate than the cosine
     rows = {"id": plan.ids, "moved": np.linalg.norm(way, axis=1), "dx": way[:, 0], "dy": way[:, 1], "dz": way[:, 2]}

@@ -50,7 +50,7 @@ def _hung(distance: float, incidence: float) -> tuple[FloatArray, FloatArray]:
 
 
 def is_read(criteria: Criteria, camera: Camera, distance: float, incidence: float) -> bool:
-    """Return True if a tag is read at a distance, metres, and an incidence angle, rad."""
+    """Return True if a tag is read, that is, meets all criteria, at a distance, metres, and an incidence angle, rad."""
     axes = np.array([[0.0, 1.0, 0.0, 1.0, 0.0, 0.0]])
     return bool(criteria.covered(camera, np.zeros(3), axes, *_hung(distance, incidence))[0, 0])
 
@@ -93,8 +93,8 @@ def smallest_edge(criteria_of: Callable[[float], Criteria], camera: Camera, dist
 
 
 def _border(holds: Callable[[float], bool], inside: float, outside: float) -> float:
-    """Value between `inside` and `outside` at which `holds` changes from True to False, found by bisection; the value
-    returned still holds. `holds` must be True at `inside`.
+    """Value between `inside` and `outside` at which `holds` changes from True to False, found by bisection; `holds` is
+    still True at the value returned. `holds` must be True at `inside`.
     """
     while abs(outside - inside) > RELATIVE_TOLERANCE * max(abs(inside), abs(outside)):
         middle = (inside + outside) / 2.0
@@ -148,8 +148,9 @@ class Reading(Checked):
 
 
 def reach_text(camera: Camera, tag: Tag, criteria: Fiducial, reading: Reading) -> str:
-    """Text of several tables. Each size of the tag has one with the range of distances and the errors of the pose
-    estimated from this tag. The last table has the edge length of the smallest tag that is read.
+    """Text with several tables. For each size of the tag, a table has the range of distances at which the tag is read,
+    and the errors of the pose estimated from this tag. The last table has the edge length of the smallest tag that is
+    read.
     """
     tags = [tag.of_size(edge) for edge in tag.sizes]
     lines = [

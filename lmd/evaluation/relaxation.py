@@ -38,7 +38,7 @@ class TimeLimit:
     def __init__(self, seconds: float = inf, print_text: Callable[[str], None] = lambda _: None) -> None:
         self.seconds, self._print_text, self._until, self._told = seconds, print_text, clock() + seconds, monotonic()
         self.cut: list[str] = []
-        """Descriptions of those searches that the time limit has cut short."""
+        """Descriptions of the searches that the time limit has cut short."""
 
     @property
     def left(self) -> float:
@@ -76,7 +76,9 @@ class Dual(NamedTuple):
     """Multipliers for the bound; any choice of multipliers gives a valid bound."""
 
     constant: float
-    """The constant(z, y) of the bound in `lmd.evaluation.bounds`."""
+    """Part of the bound that does not depend on the number of free landmarks, constant(z, y) in
+    `lmd.evaluation.bounds`.
+    """
     prices: FloatArray
     """Multipliers y, `(P, D)` for P positions and D axes."""
 
@@ -89,7 +91,7 @@ class Dual(NamedTuple):
 
 @dataclass(frozen=True)
 class Relaxation:
-    """Concave relaxation F of one objective, as in `lmd.evaluation.bounds`."""
+    """Concave relaxation F of one objective, an upper bound on its fitness that `lmd.evaluation.bounds` derives."""
 
     evaluator: Evaluator
     """Evaluator of the scene at P positions."""
@@ -120,8 +122,10 @@ class Relaxation:
         return float(self.shares @ np.minimum(seen / self.threshold, 1.0))
 
     def smoothed(self, added: FloatArray, width: float) -> tuple[float, Dual]:
-        """Smoothed value of F at `added` = c - b `(P, D)`, see `value`; and multipliers from its slopes, whose `prices`
-        are the gradient of the smoothed F with respect to c.
+        """Value of F with smoothed kinks, and multipliers from the slopes of the smoothed F. The `prices` of the
+        multipliers are the gradient of the smoothed F with respect to the numbers c of covered landmarks. `added`
+        `(P, D)` has the numbers of free landmarks that are covered at each position and axis; `width` is the half-width
+        of the smoothing, see `smoothed_min`.
         """
         by_axis, slope = smoothed_min((added + self.fixed_coverage) / self.n, width)
         by_position, z = smoothed_min(averaged(by_axis, self.weights) / self.threshold, width)
@@ -150,7 +154,7 @@ def nearest_on_simplex(v: FloatArray, total: float) -> FloatArray:
 def solve(
     relaxation: Relaxation, kinds: Sequence[tuple[Deployment, int]], iterations: int, tolerance: float, limit: TimeLimit
 ) -> tuple[Dual, float, float]:
-    """Find multipliers by accelerated projected ascent of F.
+    """Find the multipliers of an upper bound on F by accelerated projected ascent of F.
 
     Args:
         relaxation: relaxation F.
@@ -218,7 +222,7 @@ def largest_gain(
         evaluator: scene with landmarks of one size.
         cells: pieces of wall.
         prices: multipliers y, `(P, D)`, not negative.
-        tolerance: the search stops when the bound exceeds the gain of some landmark by at most this number.
+        tolerance: the search stops when the bound exceeds the largest gain found by at most this number.
         limit: time limit; None for no limit.
     """
     limit, began = limit or TimeLimit(), clock()

@@ -67,20 +67,22 @@ class RigViews:
         return np.asarray(weight / weight.sum())
 
     def decided(self, images: RigImages, seen: BoolArray) -> BoolArray:
-        """Two masks of the M views `images`, `(2, M)`, if the rig's cameras show only the landmarks `seen`. The first
-        has the views in which the rig is localised, the second those in which n landmarks are covered.
+        """Two masks of the M views in `images`, `(2, M)`: the views in which the rig is localised, and the views that
+        cover n landmarks. The mask `seen` `(C, M, K)` has the landmarks that the C cameras show.
         """
         found = located(self.evaluator, self.deployment, images._replace(seen=seen), self.n, self.precision)
         return np.stack([found, covers(seen, self.n)])
 
     def without_cameras(self) -> FloatArray:
-        """Means of L and P_n if one of the C cameras fails, `(C, 2)`."""
+        """Means of L (the rig is localised) and P_n (the view covers n landmarks) if one of the C cameras fails,
+        `(C, 2)`.
+        """
         seen, others = self.images.seen, ~np.eye(len(self.images.seen), dtype=bool)[..., None, None]
         return np.array([self.decided(self.images, seen & left) @ self.share for left in others])
 
     def missed(self, probabilities: Sequence[float], rng: np.random.Generator) -> FloatArray:
-        """Means of L and P_n if each landmark in an image is missed with a given probability, `(M, 2)` for M
-        probabilities.
+        """Means of L (the rig is localised) and P_n (the view covers n landmarks), `(M, 2)`, if each landmark in an
+        image is missed with one of M `probabilities`.
 
         All probabilities share the draw, so that a landmark missed at one probability is missed at all greater
         probabilities.
@@ -90,8 +92,9 @@ class RigViews:
         return np.array([self.decided(self.images, seen & (draw >= p)) @ self.share for p in probabilities])
 
     def lost(self) -> FloatArray:
-        """Means of L and P_n if landmarks i and j are lost, `(2, K, K)`; on the diagonal, if only landmark i is lost. A
-        lost landmark is not detected, but still hides other landmarks.
+        """Means of L (the rig is localised) and P_n (the view covers n landmarks) if landmarks i and j are lost,
+        `(2, K, K)`; on the diagonal, only landmark i is lost. A lost landmark is not detected, but still hides other
+        landmarks.
         """
         seen, share = self.images.seen, self.share
         shown = np.asarray(seen.any(axis=0))  # (N, K)
@@ -99,7 +102,7 @@ class RigViews:
 
         def lose(*landmarks: int) -> FloatArray:
             """Change of both masks of `decided` if all of `landmarks` are lost, times the probability of each view,
-            `(2, N)`. Views that do not show all of them have 0.
+            `(2, N)`. The change is 0 in views that do not show all of `landmarks`.
             """
             which: BoolArray = np.asarray(shown[:, landmarks].all(axis=1))
             left = seen[:, which]
@@ -271,9 +274,10 @@ def _measure(
     poses.
 
     Returns:
-        the two means in four arrays. The first two are for each of V variants, `(V, 2)`, and for each of M
-        probabilities of missing a landmark, `(M, 2)`. The third is for the loss of landmarks i and j, `(2, K, K)`. The
-        fourth is for the failure of each of C cameras of a rig, `(C, 2)`, where C = 0 for a single camera.
+        four arrays, each with the two means. The first has the means for each of V variants, `(V, 2)`; the second, for
+        each of M probabilities of missing a landmark, `(M, 2)`; the third, for the loss of landmarks i and j,
+        `(2, K, K)`; the fourth, for the failure of each of C cameras of a rig, `(C, 2)`, where C = 0 for a single
+        camera.
     """
     number, evaluator = group
     assumed = np.array([_shares(variant, evaluator) for variant in variants])
@@ -292,7 +296,9 @@ def _measure(
 
 
 def _shares(variant: Variant, evaluator: Evaluator) -> tuple[float, float]:
-    """Means of L and P_n of a variant at the positions and orientations of an evaluator."""
+    """Means of L (the view localises the camera) and P_n (the view covers n landmarks) of a variant, at the positions
+    and orientations of an evaluator; NaN if the variant has a note.
+    """
     if variant.note:
         return np.nan, np.nan
     scene, objective = replace(variant.scene, pdf=evaluator.scene.pdf), variant.objective
@@ -303,14 +309,17 @@ def _shares(variant: Variant, evaluator: Evaluator) -> tuple[float, float]:
 
 
 def lost_shares(field: LocalisationField, deployment: Deployment) -> FloatArray:
-    """Means of L and P_n if landmarks i and j are lost, `(2, K, K)`; for i = j, only landmark i is lost."""
+    """Means of L (the view localises the camera) and P_n (the view covers n landmarks) if landmarks i and j are lost,
+    `(2, K, K)`; for i = j, only landmark i is lost.
+    """
     mean = Mean(in_order(field, np.ones(len(field.index_of))))
     shares = field._replace(weight=0.0), field.coverage
     return np.stack([without_landmarks(share, mean, deployment) for share in shares])
 
 
 def missed_shares(field: LocalisationField, deployment: Deployment, rng: np.random.Generator) -> FloatArray:
-    """Means of L and P_n if each covered landmark is missed with one of the probabilities `MISS_PROBABILITIES`.
+    """Means of L (the view localises the camera) and P_n (the view covers n landmarks) if each covered landmark is
+    missed with one of the M probabilities `MISS_PROBABILITIES`.
 
     L is estimated by one draw for every landmark in every view. All probabilities share the draw, so that a landmark
     missed at one probability is missed at all greater probabilities. The mean of P_n is exact, as the number of

@@ -43,7 +43,9 @@ class Found:
 
 
 def started(problem: Problem, deployment: Deployment) -> Problem:
-    """Copy of the problem, with the given deployment as its start; the deployment has all landmarks of the problem."""
+    """Copy of the problem, with the given deployment as its start; the deployment must have all landmarks of the
+    problem, fixed ones included.
+    """
     given = GivenDeployment(problem.free(replace(deployment, labels=None, surveyed=None)))
     return Problem(problem.scene, problem.objective, given, problem.evaluator.threads, problem.fixed)
 
@@ -121,7 +123,7 @@ def fewest(points: pd.DataFrame, figure: str, wanted: float) -> pd.DataFrame:
     """Least number of landmarks at which the metric `figure` is at least `wanted`, for each edge length.
 
     Args:
-        points: as for `front`.
+        points: table with a row for each `edge`, `count` and `seed`.
         figure: name of the metric, a column of `points`.
         wanted: value that the metric is to reach.
 
@@ -145,7 +147,9 @@ def between(points: pd.DataFrame, figure: str, wanted: float) -> list[tuple[floa
     `wanted` and the next smaller examined number. Edge lengths with no number between these two are left out.
 
     Args:
-        points, figure, wanted: as for `fewest`.
+        points: table with a row for each `edge`, `count` and `seed`.
+        figure: name of the metric, a column of `points`.
+        wanted: value that the metric is to reach.
 
     Returns:
         pairs of the edge length and the number.

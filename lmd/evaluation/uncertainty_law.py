@@ -134,7 +134,7 @@ def uncertainty_law(found: Uncertainty) -> UncertaintyLaw:
 
 
 def _steps(distance: FloatArray) -> FloatArray:
-    """Edges of the bins of distance for the views with the given distances, metres."""
+    """Edges of the bins into which the given distances of views, metres, are divided."""
     farthest = float(distance.max())
     step = next((each for each in STEPS if farthest / each <= MOST_STEPS), farthest / MOST_STEPS)
     return np.arange(np.ceil(farthest / step) + 1.0) * step

@@ -160,8 +160,14 @@ def headline_off_grid(problem: Problem) -> str:
 def sampled_values(
     problem: Problem, deployment: Deployment, seed: int, sample: Sample, between: Callable[[], None] = lambda: None
 ) -> FloatArray:
-    """Values of the objective at the random positions of a `Sample`, a row for each group, `(groups, positions)`;
-    arguments as in `validation_metrics`.
+    """Values of the objective at the random positions of a sample, `(groups, positions)`.
+
+    Args:
+        problem: the problem.
+        deployment: K landmarks.
+        seed: seed of the random poses.
+        sample: number of random poses.
+        between: function called before each group; it may raise an error to end the computation.
     """
     landmarks = deployment.positions[None], deployment.normals[None]
     values = []
@@ -255,8 +261,8 @@ def exact_values(problem: Problem, deployment: Deployment, records: "Records") -
 def recorded_evaluators(
     problem: Problem, deployment: Deployment, records: "Records", state: int = 0
 ) -> Iterator[Evaluator]:
-    """Yield an evaluator for each group of up to 64 recorded poses, as a word of a bit set has 64 bits. At each
-    recorded position, the recorded orientation has the probability 1.
+    """Yield an evaluator for each group of up to 64 recorded poses, the number of bits in a word of the evaluator's bit
+    masks. At each recorded position, the recorded orientation has the probability 1.
 
     Args:
         problem: problem with the scene.

@@ -1,5 +1,5 @@
-"""Verdicts of a visibility model: for each of its criteria, the landmarks that meet it in a given pose, and the share
-of landmarks that meet it in random poses.
+"""Verdicts of a visibility model on its criteria one by one: the landmarks that meet each criterion in a given camera
+pose, and the share of landmarks that meet each criterion in random poses.
 
 A landmark is covered if it meets every criterion at the same time. Two metrics describe a criterion: the share of
 landmarks that meet it, and the share of landmarks that would be covered if this criterion were dropped.

@@ -1,1 +1,1 @@
-"""Files of a finished deployment: tag maps for other programs, the mounting plan, the print sheets."""
+"""Files of a finished deployment: tag maps for other programs, the mounting plan, and the print sheets."""

@@ -52,10 +52,11 @@ def not_printed() -> dict[str, str]:
 
 
 def one_edge(edges: Sequence[float]) -> str:
-    """Reason why a format with one edge length for all tags cannot hold tags with the edge lengths `edges`, metres; the
-    predicate of a sentence.
+    """Reason why a format with one edge length for all tags cannot hold tags of several edge lengths, as a clause.
+
+    `edges` are the edge lengths, metres. The clause has no full stop.
     """
-    return f"it has one edge for all tags, but these have {', '.join(f'{edge:g}' for edge in sorted(edges))} m"
+    return f"it holds one edge length, but the tags have {', '.join(f'{edge:g}' for edge in sorted(edges))} m"
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,12 @@ class Export(Checked):
         object.__setattr__(self, "formats", tuple(self.formats))
 
     def check(self, tag: Tag) -> None:
-        """Raise `InputError` if one of `formats` cannot hold tags of the family and size of `tag`."""
+        """Check that `formats` can hold tags of the family and size of `tag`.
+
+        Raises:
+            InputError: a format cannot hold the tags, the tag is a point, or a package that a printed format needs is
+                missing.
+        """
         if self.formats:
             tag.check_edge()
         for name in self.formats:
@@ -103,9 +109,7 @@ class Export(Checked):
         }
 
     def silent(self, tags: TagMap) -> tuple[str, ...]:
-        """Names of those of `formats` whose files state no tag size, if the tags have several sizes; empty if they have
-        one.
-        """
+        """Names of the formats in `formats` whose files state no tag size; empty if all tags have one size."""
         several = len(tags.by_size) > 1
         return tuple(name for name in self.formats if several and all_formats()[name].edges == NONE)
 

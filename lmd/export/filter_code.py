@@ -23,8 +23,8 @@ class FilterLaws:
     """Uncertainty laws (see `lmd.estimation.deviation_law`) for which code is written."""
 
     laws: Mapping[str, Law]
-    """Laws for the standard deviations of `horizontal` and `vertical` position, and of `tilt` and `heading`, keyed by
-    these names.
+    """Laws for the standard deviations of the position (`horizontal`, `vertical`) and of the rotation (`tilt`,
+    `heading`), keyed by these names.
     """
     rules: Mapping[str, Mapping[str, Rule]]
     """Common simple formulas ("rules") for the standard deviations of `horizontal` position and `heading`: for each of
@@ -55,7 +55,7 @@ def _row(law: PowerLaw) -> str:
 
 
 def java(laws: FilterLaws) -> str:
-    """Text of a Java class for WPILib."""
+    """Text of a Java class for WPILib that computes the standard deviations by the given `laws`."""
     h, t = laws.laws["horizontal"], laws.laws["heading"]
     squared, photon = laws.rules["squared"], laws.rules["photonvision"]
     reach = "Double.POSITIVE_INFINITY" if np.isinf(laws.reach) else _number(laws.reach)

@@ -19,7 +19,7 @@ WALL = 0.7  # width of the line of a wall on a floor plan, mm
 
 
 def draw_fixture(canvas: Any, kind: str, ring: FloatArray, name: str = "") -> None:
-    """Draw a fixture on the view of a wall: `ring` `(N, 2)` on the page, mm.
+    """Draw a fixture with its `name`; its outline has the vertices `ring` `(N, 2)` on the page, mm.
 
     A door has two diagonals to the middle of its right side, a window has a cross, furniture is hatched, and other
     fixtures have only an outline.
@@ -51,8 +51,7 @@ def _lines(kind: str, left: float, bottom: float, right: float, top: float) -> l
 
 
 def draw_opening(canvas: Any, kind: str, ends: FloatArray) -> None:
-    """Draw a door, a window or another fixture in a wall as seen from above, between its `ends` `(2, 2)` on the page,
-    mm.
+    """Draw a door, a window or another fixture of a wall, seen from above, between its `ends` `(2, 2)` on the page, mm.
 
     A door is a gap in the wall, a window is two lines, and another fixture is a broken line.
     """
@@ -75,7 +74,7 @@ def draw_opening(canvas: Any, kind: str, ends: FloatArray) -> None:
 
 
 def draw_legend(canvas: Any, x: float, y: float, kinds: Sequence[str]) -> None:
-    """Draw the legend of a floor plan's symbols on one line."""
+    """Draw a floor plan's legend on one line from (x, y), mm: the symbols and names of the fixture `kinds`."""
     for kind in kinds:
         if kind == "furniture":
             draw_fixture(canvas, kind, np.array([(x, y), (x + 6.0, y), (x + 6.0, y + 3.0), (x, y + 3.0)]))
@@ -101,8 +100,9 @@ ARROW = 6.3  # length of the arrows of the axes
 
 
 def scale_of(room: Space, width: float, height: float, scales: tuple[int, ...]) -> int:
-    """Scale 1 : s of the floor plan on the page: the first s in `scales` at which the plan fits into `width` x
-    `height`, mm. If no scale fits, s is the last.
+    """The number s of the scale 1 : s of the floor plan on the page.
+
+    It is the first of `scales` at which the plan fits into `width` x `height`, mm, or the last if none fits.
     """
     low, high = room.bounds()
     across, up = (1000.0 * (high - low)[:2]).tolist()
@@ -111,8 +111,16 @@ def scale_of(room: Space, width: float, height: float, scales: tuple[int, ...]) 
 
 
 def draw_floor_plan(canvas: Any, tags: TagMap, left: float, top: float, scale: int) -> Callable[..., FloatArray]:
-    """Draw the room and its names from above, x to the right, with the upper left corner at (left, top), mm. Return the
-    function that maps world points `(..., 3)` to the page, mm, `(..., 2)`.
+    """Draw the room from above, with tags and names; x is to the right.
+
+    Args:
+        canvas: canvas of the page.
+        tags: the tags and their room.
+        left, top: upper left corner of the plan on the page, mm.
+        scale: s of the scale 1 : s.
+
+    Returns:
+        function that maps points in the world frame, metres, `(..., 3)`, to the page, mm, `(..., 2)`.
     """
     import shapely
 
@@ -180,8 +188,9 @@ def draw_floor_plan(canvas: Any, tags: TagMap, left: float, top: float, scale: i
 
 
 def numbers_of(places: IntArray) -> str:
-    """Text such as `3 to 7`: the first and the last of `places`, ascending positions in the order of hanging. `places`
-    count from 0, the text from 1.
+    """Text such as `3 to 7`, from the first and the last of `places`, ascending positions in the order of hanging.
+
+    `places` count from 0, the text from 1.
     """
     first, last = int(places[0]) + 1, int(places[-1]) + 1
     return f"{first}" if first == last else f"{first} to {last}"
@@ -204,12 +213,13 @@ def _write_along(
     bold: bool = False,
     needed: bool = True,
 ) -> None:
-    """Write a text beside a line with the ends `ends` `(2, 2)`, on the side to which `way` points. If possible, the
-    text overlaps none of the boxes in `taken`.
+    """Write a text beside a line with the ends `ends` `(2, 2)`, on the side to which `way` points.
+
+    If possible, the text overlaps none of the shapes in `taken`. Its distance from the line is `away`, mm.
 
     The text is parallel to the line, or horizontal if the line is too short. The box of the text is added to `taken`. A
-    text that had to move away from its wall is connected to the wall by a line. A text that finds no free space nearby
-    is left out, unless it is `needed`.
+    text that had to move away is connected to its line by another line. A text that finds no free space nearby is left
+    out, unless it is `needed`.
     """
     import shapely
 
@@ -248,8 +258,9 @@ def _draw_tag(canvas: Any, at: FloatArray, normal: FloatArray) -> None:
 
 
 def _write_ids(canvas: Any, text: str, at: FloatArray, way: FloatArray, taken: list[Any]) -> None:
-    """Write ids in front of a tag at `at`, where they overlap none of the boxes in `taken` if possible; their own box
-    is added to `taken`.
+    """Write ids in front of a tag at `at`, on the side to which `way` points.
+
+    If possible, the ids overlap none of the shapes in `taken`. The box of the ids is added to `taken`.
     """
     import shapely
 

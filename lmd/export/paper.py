@@ -1,5 +1,6 @@
-"""Pages as PDF, in millimetres from the lower left corner, and the layout of tags on sheets. Equal drawings give files
-with equal bytes.
+"""Pages of PDF files, and the layout of tags on sheets.
+
+Coordinates on a page are millimetres from its lower left corner. Equal drawings give files with equal bytes.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -23,8 +24,9 @@ LONGEST = 24  # greatest number of letters of a name
 
 @contextmanager
 def document(path: Path, title: str) -> Iterator[Any]:
-    """Context manager that yields a reportlab canvas, and saves it to `path` at the end. A page begins with
-    `begin_page` and ends with `showPage`.
+    """Context manager that yields a reportlab canvas, and saves it to `path` at the end.
+
+    A page begins with `begin_page` and ends with the canvas's `showPage`.
     """
     canvas = optional("reportlab.pdfgen.canvas", "export").Canvas(str(path), invariant=1)
     canvas.setTitle(title)
@@ -52,8 +54,9 @@ def _own_font(bold: bool) -> str:
 
 
 def font_of(text: str, bold: bool) -> str:
-    """Name of the font for a text: a standard font of PDF viewers for Western European letters, else a font that is
-    embedded in the file.
+    """Name of the font for a text.
+
+    It is a standard font of PDF viewers for Western European letters, else a font that is embedded in the file.
     """
     try:
         text.encode("cp1252")
@@ -84,9 +87,11 @@ def write_text(
     align: str = "left",
     turn: float = 0.0,
 ) -> None:
-    """Write a line of text that begins at, ends at or is centred on (x, y), as `align` says: left, right or centre.
+    """Write a line of text at (x, y), mm.
 
-    The text is rotated about (x, y) by `turn`, degrees, counter-clockwise.
+    The text begins at this point if `align` is `left`, ends there if `right`, and is centred there if `centre`.
+
+    The text is rotated about the point by `turn`, degrees, counter-clockwise.
     """
     canvas.saveState()
     canvas.setFont(font_of(text, bold), size)
@@ -109,7 +114,7 @@ def write_on_white(canvas: Any, x: float, y: float, text: str, *, size: float) -
 
 
 def polygon(canvas: Any, points: Iterable[Sequence[float]]) -> Any:
-    """Closed path through `points`, `(N, 2)`, for the canvas to draw or fill."""
+    """Closed path through `points` `(N, 2)`, mm, for the canvas to draw or fill."""
     shape, (first, *others) = canvas.beginPath(), points
     shape.moveTo(*first)
     for point in others:
@@ -119,7 +124,7 @@ def polygon(canvas: Any, points: Iterable[Sequence[float]]) -> Any:
 
 
 def fill_polygon(canvas: Any, points: Iterable[Sequence[float]]) -> None:
-    """Fill a polygon."""
+    """Fill the polygon with the vertices `points` `(N, 2)`, mm, on the canvas."""
     canvas.drawPath(polygon(canvas, points), stroke=0, fill=1)
 
 
@@ -165,8 +170,9 @@ def label_size(tag: Tag) -> float:
 
 
 def layout(tag: Tag, paper: str) -> Layout:
-    """Layout with the most tags on a sheet, in portrait or landscape orientation. A tag larger than a sheet gets a page
-    of its own size.
+    """Layout with the most tags on a sheet of the size `paper`, in portrait or landscape orientation.
+
+    A tag larger than a sheet gets a page of its own size.
     """
     if (fullest := _fullest(tag, paper)).per_sheet:
         return fullest
@@ -175,8 +181,9 @@ def layout(tag: Tag, paper: str) -> Layout:
 
 
 def largest_whole(tag: Tag, paper: str) -> float:
-    """Largest edge length, metres, at which a tag fits on a sheet; family and relative margins of the tag are those of
-    `tag`.
+    """Largest edge length, metres, at which a tag fits on a sheet of the size `paper`.
+
+    The tag has the family and the relative margins of `tag`.
     """
     low, high = 0.0, max(PAPERS[paper]) / MM_PER_M
     while high - low > ROUNDING:
@@ -195,8 +202,9 @@ def _fullest(tag: Tag, paper: str) -> Layout:
 
 
 def _pitch(tag: Tag) -> float:
-    """Vertical distance from one row of tags to the next, mm; it includes space for the label above a tag if the label
-    does not fit into the tag's margin.
+    """Vertical distance from one row of tags to the next, mm.
+
+    If the label does not fit into the margin of a tag, the distance includes space for the label above the tag.
     """
     return MM_PER_M * tag.paper_edge + (0.0 if label_size(tag) else LABEL + 2.0 * LABEL_GAP)
 

@@ -1,4 +1,4 @@
-"""Mounting plan: floor plan of the room, then a page for each surface with tags, to scale, with a table.
+"""Mounting plan: a floor plan, then for each surface with tags a page with a drawing to scale and a table.
 
 Tags are listed in the order of hanging (`TagMap.order`), with a box to tick and space for measured values.
 """
@@ -38,8 +38,10 @@ LIGHT = 0.85  # grey level of tags' squares, and of lines below rows
 
 
 class Table(NamedTuple):
-    """Table on the right of a page. `widths` are those of the columns, mm; `head` has the lines of the head; `boxes`
-    are the indices of the columns that have boxes to tick.
+    """Table on the right of a page.
+
+    `widths` are the widths of the columns, mm; `head` has the lines of the head; `boxes` are the indices of the columns
+    with boxes, to tick or to write in.
     """
 
     widths: tuple[float, ...]
@@ -61,7 +63,7 @@ class Table(NamedTuple):
 
 
 def begin_titled(canvas: Any, size: tuple[float, float], title: str, facts: str) -> None:
-    """Begin a page of `size`, mm, with a title, the line `facts` below the title, and the page's number."""
+    """Begin a page of the given `size`, mm, with a title, the line of text `facts` below it, and the page number."""
     begin_page(canvas, *size)
     write_text(canvas, MARGIN, size[1] - MARGIN - TITLE, title, size=TITLE, bold=True)
     write_text(canvas, MARGIN, size[1] - MARGIN - TITLE - 1.5 * TEXT, facts, size=TEXT)
@@ -71,8 +73,9 @@ def begin_titled(canvas: Any, size: tuple[float, float], title: str, facts: str)
 def draw_tables(
     canvas: Any, size: tuple[float, float], table: Table, rows: list[list[str]], title: str, facts: str
 ) -> None:
-    """Draw a table's `rows` on the right of the current page, continue on further pages if needed, and end the last
-    page.
+    """Draw the `rows` of a table on the right of the current page, and on further pages if needed; end the last page.
+
+    Further pages begin with the title and the line of text `facts`.
     """
     fitting = table.fitting(size[1])
     for first in range(0, len(rows), fitting):
@@ -123,7 +126,7 @@ FREE = Table(
 
 @dataclass(frozen=True)
 class View:
-    """View of a surface from its front: x to the right from the left edge, y up, metres."""
+    """View of a surface from its front: x to the right from the left edge, y up from the lower edge, metres."""
 
     surface: Surface
 
@@ -152,6 +155,8 @@ def write_plan(path: Path, tags: TagMap, paper: str) -> None:
     """Write `plan.pdf`; tags that are on no surface are in a table at the end.
 
     Args:
+        path: path of the file.
+        tags: tags of the plan.
         paper: one of `lmd.export.paper.PAPERS`, in landscape orientation.
     """
     size = PAPERS[paper][::-1]
@@ -169,7 +174,10 @@ def write_plan(path: Path, tags: TagMap, paper: str) -> None:
 
 
 def _draw_overview(canvas: Any, size: tuple[float, float], tags: TagMap, pages: dict[int, int]) -> None:
-    """Draw the floor plan, and a table of surfaces in the order of hanging; `pages` has each surface's page number."""
+    """Draw the floor plan, and a table of surfaces in the order of hanging.
+
+    `pages` are the page numbers of the surfaces, keyed by the surface's index.
+    """
     rows = [
         [numbers_of(own), shortened(tags.place_of(int(tags.order[own[0]]))), str(len(own)), str(pages[index])]
         for index, own in tags.tags_by_surface.items()
@@ -223,16 +231,18 @@ def _draw_free(canvas: Any, size: tuple[float, float], tags: TagMap, places: Int
 
 
 def _named(tags: TagMap, place: int, k: int) -> list[str]:
-    """Texts for the first columns of the table's row of tag k; `place` is the tag's position in the order of hanging,
-    from 0. The texts include the edge length if the tags have several.
+    """First cells of tag k's row in the table: an empty box, the number in the order of hanging, and the id.
+
+    If the tags have several edge lengths, the edge length follows, mm. `place` is the number in the order, from 0.
     """
     edge = [f"{MM_PER_M * tags.sizes[k]:.4g}"] if len(tags.by_size) > 1 else []
     return ["", str(place + 1), str(tags.ids[k]), *edge]
 
 
 def _sized(table: Table, tags: TagMap) -> Table:
-    """The given table; if the tags have several edge lengths, with an additional column for these after the first
-    three.
+    """Return the table `table`, with a column for the edge length after the first three if the tags have several.
+
+    If all tags have one edge length, the table is returned unchanged.
     """
     if len(tags.by_size) == 1:
         return table
@@ -293,10 +303,19 @@ def _draw_tag(
     at: FloatArray,
     papers: FloatArray,
 ) -> None:
-    """Draw a tag: paper, black square, a triangle that points up, and the number beside it.
+    """Draw tag k: its paper, its square, a triangle that points up, and its id.
 
-    The number does not overlap other tags: the N tags of the surface have the positions `at` `(N, 2)` and, with their
-    white margins, the edge lengths `papers` `(N,)`, mm.
+    An id that does not fit into the square is beside the tag, where it overlaps no other tag if possible.
+
+    Args:
+        canvas: canvas of the page.
+        origin: lower left corner of the surface on the page, mm.
+        tags: all tags.
+        k: index of the tag.
+        centre: centre of the tag on the surface, `(2,)`, mm.
+        scale: s of the scale 1 : s.
+        at: centres of the N tags on the surface, `(N, 2)`, mm.
+        papers: edge lengths of these tags with their white margins, `(N,)`, mm.
     """
     x, y = origin + centre / scale
     plate, edge = (MM_PER_M * length / scale for length in (tags.papers[k], tags.sizes[k]))

@@ -1,5 +1,6 @@
-"""Print sheets with tags of true size, to be cut out; the smallest tags come first, and tags of one size are in the
-order of hanging.
+"""Print sheets with tags of true size, to be cut out.
+
+The smallest tags come first, and tags of one size are in the order of hanging.
 
 The white margin of each tag has an arrow that points up, the number of the tag and the name of its surface. A tag that
 is larger than a sheet has a page of its own size, for a print shop. A printed ruler shows whether the printer kept the
@@ -60,6 +61,8 @@ def write_sheets(path: Path, tags: TagMap, paper: str) -> None:
     """Write `sheets.pdf`.
 
     Args:
+        path: path of the file.
+        tags: tags to print.
         paper: one of `lmd.export.paper.PAPERS`.
     """
     with document(path, f"{len(tags.order)} tags of {tags.tag.family}") as canvas:
@@ -70,7 +73,7 @@ def write_sheets(path: Path, tags: TagMap, paper: str) -> None:
 
 
 def _draw_sheet(canvas: Any, tags: TagMap, tag: Tag, sheets: Layout, chosen: list[int]) -> None:
-    """Draw a sheet with tags of one size, row by row from the top."""
+    """Draw a sheet with tags of one size, row by row from the top; `chosen` are the indices of these tags."""
     plate = MM_PER_M * tag.paper_edge
     begin_page(canvas, *sheets.page)
     xs, ys = set(), set()
@@ -87,8 +90,9 @@ def _draw_sheet(canvas: Any, tags: TagMap, tag: Tag, sheets: Layout, chosen: lis
 
 
 def _draw_tag(canvas: Any, tags: TagMap, tag: Tag, k: int, x: float, y: float, right: float) -> None:
-    """Draw a tag with the lower left corner of its paper at (x, y). The tag's label is in the margin, or above the tag
-    if the margin is too narrow; the label ends at `right`.
+    """Draw tag k with the lower left corner of its paper at (x, y), mm.
+
+    Its label is in the margin, or above the tag if the margin is too narrow, and does not extend beyond x = `right`.
     """
     number = tags.ids[k]
     plate, edge, module = (MM_PER_M * length for length in (tag.paper_edge, tag.picture_edge, tag.module))
@@ -104,14 +108,20 @@ def _draw_tag(canvas: Any, tags: TagMap, tag: Tag, k: int, x: float, y: float, r
 
 
 def _write_label(canvas: Any, text: str, x: float, top: float, size: float, right: float) -> None:
-    """Draw an arrow that points up and a text below `top`; letters are smaller if the text would pass `right`."""
+    """Draw an arrow that points up and a text, both below y = `top`, from x on.
+
+    Letters are smaller than `size` if the text would extend beyond x = `right`.
+    """
     size *= min(1.0, (right - x) / (1.75 * size + width_of(text, size)))
     up_arrow(canvas, x + size / 2.0, top - 0.75 * size, 0.75 * size)
     write_text(canvas, x + 1.5 * size, top - 0.75 * size, text, size=size)
 
 
 def _draw_cuts(canvas: Any, page: tuple[float, float], xs: Iterable[float], ys: Iterable[float]) -> None:
-    """Draw cutting marks beyond the two ends of each cut at `xs` and `ys`, or on the cut if the sheet ends there."""
+    """Draw cutting marks for vertical cuts at `xs` and horizontal cuts at `ys`, mm.
+
+    The marks are beyond the two ends of each cut, or on the cut if the sheet ends there.
+    """
     away = MARK_GAP + MARK
     lefts, rights = max(min(xs) - away, MARGIN), min(max(xs) + away, page[0] - MARGIN)
     bottoms, tops = max(min(ys) - away, MARGIN + FOOTER - 1.0), min(max(ys) + away, page[1] - MARGIN)

@@ -1,4 +1,4 @@
-"""Page to print for the acceptance of a hung map: a plan of the stations, and a table with blank columns to fill in."""
+"""Pages for the acceptance of a hung map: a plan of the stations, and a table with blank columns to fill in."""
 
 import math
 from pathlib import Path
@@ -20,11 +20,11 @@ def write_stations(path: Path, tags: TagMap, stations: pd.DataFrame) -> None:
     Args:
         path: path of the file.
         tags: the hung map.
-        stations: the chosen stations, see `lmd.evaluation.acceptance.HungMap.chosen`.
+        stations: table of the chosen stations, see `lmd.evaluation.acceptance.HungMap.chosen`.
     """
     size = PAPERS["a4"][::-1]
     scale = scale_of(tags.room, size[0] - 3.0 * MARGIN - TABLE.width, size[1] - 2.0 * MARGIN - HEAD, SCALES)
-    facts = f"scale 1 : {scale}; headings clockwise from the y axis; in a right map 95 % of errors are below the bound"
+    facts = f"scale 1 : {scale}; headings clockwise from the y axis; in correct maps 95 % of errors are below the bound"
     with document(path, title := f"{len(stations)} stations") as canvas:
         begin_titled(canvas, size, title, facts)
         place = draw_floor_plan(canvas, tags, MARGIN, size[1] - MARGIN - HEAD, scale)

@@ -67,9 +67,7 @@ def types() -> Any:
 
 @cache
 def _reader() -> Any:
-    """Subclass of the reader of bags in the library `rosbags`, with an additional check that compressed content does
-    not expand beyond the limits.
-    """
+    """Make a reader of bags, a subclass of that of `rosbags`; it refuses content that expands beyond the limits."""
     optional("rosbags", EXTRA)
     library, mcap = (optional(f"rosbags.rosbag2.{name}", EXTRA) for name in ("reader", "storage_mcap"))
     zstd, lz4 = library.zstd, optional("lz4.frame", EXTRA)
@@ -162,12 +160,12 @@ class Bag:
         return [topic for topic, kind in self.topics.items() if kind in kinds]
 
     def chosen(self, topic: Any, *kinds: str, count: int = 1) -> list[str]:
-        """Choose the topics to read.
+        """Names of the topics to read.
 
         Args:
             topic: topic or list of topics that the user wants; None for all topics with messages of `kinds`.
             kinds: types of the topics' messages.
-            count: number of topics that must be found.
+            count: required number of topics.
 
         Raises:
             InputError: the bag lacks a topic, or the number of topics is not `count`.
@@ -204,7 +202,7 @@ class Bag:
                 yield Message(_stamp(raw, logged), logged, bytes(raw))
 
     def content(self, raw: bytes, kind: str) -> Any:
-        """Deserialise a message.
+        """Deserialise the message `raw`, which has the type `kind`.
 
         Raises:
             InputError: the message is damaged.
@@ -265,8 +263,9 @@ def _seconds(nanoseconds: int) -> str:
 
 
 def cameras_in(path: Any, argument: str) -> Mapping[str, Any]:
-    """Cameras of a bag, keyed by topic. Each value is a function that reads the first `CameraInfo` of the topic and
-    returns its keys.
+    """Cameras of a bag, keyed by topic; `argument` is the argument that gave the path, for messages.
+
+    Each value is a function that reads the first `CameraInfo` of the topic, and returns its content as keys and values.
 
     Raises:
         InputError: the bag cannot be read, or has no camera.

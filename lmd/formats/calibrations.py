@@ -1,7 +1,8 @@
 """Cameras from calibration files; `tables/calibration.yaml` lists the formats.
 
-All readers return pixel coordinates that count from the centre of the first pixel. `lmd` itself counts from the outer
-corner of this pixel: its principal point is larger by 0.5, all other values are equal.
+In the results of all readers, the origin of pixel coordinates is the centre of the image's first (top left) pixel.
+`lmd` itself has the origin at the outer corner of this pixel: its principal point is larger by 0.5, all other values
+are equal.
 """
 
 import math
@@ -72,13 +73,14 @@ class Calibration(Checked):
             object.__setattr__(self, "image_circle", math.inf)  # a pinhole has no image circle
 
     def camera(self, focal_length: float | None = None, aperture: float | None = None, **lens: float) -> Camera:
-        """Make a camera with this calibration. Without an aperture it is a pinhole camera, whose images are sharp at
-        any depth.
+        """Make a camera with this calibration.
+
+        Without an aperture it is a pinhole camera, whose images are sharp at any depth.
 
         Args:
             focal_length: f, mm; determines the size of a pixel, which matters only for the focus.
             aperture: effective diameter d_a, mm.
-            lens: `focus_distance` and `image_circle`, see `Camera`.
+            lens: further arguments of `Camera`, `focus_distance` and `image_circle`.
 
         Raises:
             InputError: an aperture or a focus distance lacks a setting that it needs, or `Camera` refuses a value.
@@ -120,8 +122,10 @@ def calibrated_camera(
     """Make a camera from a calibration file.
 
     Args:
-        path, name, image_size, distortion_model: see `read_calibration`.
-        focal_length, aperture, focus_distance, image_circle: see `Calibration.camera`.
+        path, name: the file, and the camera in a file with several cameras.
+        image_size, distortion_model: size (pixels) and lens model for a file that lacks them, see `read_calibration`.
+        focal_length, aperture: lengths in mm that no calibration states, see `Calibration.camera`.
+        focus_distance, image_circle: see `Camera`.
 
     Raises:
         InputError: see `read_calibration` and `Calibration.camera`.
@@ -168,13 +172,18 @@ class ReadCamera(NamedTuple):
     calibration: Callable[[], Calibration]
     """Function that returns the calibration."""
     poses: Callable[[], Mapping[str, FloatArray]] = dict
-    """Function that returns the poses of the camera's optical frame, keyed by frame of reference, see
-    `lmd.formats.rigs`.
+    """Function that returns poses of the camera's optical frame, `(4, 4)`, keyed by frame of reference: `body` or
+    `step`. See `lmd.formats.keyed_cameras.KeyedCameras`.
     """
 
 
 def lens_model(word: Any, models: Mapping[str, str]) -> str:
-    """Lens model whose pattern matches `word`, see `lmd.formats.keyed_cameras.KeyedCameras.models`.
+    """Lens model for a name that a file or a user gives it.
+
+    Args:
+        word: the given name.
+        models: lens models, keyed by a pattern (regular expression in lower case) of the names that files use, see
+            `lmd.formats.keyed_cameras.KeyedCameras.models`.
 
     Raises:
         InputError: no pattern matches.
@@ -227,8 +236,10 @@ def read_calibration(
 
 
 def _chosen(path: str, names: list[str], name: str | None, size: tuple[float, ...] | None) -> str:
-    """Choose one of the cameras `names`: the camera `name`, or the camera whose name begins with `name` and `/`. If
-    there are several, choose the one with the image size `size` in its name.
+    """Choose one of the cameras `names`: the camera `name`, or the camera whose name begins with `name` and `/`.
+
+    If several names begin in this way, the camera with the image size `size` in its name is chosen. A camera without a
+    name is the empty text.
     """
     if not names:
         raise InputError(f"path: {path} has no camera in its list.", "path")
@@ -252,7 +263,7 @@ def read_cameras(
 
     Args:
         path: path of the file, at most `LARGEST` bytes.
-        image_size, distortion_model: see `read_calibration`.
+        image_size, distortion_model: size (pixels) and lens model for a file that lacks them, see `read_calibration`.
         argument: name of the argument that gave the path, for messages.
 
     Raises:

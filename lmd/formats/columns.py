@@ -42,7 +42,7 @@ class Quantity(NamedTuple):
     name: str
     """Standard name of the column, in which {} stands for the axis."""
     pattern: re.Pattern[str]
-    """Pattern that the column's names in files match, in small letters. The groups `axis` and `unit` of the pattern are
+    """Pattern that the column's names in files match, in lower case. The groups `axis` and `unit` of the pattern are
     the axis and the unit in a name.
     """
     units: Mapping[str, float]
@@ -52,7 +52,13 @@ class Quantity(NamedTuple):
 
     @classmethod
     def of(cls, name: str, names: str, unit: str = "") -> "Quantity":
-        """Make a quantity from its row in `lmd`'s table of columns."""
+        """Make a quantity from its row in `lmd`'s table of columns.
+
+        Args:
+            name: standard name.
+            names: pattern of the names in files, in which UNIT stands for the name of a unit.
+            unit: kind of the unit, such as `length`; empty for a quantity without a unit.
+        """
         units = _units(unit) | (_units(f"bare_{unit}") if unit == TIME else {})
         words = "|".join(sorted(units, key=len, reverse=True))
         return cls(name, re.compile(names.replace("UNIT", f"(?P<unit>{words})")), units)
@@ -151,8 +157,9 @@ class Lines(NamedTuple):
 
 
 class Named(NamedTuple):
-    """Table in which the columns of known quantities have standard names, in metres and radians; other columns keep
-    their names.
+    """Table in which the columns of known quantities have standard names, and their values are in metres and radians.
+
+    Other columns are unchanged.
     """
 
     table: Table
@@ -165,8 +172,10 @@ class Named(NamedTuple):
 
 
 def standard(name: str, of: str) -> tuple[str, float | None] | None:
-    """Standard name of the column `name`, and size of its unit in seconds, metres or radians (None for a quantity
-    without a unit). None if the quantity is unknown.
+    """Standard name of the column `name`, and size of its unit in seconds, metres or radians.
+
+    The size is None if the name states no unit, or the quantity has none. The result is None if the quantity is
+    unknown. `of` is the content of the table, `POSES` or `TAGS`.
 
     Raises:
         InputError: the unit is unknown.
@@ -189,6 +198,11 @@ def standard(name: str, of: str) -> tuple[str, float | None] | None:
 
 def standardised(table: Table, of: str, layout: Layout | None = None) -> Named:
     """Convert a table to standard names and units; if it has several columns of times, the first one is taken.
+
+    Args:
+        table: the table.
+        of: content of the table, `POSES` or `TAGS`.
+        layout: layout that the result states; None for one with the names in the table.
 
     Raises:
         InputError: two columns may hold one quantity, or a unit is unknown.
@@ -315,7 +329,7 @@ def _by_content(lines: Lines, of: str) -> Layout:
         if _W_FIRST.search(comment.lower()):
             raise InputError(
                 f"a comment, {comment[:120]!r}, has w before x, y, z, and does not name the columns: write a line "
-                f"above the values that names each, such as '# {' '.join(PLAIN[of][0])}'."
+                f"above the values that names each column, such as '# {' '.join(PLAIN[of][0])}'."
             )
     for layout in layouts:
         if layout.name in ALONE and not lines.commas and lines.width == len(layout.columns):
@@ -328,7 +342,7 @@ def _by_content(lines: Lines, of: str) -> Layout:
     told = f", which fits {' or '.join(fits[:3])}" if fits else ""
     raise InputError(
         f"columns must be given, as {lines.path} does not name its columns: its first line is "
-        f"{(',' if lines.commas else ' ').join(first)[:SHOWN]!r}{told}; or write a line with their names above, as "
-        f"{','.join(PLAIN[of][0])}.",
+        f"{(',' if lines.commas else ' ').join(first)[:SHOWN]!r}{told}; or write the names of the columns above "
+        f"the values, such as {','.join(PLAIN[of][0])}.",
         "columns",
     )

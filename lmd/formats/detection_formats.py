@@ -63,8 +63,9 @@ class DetectionsFile(File):
 
     @cached_property
     def data(self) -> Mapping[str, Any]:
-        """Content of the JSON in the text, under the key "": one document, or a list of documents if each line is one.
-        Empty for a text that is not JSON.
+        """Mapping of the key "" to the JSON in the file: one document, or a list of documents if each line is one.
+
+        The mapping is empty for a text that is not JSON.
 
         Raises:
             InputError: the text begins like JSON, but is broken.
@@ -95,8 +96,9 @@ class DetectionsFile(File):
         return [" or ".join(TIMES)] * (not set(TIMES) & set(self.header)) + lacks
 
     def refused(self, reason: str) -> InputError:
-        """Make an error about a file that is not a table of detections; the word `LACKS` in the reason is replaced by
-        the names of the missing columns.
+        """Make an error about a file that is not a table of detections.
+
+        In `reason`, the word `LACKS` is replaced by a clause with the missing columns, or by `is empty`.
         """
         lacks = f"lacks {few(self.lacks, MOST_LACKING)} in its first line, {self.first.strip()[:SHOWN]!r}"
         lacks = lacks if self.first else "is empty"
@@ -104,7 +106,7 @@ class DetectionsFile(File):
 
 
 def is_table(file: DetectionsFile) -> bool:
-    """True for a table of detections, also one with semicolons: its reader explains that commas are needed."""
+    """True for a table of detections, even with semicolons, because its reader explains that commas are needed."""
     return not file.lacks or (len(file.header) == 1 and ";" in file.first)
 
 
@@ -158,7 +160,10 @@ class KeyedDetections:
         return _detections(file, seen)
 
     def _seen(self, keys: Any) -> Iterator[SeenTag]:
-        """Tags with corners in all results of a file, with the times at which their images were taken."""
+        """Yield the tags with corners in all results of a file, each with the time at which its image was taken.
+
+        `keys` is the content of the file, one or several JSON documents.
+        """
         for camera, result in _results(keys, self.tags):
             metadata = result.get("metadata")
             keys = {**result, **({f"metadata.{key}": value for key, value in metadata.items()} if metadata else {})}
@@ -184,15 +189,19 @@ class KeyedDetections:
 
 
 def read_detections(path: Any, topic: Any = None) -> DetectedTags:
-    """Read detections from the JSON of a program such as PhotonVision, from a bag, or from a table with the columns
-    `time,id,x0,y0,...,x3,y3`.
+    """Read detections from the JSON of a program such as PhotonVision, from a bag, or from a table.
 
-    The corners of a table are clockwise from the top left in OpenCV's pixels. The column of the time may also be named
-    `stamp` or `image`, and may hold any text, such as the name of a photograph. The column `camera` or `topic` names
-    the camera; without this column there is one camera. Further columns are ignored.
+    A table has the columns `time,id,x0,y0,...,x3,y3`. Its corners are clockwise from the top left in OpenCV's pixels,
+    whose origin is the centre of the first pixel. The column of the time may also be named `stamp` or `image`, and may
+    hold any text, such as the name of a photograph. The column `camera` or `topic` names the camera; without this
+    column there is one camera. Further columns are ignored.
 
     If most detections have counter-clockwise corners, the corners are read in the order of the AprilTag library, from
     the bottom left. Detections whose corners have the opposite sense of rotation are left out.
+
+    Args:
+        path: path of the file.
+        topic: topic of a bag, or list of topics; None for all topics with detections.
 
     Raises:
         InputError: the file cannot be read, lacks a column, or a value is not a number.
@@ -219,11 +228,12 @@ def read_csv(file: File) -> DetectedTags:
 
 
 def _detections(file: File, seen: Sequence[SeenTag]) -> DetectedTags:
-    """Convert the `seen` tags to detections, with corners that begin at the tag's top left; tags whose four corners
-    span no area are left out.
+    """Convert the `seen` tags to detections, with corners that begin at the tag's top left.
+
+    Tags are left out if their corners enclose less than `LEAST_AREA`, or have the opposite sense of rotation.
 
     Raises:
-        InputError: the corners of no tag span an area, or the tags have several families.
+        InputError: no tag is left, or the tags have several families.
     """
     # Times are compared as texts: nanoseconds since 1970 have more digits than a float.
     texts = {text for tag in seen for text in (tag.time, tag.camera)}
@@ -248,8 +258,13 @@ def _detections(file: File, seen: Sequence[SeenTag]) -> DetectedTags:
 
 
 def _results(documents: Any, key: str, camera: str = "", depth: int = DEEPEST) -> Iterator[tuple[str, Any]]:
-    """Find the results within JSON documents, at any depth: pairs of a camera's name and a mapping that has the key
-    `key`.
+    """Yield the results within JSON documents: pairs of a camera's name, and a mapping that has the key `key`.
+
+    Args:
+        documents: a document, or a list of documents.
+        key: key by which a result is recognised.
+        camera: name for results that are under no other name.
+        depth: number of levels of mappings and lists that are searched; an outermost list does not count.
     """
     if isinstance(documents, Mapping):
         if key in documents:
@@ -282,9 +297,7 @@ def read_bag(file: File) -> DetectedTags:
 
 
 def _as_first_written(texts: Sequence[str]) -> list[str]:
-    """Times as texts. Texts that stand for one number are replaced by the first of them: 9.50 becomes 9.5 if 9.5 came
-    before.
-    """
+    """Replace texts of times that state one number by the first of these texts: 9.50 becomes 9.5 if 9.5 came before."""
     written: dict[Decimal | str, str] = {}
     return [written.setdefault(time_of(text), text) for text in texts]
 
@@ -301,10 +314,10 @@ def write_detections(path: Path, detected: DetectedTags) -> None:
 
 
 def with_images(detected: DetectedTags, path: Any) -> DetectedTags:
-    """Add frames to detections, so that all images have a frame. The images are listed in a CSV, one in each row.
+    """Copy of detections with a frame for each image that a CSV lists, also for images without a tag.
 
-    The CSV has the columns of `read_detections` for time and camera. Other columns are ignored. Images without a tag
-    become frames as well.
+    The CSV has a row for each image, with the columns of `read_detections` for time and camera. Other columns are
+    ignored.
 
     Raises:
         InputError: the file cannot be read, or lacks a column or an image in which a tag was detected.
@@ -330,10 +343,10 @@ def with_images(detected: DetectedTags, path: Any) -> DetectedTags:
 
 
 def _with_images(detected: DetectedTags, images: Sequence[tuple[str, str]]) -> DetectedTags:
-    """Add frames to detections, so that all `images` have a frame. Each image is given by its time and camera; the
-    camera may be empty if there is only one.
+    """Copy of detections with a frame for each of the `images`, also for images without a tag.
 
-    Images of cameras without detections are left out.
+    An image is given by its time and its camera; the camera may be empty if there is only one. Images of cameras
+    without detections are left out.
     """
     number = {name: index for index, name in enumerate(detected.cameras)}
     own = [(text, number.get(name, 0)) for text, name in images if len(number) == 1 or name in number]

@@ -23,10 +23,8 @@ class DetectedTags:
         ids: numbers of the tags, `(N,)`.
         corners: corners in the image, pixels from the outer corner of its top left pixel, in the order top left, top
             right, bottom right, bottom left of the tag, `(N, 4, 2)`.
-        blurred: for the frames whose detections were left out because of blur, the blur, pixels, keyed by the name of
-            the frame.
-        copies: for the images whose detections were left out as copies, the name of the original image, keyed by the
-            name of the copy.
+        blurred: blur, pixels, of each frame whose detections were left out because of blur, keyed by the frame's name.
+        copies: names of original images, keyed by the name of the copy whose detections were left out.
         in_order: True if corners are known to begin at the top left, as a detector of `lmd.detection` ensures.
         taken: True where a camera has a valid image of a frame, with or without tags, `(F, C)`; None if all cameras
             have images of all frames.
@@ -87,8 +85,10 @@ class DetectedTags:
 
     @classmethod
     def together(cls, parts: Mapping[str, "DetectedTags"]) -> "DetectedTags":
-        """Merge the detections of several cameras, `parts` keyed by the camera's name in ascending order; frames with
-        equal names become one frame.
+        """Merge the detections of several cameras; frames with equal names become one frame.
+
+        Args:
+            parts: detections of each camera, keyed by the camera's name, with the names in ascending order.
         """
         times = sorted({time for part in parts.values() for time in part.times})
         places = [np.searchsorted(times, part.times)[part.frame] for part in parts.values()]
@@ -109,10 +109,11 @@ class DetectedTags:
         return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 
     def renumbered(self, ids: IntArray, quarters: IntArray) -> "DetectedTags":
-        """All detections. The corners of the tags `ids` `(K,)`, ascending, are numbered from another corner.
+        """Copy of all detections in which the corners of some tags are numbered from another corner.
 
         Args:
-            quarters: new index of each tag's corner 0, from 0 to 3, `(K,)`.
+            ids: ids of these K tags, ascending, `(K,)`.
+            quarters: new index of the corner that had the index 0, from 0 to 3, for each tag, `(K,)`.
         """
         place = np.minimum(np.searchsorted(ids, self.ids), len(ids) - 1)
         back = np.where(ids[place] == self.ids, quarters[place], 0)
@@ -131,17 +132,16 @@ class DetectedTags:
 
 
 def signed_area(corners: FloatArray) -> FloatArray:
-    """Signed area of quadrilaterals `(..., 4, 2)`, positive if their corners are clockwise in the image, `(...)`."""
+    """Signed area `(...)` of quadrilaterals `(..., 4, 2)`, positive if their corners are clockwise in the image."""
     x, y = corners[..., 0], corners[..., 1]
     return np.asarray((x * np.roll(y, -1, axis=-1) - np.roll(x, -1, axis=-1) * y).sum(axis=-1) / 2.0)
 
 
 def without_copies(detected: DetectedTags) -> DetectedTags:
-    """Detections without those in copies. A copy is an image that equals an earlier image of its camera. The field
-    `copies` of the result names the copies.
+    """Leave out the detections in copies; the field `copies` of the result names the copies.
 
-    An image is a copy of an earlier image if both show equal tags, with corners at most `SAME` apart. Errors of corners
-    are independent in two photographs, but equal in a photograph and its copy.
+    A copy is an image that shows the same tags as an earlier image of its camera, with corners at most `SAME` apart.
+    Errors of corners are independent in two photographs, but equal in a photograph and its copy.
     """
     x, y = detected.corners[:, 0, 0], detected.corners[:, 0, 1]
     order = np.lexsort((y, x, detected.ids, detected.frame, detected.camera))

@@ -38,7 +38,7 @@ def read_drawing(file: File) -> ReadPlan:
     """Read the room in a drawing, in the frame of the drawing.
 
     Args:
-        file: drawing; `asked` has `layers`, `unit`, `gap`, `tolerance` and `start` of `read_plan_room`.
+        file: drawing; `file.asked` has `layers`, `unit`, `gap`, `tolerance` and `start` of `lmd.formats.plans.Reading`.
 
     Raises:
         InputError: the file cannot be read, a layer or the unit is unknown, or the walls enclose no room.
@@ -64,7 +64,7 @@ def _lines(file: File) -> Drawing:
         raise InputError(f"path: {str(file.path)!r} cannot be read as DXF ({error}).", "path") from None
     drawn, hidden = (Counter(layer for kind, layer, _ in found if kind == own) for own in ("line", "hidden"))
     if not drawn:
-        only = f", except of {NOT_SHOWN}: {_counted(hidden)}" if hidden else ""
+        only = f", except for {NOT_SHOWN}: {_counted(hidden)}" if hidden else ""
         raise InputError(f"path: {str(file.path)!r} cannot be read as DXF: it has no lines{only}.", "path")
     layers = _layers(file, drawn, hidden)
     unit = _unit(
@@ -94,9 +94,7 @@ def _lines(file: File) -> Drawing:
 
 
 def _with_subclasses(content: bytes) -> bytes:
-    """Content of a DXF drawing, with subclass markers added to the polylines that lack them, as some programs omit
-    them.
-    """
+    """Content of a DXF drawing, with the subclass markers of polylines added, which some programs omit."""
     lines = content.replace(b"\r\n", b"\n").split(b"\n")
     if b"LWPOLYLINE" not in content or b"AcDbPolyline" in content:
         return content
@@ -129,10 +127,13 @@ def _shapes(
     shown: bool = True,
     depth: int = 0,
 ) -> Iterator[tuple[str, str, Any]]:
-    """Kind, name of the layer, and entity of each shape in a drawing, including shapes in blocks; `number` counts the
-    entities. The kind is `line`, `door` or `window`, or `hidden` for a shape that CAD programs do not show.
+    """Yield kind, layer name and entity of each shape in a drawing, including the shapes in blocks.
 
-    A block on a frozen layer is hidden as a whole. If the layer of a block is off, its shapes on layer 0 are hidden.
+    The kind is `line`, `door` or `window`, or `hidden` for a shape that CAD programs do not show. A block on a frozen
+    layer is hidden as a whole. If the layer of a block is off, its shapes on layer 0 are hidden.
+
+    The counter `number` advances with each entity; more than `MOST_ENTITIES` are refused. The arguments after it state
+    the surroundings of a block: kind, layer, visibility and nesting.
     """
     bounded("nested blocks", depth, DEEPEST, source, "path")
     for entity in entities:
@@ -149,10 +150,9 @@ def _shapes(
 
 
 def _flattened(entity: Any, tolerance: float, source: str, number: Iterator[int]) -> FloatArray:
-    """Vertices of the polyline that approximates a shape, `(N, 2)`, in the unit of the drawing; empty for shapes
-    without a path, such as a mesh.
+    """Vertices of the polyline that approximates a shape, `(N, 2)`, in the unit of the drawing.
 
-    `number` counts the vertices of all shapes.
+    Empty for shapes without a path, such as a mesh. The counter `number` advances with each vertex of all shapes.
     """
     make_path = optional("ezdxf.path", "drawings").make_path
     vertices: list[list[float]] = []
@@ -173,8 +173,15 @@ def _flattened(entity: Any, tolerance: float, source: str, number: Iterator[int]
 
 
 def _layers(file: File, drawn: Counter[str], hidden: Counter[str]) -> set[str]:
-    """Names of the layers with walls. `drawn` counts, for each layer, the shapes that CAD programs show, `hidden` the
-    shapes that they do not show. A layer that the user names and that has only hidden shapes is refused.
+    """Names of the layers with walls: those that the user names, or those whose names mean walls, or the only layer.
+
+    Args:
+        file: drawing; `file.asked["layers"]` has the user's names or None.
+        drawn: number of shapes that CAD programs show on each layer.
+        hidden: number of shapes that CAD programs do not show on each layer.
+
+    Raises:
+        InputError: a named layer is unknown or has only hidden shapes, or the user must name the layers.
     """
     asked = file.asked["layers"]
     if asked is not None:
@@ -183,7 +190,7 @@ def _layers(file: File, drawn: Counter[str], hidden: Counter[str]) -> set[str]:
         known = {name.lower(): name for name in drawn}
         for name in asked:
             if name.lower() not in known and name.lower() in map(str.lower, hidden):
-                raise InputError(f"layers: {name!r} of {str(file.path)!r} belongs to {NOT_SHOWN}.", "layers")
+                raise InputError(f"layers: {name!r} of {str(file.path)!r} has only {NOT_SHOWN}.", "layers")
             choice("layers", name.lower(), list(known))
         return {known[name.lower()] for name in asked}
     named = {name for name in drawn if WALL.search(name)}

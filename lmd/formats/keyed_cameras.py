@@ -76,7 +76,7 @@ class KeyedCameras(Keyed):
     entry are replaced by their values. If several cameras get one name, `/2` is appended to the name of the second.
     """
     named: str = ""
-    """Names of quantities, separated by blanks, that are also the keys of these quantities in the entry."""
+    """Names of quantities, separated by blanks, that have their own names as keys in the entry."""
     values: Sequence[str] = ()
     """Paths to lists with the quantities that `models` names, or to mappings with quantities keyed by name. A path that
     ends in a dot stands for all keys that begin with the path.
@@ -84,14 +84,14 @@ class KeyedCameras(Keyed):
     model: Sequence[str] = ()
     """Paths, in the entry, to the words that form the name of the lens model when joined by `_`."""
     models: Mapping[str, str] = field(default_factory=lambda: LENS_MODELS)
-    """Lens model, a key of `COEFFICIENTS`, keyed by a pattern that the words at `model` match, in small letters; an
-    empty value stands for an unknown model. The names of the quantities in the lists whose paths are `values` follow
-    after a colon, as `ours` or `ours=theirs`.
+    """Lens model, a key of `COEFFICIENTS`, keyed by a pattern that the words at `model` match, in lower case; an empty
+    value stands for an unknown model. After a colon follow the names of the quantities in the lists at the paths
+    `values`, as `ours` or `ours=theirs`.
     """
     origin: float = 0.0
     """Coordinate of the centre of the first pixel in the pixel coordinates of the file, such as 0 or 0.5."""
     loose: bool = False
-    """True if the outermost keys of an entry are compared in small letters and without `_`."""
+    """True if the outermost keys of an entry are compared in lower case and without `_`."""
     distinct: bool = False
     """True if equal cameras are returned only once, as in a file that repeats the camera of each image."""
 
@@ -122,7 +122,7 @@ class KeyedCameras(Keyed):
         return found
 
     def compared(self, entry: Keys) -> Keys:
-        """Entry with its keys in the form in which they are compared: if `loose`, in small letters and without `_`."""
+        """Entry with its keys as they are compared: in lower case and without `_` if the format is `loose`."""
         return {plain(name): value for name, value in entry.items()} if self.loose else entry
 
 
@@ -136,7 +136,10 @@ class _Camera:
     asked: Keys
 
     def path(self, path: str) -> str:
-        """Path in which `{key}` is replaced by the entry's key, and a `?`, the mark of optional values, is removed."""
+        """The path with `{key}` replaced by the entry's key, and without a final `?`, the mark of optional values.
+
+        If the format is `loose`, the result is in lower case and without `_`.
+        """
         path = path.rstrip("?").replace("{key}", self.key)
         return plain(path) if self.form.loose else path
 
@@ -150,7 +153,7 @@ class _Camera:
         return vector_at(self.entry, self.path(path), size, called)
 
     def name(self, index: int) -> str:
-        """Name of the camera, which has the index `index`, from 0, in the file."""
+        """Name of the camera; `index` is its index in the file, from 0."""
         sides = {name: f"{self._side(name, i) or 0.0:.0f}" for i, name in enumerate(SIDES) if name in self.form.called}
         return self.form.called.format_map(
             {**self.entry, "key": self.key, "index": index, "number": index + 1, **sides}
@@ -182,7 +185,7 @@ class _Camera:
         asked = self.asked.get("distortion_model")
         if asked is not None and model != INVERSE and lens_model(asked, LENS_MODELS) != found.model:
             raise InputError(
-                f"distortion_model must be {found.model}: it has this lens model, not {asked}.", "distortion_model"
+                f"distortion_model must be {found.model}: the file has this model, not {asked}.", "distortion_model"
             )
         off = f"its lens model {model} is approximated by {found.model}, which is up to {found.worst:.2f} pixels off"
         pinhole = (found.focal_pixels, found.principal_point)
@@ -207,8 +210,9 @@ class _Camera:
         return None if size is None else float(size[index])
 
     def _model(self) -> tuple[str, str, list[str]]:
-        """Three results: the words by which the file names the lens model; the lens model; and names of quantities. The
-        named quantities are in the lists of the file whose paths are `values` of the format.
+        """Name of the lens model in the file; the lens model; and the names of the listed quantities.
+
+        The listed quantities are in lists of the file, at the paths `values` of the format.
         """
         said = [self.value(path) for path in self.form.model]
         needed = [path for path, word in zip(self.form.model, said, strict=True) if word is MISSING and path[-1] != "?"]
@@ -221,23 +225,30 @@ class _Camera:
         return words, name, names.split()
 
     def _chosen(self, model: str, lens: Sequence[float], word: str) -> str:
-        """Lens model of the file, or else the model that the user names; raises `InputError` if neither
-        determines it.
+        """Lens model of the file or, if it is unclear, the model that the user names.
+
+        Args:
+            model: the file's lens model, which may be `unsaid` or `INVERSE`.
+            lens: coefficients in the file.
+            word: name of the model in the file.
+
+        Raises:
+            InputError: neither the file nor the user determines the model.
         """
         asked = self.asked.get("distortion_model")
         if model == INVERSE and any(lens) and asked is None:
             raise InputError(
-                "distortion_model must be given: its coefficients are of "
+                "distortion_model must be given: the file's coefficients are of "
                 f"{'the inverse Brown-Conrady model' if word else 'an unnamed model'}, which librealsense "
-                f"describes as undistorting ({INVERSE}) and computes as distorting (plumb_bob, as ROS does).",
+                f"documents as undistorting ({INVERSE}) but computes as distorting (plumb_bob, as ROS does).",
                 "distortion_model",
             )
         if model == INVERSE:
             return "none" if not any(lens) else INVERSE if asked == INVERSE else lens_model(asked, LENS_MODELS)
         if model == "unsaid" and asked is None and len(lens) == UNCLEAR and any(lens):
             raise InputError(
-                "distortion_model must be given: it names no model, and its 4 coefficients may be those of cv2.fisheye "
-                "(fisheye) or k1, k2, p1, p2 (plumb_bob).",
+                "distortion_model must be given: the file names no lens model, and its 4 coefficients may be those of "
+                "cv2.fisheye (fisheye) or k1, k2, p1, p2 (plumb_bob).",
                 "distortion_model",
             )
         return model if model != "unsaid" else "plumb_bob" if asked is None else lens_model(asked, LENS_MODELS)
@@ -301,8 +312,16 @@ class _Camera:
 
 
 def _nearest(model: str, lens: Sequence[float], values: Mapping[str, float], size: Sequence[Any]) -> Restated:
-    """Lens and intrinsics of a camera. If `lmd.geometry.lens` does not support the camera's lens model, a lens of a
-    supported model, and its intrinsics, are fitted to the camera.
+    """Lens and intrinsics of a camera.
+
+    If `lmd.geometry.lens` does not support its lens model, a lens of a supported model, and intrinsics, are fitted to
+    it.
+
+    Args:
+        model: lens model of the file.
+        lens: coefficients of the lens.
+        values: intrinsics and coefficients, keyed by name.
+        size: width and height of the image, pixels.
     """
     focal, centre = (values["fx"], values["fy"]), (values["cx"], values["cy"])
     if model in MODELS:
@@ -316,7 +335,7 @@ def _nearest(model: str, lens: Sequence[float], values: Mapping[str, float], siz
 
 
 def _pose_of(value: Any) -> FloatArray:
-    """Pose from the keys px, py, pz, qx, qy, qz, qw, or from the 16 numbers of its matrix, row by row."""
+    """Pose `(4, 4)` from the keys px, py, pz, qx, qy, qz, qw, or from the 16 numbers of its matrix, row by row."""
     if isinstance(value, Mapping) and "data" not in value:
         return np.asarray(poses_from_rows(np.array([[number_at(value, key) for key in POSE]]))[0])
     return transform_of(numbers_of(value), "matrix")

@@ -46,9 +46,9 @@ class KeyedTags(Keyed):
     A tag has these quantities: `id`, a number or a name such as `tag36h11:7`; `edge`; `family`; the `position`; and the
     rotation. The rotation is `quaternion`, `rpy` (roll, pitch, yaw), or `yaw` (rad) or `yaw_degrees` about the
     vertical. Position and rotation together may be `transform`, 16 numbers row by row, or `pose`, x, y, z, qx, qy, qz,
-    qw. Edge and pose together may be four `corners`, clockwise from the top left. The first rotation that the entry has
-    is taken. A path with spaces stands for several paths, one for each number; a position of two numbers is on the
-    floor.
+    qw. Edge and pose together may be four `corners`, clockwise from the top left. If an entry has several rotations,
+    the first in the order of `TURNS` is taken. A path with spaces stands for several paths, one for each number; a
+    position of two numbers is on the floor.
     """
 
     axes: Sequence[str] = RIGHT_UP_OUT
@@ -115,15 +115,19 @@ class KeyedTags(Keyed):
         return PlacedTag(number, shifted, turn @ axes_of(list(self.axes)).T, edge, family)
 
     def _value(self, tag: Keys, path: str) -> Any:
-        """Value at a path of a tag's entry; `MISSING` if an optional value is missing."""
+        """Value at a path of a tag's entry; `MISSING` if an optional value is missing.
+
+        For a path with spaces, which stands for several paths, the path itself is returned.
+        """
         value = find(tag, path.rstrip("?")) if " " not in path else path
         if value is MISSING and not path.endswith("?"):
             raise InputError(f"the key {path.split('|')[0]} is missing.")
         return value
 
     def _pose(self, tag: Keys, at: Mapping[str, str], number: int) -> tuple[FloatArray, FloatArray]:
-        """Position, metres, and rotation matrix of a tag's frame. The axes of the frame are those of the file, see
-        `axes`.
+        """Position `(3,)`, metres, and rotation matrix `(3, 3)` of a tag's frame with the axes of the file, see `axes`.
+
+        `at` has the paths to the quantities, and `number` is the tag's id, for messages.
         """
         turns = {name: at[name].rstrip("?") for name in TURNS if name in at}
         name = next((name for name, path in turns.items() if find(tag, path) is not MISSING), list(turns)[-1])
@@ -144,9 +148,11 @@ class KeyedTags(Keyed):
 
 
 def _numbers(tag: Keys, path: str, names: str, order: str = "") -> FloatArray:
-    """Numbers at a path, one for each letter of `names`. The value is a mapping with these letters as keys (for a
-    quaternion, with or without the prefix `q`), or a list. A list has the order of the letters of `order`, by default
-    of `names`.
+    """Numbers at a path of a tag's entry, one for each letter of `names`.
+
+    The value is a list, or a mapping with the letters as keys (for a quaternion, with or without the prefix `q`). A
+    list has the order of the letters in `order`, by default in `names`. A path with spaces stands for one path for each
+    number.
     """
     if " " in path:
         return np.array([*(number_at(tag, part) for part in path.split()), 0.0][: len(names)])
@@ -175,7 +181,7 @@ MOST_ROWS = 200  # maximum number of rows, and of columns, of a TagSLAM board
 
 
 def parameters_of(keys: Keys) -> Keys:
-    """Parameters of the node that has tags, in a parameter file of ROS 2. Any other file is returned unchanged.
+    """Parameters of the node that has tags, in a parameter file of ROS 2; other content is returned unchanged.
 
     Raises:
         InputError: several nodes have tags, or none of several nodes has tags.
@@ -197,8 +203,11 @@ def _nodes(keys: Keys, depth: int) -> Iterable[Keys]:
 
 
 def apriltag_ros(keys: Keys) -> Keys:
-    """Tags in a configuration of apriltag_ros: those of its bundle, whose frame is taken as the world frame; or
-    standalone tags with positions in the world frame.
+    """Tags in a configuration of apriltag_ros, as a tree with the key `tags`.
+
+    They are those of its bundle, whose frame is taken as the world frame; or standalone tags with positions in the
+    world frame. `transform` is True if a bundle of ROS 2 gives transforms, and `family` is the configured family, if
+    any.
 
     Raises:
         InputError: no tag has a pose, or several bundles have tags.
@@ -244,15 +253,19 @@ def _placed(tag: Keys) -> Keys:
 
 
 def _listed(listed: Any) -> Iterator[tuple[str, list[Keys]]]:
-    """Name and tags of each bundle in a configuration for ROS 1: a list whose entries have a name and a layout."""
+    """Yield name and tags of each bundle in a configuration for ROS 1.
+
+    `listed` is the list of the bundles, mappings with the keys `name` and `layout`. A bundle without tags is left out.
+    """
     for i, bundle in enumerate(mappings("tag_bundles", listed)):
         if bundle.get("layout"):
             yield str(bundle.get("name", f"without a name, number {i}")), mappings("layout", bundle["layout"])
 
 
 def _named(bundles: Keys) -> Iterator[tuple[str, list[Keys]]]:
-    """Name and tags of each bundle in a configuration for ROS 2. There each tag has a key of its own, as parameters of
-    ROS 2 cannot be lists of mappings.
+    """Yield name and tags of each bundle in a configuration for ROS 2; `bundles` is its mapping of bundles.
+
+    There each tag has a key of its own, as parameters of ROS 2 cannot be lists of mappings.
     """
     for name in bundles.get("bundle_names") or [name for name in bundles if isinstance(bundles[name], dict)]:
         bundle = mapping(str(name), bundles[name])
@@ -262,8 +275,9 @@ def _named(bundles: Keys) -> Iterator[tuple[str, list[Keys]]]:
 
 
 def tagslam(keys: Keys) -> list[Keys]:
-    """Tags of the static bodies in a configuration of TagSLAM; tags of other bodies, whose poses TagSLAM estimates, are
-    ignored.
+    """Tags of the static bodies in a configuration of TagSLAM, each with its pose under the key `TRANSFORM`.
+
+    Tags of other bodies, whose poses TagSLAM estimates, are ignored.
 
     Raises:
         InputError: no body with tags is static, or a static body has no pose.
@@ -285,8 +299,9 @@ def tagslam(keys: Keys) -> list[Keys]:
 
 
 def _on_body(body: Keys) -> Iterator[Keys]:
-    """Tags of a body, with poses in the body's frame: tags in a list, or tags of a board, row by row from the board's
-    corner.
+    """Yield the tags of a body, each with its pose in the body's frame, `(4, 4)`, under the key `TRANSFORM`.
+
+    The tags are in a list, or on a board, row by row from the board's corner.
     """
     for tag in mappings("tags", body.get("tags") or ()):
         pose = _tagslam_pose(mapping("pose", tag.get("pose") or {}))

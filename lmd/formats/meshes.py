@@ -80,8 +80,9 @@ def check_gltf(file: Path, content: bytes, most: int) -> None:
 
 
 def _unread(header: dict[str, Any], pieces: list[dict[str, Any]]) -> str:
-    """Reason why trimesh cannot read the glTF, as the predicate of a sentence such as `has sparse accessors`; empty if
-    it can.
+    """Reason why trimesh cannot read a glTF, as a predicate such as `has sparse accessors`; empty if it can.
+
+    `header` is the JSON of the glTF, `pieces` are the primitives of its meshes.
     """
     instanced = "EXT_mesh_gpu_instancing"
     needed = [str(name) for name in header.get("extensionsRequired", [])]
@@ -99,7 +100,10 @@ def _unread(header: dict[str, Any], pieces: list[dict[str, Any]]) -> str:
 
 
 def _check_tree(children: list[list[int]]) -> None:
-    """Raise `ValueError` if the nodes do not form a tree, or if the tree has too many levels."""
+    """Raise `ValueError` if nodes do not form a tree, or if the tree has too many levels.
+
+    `children` has the indices of each node's children.
+    """
     parents = {child: node for node, theirs in enumerate(children) for child in theirs}
     if len(parents) < sum(map(len, children)):
         raise ValueError("a node has two parents")
@@ -128,7 +132,7 @@ _PLY_FACES = re.compile(rb"^element\s+face\s+(\d+)\s*$", re.MULTILINE)
 
 
 class RoomFile(File):
-    """File of a room; its `asked` has the setting `up`, the axis of the file that points up."""
+    """File of a room; its attribute `asked` has the setting `up`, the axis of the file that points up."""
 
     @cached_property
     def content(self) -> bytes:
@@ -186,11 +190,11 @@ def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None
 def read_mesh_room(
     path: Any, reachable: Any, spacing: Any, scale: float = 1.0, up: str | None = None, **more: Any
 ) -> MeshRoom:
-    """Read a room from a mesh in a file.
+    """Make a room from the mesh in a file.
 
     Args:
-        path, scale, up: see `read_mesh`.
-        reachable, spacing: see `MeshRoom`.
+        path, scale, up: the file, its unit in metres and its upward axis, see `read_mesh`.
+        reachable, spacing: reachable volume, and largest distance between positions, see `MeshRoom`.
         more: further arguments of `Scan` and of `MeshRoom`.
     """
     names = {field.name for field in fields(Scan)}
@@ -216,7 +220,7 @@ def _turned(points: FloatArray, up: str) -> FloatArray:
 
 
 def triangles(room: RoomFile) -> dict[str, Any]:
-    """Objects of a file that have triangles, keyed by name, as meshes in the scene's frame with z up."""
+    """Objects of a file that have triangles, keyed by name, as meshes of trimesh that are rotated so that z is up."""
     file, up = Path(room.path), room.asked["up"]
     trimesh = optional("trimesh", "mesh")
     logging.getLogger("trimesh").setLevel(logging.WARNING)  # trimesh would warn about quads in every object
@@ -290,8 +294,12 @@ def _place(word: str) -> float:
 
 
 def _cut_face(line: str, words: list[str], places: list[list[float]]) -> list[str]:
-    """Lines of an OBJ with the triangles of a face; the given line if the face is bent, crosses itself, or has
-    no area.
+    """Lines of an OBJ with the triangles of a face; the given line if the face is bent, crosses itself, or has no area.
+
+    Args:
+        line: line of the face.
+        words: corners of the face, as in the line.
+        places: positions of all vertices above the line.
     """
     import shapely
 

@@ -1,5 +1,4 @@
-"""Tag in a map that another program wrote: reading of its family and number from the names that this program uses, and
-checks of its pose.
+"""Tags in maps that other programs wrote: family and number of a tag from its name, and checks of its pose.
 
 All readers return tag poses with one convention: x to the right of the tag, y up, z along the normal towards the
 viewer.
@@ -85,11 +84,13 @@ class Found(NamedTuple):
 
 
 def axes_of(words: Sequence[str] | None) -> FloatArray:
-    """Axes x, y and z of a tag's frame from their directions in words: columns in the frame with x right, y up, z out,
-    `(3, 3)`.
+    """Axes x, y and z of a tag's frame, made from their directions in words.
 
     Args:
         words: three of `DIRECTIONS`; None for right, up, out.
+
+    Returns:
+        matrix `(3, 3)` whose columns are the axes, in the frame with x right, y up and z out of the tag.
 
     Raises:
         InputError: the directions do not form a right-handed frame.
@@ -259,8 +260,10 @@ def tag_of_corners(number: int, corners: FloatArray, family: str | None) -> Plac
 
 
 def one_family(named: Iterable[str | None]) -> str | None:
-    """The one family of all tags of a map; None if no entry of the map names a family. `named` has the family of each
-    entry, or None.
+    """Family of all tags of a map; None if no entry of the map names a family.
+
+    Args:
+        named: family that each entry names, or None.
 
     Raises:
         InputError: the tags have several families.

@@ -51,7 +51,7 @@ def read_map(file: File) -> ReadPlan:
     """Read the free region of an occupancy grid, in the frame of the map.
 
     Args:
-        file: YAML file of the map; `asked` has `tolerance`, `speck`, `passage` and `start` of `Reading`.
+        file: YAML file of the map; `file.asked` has `tolerance`, `speck`, `passage` and `start` of `Reading`.
 
     Raises:
         InputError: the file or a setting is refused, or there is no free region.
@@ -126,8 +126,9 @@ def occupancy(
 
 
 def _beside(file: Path, image: Any) -> Path:
-    """Path of a picture, relative to the YAML file. If a picture's absolute path does not exist, the picture is looked
-    for in the folder of the YAML file.
+    """Path of the picture `image` that the YAML file `file` names; a relative path is relative to the YAML file.
+
+    If there is no picture at this path, but one with its file name beside the YAML file, that picture is taken.
     """
     if not isinstance(image, str) or not image.strip():
         raise InputError(f"image must be the path of the picture, got {image!r}.")
@@ -214,9 +215,7 @@ ROUNDING_M = 1e-9
 
 
 class PlanFile(File):
-    """File of a floor plan; its `asked` has the settings `start`, `tolerance`, `speck`, `passage`, `layers`, `unit` and
-    `gap`.
-    """
+    """File of a floor plan; its attribute `asked` has the settings of `Reading`, keyed by name."""
 
     @override
     def refused(self, reason: str) -> InputError:
@@ -237,7 +236,7 @@ class Reading(Checked):
     """Maximum distance of a wall from the contour in the file, metres."""
     speck: NotNegative = 0.2
     """Size of specks in an occupancy grid, metres: a group of cells that are not free counts as free if both sides of
-    its bounding box are shorter than this.
+    its bounding box are shorter than `speck`.
     """
     passage: NotNegative = 0.3
     """Minimum width of parts of an occupancy grid's free region, metres; narrower parts are left out."""
@@ -265,16 +264,18 @@ def read_plan_room(
     margin: Any = 0.0,
     **more: Any,
 ) -> Prism:
-    """Make a room over a floor plan, which comes from a file, in the frame of the file, or from the other arguments.
+    """Make a room from a floor plan in a file, in the file's frame, or from a plan that the other arguments describe.
 
     Args:
         path: file of a format of this module; None for a plan from the other arguments.
-        outline, holes: see `FloorPlan`. With a `path` they come from the file; both must then be None, or have the
-            values of the configured example, `EXAMPLE`.
-        keep_out: see `FloorPlan`. With a `path` they are added to the keep-outs of the file; those of `EXAMPLE` are
-            ignored.
-        surfaces: see `FloorPlan`; with a `path`, None for all walls with at least the free width `least_width`.
-        height, margin, reachable, spacing: see `FloorPlan` and `Prism`.
+        outline, holes: vertices of the walls and of pillars, see `FloorPlan`. With a `path` they come from the file;
+            both must then be None, or have the values of the configured example, `EXAMPLE`.
+        keep_out: parts of surfaces without landmarks, see `FloorPlan`. With a `path` they are added to the keep-outs of
+            the file; those of `EXAMPLE` are ignored.
+        surfaces: names of the surfaces that may carry landmarks; with a `path`, None for all walls with at least the
+            free width `least_width`.
+        height, margin: height of the ceiling, and distance of landmarks from the edges of a surface, metres.
+        reachable, spacing: reachable volume, and largest distance between positions, see `Prism`.
         more: fields of `Reading`, and further arguments of `from_floor_plan`.
 
     Raises:

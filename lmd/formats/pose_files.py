@@ -64,11 +64,13 @@ class Rows:
 
 
 def read_rows(path: str, **asked: Any) -> Rows:
-    """Read poses in any known format; a row whose time equals that of the previous row, as from a coarse clock, is left
-    out.
+    """Read poses in any known format.
+
+    A row whose time equals that of the previous row, as from a coarse clock, is left out.
 
     Args:
-        asked: `frame` and `columns` of `lmd.formats.trajectories.TrajectoryFile`.
+        path: path of the file.
+        asked: the settings `frame` (of the orientations) and `columns`, see `lmd.formats.trajectories.TrajectoryFile`.
 
     Raises:
         InputError: the file cannot be read, or holds no poses; the message names the file.
@@ -143,7 +145,7 @@ def steep(sines: FloatArray, path: object) -> str:
 
 
 def of_table(file: File) -> Rows:
-    """Rows of poses from a table with a time in each line."""
+    """Read poses from a table with a time in each line; `file.asked` has `columns` and `frame` of `read_rows`."""
     found = named(file.path, file.text, POSES, file.asked["columns"], file.argument)
     table, unit = found.table, found.time_unit
     if not {TIME, *POSITION} <= found.columns.keys():
@@ -167,8 +169,16 @@ def of_table(file: File) -> Rows:
 
 
 def _oriented(found: Named, place: FloatArray, frame: str) -> tuple[FloatArray, str | None, bool, str]:
-    """Poses from the columns of a table; the frame of their orientations; True if the orientations are given by angles;
-    and a note for the user.
+    """Poses of a table, and the meaning of their orientations.
+
+    Args:
+        found: the table.
+        place: positions, metres, `(T, 3)`.
+        frame: frame that the user states, `optical` or `body`.
+
+    Returns:
+        poses `(T, 4, 4)`; frame of the orientations, or None if the table does not tell it; True if orientations are
+        given by angles of a camera; note for the user.
     """
     table, columns, path = found.table, found.columns, found.table.path
     if set(QUATERNION) <= columns.keys():
@@ -199,8 +209,10 @@ def _oriented(found: Named, place: FloatArray, frame: str) -> tuple[FloatArray, 
 
 
 def _frame_of_ros(table: Table, frame: str) -> tuple[str | None, str]:
-    """Frame of the orientations, `optical` or `body`, as the name of ROS's `child_frame_id` tells it (REP 103, REP
-    105), or None; and a note for the user.
+    """Frame of the orientations, `optical` or `body`, and a note for the user, from ROS's `child_frame_id`.
+
+    The frame is None if this name does not tell it. `frame` is the frame that the user states. Source: REP 103, REP
+    105.
     """
     found = {text for name in table.texts if name.lower().endswith("child_frame_id") for text in table.texts[name]}
     name = found.pop() if len(found) == 1 else ""

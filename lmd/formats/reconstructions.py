@@ -1,9 +1,9 @@
-"""Poses of images in the files of COLMAP and nerfstudio, and in trajectories: read, moved to another frame, written.
+"""Poses of images in files of COLMAP and nerfstudio, and in trajectories: reading, transforming and writing.
 
 The camera frame of COLMAP and of lmd is x right, y down, z ahead, and that of nerfstudio (OpenGL) is x right, y up, z
 back. COLMAP's poses are from the world to the camera, the other poses from the camera to the world. All three programs
-count pixels from the outer corner of the first pixel, whose centre is (0.5, 0.5). A similarity X = s R x + p is a
-matrix [s R, p; 0 1], `(4, 4)`.
+count pixels from the outer corner of the first pixel, whose centre is (0.5, 0.5). A similarity X = s R x + p, with the
+scale s, the rotation R and the shift p, is a matrix [s R, p; 0 1], `(4, 4)`.
 
 Sources: COLMAP's "Output Format" and "Camera Models"; nerfstudio's "Data conventions".
 """
@@ -39,20 +39,21 @@ OF_FRAME = ("applied_transform", "applied_scale", "ply_file_path")
 
 
 class Model(NamedTuple):
-    """Poses of the images of a COLMAP model, of nerfstudio, or of a trajectory."""
+    """Poses of images from files of COLMAP or nerfstudio, or poses of a trajectory."""
 
     names: list[str] | FloatArray
     """Names of n images; for a trajectory, times, seconds, increasing, `(n,)`."""
     poses: FloatArray
     """Poses, camera to the frame of the model, `(n, 4, 4)`."""
     moved: Callable[[FloatArray], Mapping[str, Any]]
-    """Function of a similarity (a matrix): it returns the contents of the model's files, moved by the similarity, keyed
-    by file name.
-    """
+    """Function that applies a similarity `(4, 4)` to the model and returns its files' contents, keyed by file name."""
 
 
 def similar(similarity: FloatArray, poses: FloatArray) -> FloatArray:
-    """Poses `(n, 4, 4)` after the world, with its cameras, is moved by a similarity."""
+    """Poses `(n, 4, 4)` that cameras have after a similarity `(4, 4)` has moved them together with the world.
+
+    `poses` are those before.
+    """
     turn = similarity[:3, :3] / np.cbrt(np.linalg.det(similarity[:3, :3]))
     return pose_of(turn @ poses[:, :3, :3], act(similarity, poses[:, :3, 3]))
 
@@ -90,8 +91,9 @@ def read_model(path: Any) -> Model:
 
 
 def _colmap(folder: Path) -> Model:
-    """Model from COLMAP's text files. The model's function `moved` changes only the poses and the positions of points
-    in the files.
+    """Model from the text files of COLMAP in a folder.
+
+    Its function `moved` changes only the poses, and the positions of points, in the files.
     """
     cameras, images, points = (File(folder / name, "model").text.splitlines(keepends=True) for name in FILES)
     found = {number: image for number, line in enumerate(images) if (image := IMAGE.fullmatch(line)) is not None}
@@ -114,8 +116,9 @@ def _colmap(folder: Path) -> Model:
 
 
 def _nerfstudio(path: Path) -> Model:
-    """Model from nerfstudio's file `TRANSFORMS`. The model's function `moved` changes the poses in the file, and drops
-    the keys `OF_FRAME`; all else is unchanged.
+    """Model from nerfstudio's file `TRANSFORMS` at `path`.
+
+    Its function `moved` changes the poses in the file and drops the keys `OF_FRAME`; all else is unchanged.
     """
     keys = File(path, "model").data
     frames = [dict(frame) for frame in keys["frames"]]
@@ -137,7 +140,14 @@ def _line(*values: Any) -> str:
 
 
 def _image_line(number: Any, row: FloatArray, camera: Any, name: str) -> str:
-    """Line of COLMAP's `images.txt`; `row` is the pose, world to camera, see `pose_rows`."""
+    """Line of COLMAP's `images.txt`.
+
+    Args:
+        number: number of the image.
+        row: pose, world to camera: x, y, z, qx, qy, qz, qw.
+        camera: number of the camera.
+        name: name of the image.
+    """
     return _line(number, *row[[6, 3, 4, 5, 0, 1, 2]].tolist(), camera, name)
 
 
@@ -158,8 +168,7 @@ def _intrinsics(camera: Camera) -> tuple[str, str, dict[str, float]]:
 def model_files(
     cameras: Sequence[Camera], names: Sequence[str], camera: IntArray, poses: FloatArray, points: FloatArray
 ) -> tuple[dict[str, Any], str]:
-    """Contents of the files of a COLMAP model and of `TRANSFORMS`, keyed by file name; and a note on files that are
-    left out because a program lacks a lens model.
+    """Contents of the files of a COLMAP model and of `TRANSFORMS`, and a note on files that are left out.
 
     Args:
         cameras: the cameras.
@@ -167,6 +176,10 @@ def model_files(
         camera: index of the camera of each image, `(n,)`.
         poses: poses, camera to world, metres, `(n, 4, 4)`.
         points: points of the model, metres, `(m, 3)`.
+
+    Returns:
+        contents, keyed by file name; and the note, which is empty if no file is left out. A file is left out if its
+        program lacks a lens model, or if `TRANSFORMS` would need several.
     """
     lenses, each = [_intrinsics(one) for one in cameras], list(zip(names, camera.tolist(), strict=True))
     rows = enumerate(zip(each, pose_rows(inverse(poses)), strict=True), 1)
@@ -181,5 +194,5 @@ def model_files(
         matrices = zip(each, (poses @ OPENGL).tolist(), strict=True)
         views = [{"file_path": name, **lenses[k][2], "transform_matrix": one} for (name, k), one in matrices]
         files[TRANSFORMS] = {"camera_model": kinds.pop(), **lenses[0][2], "frames": views}
-    lacking = "nerfstudio lacks" if files else "COLMAP and nerfstudio lack"
-    return files, "" if TRANSFORMS in files else f"{lacking} these lenses, or several in one model: no file is written"
+    lacking = "nerfstudio has" if files else "COLMAP and nerfstudio have"
+    return files, "" if TRANSFORMS in files else f"{lacking} no single model for these lenses: no such file is written"

@@ -113,8 +113,9 @@ class Format(Checked):
 
 
 def begins(mark: str) -> Callable[[File], bool]:
-    """Make a test for files whose beginning matches a regular expression, in which `^` matches at the beginning of each
-    line.
+    """Make a test for files whose first `HEAD` characters contain a match of a regular expression.
+
+    In the expression, `^` matches at the beginning of each line.
     """
     return lambda file: re.search(mark, file.text[:HEAD], re.MULTILINE) is not None
 
@@ -130,8 +131,9 @@ def anything(_: File) -> bool:
 
 
 def function_of(text: str) -> Callable[[File], Any]:
-    """Make a function of a `File` that calls the function in a text such as `module.function(a, b)`. Here `a` and `b`
-    are names of settings in `asked`, or of attributes of the file.
+    """Make a function of a `File` that calls the function in a text such as `module.function(a, b)`.
+
+    Here `a` and `b` are names of settings in `File.asked`, or of attributes of the file; `file` is the file itself.
 
     Raises:
         InputError: the text is not such a call. A missing function raises the error when it is called.
@@ -163,7 +165,9 @@ class Keyed:
     entry. The value at a path with `?` at the end may be missing.
     """
     each: str = ""
-    """Alternative paths to the entries; empty for a file that is itself the only entry."""
+    """Paths to the entries, separated by `|`; the first that leads to entries is taken. Empty for a file that is itself
+    the only entry.
+    """
     patterns: Mapping[str, str] = field(default_factory=dict)
     """Regular expressions whose matches in the file's text form the tree of keys and values, see
     `lmd.formats.trees.matches`.
@@ -228,7 +232,7 @@ def described(row: Mapping[str, Any], family: str, advice: str = "") -> Format:
 
 
 def _tests(row: dict[str, Any]) -> list[Callable[[Any], bool]]:
-    """Tests that a file of the row's format must pass, made from the row; their keys are removed from the row."""
+    """Make the tests that a file of the row's format must pass; the keys of the tests are removed from `row`."""
     tests: list[Callable[[Any], bool]] = [anything] if row.pop("any", False) else []
     if call := row.pop("when", None):
         tests.append(function_of(call))
@@ -265,7 +269,13 @@ def _writer(name: str, write: str, **options: Any) -> tuple[str, Writer]:
 
 
 def _table(text: str, family: str | None, source: str) -> tuple[Format, ...]:
-    """Formats of a YAML table with `rows` and `advice`, or of a list of rows, each of which names its family."""
+    """Formats of a table in YAML: a mapping with `rows` and `advice`, or a list of rows.
+
+    Args:
+        text: the YAML.
+        family: family of all rows; None if each row names its family.
+        source: the table, for messages.
+    """
     try:
         table = yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))  # the user's file, or lmd's own
         advice, listed = (table["advice"], table["rows"]) if isinstance(table, dict) else ("", table)
@@ -301,8 +311,10 @@ def outside() -> tuple[Format, ...]:
 
 
 def _takes(form: Format, file: File) -> bool:
-    """True if a format of another package recognises a file; False also if its test raises an `InputError`, for example
-    because the test expects YAML and the file has another format.
+    """True if a format of the user or of another package recognises a file.
+
+    False also if its test raises an `InputError`, for example because the test expects YAML and the file has another
+    format.
     """
     try:
         return form.recognises(file)
@@ -311,7 +323,10 @@ def _takes(form: Format, file: File) -> bool:
 
 
 def format_of(family: str, file: File) -> Format:
-    """First format in a family that recognises a file."""
+    """First format of a family that recognises a file.
+
+    Formats of the user and of other packages are tried before those of `lmd`.
+    """
     theirs = (form for form in outside() if form.family == family and _takes(form, file))
     ours = (form for form in formats(family) if form.recognises(file))
     return next(chain(theirs, ours))

@@ -77,8 +77,12 @@ def read_chain(path: Any, names: Any = None, **shared: Any) -> dict[str, FloatAr
 
 
 def _poses(argument: str, path: Any, **shared: Any) -> dict[str, dict[str, FloatArray]]:
-    """Poses of the cameras in a calibration file: for each camera, keyed by its name, the poses keyed by frame of
-    reference (see `KeyedCameras`).
+    """Poses of the cameras in a calibration file, `(4, 4)`, keyed by the camera's name and then by frame of reference.
+
+    Args:
+        argument: name of the argument that gave the path, for messages.
+        path: the file; one that is not a calibration has no poses.
+        shared: arguments of `read_cameras`.
     """
 
     def poses(camera: ReadCamera) -> dict[str, FloatArray]:
@@ -124,7 +128,7 @@ def rig_of(mounts: Any, camera: Camera | None = None) -> Rig:
 
 
 def read_mounts(path: Any) -> Any:
-    """Read the mounts for `rig_of` from a file: a list with the key `rig`, or a calibration of several cameras.
+    """Read mounts for `rig_of` from a file: a list with the key `rig`, or a calibration of several cameras.
 
     Paths of calibrations may be relative to the file.
 
@@ -174,15 +178,17 @@ def _chained(given: Mapping[str, Any]) -> Rig:
 
 
 def write_rig(path: Path, rig: Rig, sources: Mapping[Camera, Any]) -> None:
-    """Write a rig file, see `rig_text`."""
+    """Write a rig file, the text that `rig_text` makes of `rig` and `sources`."""
     path.write_text(rig_text(rig, sources), encoding="utf-8")
 
 
 def rig_text(rig: Rig, sources: Mapping[Camera, Any]) -> str:
-    """Text of a rig file, see `read_mounts`; numbers are bit-identical to those of the rig.
+    """Text of a rig file that `read_mounts` reads; numbers are bit-identical to those of the rig.
 
     Args:
-        sources: calibration of each camera, as in `rig_of`; None for a mount that uses the rig's default camera.
+        rig: the rig.
+        sources: value of the key `camera` for each camera, as in `rig_of`; None for a camera that is the rig's default
+            camera.
     """
     import yaml
 

@@ -4,9 +4,10 @@ A robot drives on the floor: its poses have z = 0, and the heading is the rotati
 the field on the right of the blue alliance.
 
 A path of PathPlanner has no times. The speed along the path is the largest that keeps the limits of the path and of its
-zones (speed, acceleration along the path, turn rate) and the speeds at both ends. Between rotation targets the heading
-follows a cosine of the way, as in PathPlanner. The limits of wheels and motors, of the grip in bends, and of the turn
-rate's own acceleration are left out. So PathPlanner's own times are longer where a robot turns while it drives.
+zones (speed, acceleration along the path, turn rate) and the speeds at both ends. Between two rotation targets the
+heading is eased by a cosine over the distance driven, as in PathPlanner. The limits of wheels and motors, of the grip
+in bends, and of the turn rate's own acceleration are left out. So PathPlanner's own times are longer where a robot
+turns while it drives.
 """
 
 from pathlib import Path
@@ -34,10 +35,9 @@ ENDS = ("idealStartingState.{0}|previewStartingState.{0}", "goalEndState.{0}")
 
 
 def read_robot_path(file: File) -> Rows:
-    """Poses of a robot from a file of Choreo (`.traj`) or PathPlanner (`.path`, `.auto`).
+    """Read the poses of a robot from a file of Choreo (`.traj`) or PathPlanner (`.path`, `.auto`).
 
-    An auto gives the motion along its paths, which are read from the folder `paths` beside the auto's folder, with the
-    waits between them.
+    An auto is a sequence of paths and waits; its paths are read from the folder `paths` beside the folder of the auto.
 
     Raises:
         InputError: a value is missing or wrong, or a path that an auto names cannot be read.
@@ -61,7 +61,11 @@ def _all(keys: Keys, path: str) -> list[Keys]:
 
 
 def _joined(file: File) -> FloatArray:
-    """Motion of a robot in an auto of PathPlanner, along one path after the other; rows as in `_sampled`, `(T, 4)`."""
+    """Motion of a robot in an auto of PathPlanner, along one path after the other.
+
+    Returns:
+        time (s), x, y (m) and heading (rad), `(T, 4)`.
+    """
     clock, parts = 0.0, list[FloatArray]()
     for step in _steps(mapping("command", file.data.get("command"))):
         if isinstance(step, str):
@@ -76,7 +80,7 @@ def _joined(file: File) -> FloatArray:
 
 
 def _steps(command: Keys) -> list[str | float]:
-    """Names of paths, and durations of waits, that follow each other in a command of an auto.
+    """Steps of a command of an auto, in order: the name of a path for a drive, a duration in seconds for a wait.
 
     Of commands that run at the same time only one counts: the first that follows a path or, if none does, the first
     that waits.
@@ -93,7 +97,11 @@ def _steps(command: Keys) -> list[str | float]:
 
 
 def _timed(file: File) -> FloatArray:
-    """Motion of a robot along a path of PathPlanner, at equal steps of time from 0; rows as in `_sampled`, `(T, 4)`."""
+    """Motion of a robot along a path of PathPlanner, at equal steps of time from 0.
+
+    Returns:
+        time (s), x, y (m) and heading (rad), `(T, 4)`.
+    """
     data, waypoints = file.data, _all(file.data, "waypoints.*")
     if not 1 <= (last := len(waypoints) - 1) <= MOST:
         raise InputError(f"it must have at least two waypoints and at most {MOST}, but has {last + 1}.")
@@ -124,15 +132,19 @@ def _place(keys: Keys, name: str) -> list[float]:
 
 
 def _inside(zone: Keys, along: Any) -> Any:
-    """Mask of the points that are in a zone of a path. `along` locates each point: the index of its waypoint from 0,
-    with fractions between two waypoints.
+    """Mask of the points of a path that are in a zone.
+
+    `along` is the location of each point: index of a waypoint from 0, with fractions between two waypoints.
     """
     return (along >= number_at(zone, ZONE[0])) & (along <= number_at(zone, ZONE[1]))
 
 
 def _limits(data: Keys, along: FloatArray) -> FloatArray:
-    """The three `LIMITS` at each of N points of a path, `(3, N)`, located by `along` as in `_inside`. Where zones
-    overlap, the first one counts.
+    """The three `LIMITS` at each of N points of a path, `(3, N)`; where zones overlap, the first zone counts.
+
+    Args:
+        data: content of the path's file.
+        along: location of each point: index of a waypoint from 0, with fractions between two waypoints, `(N,)`.
     """
     found = np.ones((len(LIMITS), len(along)))
     whole = dict(zip(ZONE, (0.0, MOST, data.get("globalConstraints")), strict=True))
@@ -145,8 +157,13 @@ def _limits(data: Keys, along: FloatArray) -> FloatArray:
 
 
 def _headings(data: Keys, along: FloatArray, places: FloatArray, way: FloatArray) -> FloatArray:
-    """Heading of the robot at each of N points of a path, rad, `(N,)`. The points are located by `along` as in
-    `_inside`; `places` are x and y, and `way` is the length of path before each, metres.
+    """Heading of the robot at each of N points of a path, rad, `(N,)`.
+
+    Args:
+        data: content of the path's file.
+        along: location of each point: index of a waypoint from 0, with fractions between two waypoints, `(N,)`.
+        places: x and y of each point, metres, `(N, 2)`.
+        way: length of the path from its start to each point, metres, `(N,)`.
     """
     ends = [(at, number_at(data, state.format("rotation"))) for at, state in zip(along[[0, -1]], ENDS, strict=True)]
     targets = [[number_at(one, name) for name in TARGET] for one in _all(data, "rotationTargets.*")]

@@ -118,7 +118,7 @@ class TagMap:
         return [surface.name for surface in self.room.surfaces()]
 
     def place_of(self, k: int) -> str:
-        """Name of the surface that carries tag k."""
+        """Name of the surface that carries tag k; `free in the room` for a tag on no surface."""
         surface = self.surfaces[k]
         return "free in the room" if surface < 0 else self.names[surface]
 
@@ -134,9 +134,7 @@ class TagMap:
 
     @cached_property
     def by_size(self) -> list[tuple[Tag, IntArray]]:
-        """For each tag size, the smallest first: the tag type with that size, and the indices of the tags with that
-        size in the order of hanging.
-        """
+        """Tag type of each tag size, the smallest first, with the indices of its tags in the order of hanging."""
         own = self.sizes[self.order]
         return [(self.tag.of_size(edge), self.order[own == edge]) for edge in np.unique(own).tolist()]
 
@@ -152,7 +150,7 @@ class TagMap:
 
     @cached_property
     def turns(self) -> "Rotation":
-        """Rotation from the frame of each tag (x right, y up, z towards the viewer) to the world, `(K, 3, 3)`."""
+        """K rotations, from the frame of each tag (x right, y up, z towards the viewer) to the world."""
         from scipy.spatial.transform import Rotation
 
         up, normal = self.deployment.ups, self.deployment.normals

@@ -44,10 +44,9 @@ def write_apriltag_ros(path: Path, tags: TagMap) -> None:
 
 
 def write_apriltag_ros2(path: Path, tags: TagMap) -> None:
-    """Write `tags.apriltag_ros2.yaml`: the parameters of the node, with a frame for each tag.
+    """Write `tags.apriltag_ros2.yaml`: the parameters of the detector's node, with a name of a frame for each tag.
 
-    The parameters list the tags to detect and their size. The parameters have no poses: consumers of the node need a
-    map.
+    The parameters list the tags to detect and their size, but no poses: programs that use the detections need a map.
 
     Source: christianrauch/apriltag_ros, `cfg` and `tag_functions`.
     """
@@ -264,8 +263,9 @@ def generate_launch_description():
 
 
 def write_ros2_tf(path: Path, tags: TagMap) -> None:
-    """Write `tags.ros2_tf.launch.py`, which publishes the tags' frames, for `ros2 launch`; the argument `frame` of the
-    launch file is the frame of the map.
+    """Write `tags.ros2_tf.launch.py` for `ros2 launch`, which publishes the frames of the tags.
+
+    The argument `frame` of the launch file names the frame of the map.
     """
     family = FAMILIES[tags.tag.family].apriltag or tags.tag.family
     poses = np.hstack([tags.positions, rounded_values(tags.turns.as_quat(canonical=True))]).tolist()

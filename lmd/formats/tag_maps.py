@@ -68,11 +68,12 @@ def read_deployment(
     Tag sizes in the file become `Deployment.edges`.
 
     Args:
+        path: path of the file.
         name: name of the argument that gave the path, for messages.
-        family: family of the tags, which the file must not contradict, and on which the upward direction of a tag in
-            OpenCV depends; None for points.
-        axes: directions of the axes of a tag's frame for a file that does not define this frame, such as a table, see
-            `lmd.formats.placed_tag.axes_of`.
+        family: family of the tags, which the file must not contradict; None for points. The upward direction of tags
+            that OpenCV detects depends on the family.
+        axes: directions, in words, of the axes x, y and z of a tag's frame, for a file that does not define this frame,
+            such as a table; see `lmd.formats.placed_tag.axes_of`.
         columns: for a text that does not name its columns, names of the columns, or name of the program that wrote it.
 
     Raises:
@@ -110,13 +111,14 @@ def _deployment(path: Any, tags: Sequence[PlacedTag], note: str) -> Deployment:
 
 
 def write_map_covariance(path: Path, ids: IntArray, positions: FloatArray, covariance: FloatArray) -> None:
-    """Write the joint covariance of the errors in the poses of all tags. The error of a pose is a twist in the frame of
-    its tag, three rotations before three shifts.
+    """Write the joint covariance of the errors in the poses of all tags.
+
+    The error of a pose is a twist in the frame of its tag, three rotations before three shifts.
 
     Args:
         path: file.
-        ids: `(K,)` ids of the tags, ascending.
-        positions: `(K, 3)` positions of the tags, metres. By them a reader notices, and refuses, a file that belongs to
+        ids: ids of the K tags, ascending, `(K,)`.
+        positions: positions of the tags, metres, `(K, 3)`. A reader compares them with its map, and refuses the file of
             another map.
         covariance: joint covariance of the K twists, rad and metres, `(6 K, 6 K)`; its upper triangle is written, row
             by row.
@@ -127,8 +129,10 @@ def write_map_covariance(path: Path, ids: IntArray, positions: FloatArray, covar
 
 
 def read_map_covariance(path: Any, name: str, tags: Deployment) -> tuple[IntArray, FloatArray]:
-    """Read the joint covariance of the map `tags`, see `write_map_covariance`: ids `(K,)`, ascending, and covariance
-    `(6 K, 6 K)`.
+    """Read the joint covariance of the errors in the poses of the map `tags`, see `write_map_covariance`.
+
+    Returns:
+        ids of K tags, ascending, `(K,)`; and covariance of their twists, rad and metres, `(6 K, 6 K)`.
 
     Raises:
         InputError: the file cannot be read, is not a covariance of a map, or is of another map than `tags`.

@@ -60,7 +60,7 @@ LIMELIGHT, PYTAGMAPPER = "fiducials", "tag_locations"  # keys of lists that othe
 
 
 def read_tag_text(file: File) -> Found:
-    """Read tags from a text; `asked` may have the `columns` of `lmd.formats.columns.named`.
+    """Read tags from a text; `file.asked` may have the `columns` of `lmd.formats.columns.named`.
 
     Raises:
         InputError: the text is not a table of tags, or its columns are unknown.
@@ -95,7 +95,7 @@ def _priors(path: object, text: str) -> Found:
     rows = [(1, entry.split()) for entry in entries if entry]
     columns = next(layout.columns for layout in LAYOUTS if layout[:2] == ("rtabmap", TAGS))
     if odd := [row for _, row in rows if len(row) != len(columns)]:
-        raise InputError(f"{' '.join(odd[0])[:200]!r} must have the values {' '.join(columns)}.")
+        raise InputError(f"{' '.join(odd[0])[:200]!r} must have a value for each of {' '.join(columns)}.")
     edge = family = None
     if found is not None:
         length, number = (re.search(SETTING.format(name), text, re.MULTILINE) for name in ("Length", "Dictionary"))
@@ -117,7 +117,9 @@ def _placed(table: Table) -> list[PlacedTag]:
 
 
 def _turns(table: Table, numbers: Sequence[int]) -> FloatArray:
-    """Rotations of the tags of a table whose columns have standard names, `(N, 3, 3)`.
+    """Rotation matrices of the tags of a table whose columns have standard names, `(N, 3, 3)`.
+
+    `numbers` are the ids of the tags, for messages.
 
     Raises:
         InputError: a column is missing, or a value is refused.
@@ -140,10 +142,11 @@ def _turns(table: Table, numbers: Sequence[int]) -> FloatArray:
 
 
 def deployment_of(table: Table, axes: Sequence[str] | None) -> tuple[Deployment, list[str]]:
-    """Deployment from a table whose columns have standard names, and the tag families that the table names.
+    """Deployment from a table whose columns have standard names; and a list of the tag families that the table names.
 
     Args:
-        axes: directions, in words, of the axes x, y and z of a tag's frame, see `axes_of`.
+        table: the table.
+        axes: directions, in words, of the axes x, y and z of a tag's frame, see `axes_of`; None for right, up, out.
 
     Raises:
         InputError: a column is missing, or a value is refused.
@@ -165,8 +168,9 @@ def deployment_of(table: Table, axes: Sequence[str] | None) -> tuple[Deployment,
 
 
 def _numbered(table: Table) -> tuple[Table, list[str]]:
-    """Table in which the column `id` has the number of each tag, even if the file has names such as tag36h11:7; and the
-    families that the table names.
+    """Table whose column `id` has the number of each tag, even if the file has names; and the families in these names.
+
+    A name is, for instance, tag36h11:7. The families of the column `family` are listed, too.
 
     Raises:
         InputError: a table of poses lacks a column with the numbers of the tags, or has two such columns that differ.
@@ -219,8 +223,9 @@ def _list_of(keys: Keys) -> str | None:
 
 
 def listed(file: File) -> Found:
-    """Read tags from a list or a mapping that `is_list` accepts. Each entry is taken as a row of a table, whose columns
-    are the keys.
+    """Read tags from the list or mapping of tags in a file that `is_list` accepts.
+
+    Each entry becomes a row of a table, whose columns are the keys.
 
     Raises:
         InputError: a tag lacks a value that another tag has, or a value is refused.
@@ -250,8 +255,9 @@ def listed(file: File) -> Found:
 
 
 def _cells(at: str, keys: Keys, prefix: str = "") -> Iterator[tuple[str, str]]:
-    """Split an entry into columns of a table: pairs of the column's name and its text. Nested keys are joined by dots,
-    and each number of a list gets its own column.
+    """Split an entry into cells of a table: pairs of a column's name and a text.
+
+    Nested keys are joined by dots, and each number of a list gets its own column. `at` is the entry, for messages.
     """
     for key, value in keys.items():
         if isinstance(value, Mapping):

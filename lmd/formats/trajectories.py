@@ -96,7 +96,7 @@ class TrajectoryFile(Checked):
         return "; ".join(filter(None, notes))
 
     def _doubt(self, group: str) -> str:
-        """Question to the user if nearly all views look up or down, with the keys that answer the question."""
+        """Question to the user, with the keys that answer it, if nearly all views look up or down; else ""."""
         trajectory, rows = self._read
         if rows.angles or not (said := steep(trajectory.poses[:, 2, 2], self.path)):
             return ""
@@ -124,7 +124,7 @@ def read_recorded_poses(path: str | None, group: str = "", **more: Any) -> Recor
     """Read recorded poses from a file.
 
     Args:
-        path: see `TrajectoryFile`.
+        path: path of the file, in a format that `TrajectoryFile` supports.
         group: prefix of the keys of a configuration in the note.
         more: other arguments of `TrajectoryFile` and of `RecordedPoses`.
 
@@ -138,7 +138,11 @@ def read_recorded_poses(path: str | None, group: str = "", **more: Any) -> Recor
 
 
 def alignment(align: Sequence[Any]) -> FloatArray:
-    """Transform from the frame of a recording to the frame of a room, `(4, 4)`; see `TrajectoryFile`.
+    """Transform from the frame of a recording to the frame of a room, `(4, 4)`.
+
+    Args:
+        align: pose or points in one of the forms of `TrajectoryFile.align`: [x, y, z, yaw], [x, y, z, qx, qy, qz, qw],
+            or three or more points of six numbers.
 
     Raises:
         InputError: `align` has none of the forms, or its points are collinear or not related by a rigid motion.
@@ -165,8 +169,13 @@ def alignment(align: Sequence[Any]) -> FloatArray:
 
 
 def _fitted(points: FloatArray) -> FloatArray:
-    """Rigid motion `(4, 4)` fitted to N pairs of points, `points` `(N, 6)`: it maps the first point of a pair to the
-    second. The pairs must determine the motion and agree on it.
+    """Rigid motion `(4, 4)` fitted to N pairs of points; it maps the first point of each pair to the second.
+
+    Args:
+        points: the pairs, `(N, 6)`: first and second point in each row, metres.
+
+    Raises:
+        InputError: the pairs do not determine the motion, or do not agree on it.
     """
     if len(points) < FEWEST:
         raise InputError(f"align must have at least {FEWEST} points, got {len(points)}.", "align")
@@ -188,7 +197,10 @@ def _fitted(points: FloatArray) -> FloatArray:
 
 
 def _mounted(mount: str | Mapping[str, Any] | Sequence[float]) -> FloatArray:
-    """Pose of the camera (x right, y down, z the optical axis) on the recorded body, `(4, 4)`."""
+    """Pose of the camera (x right, y down, z the optical axis) on the recorded body, `(4, 4)`.
+
+    `mount` is a calibration with extrinsics, a mapping {path, name}, or [x, y, z, yaw, pitch, roll].
+    """
     if isinstance(mount, str):
         return read_mount(mount)
     if isinstance(mount, Mapping):

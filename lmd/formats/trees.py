@@ -37,7 +37,7 @@ ANYWHERE = "**"  # begins a path to the mappings, at any depth, that have the ke
 
 
 def find(tree: Any, paths: str) -> Any:
-    """Value at the first of several paths that leads to a value; `MISSING` if no path does, or if the value is null."""
+    """Value at the first path that leads to a value other than null; `MISSING` if none does. `|` separates paths."""
     values = (_at(tree, path) for path in paths.split("|"))
     return next((value for value in values if value is not MISSING and value is not None), MISSING)
 
@@ -60,11 +60,13 @@ def _at(tree: Any, path: str) -> Any:
 
 
 def entries(tree: Any, path: str, around: Keys | None = None, key: str = "") -> Iterator[tuple[str, Keys]]:
-    """Entries at a path, each with its key. An entry also gets the keys of the mappings around it that it lacks.
+    """Yield the entries at a path of a tree, each with its key.
 
-    A step `*` stands for each entry of a list or a mapping, `/PATTERN/` for each key that matches a regular expression.
-    An entry gets no keys from other entries of its mapping. An entry that is not a mapping becomes the value of the key
-    `value`.
+    A step `*` of the path stands for each entry of a list or a mapping, `/PATTERN/` for each key that matches a regular
+    expression. `**KEY` stands for the mappings at any depth that have the key KEY.
+
+    An entry also gets keys, with their values, of the mappings around it, unless it has these keys itself. It gets no
+    keys from other entries of its mapping. An entry that is not a mapping becomes the value of the key `value`.
     """
     step, _, rest = path.partition(".")
     own, outer = dict(tree) if isinstance(tree, Mapping) else {}, around or {}
@@ -84,8 +86,9 @@ def entries(tree: Any, path: str, around: Keys | None = None, key: str = "") -> 
 
 
 def _anywhere(tree: Any, wanted: str, name: str = "", levels: int = LEVELS) -> Iterator[tuple[str, Keys]]:
-    """Mappings at any depth that have a wanted key, as pairs of name and mapping. The name consists of the keys above
-    the mapping, joined by `/`. Long lists are not searched.
+    """Yield the mappings that have the key `wanted`, at most `levels` below `tree`, as pairs of name and mapping.
+
+    The name consists of the keys above the mapping, joined by `/`. Long lists and mappings are not searched.
     """
     if isinstance(tree, Mapping) and wanted in tree:
         yield name, tree
@@ -95,7 +98,7 @@ def _anywhere(tree: Any, wanted: str, name: str = "", levels: int = LEVELS) -> I
 
 
 def plain(text: str) -> str:
-    """Key or path in small letters and without `_`, for the comparison of keys that users may write in several ways."""
+    """Key or path in lower case and without `_`, for the comparison of keys that users may write in several ways."""
     return text.lower().replace("_", "")
 
 
@@ -114,7 +117,13 @@ def numbers_of(value: Any, nested: int = NESTED) -> list[Any]:
 
 
 def vector_at(tree: Keys, paths: str, size: int | None, called: str = "") -> tuple[float, ...]:
-    """Numbers at a path, in the order of the file; `size` None allows any count, and `called` is a name for messages.
+    """Numbers at a path, in the order of the file.
+
+    Args:
+        tree: tree of keys and values.
+        paths: alternative paths, separated by `|`.
+        size: required number of numbers; None for any.
+        called: name of the value, for messages; the first path by default.
 
     Raises:
         InputError: the value is missing, or does not consist of `size` numbers.
@@ -136,8 +145,9 @@ def number_at(tree: Keys, paths: str) -> float:
 
 
 def matches(text: str, patterns: Mapping[str, str]) -> dict[str, Any]:
-    """For each regular expression in `patterns`, keyed by its name, the list of its matches in a text. A match is a
-    mapping of the expression's named groups.
+    """Matches of several regular expressions in a text, as a list for each expression, keyed by its name in `patterns`.
+
+    A match is a mapping of the expression's named groups.
     """
     found = {name: re.finditer(pattern, text, re.MULTILINE) for name, pattern in patterns.items()}
     return {name: [match.groupdict() for match in each] for name, each in found.items()}
@@ -285,9 +295,9 @@ class File:
 
     @property
     def suffix(self) -> str:
-        """Suffix of the file's name, such as `.json`, in small letters."""
+        """Suffix of the file's name, such as `.json`, in lower case."""
         return Path(self.path).suffix.lower()
 
     def refused(self, reason: str) -> InputError:
-        """Make an error about a file that is refused, with the reason."""
+        """Make the error for a file that is refused; `reason` is its message, without the full stop."""
         return InputError(f"{reason}.")

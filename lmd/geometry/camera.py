@@ -37,8 +37,8 @@ class FieldOfView(NamedTuple):
 
 
 def pixels(name: str, value: Any) -> float:
-    """Return `value` if it can be the width or height of an image, a whole number of pixels; otherwise raise
-    `InputError`.
+    """Return `value` as a float if it is a whole number of pixels, at least 1; otherwise raise `InputError`. The error
+    calls the value `name`.
     """
     return float(integer(name, value, low=1))
 
@@ -52,8 +52,8 @@ class Camera(Checked):
 
     Raises:
         InputError: a value is out of range, the principal point lies outside the image, or the focus distance is not
-            beyond the focal length. The error is also raised if the lens model is unknown, or is injective only up to
-            an angle (its fold) inside the nearest image border.
+            beyond the focal length. The error is also raised if the lens model is unknown, if its projection is not
+            injective up to the nearest image border, or if an image circle is given without distortion.
     """
 
     focal_length: Positive
@@ -109,8 +109,8 @@ class Camera(Checked):
 
     @property
     def cameras(self) -> "tuple[Camera, ...]":
-        """Tuple that contains only this camera. `lmd.scene.rig.Rig` has a property with this name too, so code can
-        treat a camera as a rig.
+        """Tuple that contains only this camera. `lmd.scene.rig.Rig` has this property too, so code can treat a camera
+        as a rig.
         """
         return (self,)
 
@@ -184,9 +184,10 @@ class Camera(Checked):
     def depth_of_field(self, circle_of_confusion: float) -> tuple[float, float]:
         """Compute the near and far limits d_n, d_f of acceptable focus, metres.
 
-        With b = delta min(s_u, s_v): d_n = d_a d_s f / (d_a f + b (d_s - f)). Likewise
-        d_f = d_a d_s f / (d_a f - b (d_s - f)). The far limit is infinite if the focus is at or beyond
-        the hyperfocal distance (d_a f <= b (d_s - f)); focused at infinity, d_n = d_a f / b.
+        With the aperture d_a, the focus distance d_s, the focal length f, and the pixel size s_u x s_v, let b = delta
+        min(s_u, s_v). Then d_n = d_a d_s f / (d_a f + b (d_s - f)) and d_f = d_a d_s f / (d_a f - b (d_s - f)). The far
+        limit is infinite if the focus is at or beyond the hyperfocal distance, that is, if d_a f <= b (d_s - f). If
+        focused at infinity, d_n = d_a f / b.
 
         Args:
             circle_of_confusion: largest diameter delta of the blur disc at which a point counts as sharp, pixels.

@@ -1,7 +1,8 @@
-"""Camera models with one centre of projection that other programs use; each is approximated by a lens of
+"""Camera models with one centre of projection that other programs use. Each is approximated by a lens of
 `lmd.geometry.lens`.
 
-A point (u, v, w) at the distance r is projected to (u, v) / d, in units of the model's focal lengths, by these models.
+A point (u, v, w) at the distance r is projected to (u, v) / d, in units of the model's focal lengths. The first three
+models differ in d.
 
 - the double sphere of Usenko, Demmel and Cremers (2018), `ds`: d = alpha sqrt(u^2 + v^2 + s^2) + (1 - alpha) s with
   s = xi r + w.
@@ -12,8 +13,8 @@ A point (u, v, w) at the distance r is projected to (u, v) / d, in units of the 
 The other models are pinholes: the projected point is a polynomial of (x, y) = (u, v) / w. Let s = x^2 + y^2 and
 g = 1 + k1 s + k2 s^2 + k3 s^3.
 
-- `modified_brown_conrady`, of RealSense: the tangential terms are evaluated at (g x, g y) instead of (x, y);
-- `inverse_brown_conrady`, of RealSense: the polynomial maps the projected point to (x, y).
+- `modified_brown_conrady`, a model of RealSense: the tangential terms are evaluated at (g x, g y) instead of (x, y).
+- `inverse_brown_conrady`, a model of RealSense: the polynomial maps the projected point to (x, y).
 
 `nearest_lens` fits a lens to a model by least squares of the differences between projected points, pixels, over the
 whole image.
@@ -63,7 +64,7 @@ class Restated(NamedTuple):
 
 
 def double_sphere(xi: Any, alpha: Any) -> Model:
-    """Projection function of the double sphere model `ds`."""
+    """Projection function of the double sphere model `ds` with the parameters `xi` and `alpha`."""
     xi, alpha = real("xi", xi, above=-1.0), real("alpha", alpha, low=0.0, high=1.0)
     share = alpha / (1.0 - alpha) if alpha <= 0.5 else (1.0 - alpha) / alpha
     least = -(share + xi) / np.sqrt(2.0 * share * xi + xi * xi + 1.0)
@@ -77,7 +78,7 @@ def double_sphere(xi: Any, alpha: Any) -> Model:
 
 
 def extended_unified(alpha: Any, beta: Any) -> Model:
-    """Projection function of the extended unified model `eucm`."""
+    """Projection function of the extended unified model `eucm` with the parameters `alpha` and `beta`."""
     alpha, beta = real("alpha", alpha, low=0.0, high=1.0), real("beta", beta, above=0.0)
 
     def image(u: FloatArray, v: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -89,7 +90,7 @@ def extended_unified(alpha: Any, beta: Any) -> Model:
 
 
 def unified(xi: Any, k1: Any = 0.0, k2: Any = 0.0, p1: Any = 0.0, p2: Any = 0.0) -> Model:
-    """Projection function of the unified model `omni`, with Brown-Conrady distortion."""
+    """Projection function of the unified model `omni` with the parameter `xi`, followed by Brown-Conrady distortion."""
     xi, *distortion = (real(*of) for of in (("xi", xi), ("k1", k1), ("k2", k2), ("p1", p1), ("p2", p2)))
     lens = BrownConrady._make([*distortion, *(0.0,) * 8])
 
@@ -102,8 +103,8 @@ def unified(xi: Any, k1: Any = 0.0, k2: Any = 0.0, p1: Any = 0.0, p2: Any = 0.0)
 
 
 def modified_brown_conrady(k1: float, k2: float, p1: float, p2: float, k3: float) -> Model:
-    """Projection function of RealSense's model in which the tangential terms are computed from the radially distorted
-    point.
+    """Projection function of the RealSense model `modified_brown_conrady`. The tangential terms are computed from the
+    radially distorted point.
     """
 
     def image(u: FloatArray, v: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -117,8 +118,8 @@ def modified_brown_conrady(k1: float, k2: float, p1: float, p2: float, k3: float
 
 
 def inverse_brown_conrady(k1: float, k2: float, p1: float, p2: float, k3: float) -> Model:
-    """Projection function of RealSense's model whose polynomial undistorts a point; the function returns NaN for points
-    where the fixed-point inversion of the polynomial does not converge.
+    """Projection function of the RealSense model whose polynomial undistorts a point. The function inverts the
+    polynomial by a fixed-point iteration, and returns NaN where this iteration does not converge.
     """
 
     def image(u: FloatArray, v: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -134,7 +135,7 @@ def inverse_brown_conrady(k1: float, k2: float, p1: float, p2: float, k3: float)
 
 
 def _tangential(x: FloatArray, y: FloatArray, p1: float, p2: float) -> tuple[FloatArray, FloatArray]:
-    """Tangential distortion in x and in y, as in OpenCV."""
+    """Displacements of the point (x, y) in x and in y by tangential distortion with OpenCV's coefficients p1 and p2."""
     s = x * x + y * y
     return 2.0 * p1 * x * y + p2 * (s + 2.0 * x * x), 2.0 * p2 * x * y + p1 * (s + 2.0 * y * y)
 
@@ -158,8 +159,8 @@ def restated(name: str, values: Mapping[str, Any], size: Any) -> Restated:
 
     Args:
         name: name of the model, one of `MODELS`.
-        values: parameters of the model, keyed by name; for `omni` also `DISTORTION`. The origin of pixel coordinates is
-            the centre of the first pixel.
+        values: parameters of the model and its intrinsics `PINHOLE`, keyed by name; for `omni` also the coefficients
+            `DISTORTION`, 0 if missing. The origin of pixel coordinates is the centre of the first pixel.
         size: width and height of the image, pixels.
 
     Raises:

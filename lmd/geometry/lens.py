@@ -25,7 +25,7 @@ MODELS = ("plumb_bob", "rational_polynomial", EQUIDISTANT)
 COEFFICIENT_COUNTS = (4, 5, 8, 12, 14)
 # Index of the first coefficient of the sensor's tilt.
 FIRST_TILT = 12
-ORDER_IN_WORDS = "[] or [k1, k2, p1, p2], with k3, with k3 to k6, or with k3 to k6 and s1 to s4"
+ORDER_IN_WORDS = "[] or [k1, k2, p1, p2], optionally followed by k3, by k3 to k6, or by k3 to k6 and s1 to s4"
 WHY_TILTED = "is of a tilted sensor, which is not supported: calibrate without CALIB_TILTED_MODEL."
 # Number of angles at which a lens is sampled. Bounds assume that a value between two neighbouring samples differs from
 # each sample by at most the difference of the two samples.
@@ -108,7 +108,7 @@ class Lens:
 
     @cached_property
     def model_numbers(self) -> BrownConrady | Equidistant:
-        """Coefficients as a named tuple of the model; its class selects the functions of `lens_models` in compiled
+        """Coefficients as a named tuple. The class of the tuple selects the functions of `lens_models` in compiled
         code.
         """
         if self.model == EQUIDISTANT:
@@ -116,7 +116,9 @@ class Lens:
         return BrownConrady(*self.coefficients, *(0.0,) * (FIRST_TILT - len(self.coefficients)))
 
     def project(self, points: FloatArray) -> FloatArray:
-        """Project points to the image, `(..., 2)`; points beyond the fold are projected, too."""
+        """Project points `(..., 3)` to the image, `(..., 2)`. Points beyond the fold, where the model is invalid, are
+        projected, too.
+        """
         with np.errstate(all="ignore"):
             return np.stack(image_of(self.model_numbers, *np.moveaxis(points, -1, 0)), axis=-1)
 
@@ -127,8 +129,8 @@ class Lens:
         return np.stack(slopes, axis=-1).reshape(*points.shape[:-1], 2, 3)
 
     def directions(self, image: FloatArray) -> FloatArray:
-        """Unproject image points `image` `(..., 2)` to unit vectors `(..., 3)`; NaN for image points to which no
-        direction within the fold is projected.
+        """Unproject image points `image` `(..., 2)` to unit vectors `(..., 3)`; NaN for points without a direction.
+        Only directions within the fold, up to which the model is valid, count.
 
         Newton's method first finds the angle theta without the tangential terms and the prism, and then refines the
         direction with all terms.
@@ -188,10 +190,9 @@ class Lens:
         return _border(folds, theta[bad[0] - 1], theta[bad[0]]) if bad.size else float(theta[-1])
 
     def widest(self, reach: float) -> float:
-        """Angle from the optical axis, rad. All points beyond this angle are projected to image points that are at
-        least `reach`, focal lengths, away from the principal point.
+        """Angle from the optical axis, rad, beyond which points appear at least `reach` from the principal point.
 
-        The angle is at most the fold.
+        `reach` is in focal lengths. The angle is at most the fold, up to which the model is valid.
         """
         if not self.profile(np.float64(self.fold)).inner > reach:
             return self.fold
@@ -211,7 +212,7 @@ class Lens:
         return Stretch(-_above(-low), _above(high), -_above(-small), _above(large))
 
     def profile(self, theta: Any) -> Profile:
-        """Radius in the image and local scales at angles theta from the optical axis, rad."""
+        """Radius in the image and local scales at the angles `theta` (any shape) from the optical axis, rad."""
         lens = self.model_numbers
         if isinstance(lens, Equidistant):
             powers = theta * theta
@@ -262,7 +263,7 @@ def lens_of(model: str, distortion: Any) -> Lens | None:
     """Make the lens of a model with the coefficients `distortion`; None for a pinhole (no coefficients, or only zeros).
 
     Raises:
-        InputError: see `Lens`.
+        InputError: the model is unknown, the number of coefficients is wrong, or a coefficient is not finite.
     """
     choice("distortion_model", model, MODELS)
     if model != EQUIDISTANT and np.ndim(distortion) == 1 and len(distortion) == 0:

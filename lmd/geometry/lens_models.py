@@ -63,20 +63,20 @@ class Equidistant(NamedTuple):
 
 @dispatched
 def image_of(lens: Any, u: Any, v: Any, w: Any) -> Any:
-    """Project a point; return the image coordinate to the right, then the coordinate down."""
+    """Project a point (u, v, w); return its image coordinates to the right and down, focal lengths."""
 
 
 @dispatched
 def slope_of(lens: Any, u: Any, v: Any, w: Any) -> Any:
-    """Jacobian of the projection: derivatives with respect to u, v, w of the image coordinate to the right, then of the
-    coordinate down.
+    """Jacobian of the projection, row by row: derivatives with respect to u, v and w. The first three are those of the
+    image coordinate to the right, the last three those of the coordinate down.
     """
 
 
 @dispatched
 def depth_of(lens: Any, u: Any, v: Any, w: Any) -> Any:
-    """Depth of a point, on which its focus and apparent size depend: the coordinate w for a pinhole, the distance of
-    the point from the camera for a fisheye.
+    """Depth of a point, on which the point's focus and apparent size depend. It is the coordinate w for a pinhole, the
+    distance from the camera for a fisheye.
     """
 
 

@@ -74,7 +74,7 @@ def image_slopes(camera: Camera, mounted: FloatArray, y: FloatArray) -> FloatArr
 
 
 def body_solutions(images: Sequence[PointImage]) -> list[Solution]:
-    """Candidate poses of a body from simultaneous images of its cameras, in ascending order of the error.
+    """Candidate poses of a body from simultaneous images of its cameras, in ascending order of the reprojection error.
 
     The `solutions` of each camera with at least four points are refined by Gauss-Newton on the images of all cameras.
     The list is empty if no camera has four points.
@@ -89,7 +89,9 @@ def body_solutions(images: Sequence[PointImage]) -> list[Solution]:
 
 
 def _best(images: Sequence[PointImage], poses: Iterable[FloatArray]) -> list[Solution]:
-    """The distinct poses among `poses` with a finite reprojection error, in ascending order of the error."""
+    """Solutions at the distinct poses among `poses`, in ascending order of their reprojection error. Poses without a
+    finite error are left out.
+    """
     found: list[Solution] = []
     for pose in poses:
         square = float(sum((image.off(pose) ** 2).sum() for image in images))
@@ -120,9 +122,9 @@ def solutions(camera: Camera, points: FloatArray, image: FloatArray, noise: Arra
 
 
 def _refined_candidates(image: PointImage) -> Iterator[FloatArray]:
-    """Iterate over the poses that are local minima of the reprojection error. First the image points are mapped to the
-    image of a virtual pinhole camera that is aimed at the points. Candidate poses (see `solutions`) are computed for
-    the virtual camera; then each candidate is refined with the real camera.
+    """Iterate over the poses that are local minima of the reprojection error, `(4, 4)` each. First the image points are
+    mapped to the image of a virtual pinhole camera that is aimed at the points. Candidate poses (see `solutions`) are
+    computed for the virtual camera. Then each candidate is refined with the real camera.
     """
     cv2 = optional("cv2", "estimators")
     turned, within, rays = straightened(bearings(image.camera, image.pixels))

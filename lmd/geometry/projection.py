@@ -75,7 +75,7 @@ def slope(camera: Camera, points: FloatArray) -> FloatArray:
 
 
 def bearings(camera: Camera, image: FloatArray) -> FloatArray:
-    """Rays that are projected to image points `(..., 2)`, given in pixels from the border.
+    """Unproject image points `image` `(..., 2)`, pixels from the top-left border, to rays.
 
     Returns:
         unit vectors in the camera frame, `(..., 3)`; NaN for image points that the lens does not reach.
@@ -104,8 +104,9 @@ def depth_in_focus(camera: Camera, points: FloatArray) -> FloatArray:
 def blur_disc(camera: Camera, depth: ArrayLike) -> FloatArray:
     """Diameter c of the blur disc of a point at `depth` (metres, any shape) for a thin lens, pixels.
 
-    c = d_a f |z - d_s| / (z (d_s - f) min(s_u, s_v)), or d_a f / (z min(s_u, s_v)) when focused at infinity. The limits
-    of `Camera.depth_of_field` are the depths with c = delta.
+    c = d_a f |z - d_s| / (z (d_s - f) min(s_u, s_v)), or d_a f / (z min(s_u, s_v)) when focused at infinity. Here d_a
+    is the aperture, f the focal length, d_s the focus distance, and s_u x s_v the pixel size. At the limits of
+    `Camera.depth_of_field`, c is the circle of confusion.
     """
     z = np.asarray(depth, dtype=np.float64) * MM_PER_M
     defocus = 1.0 / z
@@ -117,6 +118,7 @@ def blur_disc(camera: Camera, depth: ArrayLike) -> FloatArray:
 def blur_sigma(camera: Camera, depth: ArrayLike, psf_sigma: float) -> FloatArray:
     """Standard deviation of the total blur at `depth` (metres, any shape), sqrt(psf_sigma^2 + (c / 4)^2), pixels.
 
-    A disc of diameter c has the standard deviation c / 4 along each axis.
+    `psf_sigma` is the standard deviation of the point spread function in focus, pixels, and c is the diameter of
+    `blur_disc`. A disc of diameter c has the standard deviation c / 4 along each axis.
     """
     return np.asarray(np.hypot(psf_sigma, blur_disc(camera, depth) / 4.0))

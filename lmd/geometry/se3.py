@@ -27,7 +27,8 @@ ROW = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
 
 def camera_pose(position: ArrayLike, yaw: ArrayLike, pitch: ArrayLike, roll: ArrayLike = 0.0) -> FloatArray:
-    """Pose X of a camera at `position` `(..., 3)`, metres, with yaw, pitch and roll `(...)` as in `frames.rotation`.
+    """Pose X of a camera at `position` `(..., 3)`, metres. Yaw, pitch and roll `(...)`, rad, are those of
+    `frames.rotation`.
 
     Returns:
         poses `(..., 4, 4)`.
@@ -115,7 +116,9 @@ def act(pose: FloatArray, points: FloatArray) -> FloatArray:
 
 
 def axis_and_right(pose: FloatArray) -> FloatArray:
-    """Optical axis and right direction of the image, world frame, `(..., 6)`, for camera poses X `(..., 4, 4)`."""
+    """Optical axis, and direction to the right in the image, `(..., 6)`, of camera poses X `(..., 4, 4)`. Both are unit
+    vectors in the world frame.
+    """
     return np.concatenate([pose[..., :3, 2], pose[..., :3, 0]], axis=-1)
 
 

@@ -56,8 +56,8 @@ def upright(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 @inlined
 def upright_axes(normal: Vector, level: float) -> tuple[Vector, Vector]:
-    """Right and up vector of `upright` for a single unit normal, in compiled code; `level` is the tolerance
-    `VERTICAL_TOLERANCE`.
+    """Right and up vectors of an upright tag with one unit normal, in compiled code, see `upright`. `level` is
+    `VERTICAL_TOLERANCE`, the largest horizontal part of a normal that counts as vertical.
     """
     nx, ny, nz = normal
     across = nx * nx + ny * ny

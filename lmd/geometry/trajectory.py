@@ -39,8 +39,8 @@ class Trajectory:
         return pose_of(turns.as_matrix(), way)
 
     def steps_at(self, seconds: FloatArray) -> tuple[IntArray, FloatArray]:
-        """For each of the times `seconds` `(n,)`: index of the frame before it, `(n,)`, and the fraction of the step
-        from this frame to the next that has passed, `(n,)`.
+        """Frame before each of the times `seconds` `(n,)`, and fraction of the step to the next frame that has passed.
+        The index of the frame and the fraction have the shape `(n,)` each.
         """
         first = np.clip(np.searchsorted(self.time, seconds, side="right") - 1, 0, len(self.time) - 2)
         return first, (seconds - self.time[first]) / (self.time[first + 1] - self.time[first])

@@ -36,7 +36,7 @@ def minus3(a: Vector, b: Vector) -> Vector:
 
 @inlined
 def times3(factor: Any, a: Vector) -> Vector:
-    """Vector times a number."""
+    """Product of a number and a vector."""
     return factor * a[0], factor * a[1], factor * a[2]
 
 
@@ -60,31 +60,29 @@ def column3(columns: Any, k: Integer) -> Vector:
 
 @inlined
 def pair3(columns: Any, k: Integer) -> tuple[Vector, Vector]:
-    """The two vectors in column k of an array `(6, N)`, for example position and normal, or optical axis and right
-    direction.
-    """
+    """Two vectors in column k of an array `(6, N)`, such as position and normal, or optical axis and right vector."""
     return (columns[0, k], columns[1, k], columns[2, k]), (columns[3, k], columns[4, k], columns[5, k])
 
 
 @inlined
 def read3(numbers: Any, first: Integer, step: Integer) -> Vector:
-    """Read a vector from an array `(N,)`: its three numbers are `step` entries apart, and begin at the index
-    `first`.
-    """
+    """Read a vector from an array `(N,)`: the numbers at the indices `first`, `first + step` and `first + 2 step`."""
     # Sums instead of a factor: an unsigned number times a constant is signed; numba tests signed indices for < 0.
     return numbers[first], numbers[first + step], numbers[first + step + step]
 
 
 @inlined
 def write3(numbers: Any, first: Integer, step: Integer, a: Any) -> None:
-    """Write the three numbers of a vector into an array `(N,)`, from index `first` on, `step` entries apart."""
+    """Write the three numbers of a vector into an array `(N,)`, in place. The indices are `first`, `first + step` and
+    `first + 2 step`.
+    """
     numbers[first], numbers[first + step], numbers[first + step + step] = a
 
 
 @inlined
 def read6(numbers: Any, first: Integer, step: Integer) -> Any:
-    """Read a symmetric 3 x 3 matrix from an array `(N,)`: its entries xx, xy, xz, yy, yz, zz are `step` entries apart,
-    and begin at the index `first`.
+    """Read the entries xx, xy, xz, yy, yz, zz of a symmetric 3 x 3 matrix from an array `(N,)`. The entries are `step`
+    apart, and the first entry is at the index `first`.
     """
     a, b, c = read3(numbers, first, step)
     return a, b, c, *read3(numbers, first + step + step + step, step)
@@ -92,14 +90,14 @@ def read6(numbers: Any, first: Integer, step: Integer) -> Any:
 
 @inlined
 def symmetric3(m: Any, a: Vector) -> Vector:
-    """Product of a symmetric 3 x 3 matrix `m`, given by six numbers (see `read6`), and a vector `a`."""
+    """Product of a symmetric 3 x 3 matrix `m`, given by its entries xx, xy, xz, yy, yz, zz, and a vector `a`."""
     xx, xy, xz, yy, yz, zz = m
     return dot3((xx, xy, xz), a), dot3((xy, yy, yz), a), dot3((xz, yz, zz), a)
 
 
 @inlined
 def adjugate3(m: Any) -> Any:
-    """Adjugate of a symmetric 3 x 3 matrix; the matrix and its adjugate are each given by six numbers, see `read6`."""
+    """Adjugate of a symmetric 3 x 3 matrix; both are given by their entries xx, xy, xz, yy, yz, zz."""
     xx, xy, xz, yy, yz, zz = m
     return (
         yy * zz - yz * yz,
@@ -113,8 +111,8 @@ def adjugate3(m: Any) -> Any:
 
 @inlined
 def invariants3(m: Any) -> tuple[Any, Any]:
-    """Two invariants of a symmetric 3 x 3 matrix given by six numbers: the sum of its principal 2 x 2 minors, and its
-    determinant.
+    """Sum of the principal 2 x 2 minors, and determinant, of a symmetric 3 x 3 matrix. The matrix is given by its
+    entries xx, xy, xz, yy, yz, zz.
     """
     n = adjugate3(m)
     return n[0] + n[3] + n[5], dot3((m[0], m[1], m[2]), (n[0], n[1], n[2]))

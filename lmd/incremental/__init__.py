@@ -1,3 +1,4 @@
-"""Incremental evaluation: after the move of one landmark, counts and probabilities are updated instead of recomputed,
-and equal the recomputed ones exactly.
+"""Incremental evaluation: after the move of one landmark, counts and probabilities are updated instead of recomputed.
+
+The updated values equal recomputed values exactly.
 """

@@ -1,7 +1,8 @@
 """Moves and occlusion of landmarks seen by a single camera, whose centre does not depend on the orientation.
 
-A landmark that is hidden from a position for one orientation is hidden for all orientations. For each landmark and
-position, a state has the number of landmarks that hide the landmark, and the number of landmarks that it hides.
+A landmark that is hidden from a position for one orientation is hidden for all orientations. So a state has two numbers
+for each landmark and position: the number of landmarks that hide this landmark, and the number that this landmark
+hides.
 """
 
 from typing import Any
@@ -104,10 +105,10 @@ def _clear_views(scratch: Any) -> None:
 
 @inner
 def view_place(k: Integer, field: Any, scratch: Any) -> None:
-    """Compute how the place tried is seen from each position near it, without other landmarks. Three results are
-    written into the scratch. The first is the offset of the place and the bounds on its depth (`seen`). The second is
-    True if some axis may cover the place (`REACHED`). The third is the cell of the direction tables that contains the
-    direction of the place (`cell`).
+    """Compute the view of the place tried from each nearby position, ignoring other landmarks, and write it to three
+    arrays of the scratch. `seen` gets the offset of the place and bounds on its depth. The flag `REACHED` is True if
+    some axis may cover the place. `cell` gets the cell of the direction tables that contains the direction of the
+    place.
     """
     positions, sight, seen = field.positions, sized(field.cameras.sight, k), scratch.seen
     x, y, z, low, high, sure = seen[X], seen[Y], seen[Z], seen[LOW], seen[HIGH], seen[SURE]
@@ -125,7 +126,7 @@ def view_place(k: Integer, field: Any, scratch: Any) -> None:
 
 @allocating
 def _block(k: Integer, camera: Any, scratch: Any) -> None:
-    """Set `REACHED` to False at the positions from which the room blocks the place tried."""
+    """Set the flag `REACHED` to False at the positions from which an obstacle of the room hides the place tried."""
     reached, first, last = scratch.flags[REACHED], scratch.lists[FIRST], scratch.lists[LAST]
     ends, sight = new_ends(camera.obstacles, 1), sized(camera.sight, k)
     place, normal = target_of(scratch)
@@ -229,7 +230,9 @@ def _exchange_sets(state: Any, k: Integer, p: Integer, w: Integer, scratch: Any)
 
 @inlined
 def _swap(one: Any, other: Any, first: Integer, last: Integer) -> None:
-    """Exchange the elements `first` to `last - 1` of two arrays; a function of its own, so that the loop vectorises."""
+    """Exchange the elements `first` to `last - 1` of two arrays in place. A separate function, so that the loop
+    vectorises.
+    """
     for p in range(first, last):
         one[p], other[p] = other[p], one[p]
 
@@ -263,8 +266,8 @@ def _find_pairs(state: Any, k: Integer, role: Any, field: Any, scratch: Any) -> 
 
 @inner
 def _want_blocks(k: Integer, state: Any, scratch: Any) -> None:
-    """Set `WANTED` to True only for the blocks that contain a position from which landmark k hides another landmark or
-    is hidden by one. Only these blocks have to be searched, and there are few of them.
+    """Limit the flag `WANTED` to the blocks of positions with a position from which landmark k hides another landmark
+    or is hidden by one. Only these few blocks have to be searched.
     """
     hiding, hidden, wanted = state.hides[HIDING], state.hides[HIDDEN], scratch.flags[WANTED]
     for b in scratch.lists[BLOCKS][: scratch.numbers[BLOCK_COUNT]]:
@@ -277,7 +280,8 @@ def _want_blocks(k: Integer, state: Any, scratch: Any) -> None:
 @inlined
 def _hide_from(p: Integer, one: Any, pose: Any, two: Any, other: Any, positions: FloatArray) -> Any:
     """Two flags for two landmarks as seen from position p: True if the first hides the second, and True if the second
-    hides the first. `one` and `two` are their models of sight, `pose` and `other` their poses.
+    hides the first. `one` and `two` are the models of sight of the first and of the second landmark, `pose` and `other`
+    their positions and normals.
     """
     (place, facing), (there, turned), at = pose, other, column3(positions, p)
     a, b = minus3(place, at), minus3(there, at)
@@ -302,9 +306,9 @@ def _note_neighbour(state: Any, groups: Any, near: Any, role: Any, place: Any, f
 
 @inlined
 def _note_hiding(i: Integer, p: Integer, one: Any, two: Any, role: Any, scratch: Any) -> None:
-    """Record the occlusion between landmark i and the moving landmark, at the place with the `role` (old place or place
-    tried), as seen from position p. The moving landmark hides landmark i if `one` is True, and is hidden by landmark i
-    if `two` is True.
+    """Record in the scratch the occlusion between landmark i and the moving landmark, as seen from position p. The
+    moving landmark is at the place with the `role` (old place or place tried). It hides landmark i if `one` is True,
+    and is hidden by landmark i if `two` is True.
     """
     changes, hides = scratch.changes, scratch.hides
     if role != OLD_PLACE:

@@ -38,7 +38,9 @@ CAMERA_BYTES = 3 / 8
 
 
 class OneCamera(NamedTuple):
-    """Data of a single camera for Q positions and all orientations of the PDF."""
+    """Data of a single camera for Q positions and all orientations of the scene's PDF (the probability of each
+    orientation).
+    """
 
     sight: Any
     """Compiled model of sight."""
@@ -63,12 +65,14 @@ class OneCamera(NamedTuple):
         return (self.sight,)
 
     def with_sights(self, change: Any) -> "OneCamera":
-        """Copy of the camera whose model of sight is `change(sight)`, made from the present model `sight`."""
+        """Copy of the camera with the model of sight `change(sight)`, where `sight` is the present model of sight."""
         sight = change(self.sight)
         return self._replace(sight=sight, horizon=horizon_of(sight))
 
     def state(self, shared: dict[str, Any]) -> State:
-        """New state in which no landmark is counted; `shared` has the arrays that do not depend on the cameras."""
+        """New state in which no landmark is counted. `shared` has the fields of the state that do not depend on the
+        cameras, keyed by name.
+        """
         (size, words), count = shared["counts"].sets.shape[1:], len(shared["surfaces"])
         check_views(LANDMARK_BYTES, size, BITS * words, count)
         return State(
@@ -84,7 +88,9 @@ class OneCamera(NamedTuple):
 
 
 class RigCameras(NamedTuple):
-    """Data of a rig's cameras for Q positions of the rig's body and all orientations of the PDF."""
+    """Data of a rig's cameras for Q positions of the rig's body and all orientations of the scene's PDF (the
+    probability of each orientation).
+    """
 
     groups: tuple[MountGroup, ...]
     """Mounts, grouped by kind of camera. A group has G offsets `MountGroup.places`; the obstacles seen by the camera at
@@ -102,11 +108,13 @@ class RigCameras(NamedTuple):
         return tuple(group.sight for group in self.groups)
 
     def with_sights(self, change: Any) -> "RigCameras":
-        """Copy of the rig whose models of sight are `change(sight)`, made from the present models `sight`."""
+        """Copy of the rig with the models of sight `change(sight)`, where `sight` is each present model of sight."""
         return RigCameras(tuple(with_sight(group, change(group.sight)) for group in self.groups))
 
     def state(self, shared: dict[str, Any]) -> RigState:
-        """New state in which no landmark is counted; `shared` has the arrays that do not depend on the cameras."""
+        """New state in which no landmark is counted. `shared` has the fields of the state that do not depend on the
+        cameras, keyed by name.
+        """
         (size, words), count = shared["counts"].sets.shape[1:], len(shared["surfaces"])
         mounts = [len(group.axes) for group in self.groups]
         centres = sum(len(group.centres) for group in self.groups)
@@ -136,8 +144,8 @@ class CoverageField(NamedTuple):
     cameras: OneCamera | RigCameras
     """Single camera, or cameras of a rig."""
     counted_once: np.ndarray
-    """`(Q, W)` bit sets of the orientations for which the count of covered landmarks begins at 1 instead of 0, because
-    enough fixed landmarks outside the deployment are covered; see `stacked`.
+    """`(Q, W)` bit sets of the orientations for which the count of covered landmarks begins at 1 instead of 0. With
+    these orientations, the camera covers n landmarks outside the deployment; see `stacked`.
     """
     weights: np.ndarray
     """Quantised probability (an integer) of each axis, `(1, 64 W)`, or of each axis at each position, `(Q, 64 W)`; see

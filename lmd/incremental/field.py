@@ -44,10 +44,10 @@ class Field(Protocol):
         """For each position of the evaluator, its index among the positions of the field, `(P,)`."""
 
     def state(self, deployment: Deployment) -> Any:
-        """New state for a deployment."""
+        """New state: the arrays that change with the landmarks, filled for a deployment."""
 
     def scratch(self, state: Any) -> Any:
-        """New scratch for moves of the landmarks of a state."""
+        """New scratch: working memory for moves of the landmarks of a state."""
 
 
 @runtime_checkable
@@ -59,13 +59,13 @@ class Stacking(Protocol):
         """Number of landmarks in a stack."""
 
     def stacked(self, fixed: Deployment | None) -> Field:
-        """Field in which each landmark of a state represents a stack, that is, `stack` landmarks at its place. The
-        `fixed` landmarks are seen in addition.
+        """Field in which each landmark of a state represents a stack of `stack` landmarks at one place. The landmarks
+        in `fixed`, which do not move, are seen in addition to the stacks.
         """
 
     def shrunk(self, size: float) -> Field:
-        """Field in which the bodies of landmarks that block the view are scaled by `size`; used to separate the
-        landmarks of a stack.
+        """Field in which the body of each landmark that blocks the view is scaled by the factor `size`; used to
+        separate the landmarks of a stack.
         """
 
 
@@ -75,8 +75,8 @@ def stack_of(field: Field) -> int:
 
 
 def runner(field: Field, function: Any) -> Callable[..., Any]:
-    """Return the kernel `function` for a field, or the kernel's plain Python version if the field is not a named
-    tuple.
+    """Return the kernel `function` (a compiled function) for a field, or its plain Python version if the field is not a
+    named tuple.
     """
     chosen: Callable[..., Any] = function if isinstance(field, tuple) else getattr(function, "py_func", function)
     return chosen
@@ -131,7 +131,9 @@ def settle(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 @dispatched_call
 def accept(field: Any, k: Integer, state: Any, scratch: Any) -> None:
-    """Carry out the settled move; no other move may have been tried or carried out since."""
+    """Carry out the settled move by updating `state`. No other move may have been tried or carried out since this move
+    was settled.
+    """
 
 
 @dispatched_call
@@ -145,9 +147,9 @@ def undo(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 def smoothed(target: Any, p: Integer, units: Any, margin: Any, width: float, share: float) -> Any:
     """Contribution of the quantised value `units` at position p to the smoothed fitness.
 
-    A smooth step of the given `width`, with its middle `margin` above the threshold, replaces the sharp step; `share`
-    times the value is added. The contribution increases monotonically with `units`, up to (1 + share) times the weight
-    of the position.
+    If the fitness has a sharp step at a threshold, the smoothed fitness has a smooth step of the given `width`. The
+    middle of the smooth step is `margin` above the threshold, and `share` times the value is added. The contribution
+    increases monotonically with `units`, up to (1 + share) times the weight of the position.
     """
 
 
@@ -200,9 +202,9 @@ def move(field: Any, k: Integer, pose: Any, surface: Integer, state: Any, scratc
 
 @inner
 def move_to(places: Any, field: Any, state: Any, scratches: Any, pose: Any) -> None:
-    """Move the landmarks of `state` to `places`, using the first of the `scratches`.
+    """Move the landmarks of `state` to `places`, with the first of the `scratches` as working memory.
 
-    Landmarks that are already at their place do not move. `pose` `(6,)` is working memory.
+    Landmarks that are already at their place do not move. `pose` `(6,)` is further working memory.
     """
     scratch, known = layer(scratches, 0), placed(state)
     for k in range(len(places.surfaces)):
@@ -222,7 +224,8 @@ def perform(steps: Any, poses: FloatArray, field: Any, state: Any, scratches: An
     field, which takes long.
 
     Args:
-        steps: `(S, 4)` int64: one of `BOUND`, `SETTLE`, `ACCEPT`, `UNDO`; landmark; surface; index of the scratch.
+        steps: `(S, 4)` int64. The columns are the step (`BOUND`, `SETTLE`, `ACCEPT` or `UNDO`), and the indices of the
+            landmark, of the surface and of the scratch.
         poses: `(S, 6)` position (metres) and unit normal, for `BOUND`.
         field, state: field and state of the landmarks.
         scratches: several scratches as one array structure, made by `layers`.
@@ -246,7 +249,7 @@ def perform(steps: Any, poses: FloatArray, field: Any, state: Any, scratches: An
 
 
 def moved(places: Places, state: Any) -> tuple[IntArray, FloatArray]:
-    """Arguments `steps` and `poses` of `perform` that make it move the landmarks of `state` to `places`."""
+    """Arguments `steps` and `poses` of `perform` for moving the landmarks of `state` to `places`."""
     known = placed(state)
     elsewhere = (places.poses != known.poses).any(axis=0) | (places.surfaces != known.surfaces)
     which = np.flatnonzero(elsewhere)

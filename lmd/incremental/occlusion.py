@@ -1,7 +1,8 @@
 """Occlusion between the moving landmark and other landmarks: functions that find the pairs of another landmark and a
 position from which one of the two landmarks hides the other.
 
-Only blocks of positions are searched that are at most the horizon (a distance) from both landmarks, in two stages:
+Only blocks of positions within the horizon (the distance beyond which a landmark has no effect) of both landmarks are
+searched, in two stages:
 
 1. A bound excludes most landmarks for all positions of a block. Let m be the offset of the place a from the centre of
    the block, and e = o - a the vector to a landmark o. The offsets of a and o from the position delta away from the
@@ -18,10 +19,8 @@ Only blocks of positions are searched that are at most the horizon (a distance) 
 
 A camera is treated as a mount group with one centre, the position itself, and the radius 0.
 
-A second task is to list the blocks of positions that are at most the horizon from a landmark's old place or from the
-place tried.
-
-A trial works in these blocks alone: from other positions neither place is visible, and neither affects another
+The module also lists the blocks of positions within the horizon of a landmark's old place or of the place tried. A
+trial works in these blocks alone: from other positions neither place is visible, and neither place affects another
 landmark. Each trial clears the entries that the previous trial wrote, so no loop runs over the whole room.
 """
 
@@ -57,7 +56,9 @@ from lmd.sight.blocks import BLOCK, SINGLE_ERROR
 
 @inlined
 def is_near(field: Any, b: Integer, point: Vector) -> Any:
-    """True if block b is at most the horizon away from a point, metres."""
+    """True if the bounding box of block b of positions is at most the horizon (`field.horizon`) away from `point`. The
+    coordinates of `point` are in metres.
+    """
     (x, y, z), (hx, hy, hz) = pair3(field.boxes, b)
     dx, dy, dz = max(abs(point[0] - x) - hx, 0.0), max(abs(point[1] - y) - hy, 0.0), max(abs(point[2] - z) - hz, 0.0)
     return dx * dx + dy * dy + dz * dz <= field.horizon * field.horizon
@@ -78,7 +79,9 @@ def pose_of(k: Integer, state: Any) -> Any:
 
 @inner
 def list_blocks(k: Integer, field: Any, state: Any, scratch: Any) -> None:
-    """List the blocks that are at most the horizon away from landmark k or from the place tried."""
+    """List the blocks of positions that are at most the horizon (`field.horizon`) away from landmark k or from the
+    place tried. The scratch gets the blocks (`BLOCKS`) and the contiguous spans that they form (`FIRST`, `LAST`).
+    """
     numbers, size, (there, _), (here, _) = scratch.numbers, field.boxes.shape[1], target_of(scratch), pose_of(k, state)
     aimed, wanted = scratch.flags[AIMED], scratch.flags[WANTED]
     blocks, first, last = scratch.lists[BLOCKS], scratch.lists[FIRST], scratch.lists[LAST]
@@ -111,13 +114,12 @@ def line_radius(sight: Any) -> Any:
 
 @inner
 def find_offsets(place: Vector, poses: FloatArray, horizon: float, others: np.ndarray, offsets: FloatArray) -> Any:
-    """List in `others` the landmarks that are at most `horizon` metres from a place, and write into `offsets` the
-    vectors from the place to these landmarks.
-
-    See `Scratch.offsets`.
+    """List in `others` the landmarks that are at most `horizon` metres from a place, and write into `offsets` `(4, L)`
+    the vectors from the place to these landmarks, and the lengths of the vectors, metres.
 
     Returns:
-        number of landmarks, rounded up to a multiple of `LANES`.
+        number of landmarks, rounded up to a multiple of `LANES`; the additional entries are padding that fails every
+            test.
     """
     count, most = poses.shape[1], np.float32(horizon * (1.0 + SINGLE_ERROR))
     for i in range(count):
@@ -138,11 +140,14 @@ def find_offsets(place: Vector, poses: FloatArray, horizon: float, others: np.nd
 
 @inlined
 def near_line(start: Any, middle: Vector, sides: Vector, radius: float, offsets: FloatArray) -> Any:
-    """Bit set of the landmarks that pass the first stage of the search (see the module).
+    """Test `LANES` landmarks by a bound for a block of positions: return the bit set of the landmarks that pass.
+
+    A landmark that does not pass neither hides the place, nor is hidden by a landmark at the place, from any position
+    of the block. This is the first stage of the search (see the module).
 
     Args:
         start: index of the first of the `LANES` landmarks that are tested.
-        middle: offset of the place from the centre of a block's bounding box, metres.
+        middle: offset of the place from the centre of the block's bounding box, metres.
         sides: half the side lengths of the box, metres.
         radius: result of `line_radius`, metres.
         offsets: array filled by `find_offsets`.
@@ -170,10 +175,10 @@ def note_neighbour(state: Any, groups: Any, near: Any, role: Any, place: Any, fi
     Args:
         groups: a `OneCamera`, or a `MountGroup` of a rig, with the arrays of the state and of the scratch that belong
             to it.
-        near: indices of the cameras' centre (`MountGroup.centres`), of the block, and of landmarks i and k; then two
-            quantities in metres. The first is the offset of the place from the cameras' centre if the body is at the
-            middle of the block. The second is half the diagonal of the block's box, which is enlarged by the cameras'
-            distance from their centre.
+        near: five values, of which four are indices: c of the cameras' centre (`MountGroup.centres`), b of the block, i
+            and k of the landmarks. The fifth is a pair, in metres: the offset of the place from the cameras' centre if
+            the body is at the middle of the block, and half the diagonal of the block's box, which is enlarged by the
+            cameras' distance from their centre.
         role: `OLD_PLACE`, `NEW_PLACE` or `FIRST_PLACE`.
         place: position (metres) and unit normal.
     """
@@ -184,7 +189,8 @@ def search(groups: Any, k: Integer, role: Any, field: Any, state: Any, scratch: 
     """Call `note_neighbour` for each landmark that landmark k at a place may hide, and for each landmark that may hide
     landmark k.
 
-    Arguments as in `note_neighbour`; `role` selects the old place or the place tried.
+    `groups` has the cameras, and the arrays of the state and of the scratch that belong to them; `role` selects the old
+    place or the place tried.
     """
     cameras, boxes, offsets = groups[0], field.boxes, scratch.offsets
     blocks, others = scratch.lists[BLOCKS], scratch.lists[OTHERS]
@@ -212,7 +218,7 @@ def search(groups: Any, k: Integer, role: Any, field: Any, state: Any, scratch: 
 
 @inlined
 def touch(p: Integer, scratch: Any) -> None:
-    """Mark position p as `TOUCHED`, and add it to the list of these positions."""
+    """Mark position p as `TOUCHED`, and append it to the list `TOUCHED_LIST` unless it is listed already."""
     numbers = scratch.numbers
     if not scratch.flags[TOUCHED, p]:
         scratch.flags[TOUCHED, p], scratch.lists[TOUCHED_LIST, numbers[TOUCHED_COUNT]] = True, p
@@ -221,7 +227,7 @@ def touch(p: Integer, scratch: Any) -> None:
 
 @inlined
 def note_pair(i: Integer, p: Integer, scratch: Any) -> None:
-    """Append the pair of landmark i and position p to `Scratch.pairs`."""
+    """Append the pair of landmark i and position p to `Scratch.pairs`, unless it is listed already."""
     known, pairs, numbers = scratch.known, scratch.pairs, scratch.numbers
     if not known[p, i]:
         known[p, i], pairs[LANDMARK, numbers[PAIR_COUNT]], pairs[POSITION, numbers[PAIR_COUNT]] = True, i, p

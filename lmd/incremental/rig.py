@@ -1,4 +1,4 @@
-"""Moves of landmarks seen by a rig, whose cameras have another position for every orientation of the body.
+"""Moves of landmarks seen by a rig, whose cameras change their positions when the body turns.
 
 Landmarks are counted for each orientation of the body: `RigState.shown` has, for each landmark, the orientations with
 which at least one camera sees the landmark.
@@ -90,10 +90,10 @@ def _clear_views(scratch: Any) -> None:
 
 @allocating
 def _find_covered(k: Integer, group: Any, positions: FloatArray, body: FloatArray, scratch: Any, rig: Any) -> None:
-    """Find the orientations with which each camera covers the place tried, but test only the orientations in `ASKED`.
-    Write them to `COVERED`, and add them to `FRESH`.
+    """For each camera of a mount group, find the orientations of the body with which the camera covers the place tried.
 
-    `OCCLUDED` is cleared.
+    Only the orientations in `ASKED` are tested. The found orientations are written to `COVERED` of the group, and added
+    to `FRESH` of the rig. `OCCLUDED` of the group is cleared.
 
     Args:
         k: index of the landmark.
@@ -154,8 +154,8 @@ def _find_covered(k: Integer, group: Any, positions: FloatArray, body: FloatArra
 
 @inner
 def _join(positions: FloatArray, scratch: Any) -> None:
-    """Recompute `FRESH` at `positions`: the union, over all cameras, of the orientations in `COVERED` that are not in
-    `OCCLUDED`.
+    """Recompute `FRESH`, the orientations with which the rig sees the place tried, at `positions`. The result is the
+    union, over all cameras, of the orientations in `COVERED` that are not in `OCCLUDED`.
     """
     fresh = scratch.sets[FRESH]
     for q in positions:
@@ -172,7 +172,11 @@ def _join(positions: FloatArray, scratch: Any) -> None:
 
 @inner
 def _see_with(groups: Any, k: Integer, positions: FloatArray, field: Any, state: Any, scratch: Any) -> None:
-    """Run `see`, which finds the orientations that cover the place tried, for all mount groups of a rig."""
+    """Find the orientations with which a rig sees landmark k at the place tried, and write them to `FRESH`.
+
+    Only the orientations in `ASKED` at `positions` (indices) are tested, for each of the mount groups `groups`.
+    Only the occluders that the search has listed can hide landmark k.
+    """
     fresh = scratch.sets[FRESH]
     for q in positions:
         for w in range(np.uint64(fresh.shape[1])):
@@ -193,8 +197,7 @@ def list_near(scratch: Any, all_of_them: bool) -> Any:
     """Write into `LISTED` the positions near the old place and near the place tried; return the number of these
     positions.
 
-    If `all_of_them` is False, only those of these positions are listed that are touched or have orientations in
-    `ASKED`.
+    If `all_of_them` is False, a position is left out if it is not touched and has no orientation in `ASKED`.
     """
     listed, first, last, count = scratch.lists[LISTED], scratch.lists[FIRST], scratch.lists[LAST], ZERO
     asked, touched = scratch.sets[ASKED], scratch.flags[TOUCHED]
@@ -239,8 +242,8 @@ def _exchange_sets(state: Any, k: Integer, p: Integer, w: Integer, scratch: Any)
 
 @inner
 def _exchange_group(k: Integer, positions: FloatArray, mine: Any, other: Any) -> None:
-    """Swap the sets of landmark k at `positions` between `mine`, the state of a mount group, and `other`, the scratch
-    of this group.
+    """Swap the sets of orientations of landmark k at `positions` between `mine`, the state of a mount group, and
+    `other`, the scratch (working memory) of this group.
     """
     covered, occluded, tried_covered, tried_occluded = mine[COVERED], mine[OCCLUDED], other[COVERED], other[OCCLUDED]
     for q in positions:

@@ -36,8 +36,8 @@ from lmd.sight.mount_occlusion import hidden_bits, hiding_bound, may_hide_around
 def _hidden_bits(
     group: Any, m: Integer, w: Integer, left: Any, i: Integer, k: Integer, body: Vector, one: Any, other: Any
 ) -> Any:
-    """Orientations with which landmark i hides landmark k, see `hidden_bits`. This function only calls `hidden_bits`;
-    it is not inlined, which shortens compilation.
+    """Orientations of the body in word w with which landmark i hides landmark k from mount m, see `hidden_bits`. This
+    function only calls `hidden_bits`; it is not inlined, which shortens compilation.
     """
     return hidden_bits(group, m, w, left, i, k, body, one, other)
 
@@ -46,8 +46,8 @@ def _hidden_bits(
 def _drop_hidden(
     group: Any, c: Integer, i: Integer, k: Integer, q: Integer, body: Vector, state: Any, flipped: Any
 ) -> None:
-    """Remove from `flipped` the orientations with which a landmark other than k hides landmark i, for the body at
-    position q.
+    """Remove from the set `flipped` of landmark i the orientations with which a landmark other than k hides landmark i
+    from the cameras around centre c. The body is at position q, with the coordinates `body`.
     """
     other, width = pose_of(i, state), line_radius(group.sight)
     offset = minus3(other[0], plus3(body, row3(group.centres, c)))
@@ -65,8 +65,11 @@ def _drop_hidden(
 def _find_pair(
     groups: Any, near: Any, q: Integer, body: Vector, place: Any, role: Any, state: Any, scratch: Any
 ) -> None:
-    """Update the set `flipped` of landmark i, which has the orientations with which the move changes whether i is
-    hidden, by the orientations with which landmark k at `place` hides i. The body is at position q.
+    """Update `flipped` of landmark i: the orientations with which the move of landmark k changes whether i is hidden.
+
+    The update uses the orientations with which k hides i from `place`, which is the old place or the place tried. The
+    body is at position q, with the coordinates `body`. If the set changes, q is marked as touched and the pair of i and
+    q is listed.
     """
     (group, mine, other), (c, _, i, k, _) = groups, near
     pose, changed, covered, occluded = pose_of(i, state), False, mine[COVERED], mine[OCCLUDED]
@@ -110,8 +113,8 @@ def _note_neighbour(state: Any, groups: Any, near: Any, role: Any, place: Any, f
 
 @inner
 def find_occluded(k: Integer, group: Any, field: Any, state: Any, scratch: Any) -> None:
-    """Find the orientations with which another landmark hides the place tried, and write them to `OCCLUDED`; only
-    orientations that are in both `COVERED` and `ASKED` are tested.
+    """Find the orientations with which another landmark hides landmark k at the place tried from a camera of `group`,
+    and add them to `OCCLUDED`. Only orientations that are in both `COVERED` and `ASKED` are tested.
     """
     other, size, body = scratch.groups[group.number], np.uint64(len(scratch.units)), field.positions
     asked, tried_covered, tried_occluded = scratch.sets[ASKED], other.sets[COVERED], other.sets[OCCLUDED]
@@ -131,8 +134,8 @@ def find_occluded(k: Integer, group: Any, field: Any, state: Any, scratch: Any) 
 
 @inner
 def _find_pairs_of(kinds: Any, k: Integer, role: Any, field: Any, state: Any, scratch: Any) -> None:
-    """Run `find_pairs` for all mount groups of a rig, to find the other landmarks that landmark k hides or is hidden
-    by.
+    """For each mount group of a rig, find the other landmarks that landmark k hides or that hide landmark k, see
+    `find_pairs`.
     """
     for group in literal_unroll(kinds):
         if group.sight.reach >= 0.0:

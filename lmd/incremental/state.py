@@ -1,9 +1,9 @@
-"""Data for moves of single landmarks: the state, which is the coverage of one deployment with counts, and the scratch,
-which is working memory with the move tried last. Words in capitals, such as `FRESH`, name rows of the arrays.
+"""Arrays for moves of single landmarks. A *state* has the coverage of one deployment. A *scratch* is working memory
+with the results of the move tried last. Words in capitals, such as `FRESH`, name rows of the arrays.
 
-Attributes of equal names have equal meanings for a camera and for a rig. Arrays of equal type and shape are rows of one
-array, with a constant for the index of each row. The reason is that numba passes every n-dimensional array as 5 + 2n
-numbers to functions that are not inlined.
+Attributes with equal names have equal meanings for a camera and for a rig. Arrays of equal type and shape are rows of
+one array, with a constant for the index of each row. The reason is that numba passes every n-dimensional array as 5 +
+2n numbers to functions that are not inlined.
 """
 
 from typing import Any, NamedTuple
@@ -21,8 +21,8 @@ ENOUGH = 2  # axes that cover n landmarks or more
 
 
 class Counts(NamedTuple):
-    """Numbers of landmarks covered at each of Q positions for each axis, as bit sets; the bits of W words stand for the
-    axes.
+    """Number of landmarks covered at each of Q positions, for each axis (orientation). The numbers are stored as bit
+    sets, in which an axis is one bit of W 64-bit words.
     """
 
     digits: np.ndarray
@@ -50,8 +50,8 @@ def new_counts(counted_once: np.ndarray, count: int, n: int) -> Counts:
 
 @inlined
 def enough_with(p: Integer, w: Integer, was: Any, now: Any, counts: Any) -> Any:
-    """Axes that cover n landmarks or more after a move. Before the move, the axes `was` cover the moving landmark;
-    after the move, the axes `now` do.
+    """Axes of word w that cover n landmarks or more at position p after one landmark moves. Before the move, the axes
+    `was` cover this landmark; after the move, the axes `now` do. All sets are bits of word w.
     """
     short, just, enough = counts.sets[SHORT], counts.sets[JUST], counts.sets[ENOUGH]
     return (enough[p, w] & ~(was & ~now & just[p, w])) | (now & ~was & short[p, w])
@@ -59,7 +59,9 @@ def enough_with(p: Integer, w: Integer, was: Any, now: Any, counts: Any) -> Any:
 
 @inlined
 def update_counts(p: Integer, w: Integer, changed: Any, decrement: Any, n: Integer, counts: Any) -> None:
-    """Update the counts at the axes `changed`: subtract 1 at the axes in `decrement`, add 1 at the other axes."""
+    """Update the counts in place, at position p for the axes `changed` (bits of word w): subtract 1 at the axes that
+    are also in `decrement`, add 1 at the others.
+    """
     digits, one, two = counts.digits, ALL, ALL
     short, just, enough = counts.sets[SHORT], counts.sets[JUST], counts.sets[ENOUGH]
     enough[p, w] = enough_with(p, w, changed & decrement, changed & ~decrement, counts)
@@ -72,7 +74,9 @@ def update_counts(p: Integer, w: Integer, changed: Any, decrement: Any, n: Integ
 
 @inner
 def sum_up(field: Any, state: Any) -> None:
-    """Compute quantised P_n, the probability that n landmarks are covered, at all positions from the counts."""
+    """Compute quantised P_n, the probability that n landmarks are covered, at all positions, and write it to
+    `state.units`. P_n is computed from the counts.
+    """
     units, enough = state.units, state.counts.sets[ENOUGH]
     for p in range(np.uint64(len(units))):
         units[p] = 0
@@ -133,8 +137,8 @@ SURE = 5  # depth, metres: an axis with the place well in view, at a depth from 
 
 
 class State(NamedTuple):
-    """Coverage of K landmarks by a camera from Q positions, which are in the field's order; W words have a bit for each
-    axis.
+    """Coverage of K landmarks by a camera from Q positions, in the order of the field (incremental evaluator). An axis,
+    which is an orientation of the camera, is one bit of W 64-bit words.
     """
 
     poses: np.ndarray
@@ -157,7 +161,7 @@ class State(NamedTuple):
 
 
 class RigState(NamedTuple):
-    """Coverage of K landmarks by a rig, for orientations of its body."""
+    """Coverage of K landmarks by the cameras of a rig, for each orientation of the rig's body."""
 
     poses: np.ndarray
     """See `State`."""
@@ -177,7 +181,7 @@ class RigState(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Working memory for a camera, with the move tried last.
+    """Working memory for moves of one landmark seen by a camera, with the results of the move tried last.
 
     After the move is carried out, `target`, `SURFACE`, `units`, `FRESH`, `REACHED`, `hides` and `changes` describe the
     reverse move.
@@ -235,7 +239,7 @@ class Scratch(NamedTuple):
 
 
 class GroupScratch(NamedTuple):
-    """Working memory for one mount group of a rig, with the move tried last."""
+    """Working memory for one mount group (equal cameras) of a rig, with the results of the move tried last."""
 
     sets: np.ndarray
     """`(2, Q, M, W)` sets of orientations, limited to those in `ASKED`. Row `COVERED` has the orientations with which
@@ -266,7 +270,7 @@ class GroupScratch(NamedTuple):
 
 
 class RigScratch(NamedTuple):
-    """Working memory for a rig, with the move tried last.
+    """Working memory for moves of one landmark seen by a rig, with the results of the move tried last.
 
     After the move is carried out, `target`, `SURFACE`, `units`, `FRESH`, and `sets` of the groups describe the old
     place.
@@ -297,7 +301,7 @@ class RigScratch(NamedTuple):
 
 
 def _shared_fields(state: State | RigState) -> dict[str, Any]:
-    """Arrays that the scratch of a camera and the scratch of a rig have in common."""
+    """New arrays for the fields that `Scratch` and `RigScratch` have in common, keyed by the name of the field."""
     count, (size, words) = len(state.surfaces), state.counts.sets.shape[1:]
     return {
         "target": np.empty(6),
@@ -314,7 +318,7 @@ def _shared_fields(state: State | RigState) -> dict[str, Any]:
 
 
 def scratch_of(state: State) -> Scratch:
-    """New scratch for the state of a camera."""
+    """New scratch (working memory) for moves of the landmarks in the state of a camera."""
     count, size, _ = state.covered.shape
     return Scratch(
         **_shared_fields(state),
@@ -326,8 +330,8 @@ def scratch_of(state: State) -> Scratch:
 
 
 def rig_scratch_of(state: RigState, centres: tuple[int, ...]) -> RigScratch:
-    """New scratch for the state of a rig. `centres` has a number for each mount group: the number of points around
-    which the group's cameras lie (the length of `MountGroup.centres`).
+    """New scratch (working memory) for moves of the landmarks in the state of a rig. `centres` has a number for each
+    mount group: the number of points around which the group's cameras lie (the length of `MountGroup.centres`).
     """
     count, size = state.shown.shape[:2]
     groups = tuple(

@@ -62,27 +62,32 @@ from lmd.sight.kernels import sum_weights
 
 @dispatched
 def shown_of(state: Any, k: Integer, p: Integer, w: Integer) -> Any:
-    """Orientations of word w with which landmark k is seen from position p."""
+    """Orientations of word w (64 orientations) with which landmark k is seen from position p, as a bit set."""
 
 
 @dispatched
 def turned(state: Any, i: Integer, p: Integer, w: Integer, scratch: Any) -> Any:
-    """Orientations of word w with which landmark i, which occurs in `Scratch.pairs`, is seen from position p: two sets,
-    before and after the move.
+    """Two bit sets: orientations of word w with which landmark i is seen from position p before and after the move.
+
+    Landmark i is not the moving landmark; it occurs in `Scratch.pairs`.
     """
 
 
 @dispatched_call
 def find_pairs(state: Any, k: Integer, role: Any, field: Any, scratch: Any) -> None:
-    """Find the pairs (another landmark, a position) in which landmark k, at the place with the `role` (old place or
-    place tried), hides the other landmark or is hidden by it.
+    """Find the pairs (another landmark, a position) in which landmark k hides the other landmark or is hidden by it.
+
+    Landmark k is at the place with the `role`: old place, place tried, or place at which it is first counted. The pairs
+    are recorded in the scratch.
     """
 
 
 @dispatched_call
 def bound_views(state: Any, k: Integer, field: Any, scratch: Any) -> Any:
-    """Begin to bound P_n at positions that are not touched: write the bounds, or list the positions for which they
-    still have to be computed.
+    """Begin to bound P_n (the probability that n landmarks are covered) at positions that are not touched.
+
+    At an untouched position, the move is assumed to change no occlusion. The function writes the bounds into the
+    scratch, or lists the positions at which bounds are still to be computed.
 
     Returns:
         number of positions in `LISTED`, touched positions included, for which `see` and `_find_units` are still needed.
@@ -91,14 +96,16 @@ def bound_views(state: Any, k: Integer, field: Any, scratch: Any) -> Any:
 
 @dispatched_call
 def see(state: Any, k: Integer, positions: np.ndarray, field: Any, scratch: Any) -> None:
-    """Find the orientations with which landmark k is covered at the place tried, and write them to `FRESH`; only the
-    orientations in `ASKED` are tested.
+    """Find the orientations with which landmark k is covered at the place tried, and write them to `FRESH`. Only the
+    orientations in `ASKED` at `positions` (indices) are tested.
     """
 
 
 @dispatched
 def fresh_of(scratch: Any, p: Integer, w: Integer) -> Any:
-    """Orientations in `FRESH` with which the landmark is seen at the place tried, occlusion taken into account."""
+    """Orientations of word w in `FRESH` with which the landmark is seen from position p at the place tried, occlusion
+    taken into account.
+    """
 
 
 @dispatched_call
@@ -112,7 +119,7 @@ def list_changing(state: Any, k: Integer, scratch: Any) -> Any:
 
 @dispatched
 def exchange_sets(state: Any, k: Integer, p: Integer, w: Integer, scratch: Any) -> Any:
-    """Swap word w of the sets of landmark k at position p: state and scratch get each other's word.
+    """Swap word w of the sets of orientations that cover landmark k, at position p, between state and scratch.
 
     Returns:
         two sets: orientations with which the landmark is seen before the exchange, and after the exchange.
@@ -121,8 +128,8 @@ def exchange_sets(state: Any, k: Integer, p: Integer, w: Integer, scratch: Any) 
 
 @dispatched_call
 def exchange_views(state: Any, k: Integer, scratch: Any) -> None:
-    """Swap the data of landmark k, except its sets, between state and scratch, and apply the changes of the occlusion
-    of other landmarks (`pairs`).
+    """Swap the data of landmark k between state and scratch, except the sets that `exchange_sets` swaps. Apply the
+    changes of the occlusion of other landmarks (`pairs`).
 
     A second call undoes the first call.
     """
@@ -135,7 +142,9 @@ def clear_views(scratch: Any) -> None:
 
 @inner
 def begin_place(k: Integer, field: Any, state: Any, scratch: Any) -> None:
-    """Clear the data of the last trial, and list the blocks near landmark k and near the place tried."""
+    """Clear the data of the last trial in the scratch, and list the blocks of positions near landmark k and near the
+    place tried.
+    """
     numbers, landmark, position = scratch.numbers, scratch.pairs[LANDMARK], scratch.pairs[POSITION]
     touched, places, known = scratch.flags[TOUCHED], scratch.lists[TOUCHED_LIST], scratch.known
     clear_views(scratch)
@@ -149,10 +158,10 @@ def begin_place(k: Integer, field: Any, state: Any, scratch: Any) -> None:
 
 @inner
 def begin_move(k: Integer, pose: Any, surface: Integer, field: Any, state: Any, scratch: Any) -> None:
-    """Begin a trial with landmark k at `pose` `(6,)`: find the pairs of the old place, and copy all values of the state
-    to the scratch.
+    """Begin a trial with landmark k at `pose`: find the pairs of the old place, and copy P_n of the state to the
+    scratch.
 
-    `pose` is position (metres) and unit normal.
+    `pose` `(6,)` is position (metres) and unit normal. For pairs see `find_pairs`.
     """
     scratch.numbers[SURFACE], units, before = surface, scratch.units, state.units
     for i in range(6):
@@ -165,8 +174,9 @@ def begin_move(k: Integer, pose: Any, surface: Integer, field: Any, state: Any, 
 
 @inner
 def _count_others(k: Integer, state: Any, scratch: Any) -> None:
-    """Count the landmarks other than k that are seen from touched positions, and write the counts to `digits`.
-    Landmarks in `pairs` are counted with their occlusion after the move.
+    """Count the landmarks other than k that are seen from touched positions, from which the move changes the occlusion
+    of a landmark. Write the counts as binary digits to `digits`. Landmarks in `pairs` are counted with their occlusion
+    after the move.
     """
     landmark, position = scratch.pairs[LANDMARK], scratch.pairs[POSITION]
     counts, digits = state.counts.digits, scratch.digits
@@ -186,8 +196,9 @@ def _count_others(k: Integer, state: Any, scratch: Any) -> None:
 
 @inner
 def ask_touched(k: Integer, n: Integer, or_more: bool, state: Any, scratch: Any) -> None:
-    """Select for the test in `see`, at touched positions, the orientations (`ASKED`) with which n - 1 other landmarks
-    are seen, or at least n - 1 if `or_more` is True.
+    """Select the orientations that `see` tests at touched positions (from which the move changes the occlusion of a
+    landmark), and write them to `ASKED`. An orientation is selected if exactly n - 1 landmarks other than k are seen,
+    or at least n - 1 if `or_more` is True.
     """
     asked, digits = scratch.sets[ASKED], scratch.digits
     _count_others(k, state, scratch)
@@ -198,9 +209,9 @@ def ask_touched(k: Integer, n: Integer, or_more: bool, state: Any, scratch: Any)
 
 @inner
 def _find_units(k: Integer, positions: FloatArray, n: Integer, weights: Any, state: Any, scratch: Any) -> None:
-    """Compute P_n, the probability that n landmarks are covered, at `positions` from the orientations with which
-    landmark k is seen at the place tried (`FRESH`). Landmarks in `pairs` are counted with their occlusion after the
-    move.
+    """Compute P_n, the probability that n landmarks are covered, at `positions`, and write it to `scratch.units`. P_n
+    follows from the orientations with which landmark k is seen at the place tried (`FRESH`). Landmarks in `pairs` are
+    counted with their occlusion after the move.
     """
     enough, asked = state.counts.sets[ENOUGH], scratch.sets[ASKED]
     touched, digits = scratch.flags[TOUCHED], scratch.digits
@@ -229,7 +240,7 @@ def see_whole(k: Integer, field: Any, state: Any, scratch: Any) -> None:
 @inner
 def bound_move(field: Any, k: Integer, pose: Any, surface: Integer, state: Any, scratch: Any) -> None:
     """Write into `scratch.units` upper bounds on P_n after a move of landmark k to `pose` on a surface, see
-    `field.bound`.
+    `field.bound`. P_n is the probability that n landmarks are covered, `pose` `(6,)` position (metres) and unit normal.
     """
     k = np.uint64(k)
     begin_move(k, pose, surface, field, state, scratch)
@@ -241,7 +252,9 @@ def bound_move(field: Any, k: Integer, pose: Any, surface: Integer, state: Any, 
 
 @inner
 def finish_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
-    """Replace the bounds of `bound_move` by the exact P_n, the probability that n landmarks are covered."""
+    """Replace the bounds of `bound_move` in `scratch.units` by the exact P_n, the probability that n landmarks are
+    covered.
+    """
     k = np.uint64(k)
     find_pairs(state, k, NEW_PLACE, field, scratch)
     ask_touched(k, field.n, False, state, scratch)
@@ -273,7 +286,8 @@ def exchange(k: Integer, field: Any, state: Any, scratch: Any) -> None:
 def exchange_place(field: Any, k: Integer, state: Any, scratch: Any) -> None:
     """Swap the place of landmark k, and the data that depend on the place, between state and scratch.
 
-    The exchange undoes the last `carry_out` with this scratch; all later moves must have been undone.
+    After `carry_out` with this scratch, the exchange undoes the move. Moves that were carried out later, with other
+    scratches, must have been undone before.
     """
     k, first, last, units = np.uint64(k), scratch.lists[FIRST], scratch.lists[LAST], scratch.units
     exchange(k, field, state, scratch)
@@ -295,7 +309,7 @@ def carry_out(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 @borrowing
 def fill(field: Any, state: Any, scratch: Any) -> None:
-    """Count all landmarks, one after the other, in a `state` in which no landmark is counted yet, and compute P_n."""
+    """Count all landmarks of a `state` in which no landmark is counted yet, one after the other, and compute P_n."""
     for k in range(np.uint64(state.poses.shape[1])):
         for i in range(6):
             scratch.target[i] = state.poses[i, k]
@@ -308,8 +322,8 @@ def fill(field: Any, state: Any, scratch: Any) -> None:
 
 @borrowing
 def remove_sets(missed: Any, field: Any, state: Any) -> None:
-    """Remove the axes `missed`, bit sets `(K, Q, W)`, from the sets of axes that cover each landmark; the occlusion
-    does not change.
+    """Remove the axes `missed`, bit sets `(K, Q, W)`, from the sets of axes that cover each landmark, and update counts
+    and P_n. The occlusion does not change.
     """
     covered = state.covered
     for k in range(np.uint64(covered.shape[0])):

@@ -1,11 +1,11 @@
-"""Similarity between a model of other programs, of any scale, and a map: scale with its standard deviation, residuals.
+"""Similarity that maps a model of another program, of any scale, to a map; its scale and residuals.
 
 An image has a pose X from its localisation and a pose Y from the model, both from the camera to the world. A similarity
 S (`lmd.formats.reconstructions`) moves Y to S Y. The residual is the twist log(X^-1 S Y), rad and metres. The
-covariance of the residual is that of the localisation plus that of the model. Errors of the map and the cameras cause a
-part of the localisation's covariance that is common to all images. The model's errors of position and of rotation are
-independent from image to image and along each axis; their variances are estimated from the residuals. Images whose
-chi^2 exceeds `MOVED_CHI_SQUARE` do not count.
+covariance of the residual is the sum of the covariances of both poses. Errors of the map and of the cameras cause a
+part of X's covariance that is common to all images. The model's errors of position and of rotation are independent from
+image to image and along each axis; their variances are estimated from the residuals. Images whose chi^2 exceeds
+`MOVED_CHI_SQUARE` do not count.
 """
 
 from typing import Any
@@ -36,7 +36,7 @@ TAKEN = np.array([3.0, 4.0])  # unknowns of the similarity that orientations, an
 
 
 def align(model: Model, result: Localisation) -> tuple[dict[str, Any], dict[str, float], str]:
-    """Find the similarity between a model and the map by the images that both have.
+    """Find the similarity that maps a model to the map, from images that the model and the localisation have in common.
 
     Returns:
         Contents of files, keyed by name: the model in metres, and the tables of residuals.
@@ -55,7 +55,7 @@ def align(model: Model, result: Localisation) -> tuple[dict[str, Any], dict[str,
     index = np.flatnonzero(rows >= 0)
     if len(index) < FEWEST_FRAMES:
         both = f"the model has {few(model.names, NAMED)}, the photographs are {few(names[0], NAMED)}"
-        raise InputError(f"align: {both}: {len(index)} localised in common, {FEWEST_FRAMES} are needed.", "align")
+        raise InputError(f"align: {both}: {len(index)} localised images in both, {FEWEST_FRAMES} needed.", "align")
     (camera, frame), joint = np.divmod(index, names.shape[1]), found.adjustment
     system = joint.fixed_system(found.poses, found.floor)
     assert isinstance(system.frames, SeparateFrames), "single images are not linked"
@@ -91,8 +91,8 @@ def align(model: Model, result: Localisation) -> tuple[dict[str, Any], dict[str,
 
 
 def _rows(model: Model, detected: DetectedTags, names: NDArray[np.str_]) -> IntArray:
-    """For each image of C cameras in F frames, its index in the model, `(C, F)` like `names`; -1 for images that the
-    model lacks.
+    """Index in the model of each image of C cameras in F frames, `(C, F)`; -1 for images that the model lacks. `names`
+    `(C, F)` has the names of the images.
     """
     if isinstance(model.names, list):
         parts = 1 + (len(names) > 1)  # folders count only if they are those of cameras
@@ -105,8 +105,8 @@ def _rows(model: Model, detected: DetectedTags, names: NDArray[np.str_]) -> IntA
 
 
 def _rms(owner: IntArray, squares: FloatArray, count: int) -> FloatArray:
-    """For each of `count` owners, root of the mean of its values in `squares`; `owner` has the index of the owner of
-    each value. Values of NaN are left out; the result is NaN for an owner without other values.
+    """Root mean square of the values of each of `count` owners. `squares` has the squared values, `owner` the index of
+    each value's owner. Values of NaN are left out; the result is NaN for an owner without other values.
     """
     known = np.isfinite(squares)
     number = np.bincount(owner[known], minlength=count)
@@ -133,12 +133,12 @@ def _fitted(
     Args:
         poses: poses of n images in the model, `(n, 4, 4)`.
         bodies, mounts: localised poses of the bodies, and poses of the cameras on them, `(n, 4, 4)` each.
-        own: covariance of each localised pose, as that of a twist, `(n, 6, 6)`.
+        own: covariance of the twist of each localised body pose, without the part common to all images, `(n, 6, 6)`.
 
     Returns:
-        similarity; mask of the images that fit, and chi^2 of all, `(n,)` each; variances of the model's errors, as
-        components of a twist, `(6,)`. Last, the derivatives of the logarithm of the scale with respect to twists of the
-        localised poses, `(n, 6)`.
+        similarity, `(4, 4)`; mask of the images that fit, `(n,)`; chi^2 of all images, `(n,)`; variances of the
+        components of the twist by which a pose of the model is wrong, `(6,)`; derivatives of the logarithm of the scale
+        with respect to twists of the localised poses, `(n, 6)`.
 
     Raises:
         InputError: less than half of the images fit.
@@ -159,7 +159,7 @@ def _fitted(
         pull = np.swapaxes(slope, 1, 2) @ information * chosen[:, None, None]
         count, total = int(chosen.sum()), (pull @ slope).sum(axis=0)
         if count < max(FEWEST_FRAMES, len(poses) / 2.0) or np.linalg.matrix_rank(total) < len(total):
-            text = f"{count} of {len(poses)} images fit one similarity; its poses must be those of a moving camera"
+            text = f"{count} of {len(poses)} images fit one similarity; the model must be of a moving camera"
             raise InputError(f"align: {text}.", "align")
         gain = np.linalg.solve(total, pull)
         step = -np.einsum("npi,ni->p", gain, off)

@@ -1,12 +1,13 @@
 """Tags that were moved since the map was made, and new tags.
 
-*Moved tags* are found by a bundle adjustment with the map as the prior. Let u be the twists of the tags from their
-poses in the map to their estimated poses, with the posterior covariance P. S is the prior covariance of these twists.
-The *trusted* tags r, which were not moved, have the prior N(0, S) with the information matrix J = S_rr^-1. The pose of
-each tag in the map is compared with its pose according to the images and all other trusted tags.
+*Moved tags* are found by a bundle adjustment with the map as the prior. Subscripts select the rows and columns of tags.
+Let u be the twists of the tags from their poses in the map to their estimated poses, with the posterior covariance P. S
+is the prior covariance of these twists. The *trusted* tags r, which were not moved, have the prior N(0, S) with the
+information matrix J = S_rr^-1. The pose of each tag in the map is compared with its pose according to the images and
+all other trusted tags.
 
-- If a trusted tag k was moved by t, its prior holds for u_k - t. The information matrix of t is Q_kk with Q = J - J P
-  J, and t = Q_kk^-1 (J u)_k with the covariance Q_kk^-1.
+- If a trusted tag k was moved by the twist t, its prior holds for u_k - t. The information matrix of t is Q_kk with
+  Q = J - J P J, and t = Q_kk^-1 (J u)_k with the covariance Q_kk^-1.
 - A tag k of the map that is not trusted is expected at A u_r, given the trusted tags, with A = S_kr J. So t = u_k - A
   u_r, with the covariance of u_k - A u_r under P, plus S_kk - A S_rk.
 
@@ -83,8 +84,8 @@ class Comparison(NamedTuple):
     odd: BoolArray
     """Mask of the tags whose size differs from the stated size, `(K,)`."""
     contradicted: int = 0
-    """Number of tags that differ from the map, if they are more than the fraction `MOST_MOVED` of the compared tags;
-    else 0. Above this fraction the map and the images disagree as a whole, and no tag counts as moved.
+    """Number of tags that differ from the map, if above the fraction `MOST_MOVED` of the compared tags; else 0. Above
+    this fraction the map and the images disagree as a whole, and no tag counts as moved.
     """
 
     def changes(self, here: FixedMap) -> list[Change]:
@@ -99,8 +100,8 @@ class Comparison(NamedTuple):
 
 
 def displacements(found: Estimate, here: FixedMap) -> tuple[FloatArray, FloatArray]:
-    """Displacement of each tag from the map, `(K, 6)`, and covariance of the displacement, `(K, 6, 6)`; NaN for tags
-    whose pose in the map cannot be compared with other tags.
+    """Twist by which each tag is displaced from its pose in the map, `(K, 6)`, and the twist's covariance, `(K, 6, 6)`.
+    Twists are NaN for tags whose pose in the map cannot be compared with other tags.
     """
     there, *_ = found.adjustment.joint_step(found.poses, found.floor, 0.0, nuisances_off(found))
     twists, count = twists_between(here.poses, there.tags), len(here.ids)
@@ -130,13 +131,14 @@ def displacements(found: Estimate, here: FixedMap) -> tuple[FloatArray, FloatArr
 
 
 def compare(begun: Estimate, here: FixedMap, mounts: Mounts | None, gross: BoolArray, odd: BoolArray) -> Comparison:
-    """Estimate all poses with the map as the prior, without the prior of moved tags, and refine the cameras at the end.
+    """Estimate all poses with the map as the prior, and find moved tags, which lose their prior. The cameras are
+    refined at the end.
 
     Args:
         begun: estimate with rough poses; if its `lenses` are not None, cameras are refined.
         here: map of the tags.
         mounts: prior of the mounts.
-        gross: mask of the tags that contradict the other tags, `(K,)`.
+        gross: mask of the tags that contradict the other tags, `(K,)`; tags of the mask have no prior at first.
         odd: mask of the tags whose stated size is known to be wrong, `(K,)`.
     """
     now, moved, squares, is_refined = begun, gross, np.full(len(gross), np.nan), begun.lenses is None

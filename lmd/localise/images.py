@@ -63,8 +63,8 @@ def rough_poses(sightings: Sightings, poses: Poses, sigmas: FloatArray) -> Rough
 
     Args:
         sightings: all sightings.
-        poses: poses of tags in the map, NaN if not in the map, and expected mounts. If frames show another mount, the
-            estimate begins with the measured mount.
+        poses: poses of tags in the map, NaN if not in the map, and expected poses of the cameras on the body (mounts).
+            If frames contradict an expected mount, it is replaced by a measured mount.
         sigmas: standard deviations of the tags in the map, `(K, 6)`.
     """
     gross, single = np.zeros(len(poses.tags), dtype=bool), single_poses(sightings).poses
@@ -85,8 +85,9 @@ def rough_poses(sightings: Sightings, poses: Poses, sigmas: FloatArray) -> Rough
 
 
 def _blame(sightings: Sightings, poses: Poses, sigmas: FloatArray) -> FloatArray:
-    """For each tag, votes against it, see `rough_poses`, as a fraction of its sightings in images with other tags,
-    `(K,)`; 0 for tags with few votes.
+    """Fraction of votes against each tag, see `rough_poses`, `(K,)`; 0 for tags with few votes. The fraction is
+    relative to the tag's sightings in images with other tags. `sigmas` `(K, 6)` are the standard deviations of the tags
+    in the map.
     """
     some = sightings.of(poses.known_tags[sightings.tag])
     at = Reprojection(some, *poses.of(some))
@@ -101,8 +102,15 @@ def _blame(sightings: Sightings, poses: Poses, sigmas: FloatArray) -> FloatArray
 
 
 def _proposed(sightings: Sightings, poses: Poses, single: FloatArray) -> tuple[Poses, FloatArray]:
-    """Copy of `poses` in which each frame has its best pose; and for each frame its rival, the best of the poses that
-    clearly differ from that pose, `(F, 4, 4)`.
+    """Find the best pose of each frame, and the best of the poses that clearly differ from it.
+
+    Args:
+        sightings: sightings in F frames.
+        poses: poses of tags, NaN if unknown, and of the cameras on the body.
+        single: two poses of each sighting's tag in the frame of the camera, `(N, 2, 4, 4)`.
+
+    Returns:
+        copy of `poses` with the best poses of the frames; the differing poses, `(F, 4, 4)`, NaN without such a pose.
     """
     known = np.flatnonzero(poses.known_tags[sightings.tag])
     best, other = np.full((2, sightings.frames, 4, 4), np.nan)
@@ -132,12 +140,15 @@ def _are_apart(one: FloatArray, two: FloatArray, away: FloatArray) -> BoolArray:
 
 
 def states_of(found: Estimate, others: FloatArray) -> tuple[NDArray[np.object_], FloatArray]:
-    """Outcome (`State`) of each frame, `(F,)`; and for frames that two poses fit almost equally well, the two poses,
-    the better pose first, `(F, 2, 4, 4)`; NaN for the other frames.
+    """Outcome of each frame: localised, no tag of the map, or two poses that cannot be told apart.
 
     Args:
         found: estimate with a pose of each frame that shows a tag of the map.
         others: other poses of the frames, `(F, 4, 4)`; NaN for a frame without another pose.
+
+    Returns:
+        outcome (`State`) of each frame, `(F,)`; for frames that two poses fit almost equally well, the two poses, the
+        better pose first, `(F, 2, 4, 4)`, NaN for the other frames.
     """
     some = found.sightings.of(found.poses.known_tags[found.sightings.tag])
     seen = np.bincount(some.frame, minlength=some.frames)
@@ -155,7 +166,7 @@ def states_of(found: Estimate, others: FloatArray) -> tuple[NDArray[np.object_],
 
 
 def _mean_distances(some: Sightings, poses: Poses) -> FloatArray:
-    """Mean distance of each frame from its tags, metres, `(F,)`; 0 without sightings."""
+    """Mean distance of the body at each frame from the tags in the frame, metres, `(F,)`; 0 without sightings."""
     away = np.linalg.norm(poses.tags[some.tag, :3, 3] - poses.frames[some.frame, :3, 3], axis=1)
     counts = np.bincount(some.frame, minlength=some.frames)
     return np.asarray(np.bincount(some.frame, away, minlength=some.frames) / np.maximum(counts, 1))

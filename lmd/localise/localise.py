@@ -175,16 +175,16 @@ def _map_of(detected: DetectedTags, tag: Tag, known: FixedMap) -> FixedMap:
 
 
 def _begun(seen: Observations, here: FixedMap, mounts: Mounts) -> tuple[tuple[Observations, RoughPoses], int]:
-    """Find rough poses. Returns: the detections and the rough poses; number of sightings that agree with the rough
-    poses.
+    """Find rough poses. Returns a pair of the detections and the rough poses, and the number of sightings that agree
+    with the rough poses.
     """
     rough = rough_poses(seen.through(), Poses(here.poses, np.empty((0, 4, 4)), mounts.poses), here.sigmas)
     return (seen, rough), int(agreeing(seen.through(), squared_errors(seen.through(), rough.poses)).sum())
 
 
 def _in_order(seen: Observations, here: FixedMap, mounts: Mounts) -> tuple[Observations, int]:
-    """Detections whose corners begin at the top left, and the index that corner 0 of the given detections got. Among
-    all indices, this one makes most sightings fit, in frames with several tags of the map; 0 in a tie.
+    """Detections whose corners begin at the top left, and the index that corner 0 of the given detections got. Of the
+    four indices, it is the one with which most sightings fit in frames with several tags of the map; 0 in a tie.
     """
     detected = seen.detected
     of_map = np.flatnonzero(np.isin(detected.ids, here.ids[here.has]))
@@ -198,8 +198,8 @@ def _in_order(seen: Observations, here: FixedMap, mounts: Mounts) -> tuple[Obser
 
 
 def _with_all_tags(begun: Estimate, rough: RoughPoses, both: FloatArray) -> Estimate:
-    """Estimate that also has poses of the tags without a rough pose, and has no poses of the ambiguous frames, which
-    have two poses in `both` `(F, 2, 4, 4)`.
+    """Estimate with added poses of tags that have no rough pose, and without the poses of ambiguous frames. `both`
+    `(F, 2, 4, 4)` has two poses of each ambiguous frame, NaN for other frames.
     """
     some, lost = begun.sightings, ~rough.poses.known_tags
     frames = np.where(np.isfinite(both[:, 0]), np.nan, begun.poses.frames)
@@ -209,8 +209,8 @@ def _with_all_tags(begun: Estimate, rough: RoughPoses, both: FloatArray) -> Esti
 
 
 def _refused(found: Estimate, states: NDArray[np.object_]) -> tuple[Estimate, NDArray[np.object_]]:
-    """Estimate from which the poses of frames are removed if most sightings in the frame do not fit; and the outcome of
-    each frame, in which these frames are refused.
+    """Refuse the frames in which most sightings do not fit. Return the estimate without the poses of all refused
+    frames, and the outcome of each frame, `(F,)`. `states` `(F,)` has the outcomes before.
     """
     some = found.sightings
     of_map = found.poses.known_tags[some.tag]
@@ -233,7 +233,8 @@ def smoothed(found: Estimate, motion: Motion, both: FloatArray) -> Estimate | No
             the smoothest sequence decides between the two.
 
     Returns:
-        None if motion links no two frames with poses.
+        smoothed estimate; None if fewer than `FEWEST_FRAMES` frames have a pose, or motion links no two of these
+        frames.
 
     Raises:
         InputError: odometry contradicts the images.
@@ -252,7 +253,7 @@ def smoothed(found: Estimate, motion: Motion, both: FloatArray) -> Estimate | No
     prior = replace(found.prior, motion=measured_motion(rough, poses, floor))
 
     def again(begun: Estimate) -> Estimate:
-        """Adjust all poses, and the cameras if these are unknown."""
+        """Adjust all poses, and refine the cameras too if they are unknowns."""
         now = begun.adjusted()
         return now if now.lenses is None else minimised(now)
 
@@ -260,7 +261,9 @@ def smoothed(found: Estimate, motion: Motion, both: FloatArray) -> Estimate | No
 
 
 def _decided(found: Estimate, motion: Motion, both: FloatArray) -> Poses:
-    """Poses of the frames; for a frame that two poses fit, the pose nearer to the smoothest sequence of poses."""
+    """Poses; a frame that two poses fit has the one that is nearer to the smoothest sequence of poses. `both`
+    `(F, 2, 4, 4)` has the two poses, NaN for other frames. Such a frame has no pose if no other frame is linked to it.
+    """
     frames, opened = found.poses.frames.copy(), np.flatnonzero(np.isfinite(both[:, 0, 0, 0]))
     if opened.size:
         some = found.sightings.of(found.poses.known_tags[found.sightings.tag])

@@ -27,8 +27,8 @@ NAMED = 5  # largest number of refused frames, and of tags without a detection, 
 
 
 def frame_columns(result: Localisation, found: Estimate) -> dict[str, ArrayLike]:
-    """Columns of `poses.csv` or `smoothed.csv`: state of each image, pose, and covariance. `found` is the estimate from
-    single images or the smoothed estimate.
+    """Columns of `poses.csv` or `smoothed.csv`: state of each image, number of inliers, error, pose, and covariance.
+    `found` is the estimate from single images or the smoothed estimate.
     """
     name = State.LOCALISED.value if found is result.found else "smoothed"
     known = zip(found.poses.known_frames, result.states, strict=True)
@@ -94,7 +94,7 @@ def metrics(result: Localisation) -> dict[str, float]:
 
 
 def localise_document(result: Localisation) -> dict[str, Any]:
-    """Content of `localise.json`."""
+    """Content of the file `localise.json`: metrics, refused images, changes of the map, and doubts."""
     states = zip(result.detected.times, result.states, strict=True)
     return {
         "figures": metrics(result),
@@ -108,7 +108,7 @@ def localise_document(result: Localisation) -> dict[str, Any]:
 
 
 def to_text(result: Localisation) -> str:
-    """Lines for a terminal."""
+    """Text for a terminal: lines on the result, then a sentence for each change of the map."""
     figures, names = metrics(result), np.array(result.detected.times)
     known, count = result.found.poses.known_frames, len(result.states)
     lines = {"frames": f"{known.sum()} of {count} localised, by {result.found.used.sum()} sightings"}

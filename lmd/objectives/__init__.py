@@ -15,7 +15,7 @@ LATER = {"Drives": "filtered", "Filtered": "filtered", "Localisation": "localisa
 
 
 def __getattr__(name: str) -> Any:
-    """Import an objective at its first use."""
+    """Import an objective at its first use, and return it."""
     if name not in LATER:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module

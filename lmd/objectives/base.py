@@ -61,7 +61,9 @@ UNITS = {
 
 
 def figure_of(key: str) -> Headline:
-    """Return the label, unit and format of the figure `key`; without a known label, the name is spelt out."""
+    """Return the label, unit and format of the figure (metric) with the name `key`. If no label is known, the name is
+    spelt out.
+    """
     prefixes = [prefix for prefix in PREFIXES if prefix in key]
     name = key.removeprefix("".join(prefixes))
     spelt = re.sub(r"localised share (\d+)mm", r"views localised to \1 mm", name.replace("_", " "))
@@ -109,8 +111,8 @@ class Objective(Protocol):
 
     @property
     def sampling(self) -> "Sampling | None":
-        """Sample of positions and orientations on which the fitness is computed; None for the room's grid and the PDF
-        itself.
+        """Sample of positions and orientations on which the fitness is computed; None for the room's grid and the
+        orientations of the scene's PDF.
         """
 
     @property
@@ -133,10 +135,12 @@ class Objective(Protocol):
         """Raise `InputError` if `count` landmarks are too few for the objective."""
 
     def values(self, evaluator: Evaluator, positions: FloatArray, normals: FloatArray) -> FloatArray:
-        """Value of each position of `evaluator` in [0, 1], `(B, P)`, for B deployments `(B, K, 3)`."""
+        """Value in [0, 1] of each position of `evaluator`, `(B, P)`, for B deployments. Their landmarks have
+        `positions`, metres, and unit `normals`, `(B, K, 3)` each.
+        """
 
     def qualified(self, values: FloatArray) -> BoolArray:
-        """Mask, shape of `values`, of the qualified positions: those whose value reaches the threshold."""
+        """Mask, in the shape of `values`, of the qualified positions: those whose value reaches the threshold."""
 
     def fitness(self, values: FloatArray, relevance: FloatArray) -> FloatArray:
         """Fitness in [0, 1] that optimisers maximise, `(...)`, from values `(..., P)` and weights of the positions,
@@ -144,8 +148,8 @@ class Objective(Protocol):
         """
 
     def shares(self, values: FloatArray) -> Mapping[str, FloatArray | BoolArray]:
-        """For those figures (metrics) that are means over positions: the contribution of each position to the mean, as
-        arrays of the shape of `values`, keyed by the figure's name.
+        """Contribution of each position to each figure (metric) that is a mean over positions: arrays of the shape of
+        `values`, keyed by the figure's name.
         """
 
     def figures(self, values: FloatArray, relevance: FloatArray) -> dict[str, float]:
@@ -154,10 +158,12 @@ class Objective(Protocol):
         """
 
     def describe(self, figures: Mapping[str, float], positions: int, count: int) -> dict[str, str]:
-        """Figures as labelled sentences for the terminal, with the number of positions and the number of landmarks."""
+        """Sentences about the `figures` for the terminal, keyed by label. `positions` and `count` are the numbers of
+        positions and of landmarks.
+        """
 
     def describe_validation(self, figures: Mapping[str, float]) -> dict[str, str]:
-        """Figures of `lmd.evaluation.validation` as labelled sentences for the terminal."""
+        """Sentences for the terminal about the figures of `lmd.evaluation.validation`, keyed by label."""
 
 
 @runtime_checkable
@@ -165,7 +171,9 @@ class Incremental(Protocol):
     """Interface of objectives whose values can be updated when a single landmark moves."""
 
     def field(self, evaluator: Evaluator) -> "Field":
-        """Incremental evaluator that updates the values at the positions of `evaluator` when single landmarks move."""
+        """Incremental evaluator (field): it updates the values at the positions of `evaluator` when single landmarks
+        move.
+        """
 
     def target(self, relevance: FloatArray) -> "Target":
         """Return the `Target`, which computes the fitness from the values of the field. `relevance` `(Q,)` has the
@@ -183,13 +191,13 @@ class Selectable(Protocol):
 
 @runtime_checkable
 class SelfValidating(Protocol):
-    """Interface of objectives with a validation of their own: their figures off the grid are not computed at random
-    poses in the room.
+    """Interface of objectives that compute their figures off the grid themselves, instead of at random poses in the
+    room.
     """
 
     def off_grid(self, evaluator: Evaluator, deployment: Deployment) -> dict[str, float]:
-        """Figures (metrics) of a deployment off the grid; their names begin with `grid_free_`, and the mapping may be
-        empty.
+        """Figures (metrics) of a deployment off the grid; empty if there are none. The names of the figures begin with
+        `grid_free_`.
         """
 
 

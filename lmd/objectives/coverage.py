@@ -23,7 +23,7 @@ PRICE_BYTES = 24  # memory of a view while poses are selected, bytes: price, cou
 
 
 class Threshold(NamedTuple):
-    """Fitness that is the total weight of the positions whose value reaches a threshold; a `Target`."""
+    """A `Target` whose fitness is the total weight of the positions whose value reaches a threshold."""
 
     threshold: int
     """Least quantised value of a qualified position."""
@@ -43,7 +43,7 @@ def _contribution(target, p, units):  # type: ignore[no-untyped-def]
 
 
 class Mean(NamedTuple):
-    """Fitness that is the weighted mean of the values; a `Target`."""
+    """A `Target` whose fitness is the weighted mean of the values."""
 
     relevance: FloatArray
     """`(Q,)` weights of the positions."""
@@ -70,7 +70,7 @@ class Coverage(AtLeast):
         n: least number of landmarks that the camera must see at the same time.
         thold_p: least P_n of a qualified position.
         sampling: random positions and orientations on which the fitness is computed; None for the room's grid and the
-            PDF itself.
+            orientations of the scene's PDF.
 
     Raises:
         InputError: n < 1 or thold_p outside [0, 1].
@@ -104,8 +104,8 @@ class Coverage(AtLeast):
         return {"qualified_ratio": self.qualified(values), "average_coverage_probability": values}
 
     def figures(self, values: FloatArray, relevance: FloatArray) -> dict[str, float]:
-        """The paper's three indices of coverage, which are fractions in [0, 1], and the paper's cost H, which is a sum
-        of relevance (Eq. H2).
+        """Four metrics of the paper: its three indices of coverage, which are fractions in [0, 1], and its cost H,
+        which is a sum of relevance (Eq. H2).
         """
         return {
             **{key: float(share.mean()) for key, share in self.shares(values).items()},
@@ -167,7 +167,7 @@ class MeanCoverage(Coverage):
 
 
 class CappedCount:
-    """Weighted sum of min(number of covered landmarks, n) over positions and axes; a `Selection`.
+    """Weighted sum of min(number of covered landmarks, n) over positions and axes (orientations); a `Selection`.
 
     For n >= 2 the indicator of n covered landmarks is not submodular, because the first landmark gains nothing. The sum
     above is submodular if no landmark hides another.

@@ -1,6 +1,4 @@
-"""Fitness and metrics over the crowd states of a scene, and the `Target` that uses the worst groups of positions
-only.
-"""
+"""Fitness and metrics over the crowd states of a scene, and a `Target` that uses only the worst groups of positions."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -18,7 +16,7 @@ from lmd.space.crowd import worst_mean, worst_of
 
 class WorstGroups(NamedTuple):
     """Target whose fitness is the mean fitness of another target over the worst of S groups of positions. The positions
-    of one crowd state form a group.
+    of one crowd state, or of one drive, form a group.
     """
 
     target: Any
@@ -36,8 +34,8 @@ class WorstGroups(NamedTuple):
         return self.target.relevance  # type: ignore[no-any-return]
 
     def of_worst(self, units: IntArray) -> Any:
-        """Target that sums over the positions of only those groups that are the worst for the values `units` `(Q,)`. At
-        these values, its fitness and the fitness of this target have equal derivatives.
+        """Target that sums only over the positions of the worst groups, which are chosen by the values `units` `(Q,)`.
+        At these values, the fitness of the returned target and the fitness of this target have equal derivatives.
         """
         terms = np.array([contribution(self.target, p, units[p]) for p in range(len(units))])
         sums = np.bincount(self.groups, terms, self.number)
@@ -58,8 +56,8 @@ def _contribution(target, p, units):  # type: ignore[no-untyped-def]
 
 @allocating
 def _worst_of_terms(target: Any, terms: FloatArray) -> Any:
-    """Fitness over the worst groups, from the contribution of each position to the other target's fitness, `terms`
-    `(Q,)`.
+    """Fitness over the worst groups. `terms` `(Q,)` has the contribution of each position to the fitness of the other
+    target, `target.target`.
     """
     sums = np.zeros(target.number)
     for p in range(len(terms)):
@@ -69,7 +67,7 @@ def _worst_of_terms(target: Any, terms: FloatArray) -> Any:
 
 @allocating
 def _worst_of_units(target: Any, units: Any) -> Any:
-    """Fitness over the worst groups, from the quantised values of the positions, `units` `(Q,)`."""
+    """Fitness over the worst groups, computed from the quantised values `units` `(Q,)` of the positions."""
     sums = np.zeros(target.number)
     for p in range(len(units)):
         sums[target.groups[p]] += contribution(target.target, p, units[p])
@@ -78,8 +76,8 @@ def _worst_of_units(target: Any, units: Any) -> Any:
 
 @inner
 def _mean_of_worst(sums: FloatArray, worst: Integer) -> Any:
-    """Mean of the `worst` smallest of the S `sums`, times S. Without this factor the mean would be the fitness of a
-    single group, a part of the whole. The function overwrites `sums`.
+    """Mean of the `worst` smallest of the S `sums`, times S; the function overwrites `sums`. Without the factor S, the
+    mean would be the fitness of a single group, a part of the whole.
     """
     total, number = 0.0, len(sums)
     for _ in range(worst):
@@ -112,9 +110,9 @@ def seeks_worst(evaluator: Evaluator) -> bool:
 
 
 def over_states(objective: Objective, values: FloatArray, evaluator: Evaluator, relevance: FloatArray) -> FloatArray:
-    """Fitness `(...)` from the values `(..., P)` and the weights `(P,)` of an evaluator's positions. The fitness is
-    computed from all positions in all crowd states; if `seeks_worst`, it is computed for each state, and the mean over
-    the worst states is returned.
+    """Fitness `(...)` from the values `(..., P)` and the weights `(P,)` of an evaluator's positions. If the fitness is
+    the mean over the worst crowd states (`seeks_worst`), the result is this mean. Otherwise it is the fitness of all
+    positions in all states.
     """
     if not seeks_worst(evaluator):
         return objective.fitness(values, relevance)
@@ -125,7 +123,9 @@ def over_states(objective: Objective, values: FloatArray, evaluator: Evaluator, 
 
 
 def target_of(objective: Objective, field: Field, evaluator: Evaluator, relevance: FloatArray) -> Target:
-    """Return the `Target` that computes the fitness of `over_states` from the values of a field of `evaluator`."""
+    """Return the `Target` with the fitness of `over_states`: it computes this fitness from the values of `field`, a
+    field of `evaluator`.
+    """
     target = incremental(objective).target(in_order(field, relevance))
     if not seeks_worst(evaluator):
         return target
@@ -136,15 +136,15 @@ def target_of(objective: Objective, field: Field, evaluator: Evaluator, relevanc
 
 
 def slope_target(target: Target, units: IntArray) -> Target:
-    """Target for the computation of slopes at the values `units` `(Q,)`: its fitness is a sum over positions, and has
-    at these values the derivatives of the fitness of `target`.
+    """Target for the computation of slopes at the values `units` `(Q,)`. Its fitness is a sum over positions. At these
+    values, this fitness and the fitness of `target` have equal derivatives.
     """
     return target.of_worst(units) if isinstance(target, WorstGroups) else target
 
 
 def worst_figures(objective: Objective, values: FloatArray, evaluator: Evaluator) -> dict[str, float]:
-    """The objective's main figure in the worst crowd states, computed from values `(P,)` and keyed by its name; empty
-    without a crowd.
+    """The objective's main figure in the worst crowd states, computed from values `(P,)`. The key is the figure's name
+    with the prefix `WORST`. Empty without a crowd.
     """
     if evaluator.scene.crowd is None:
         return {}
@@ -154,8 +154,8 @@ def worst_figures(objective: Objective, values: FloatArray, evaluator: Evaluator
 
 
 def describe_crowd(objective: Objective, figures: Mapping[str, float], evaluator: Evaluator) -> dict[str, str]:
-    """Labelled sentences for the terminal about the crowd and about the metrics in its worst states; empty without a
-    crowd.
+    """Sentences for the terminal, keyed by label, about the crowd and about the metrics in its worst states. Empty
+    without a crowd.
     """
     crowd = evaluator.scene.crowd
     if crowd is None:
@@ -170,16 +170,16 @@ def describe_crowd(objective: Objective, figures: Mapping[str, float], evaluator
 
 
 def worst_share(shares: FloatArray, evaluator: Evaluator) -> FloatArray:
-    """Mean of `shares` `(P,)`, values in [0, 1], over the worst crowd states, which are the states with the lowest
-    means of `shares`.
+    """Mean of `shares` `(P,)`, values in [0, 1], over the worst crowd states: the states in which the mean of `shares`
+    is lowest.
     """
     count = len(_states(evaluator)[0])
     return worst_mean(shares.reshape(count, -1).mean(axis=-1), _worst_count(evaluator, count))
 
 
 def _states(evaluator: Evaluator) -> tuple[IntArray, IntArray]:
-    """Crowd states that occur at the positions of an evaluator, and for each position the index of its state among
-    these, `(P,)`.
+    """Indices of the crowd states that occur at the positions of an evaluator, and an array `(P,)`: for each position,
+    the index of its state in the first array.
     """
     assert evaluator.states is not None, "there is a crowd"
     present, index = np.unique(evaluator.states, return_inverse=True)

@@ -1,8 +1,8 @@
 """Field (incremental evaluator) for visibility models without a compiled model of sight: each move costs a full
 evaluation.
 
-The field runs as plain Python (`lmd.incremental.field.runner`). This field has no stacks, because the model cannot be
-evaluated without occlusion.
+The field runs as plain Python (`lmd.incremental.field.runner`). It has no stacks (groups of coincident landmarks),
+because the visibility model cannot be evaluated without occlusion.
 """
 
 from dataclasses import dataclass
@@ -30,8 +30,8 @@ class ReferenceState(NamedTuple):
 
 
 class ReferenceScratch(NamedTuple):
-    """Working memory with the move tried last. Once this move is carried out, the memory has the old place and the old
-    values instead.
+    """Working memory with the results of the move tried last. After this move is carried out, the memory has the old
+    place and the old values instead.
     """
 
     pose: np.ndarray
@@ -74,7 +74,9 @@ class ReferenceField:
         return ReferenceScratch(np.empty(6), np.empty(1, dtype=np.int64), state.units.copy())
 
     def units(self, poses: FloatArray) -> np.ndarray:
-        """Quantised values `(Q,)` of landmarks with `poses` `(6, K)`."""
+        """Quantised value of each position, `(Q,)`, for landmarks with `poses` `(6, K)`: positions, metres, and unit
+        normals.
+        """
         values = self.objective.values(self.evaluator, poses[:3].T[None], poses[3:].T[None])[0]
         return np.asarray(np.rint(values * PROBABILITY_ONE), dtype=np.int64)
 
@@ -105,7 +107,7 @@ def _leave(field, k, state, scratch):  # type: ignore[no-untyped-def]
 @accept.register(ReferenceField)
 @undo.register(ReferenceField)
 def _exchange(field, k, state, scratch):  # type: ignore[no-untyped-def] # noqa: ARG001
-    """Swap the place of landmark k and the values in the state for those in the scratch."""
+    """Swap the place of landmark k and the values of all positions between state and scratch."""
     pairs = (
         (state.poses[:, k], scratch.pose),
         (state.surfaces[k : k + 1], scratch.surface),

@@ -57,8 +57,9 @@ class Sampling(Checked):
         return Evaluator(drawn, positions, threads, states=_states(scene.crowd, repeats, cells, rng))
 
     def repeats(self, scene: Scene, least: int) -> int:
-        """Number of positions drawn in each cell: `least`. If the fitness is the mean over the worst crowd states, and
-        `least` exceeds the number of states, `least` is rounded up to a multiple of this number.
+        """Number of positions drawn in each cell: `least`, or `least` rounded up to a multiple of the number of crowd
+        states. It is rounded up if the fitness is the mean over the worst crowd states, and `least` is at least their
+        number.
         """
         crowd = scene.crowd
         if crowd is None or crowd.crowd.fitness == "mean" or least < len(crowd):
@@ -67,7 +68,7 @@ class Sampling(Checked):
 
 
 def _states(crowd: CrowdStates, repeats: int, cells: int, rng: np.random.Generator) -> IntArray:
-    """Crowd state at each position of `jittered_grid`, `(repeats cells,)`.
+    """Index of the crowd state at each position of `jittered_grid`, `(repeats cells,)`.
 
     For the mean over states, the states are distributed evenly over the positions of each cell, and over the cells. For
     the worst states, each state that is used (all states, or a random choice) has equally many positions in all cells.

@@ -19,8 +19,8 @@ AWAY = np.array([0.0, 0.0, 1e6, 0.0, 0.0, 1.0])
 
 
 def without_landmarks(field: Field, target: Target, deployment: Deployment) -> FloatArray:
-    """Fitness without each pair of landmarks: entry (i, j) is the fitness without landmarks i and j, and entry (i, i)
-    without landmark i; `(K, K)`.
+    """Fitness without each pair of landmarks, `(K, K)`: entry (i, j) is the fitness without landmarks i and j, and
+    entry (i, i) the fitness without landmark i.
 
     Args:
         field: incremental evaluator of the values.
@@ -40,8 +40,8 @@ def without_landmarks(field: Field, target: Target, deployment: Deployment) -> F
 
 
 def removal_order(field: Field, target: Target, deployment: Deployment) -> tuple[IntArray, FloatArray]:
-    """Greedy order of removal: each step removes the landmark without which the fitness is greatest; among equals, the
-    landmark with the lowest index.
+    """Greedy order of removal: each step removes the landmark without which the fitness is greatest. Among several such
+    landmarks, the step removes the one with the lowest index.
 
     Args:
         field: incremental evaluator of the values.

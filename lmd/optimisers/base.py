@@ -1,4 +1,4 @@
-"""Base classes of optimisers: the interface that pipelines use, and the loop of asking and telling."""
+"""Base classes of optimisers: the interface that pipelines use, and optimisers that propose batches of genes."""
 
 import math
 import sys
@@ -97,7 +97,7 @@ class Optimiser(ABC):
             raise InputError(f"{type(self).__name__} places landmarks, not cameras; use a black box.")
 
     def figures(self) -> Mapping[str, float]:
-        """Further metrics of the run, recorded in addition to the fitness; none by default."""
+        """Further metrics of the run, keyed by name, which are recorded in addition to the fitness; none by default."""
         return {}
 
     @abstractmethod
@@ -106,20 +106,20 @@ class Optimiser(ABC):
 
     @abstractmethod
     def found(self, problem: Problem) -> Deployment | None:
-        """Best deployment found until now; None if no deployment is found."""
+        """Best deployment found until now; None before the first deployment is found."""
 
     def found_rig(self, problem: Problem) -> Rig | None:
-        """Best cameras found until now; None if no cameras are found or placed."""
+        """Best cameras found until now; None if the optimiser places no cameras, or has found none yet."""
         return None
 
     def _spend(
         self, problem: Problem, budget: Budget, callback: Callback | None, step: Callable[[float], None],
         spent: Callable[[], float],
     ) -> Result:  # fmt: skip
-        """Call `step` with the spent fraction of the budget until the budget is used up, or the callback stops the run.
+        """Call `step` until the budget is used up or `callback` stops the run; return the result of the run.
 
-        `spent` returns the exact number of evaluations spent. The ledger's number is not used, because it may be a sum
-        of rounded fractions.
+        `step` is called with the spent fraction of the budget. `spent` returns the exact number of evaluations spent.
+        The ledger's number is not used, because it may be a sum of rounded fractions.
         """
         while (used := budget.used(spent(), self.ledger.seconds)) < 1.0:
             step(used)
@@ -128,7 +128,11 @@ class Optimiser(ABC):
         return self.result(problem, "budget")
 
     def result(self, problem: Problem, stopped: str) -> Result:
-        """Result of `run`, made from the ledger, also for an interrupted run.
+        """Make the result of a run from the ledger and the best deployment; the run may have been interrupted.
+
+        Args:
+            problem: problem of the run.
+            stopped: reason of the end, see `Result.stopped`.
 
         Raises:
             InputError: no deployment was found.
@@ -143,14 +147,15 @@ class Optimiser(ABC):
 class AskTell(Optimiser):
     """Base of optimisers that propose batches of genes (`ask`) and are then told the fitness of these genes (`tell`).
 
-    Overlapping footprints are pushed apart before an evaluation (`lmd.scene.footprints`); the genes do not change. A
-    deployment whose footprints find no room counts as a failed evaluation.
+    Overlapping footprints of tags are pushed apart before an evaluation (`lmd.scene.footprints`); the genes do not
+    change. A deployment whose footprints find no room counts as a failed evaluation.
 
     Subclasses write `_ask` and `_tell` only. `run` sets three attributes before the first `_ask`:
 
     - `self.dim`: number of genes.
     - `self.rng`: a `numpy.random.Generator`, the only source of randomness to use.
-    - `self.start`: `(S, dim)` genes to start from, 1 <= S <= `self.start_size`, no more than the budget can evaluate.
+    - `self.start`: `(S, dim)` genes of S >= 1 candidates to start from, at most `self.start_size` and at most as many
+      as the budget can evaluate.
 
     Args:
         seed: see `Optimiser`.
@@ -158,7 +163,7 @@ class AskTell(Optimiser):
             caller sets before `run`, by default `wall`.
 
     A checkpoint holds the fitness of all batches, but no genes. `restore` repeats all calls of `_ask` and `_tell` with
-    this fitness, without evaluations, which reproduces the state of any subclass.
+    this fitness, but evaluates nothing. This reproduces the state of any subclass.
     """
 
     start_size = 1
@@ -177,7 +182,7 @@ class AskTell(Optimiser):
 
     @abstractmethod
     def _ask(self) -> FloatArray:
-        """Propose genes `(B, dim)` in the unit box, for B >= 1 candidates."""
+        """Return the genes, `(B, dim)`, in the unit box, of the next B >= 1 candidates to evaluate."""
 
     @abstractmethod
     def _tell(self, genes: FloatArray, fitness: FloatArray) -> None:
@@ -202,11 +207,11 @@ class AskTell(Optimiser):
         return np.clip(genes, 0.0, 1.0)
 
     def tell(self, genes: FloatArray, fitness: FloatArray) -> None:
-        """Record the fitness of a batch and pass it to `_tell`; NaN counts as -inf."""
+        """Record the `fitness` `(B,)` of `genes` `(B, dim)`, and pass both to `_tell`; NaN counts as -inf."""
         self._tell(genes, self._note(genes, fitness))
 
     def _note(self, genes: FloatArray, fitness: FloatArray) -> FloatArray:
-        """Record the fitness of a batch; return the fitness with NaN replaced by -inf."""
+        """Record the fitness of a batch without passing it to `_tell`; return the fitness with NaN replaced by -inf."""
         fitness = np.where(np.isnan(fitness), -np.inf, fitness)
         self.told.append((_checksum(genes), fitness.copy(), self.ledger.seconds))
         if (best := self.ledger.note_batch(fitness)) is not None:
@@ -214,8 +219,9 @@ class AskTell(Optimiser):
         return fitness
 
     def _note_or_tell(self, genes: FloatArray, fitness: FloatArray, asked: int) -> None:
-        """Pass a batch to `_tell` if it has all `asked` candidates. A batch that the budget has cut short is only
-        recorded.
+        """Record a batch, and pass it to `_tell` unless the budget has cut the batch short.
+
+        `asked` is the number of candidates that were proposed; a batch that was cut short has fewer.
         """
         if len(genes) == asked:
             self.tell(genes, fitness)
@@ -250,14 +256,14 @@ class AskTell(Optimiser):
             if len(genes) < len(known) or _checksum(genes) != checksum:
                 raise InputError(
                     f"{type(self).__name__} cannot be resumed: it proposes other genes than the checkpoint has, as may "
-                    "happen after a change of its library, or with random numbers from elsewhere than self.rng."
+                    "happen after a change of its library, or if random numbers are not from self.rng."
                 )
             self.ledger.seconds = by_then
             self._note_or_tell(genes, known, asked)
         self._genome(problem).reached(self.ledger.best_fitness)
 
     def _draw_start(self, problem: Problem, budget: Budget) -> None:
-        """Set `dim`, `rng` and `start`; `start` has no more candidates than the budget can evaluate."""
+        """Set `dim`, `rng` and `start`; `start` has at most as many candidates as the budget can evaluate."""
         genome = self._genome(problem)
         self.dim = genome.dim
         taken = f"optimiser: {self.start_size} candidates of {self.dim} genes at a time"
@@ -270,7 +276,10 @@ class AskTell(Optimiser):
 
     @override
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
-        """Ask, evaluate and tell until the budget is used up; a batch that would exceed the budget is cut short."""
+        """Propose genes, evaluate them and record their fitness, until the budget is used up.
+
+        A batch that would exceed the budget is cut short.
+        """
         ledger, genome = self.ledger, self._genome(problem)
         began = clock() - ledger.seconds
         if not ledger.evaluations:
@@ -319,7 +328,7 @@ class DeploymentSearch(Optimiser):
 
     @override
     def state(self) -> dict[str, Any]:
-        """See `Optimiser.state`; a subclass that holds more data adds them."""
+        """See `Optimiser.state`; a subclass adds its own data to the history and the best deployment."""
         return {**self.ledger.state(), "best": None if self.best is None else deployment_state(self.best)}
 
     @override
@@ -338,8 +347,8 @@ class DeploymentSearch(Optimiser):
         Args:
             problem: problem of the run.
             evaluations: number of full evaluations spent in the whole run.
-            deployment: deployment to be evaluated; None if it cannot be the best.
-            began: time at which the run would have begun without a pause, see `clock`.
+            deployment: deployment to be evaluated; None to record only what was spent.
+            began: time of `clock`, seconds, at which the run would have begun if it had never been paused.
         """
         fitness = -math.inf if deployment is None else problem.fitness_of(deployment)
         self.ledger.seconds = clock() - began

@@ -113,7 +113,11 @@ class CameraAnnealing(Optimiser):
         return None if self.best is None else _cameras(problem).rig(self.best.reshape(-1))
 
     def _note(self, fitness: FloatArray) -> None:
-        """Record the `fitness` `(C,)` after each of the C moves of a sweep; a move costs 1/C of an evaluation."""
+        """Record in the ledger a sweep, in which one move of each of the C cameras was tried.
+
+        `fitness` `(C,)` has the fitness of the rig tried in each move. Only improvements and the last move are
+        recorded; a move costs 1/C of an evaluation.
+        """
         ledger, spent, last = self.ledger, self.ledger.evaluations, len(fitness) - 1
         for move, reached in enumerate(fitness.tolist()):
             if reached > ledger.best_fitness and move < last:
@@ -121,8 +125,15 @@ class CameraAnnealing(Optimiser):
         ledger.note(spent + 1, reached)
 
     def _swept(self, problem: CameraProblem, used: float, energy: float) -> tuple[float, FloatArray]:
-        """Try to move each camera once; return the energy of the resulting cameras, and the fitness after each tried
-        move.
+        """Try to move each of the C cameras once; moves are accepted by Metropolis' rule.
+
+        Args:
+            problem: problem of the cameras.
+            used: completed fraction of the schedule, in [0, 1].
+            energy: energy of the present cameras.
+
+        Returns:
+            energy of the resulting cameras, and the fitness of the rig tried in each move, `(C,)`.
         """
         assert self.here is not None
         best, reached = self.ledger.best_fitness, np.empty(len(self.here))
@@ -139,7 +150,7 @@ class CameraAnnealing(Optimiser):
         return energy, reached
 
     def _changed(self, genes: FloatArray, used: float) -> FloatArray:
-        """Return genes of a camera, `(G,)`, after a random change."""
+        """Return the genes `(G,)` of a camera after a random change, at the fraction `used` of the schedule."""
         if self.rng.random() < self.jump[0] + used * (self.jump[1] - self.jump[0]):
             return self.rng.random(len(genes))
         step = self.step[0] * (self.step[1] / self.step[0]) ** used
@@ -150,7 +161,10 @@ class CameraAnnealing(Optimiser):
         return np.clip(moved, 0.0, 1.0)
 
     def _scored(self, problem: CameraProblem, genes: FloatArray) -> tuple[float, float]:
-        """Fitness and energy of all cameras together, given their genes; -inf for cameras that are not admissible."""
+        """Fitness and energy of the rig whose C cameras have the `genes` `(C, G)`.
+
+        Both are -inf for cameras that are not admissible.
+        """
         mounts = problem.space.mounts(genes)
         fitness = problem.fitness_of_cameras(mounts)
         if mounts is None or not math.isfinite(fitness):
@@ -161,5 +175,5 @@ class CameraAnnealing(Optimiser):
 
 def _cameras(problem: Problem) -> CameraProblem:
     if not isinstance(problem, CameraProblem):
-        raise InputError("CameraAnnealing places cameras, not landmarks; use Annealing for these.")
+        raise InputError("CameraAnnealing places cameras, not landmarks; use Annealing for landmarks.")
     return problem

@@ -52,7 +52,7 @@ class Checkpoint:
         write_whole(directory / CHECKPOINT_FILE, self._content())
 
     def resume(self, directory: str | Path, problem: Problem) -> None:
-        """Continue from the state and the tracked run of the checkpoint in `directory`.
+        """Restore the optimiser's state and the tracked run's id, in place, from the checkpoint in `directory`.
 
         Args:
             directory: directory of the run to resume.
@@ -93,7 +93,10 @@ class Checkpoint:
 
 
 def _without_arrays(name: str, value: Any, arrays: dict[str, Any]) -> Any:
-    """Copy of `value` for JSON: a name replaces each array, which is added to `arrays` under this name."""
+    """Copy of `value` for JSON, in which each array is replaced by a name.
+
+    The arrays are added to the mapping `arrays`, keyed by these names. `name` is the path of `value` in the state.
+    """
     if value is None or isinstance(value, str | bool | int | float):
         return value
     if isinstance(value, np.generic):

@@ -1,7 +1,7 @@
 """Encodings (W in the paper), which convert deployments to genes in the unit box, and genes to deployments.
 
-A black-box optimiser varies genes in [0, 1]; an encoding maps the genes to landmarks. All genes of a landmark are
-adjacent.
+A black-box optimiser varies genes in [0, 1]; an encoding maps the genes to landmarks. The genes of one landmark follow
+one another.
 """
 
 from typing import TypeAlias
@@ -24,7 +24,7 @@ KINDS = ("wall", "paper")
 
 
 class PaperEncoding:
-    """Encoding printed in the paper, with five genes for a landmark: x, y, z, yaw rho, pitch eta.
+    """Encoding of the paper, with five genes for a landmark: x, y, z, yaw rho and pitch eta.
 
     The point (x, y, z) is projected to the nearest surface that may carry landmarks. With `flush` the landmark has the
     normal of the surface, and the genes of the two angles have no effect, though they are part of the chromosome.
@@ -43,8 +43,10 @@ class PaperEncoding:
         self.planes_tell = room.blockers() is None and not np.triu(alike, 1).any()
 
     def decode(self, genes: FloatArray) -> tuple[FloatArray, FloatArray, np.ndarray]:
-        """Decode the genes `(B, K * genes_per_landmark)`, in [0, 1], of B deployments; return positions and normals,
-        `(B, K, 3)` each, and indices of surfaces, `(B, K)`.
+        """Decode the genes `(B, K * genes_per_landmark)`, in [0, 1], of B deployments.
+
+        Returns:
+            positions and normals, `(B, K, 3)` each, and indices of surfaces, `(B, K)`.
         """
         g = genes.reshape(len(genes), genes.shape[1] // 5, 5)
         points = self.low + g[..., :3] * self.size
@@ -72,8 +74,10 @@ class PaperEncoding:
         return np.clip(np.hstack([(points - self.low) / self.size, angles]), 0.0, 1.0).reshape(-1)
 
     def _distance(self, points: FloatArray) -> FloatArray:
-        """Distance of points `(..., 3)` from each of W surfaces, `(..., W)`, metres. In rooms where the planes of the
-        surfaces suffice to find the nearest surface, it is the distance from the plane.
+        """Distance of points `(..., 3)` from each of W surfaces, `(..., W)`, metres.
+
+        If the distances from the planes of the surfaces suffice to find the nearest surface, these are returned
+        instead.
         """
         s, depth = self.surfaces, np.abs(self.surfaces.heights(points))
         if self.planes_tell:
@@ -85,12 +89,12 @@ class PaperEncoding:
 
 
 class WallEncoding:
-    """Encoding with two genes for a landmark: its horizontal coordinate along all surfaces, which are laid side by
-    side, and its height on its surface.
+    """Encoding with two genes for a landmark: a horizontal coordinate and a height.
 
-    Each piece of a surface where landmarks may hang gets an interval of the first gene in proportion to its area, so
-    uniform genes give places that are uniform over these pieces. Without `flush`, two more genes turn the normal by up
-    to 90 degrees towards u and v of the surface.
+    The horizontal coordinate runs along all surfaces, laid side by side; the height is on the surface. Each piece of a
+    surface where landmarks may hang gets an interval of the first gene in proportion to the area of the piece. So
+    uniform random genes give places that are uniform over all pieces. Without `flush`, two more genes turn the
+    landmark's normal by up to 90 degrees towards u and v, the axes of the surface.
     """
 
     def __init__(self, room: Space, flush: bool) -> None:
@@ -138,6 +142,11 @@ Encoding: TypeAlias = PaperEncoding | WallEncoding
 
 def make_encoding(kind: str, room: Space, flush: bool) -> Encoding:
     """Make the encoding with the name `kind`, one of `KINDS`.
+
+    Args:
+        kind: name of the encoding.
+        room: space with the surfaces that may carry landmarks.
+        flush: True if landmarks lie flat on their surface.
 
     Raises:
         InputError: no encoding has this name.
@@ -191,11 +200,14 @@ class LandmarkGenome:
         """See `Genome.rig`."""
 
     def reached(self, fitness: float) -> None:
-        """See `Genome.reached`; the fitness of genes does not depend on earlier evaluations."""
+        """See `Genome.reached`; nothing is done, as the fitness of genes does not depend on earlier evaluations."""
 
     def _placed(self, genes: FloatArray) -> tuple[FloatArray, FloatArray, IntArray, BoolArray]:
-        """Decode genes `(B, dim)`, put the fixed landmarks first, and push footprints apart; return positions, normals,
-        surfaces, and a mask of the candidates that find room.
+        """Decode genes `(B, dim)`, put the fixed landmarks first, and push overlapping footprints apart.
+
+        Returns:
+            positions and normals, `(B, K, 3)` each, indices of surfaces, `(B, K)`, and a mask of the candidates whose
+            footprints all find room, `(B,)`.
         """
         problem = self._problem
         positions, normals, surfaces = self._encoding.decode(genes)
@@ -207,5 +219,5 @@ class LandmarkGenome:
 
 
 def _behind(fixed: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """Put the array `fixed` `(F, ...)` before the free landmarks of each deployment in `free` `(B, N, ...)`."""
+    """Join the array `fixed` `(F, ...)` and the array `free` `(B, N, ...)`: each of the B rows begins with `fixed`."""
     return np.concatenate([np.broadcast_to(fixed, (len(free), *fixed.shape)), free], axis=1)

@@ -1,6 +1,4 @@
-"""The genetic algorithms of the paper (Sec. IV-B and V-A), their operators, and random search, the baseline for all
-optimisers.
-"""
+"""The genetic algorithms of the paper (Sec. IV-B and V-A), their operators, and random search as a baseline."""
 
 import numpy as np
 
@@ -17,19 +15,21 @@ def filled_up(start: FloatArray, size: int, rng: np.random.Generator) -> FloatAr
 
 
 def recombination_range(shortest: float, longest: float) -> tuple[float, float]:
-    """Check and return Y_min and Y_max, the least and the greatest length of a run of exchanged genes, as fractions of
-    the chromosome's length.
+    """Check and return Y_min and Y_max, the least and the greatest length of a run of exchanged genes.
+
+    Both are fractions of the chromosome's length.
 
     Raises:
-        InputError: not 0 <= shortest <= longest <= 1.
+        InputError: 0 <= shortest <= longest <= 1 does not hold.
     """
     longest = real("recombination_max", longest, low=0.0, high=1.0)
     return real("recombination_min", shortest, low=0.0, high=longest), longest
 
 
 def run_of_genes(rng: np.random.Generator, dim: int, shortest: float, longest: float) -> slice:
-    """Draw a random run of successive genes of a chromosome; its length is between `shortest` and `longest` times
-    `dim`.
+    """Draw a random run of successive genes among the `dim` genes of a chromosome.
+
+    The length of the run is between `shortest` and `longest` times `dim`.
     """
     length = int(rng.integers(round(shortest * dim), round(longest * dim), endpoint=True))
     first = int(rng.integers(0, dim - length, endpoint=True))
@@ -37,8 +37,9 @@ def run_of_genes(rng: np.random.Generator, dim: int, shortest: float, longest: f
 
 
 def exchange(rng: np.random.Generator, parents: FloatArray, shortest: float, longest: float) -> FloatArray:
-    """Pair up `parents` `(B, dim)` at random and exchange a run of genes in each pair; return the children `(B, dim)`.
-    A parent without a partner is copied.
+    """Pair up `parents` `(B, dim)` at random, and exchange a run of genes in each pair; return the children `(B, dim)`.
+
+    The length of a run is between `shortest` and `longest` times `dim`. A parent without a partner is copied.
     """
     children = parents.copy()
     order = rng.permutation(len(parents))
@@ -49,7 +50,7 @@ def exchange(rng: np.random.Generator, parents: FloatArray, shortest: float, lon
 
 
 def reset(rng: np.random.Generator, genes: FloatArray, probability: float) -> FloatArray:
-    """Replace each gene by a new random value with the given `probability`."""
+    """Return a copy of `genes` in which each gene is replaced by a new random value with the given `probability`."""
     mutates = rng.random(genes.shape) < probability
     return np.where(mutates, rng.random(genes.shape), genes)
 
@@ -127,7 +128,10 @@ class EGA(AskTell):
         self.population, self.fitness = genes[order], fitness[order]
 
     def _recombine(self, pool: FloatArray) -> FloatArray:
-        """Children `(M - 1 - Q, dim)` of the pool; the child in row i descends from parent i."""
+        """Return the children `(M - 1 - Q, dim)` of the recombinant `pool`, an array of the same shape.
+
+        The child in row i has the genes of parent i, apart from an exchanged run.
+        """
         assert self.population is not None
         shortest, longest = self.recombination_min, self.recombination_max
         if self.partner == "pool":
@@ -193,8 +197,9 @@ class SGA(AskTell):
         self.population, self.fitness = genes, fitness
 
     def _roulette(self) -> np.ndarray:
-        """Draw the indices of M parents. A chromosome whose evaluation failed has probability 0; if all evaluations
-        failed, the probabilities are equal.
+        """Draw the indices of M parents with probabilities in proportion to their fitness.
+
+        A chromosome whose evaluation failed has probability 0; if all evaluations failed, the probabilities are equal.
         """
         share = np.maximum(self.fitness, 0.0)
         if not share.any():

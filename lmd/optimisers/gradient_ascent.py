@@ -26,7 +26,10 @@ GROWTH, SHRINKAGE = 1.5, 0.5  # factors of the step after a trial that raises th
 
 @kernel
 def _smooth_fitness(target: Any, units: Any, width: float) -> Any:
-    """Smoothed fitness of a deployment with the quantised values `units` `(Q,)` at Q positions."""
+    """Smoothed fitness of a deployment with the quantised values `units` `(Q,)` at Q positions.
+
+    `width` is the width of the smooth step that replaces the threshold, on the scale of the values, 0 to 1.
+    """
     total, terms = 0.0, np.empty(len(units))
     for p in range(len(units)):
         terms[p] = smoothed(target, p, units[p], 0.0, width, SHARE)
@@ -105,7 +108,7 @@ class GradientAscent(DeploymentSearch):
         return self._spend(problem, budget, callback, step, lambda: self.spent / count)
 
     def _trial(self, problem: Problem, climb: "_Climb") -> Deployment:
-        """Try a step of the present ascent, or begin the next ascent; return the deployment to be evaluated."""
+        """Try a step of the present ascent, or begin the next ascent; return the deployment that is to be evaluated."""
         width = self.widths[self.stage]
         if self.direction is None:
             self.direction = climb.direction(self.step, width)
@@ -123,7 +126,7 @@ class GradientAscent(DeploymentSearch):
         return trial
 
     def _random(self, problem: Problem) -> Deployment:
-        """Draw a random deployment from which an ascent begins, even if the start of the problem is given."""
+        """Draw a random deployment from which an ascent begins, also if the problem's start is not random."""
         if problem.start.varies:
             return _movable(problem, problem.draw(self.rng))
         drawn = problem.scene.footprints.draw(RandomDeployment(problem.free_count), self.rng, problem.fixed)
@@ -158,16 +161,17 @@ class GradientAscent(DeploymentSearch):
 
 
 def _movable(problem: Problem, start: Deployment) -> Deployment:
-    """Return the deployment `start` with its free landmarks on surfaces where they may move; landmarks with a size are
-    made flush.
+    """Copy of the deployment `start` whose free landmarks are assigned to the surfaces on which they may move.
+
+    Raises:
+        InputError: a free landmark is on no surface, or has a size and is not flush with its surface.
     """
     footprints = problem.scene.footprints
     return problem.complete(problem.free(start).movable(footprints.room, flush=footprints.edge > 0.0))
 
 
 class _Climb:
-    """State of one ascent: the present deployment, and the state of the objective's field (the incremental evaluator)
-    for this deployment.
+    """State of one ascent: the present deployment, and the state of the objective's incremental evaluator.
 
     Args:
         problem: problem with an incremental objective.
@@ -183,12 +187,17 @@ class _Climb:
         self.begin(here)
 
     def begin(self, here: Deployment) -> None:
-        """Begin from the deployment `here`."""
+        """Begin a new ascent from the deployment `here`."""
         self._here, self._state = here, self._field.state(here)
 
     def direction(self, difference: float, width: float) -> FloatArray:
-        """Direction in which each landmark increases the smoothed objective most: unit vectors with components along u
-        and v, `(K, 2)`; zero for a landmark without a slope.
+        """Direction in which each landmark increases the smoothed objective most, `(K, 2)`, along u and v.
+
+        The directions are unit vectors, or zero for a landmark without a slope.
+
+        Args:
+            difference: step of the central difference, metres.
+            width: width of the smooth step that replaces the threshold, on the scale of the values, 0 to 1.
         """
         out, scratch = np.zeros((len(self._here), 2)), self._field.scratch(self._state)
         target = slope_target(self._target, self._state.units)
@@ -198,11 +207,17 @@ class _Climb:
         return np.asarray(out / np.where(length > 0.0, length, 1.0))
 
     def moved(self, away: FloatArray) -> Deployment:
-        """Move the landmarks by `away` `(K, 2)` along u and v, metres, and push overlapping footprints apart."""
+        """Deployment in which the landmarks are moved by `away` `(K, 2)` along u and v, metres.
+
+        Overlapping footprints are pushed apart; if they find no room, the present deployment is returned.
+        """
         return moved_along(self._problem, self._here, self._surfaces, away)
 
     def rises(self, trial: Deployment, width: float) -> bool:
-        """Move to the deployment `trial` if its smoothed fitness is higher; return True in this case."""
+        """Move to the deployment `trial` if its smoothed fitness is higher; return True in this case.
+
+        `width` is the width of the smooth step that replaces the threshold, on the scale of the values, 0 to 1.
+        """
         state, smooth = self._field.state(trial), runner(self._field, _smooth_fitness)
         before, now = (smooth(self._target, each.units, width) for each in (self._state, state))
         if now > before:

@@ -1,6 +1,4 @@
-"""Lazy greedy selection that maximises a submodular surrogate (`selection`), followed by a local search on the true
-objective.
-"""
+"""Greedy choice of landmarks by a submodular surrogate of the objective (`selection`), refined by a local search."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -61,17 +59,17 @@ class Greedy(Annealing):
 
 @dataclass(frozen=True)
 class GreedyDeployment(Checked):
-    """Deployment chosen greedily, as a start for any optimiser or to be scored (`deployment=greedy`).
+    """Deployment chosen greedily, to be evaluated or to start any optimiser (`deployment=greedy`).
 
-    The cost of the selection is not charged to the budget of the optimiser that starts from it.
+    The cost of the choice is not charged to the budget of an optimiser that starts from this deployment.
 
     Args:
         count: number of landmarks.
         scene: the scene.
         objective: objective that has a surrogate for greedy choice (`selection`).
         spacing: spacing of the grid of poses, metres.
-        threads: worker threads, all processors by default; the result does not depend on the number.
-        fixed: landmarks that exist already, with their surfaces; the selection adds landmarks up to `count`.
+        threads: number of worker threads; None for all processors. The result does not depend on this number.
+        fixed: landmarks that exist already, with their surfaces; landmarks are added until there are `count`.
 
     Raises:
         InputError: a value is out of range.

@@ -52,8 +52,8 @@ class Record:
     best_fitness: float
     """Best fitness at this point."""
     wall_time: float
-    """Seconds spent. All records of a batch have the end time of the batch, because its candidates are evaluated
-    together.
+    """Wall time spent, seconds. All records of a batch have the end time of the batch, because its candidates are
+    evaluated together.
     """
 
 
@@ -71,8 +71,9 @@ class Ledger:
     """Records in the order of time."""
 
     def note(self, evaluations: float, fitness: float) -> bool:
-        """Record that `evaluations` have been spent, and that the last one gave `fitness`; return True if this is the
-        best fitness until now.
+        """Record that `evaluations` have been spent in total, and that the last evaluation gave `fitness`.
+
+        Return True if `fitness` is higher than the best fitness before.
         """
         is_best = fitness > self.best_fitness
         self.evaluations, self.best_fitness = evaluations, fitness if is_best else self.best_fitness
@@ -86,7 +87,7 @@ class Ledger:
         needed to reach a fitness does not depend on the size of batches.
 
         Returns:
-            index of the best fitness in the batch; None if it is not better than the best fitness before.
+            index of the best fitness in the batch; None if the batch does not improve on the best fitness before.
         """
         spent, best = self.evaluations, np.maximum.accumulate(np.append(self.best_fitness, fitness))
         improved = np.flatnonzero(best[1:] > best[:-1]).tolist()
@@ -120,19 +121,21 @@ class Ledger:
 
 
 def columns_of(history: Sequence[Record]) -> dict[str, list[float]]:
-    """Columns of a table with the history of a run, from the first successful evaluation on."""
+    """Columns of a table with the history of a run, keyed by name, from the first successful evaluation on."""
     known = [record for record in history if math.isfinite(record.best_fitness)]
     return {key.name: [getattr(record, key.name) for record in known] for key in fields(Record)}
 
 
 def curve(history: Sequence[Record], budget: Budget, until: float = math.inf) -> list[tuple[int, float, float]]:
-    """Points (step, best fitness, seconds) of the curve of a run up to the step `until`; all runs with equal budgets
-    have points at equal steps.
+    """Points (step, best fitness, seconds) of the curve of a run up to the step `until`.
 
-    mlflow draws a group of runs as the mean over those runs that have a value at a step. With shared steps this mean
-    never falls. Steps are 1, 2, 5, 10, 20, ... and each hundredth of the budget, in evaluations, or in whole seconds if
-    only seconds are limited. The best fitness is carried forward to the next record and to the end; steps before the
-    first record have the value of the first record.
+    All runs with equal budgets have points at equal steps.
+
+    mlflow draws a group of runs as the mean over those runs that have a value at a step. Because all runs share their
+    steps, this mean never falls. Steps are 1, 2, 5, 10, 20, ... and each hundredth of the budget, in evaluations, or in
+    whole seconds if only seconds are limited. A point has the best fitness of the last record up to its step, and the
+    seconds of the first record from its step on. Steps before the first record have the fitness of the first record,
+    steps after the last record the seconds of the last record.
     """
     in_seconds = budget.evaluations is None
     most = math.ceil(budget.evaluations or budget.seconds or 0)

@@ -1,19 +1,21 @@
-"""Best choice of landmark poses from a lattice, with a proof of optimality. A mixed-integer linear program is solved by
-the solver HiGHS.
+"""Best choice of landmark poses from a lattice, with a proof of optimality, by mixed-integer linear programming.
 
-Let `x_j` be the number of landmarks at pose j of the lattice. Let `A_jpa` = 1 if a landmark at pose j covers axis a
-from position p without occlusion, else 0. Let `w_a` be the probability of an axis and `r_p` the relevance of a
-position. The program is the following.
+The solver is HiGHS.
+
+A view is a position p together with an optical axis a of the camera. Let `A_jpa` = 1 if the view sees a landmark at
+pose j of the lattice (occlusion ignored), else 0. Let `x_j` be the number of landmarks at pose j, and K the number of
+landmarks to place. Let `w_a` be the probability of an axis, `r_p` the relevance of a position, and `thold_p` the
+threshold on the total probability of its views that see at least n landmarks. The program is the following.
 
     maximise   sum_p r_p z_p                                        z_p: position p is qualified
-    such that  n y_pa <= sum_j A_jpa x_j   for all p, a             y_pa: at least n landmarks are covered
+    such that  n y_pa <= sum_j A_jpa x_j   for all p, a             y_pa: the view sees at least n landmarks
                thold_p z_p <= sum_a w_a y_pa   for all p
                sum_j x_j = K,   of each size of tags if there are several,   y and z 0 or 1,
                x_j 0 to n for points; 0 or 1 for tags, and x_i + x_j <= 1 where their papers overlap.
 
-Axes that are covered by equal sets of poses from a position are combined into one row, with the sum of their weights.
-Occlusion only reduces the numbers of covered landmarks, so a bound on the program also holds with occlusion. The chosen
-deployment is evaluated with occlusion, after the landmarks of each stack are separated.
+Views of a position that see equal sets of poses are combined into one row, with the sum of their weights `w_a`.
+Occlusion only reduces the numbers of landmarks seen, so a bound on the program also holds with occlusion. The chosen
+deployment is evaluated with occlusion, after landmarks at the same pose are separated.
 """
 
 import operator
@@ -47,8 +49,9 @@ MOST_PAIRS = 20_000_000  # largest number of pairs of a pose and a view; HiGHS s
 
 
 def lattice_of(problem: Problem, spacing: float) -> Deployment:
-    """Poses of a lattice (a regular grid on the surfaces) whose footprints do not overlap the footprints of fixed tags;
-    `spacing` in metres.
+    """Poses of a lattice, a regular grid on the surfaces, at which free landmarks may be placed.
+
+    Poses whose footprints would overlap the footprints of fixed tags are left out. `spacing` is in metres.
     """
     footprints, hung = problem.scene.footprints, problem.fixed_with_edges
     poses = candidates(footprints, problem.free_edges, spacing)
@@ -59,9 +62,7 @@ def lattice_of(problem: Problem, spacing: float) -> Deployment:
 
 
 def check_lattice(problem: Problem, poses: Deployment, spacing: float) -> None:
-    """Raise `InputError` if no integer program can be made for a problem and the poses of its lattice, or if it would
-    be too large.
-    """
+    """Raise `InputError` if the integer program of a problem is not possible, or too large, for the lattice `poses`."""
     objective = problem.objective
     if not isinstance(objective, Coverage) or objective.sampling is not None:
         raise InputError("the integer program needs the objective Coverage on the grid, without a sampling.")
@@ -81,15 +82,16 @@ def check_lattice(problem: Problem, poses: Deployment, spacing: float) -> None:
 
 
 def by_size(problem: Problem, poses: Deployment) -> list[tuple[IntArray, int]]:
-    """For each size of the free landmarks: the indices of the poses for this size, and the number of free landmarks of
-    this size.
+    """For each size of free landmarks: the indices of the lattice poses for it, and the number of these landmarks.
+
+    Landmarks of different sizes have different poses, because each size has a grid of its own.
     """
     sizes, own = problem.free_sizes, poses.edges_of(problem.scene.tag)
     return [(np.flatnonzero(own == edge), int((sizes == edge).sum())) for edge in np.unique(sizes)]
 
 
 def per_pose(problem: Problem) -> int:
-    """Largest number of landmarks at a pose: n for points, as in a stack of `Annealing`; 1 for tags with a size."""
+    """Largest number of landmarks at a pose: for points, the number n that a view must see; for tags with a size, 1."""
     return 1 if problem.scene.footprints.edge else problem.objective.n
 
 
@@ -113,31 +115,34 @@ def placed(problem: Problem, poses: Deployment, taken: IntArray) -> Deployment:
 
 
 def _seen(problem: Problem, landmarks: Deployment) -> NDArray[np.int8]:
-    """Number of `landmarks` that each view (a position with an axis) covers if no landmark hides another one; numbers
-    above n are replaced by n; `(P, A)`.
+    """Number of `landmarks` that each view (a position with an optical axis) sees, `(P, A)`, if none hides another one.
+
+    Numbers above n, the number that the objective requires, are replaced by n.
     """
     counts = covered_amounts(problem.evaluator, landmarks, np.ones(len(landmarks)))
     return np.minimum(counts[:, _used(problem)], problem.objective.n).astype(np.int8)
 
 
 def _views(problem: Problem) -> FloatArray:
-    """Probability of each view, a position with one of the axes that `_used` selects, `(P, A)`."""
+    """Probability of each view (a position with an optical axis), `(P, A)`; axes that never occur are left out."""
     evaluator = problem.evaluator
     probability = evaluator.probability[:, _used(problem)]
     return np.broadcast_to(probability, (len(evaluator.positions), probability.shape[1]))
 
 
 def _used(problem: Problem) -> BoolArray:
-    """Mask of the axes with a positive probability. Axes are stored in words of 64 bits; those that only fill up the
-    last word have the probability 0.
+    """Mask of the optical axes that have a positive probability.
+
+    Axes are stored as bits of 64-bit integers; the unused bits of the last integer are axes with probability 0.
     """
     return np.asarray(problem.evaluator.probability.max(axis=0) > 0.0)
 
 
 @dataclass(frozen=True)
 class Program:
-    """Integer program with the variables `x` for J poses, `y` for R rows, and `z` for P positions. A row stands for the
-    views of one position that would see landmarks at the same poses of the lattice.
+    """Integer program with variables for J poses, R rows and P positions: x, y and z of the module's text.
+
+    A row stands for the views of one position that would see landmarks at the same poses of the lattice.
     """
 
     covers: csr_array
@@ -157,8 +162,7 @@ class Program:
     n: int
     """Number n of landmarks that a view must see to count as covered."""
     threshold: float
-    """Threshold thold_p: a position is qualified if the total probability of its covered views is at least this number.
-    """
+    """Threshold thold_p: a position is qualified if its covered views have at least this total probability."""
     copies: int
     """Largest number of landmarks that may share a pose, see `per_pose`."""
 
@@ -184,8 +188,9 @@ class Program:
         return cls(*left, problem.fitness_relevance, problem.objective.n, threshold, per_pose(problem))
 
     def solver(self, options: Mapping[str, Any]) -> Callable[[], OptimizeResult]:
-        """Return a function that calls HiGHS. HiGHS minimises, so the objective is the total weight (relevance) of the
-        qualified positions with the opposite sign.
+        """Return a function that solves the program by HiGHS.
+
+        HiGHS minimises, so its objective is the total relevance of the qualified positions with the opposite sign.
 
         Args:
             options: limits of `scipy.optimize.milp`, such as `time_limit`.
@@ -217,9 +222,7 @@ class Program:
         return np.asarray(np.rint(solved.x[: self.covers.shape[1]]), dtype=np.int64)  # HiGHS returns integers to 1e-6
 
     def value(self, solved: OptimizeResult) -> float:
-        """Total weight (relevance) of the qualified positions in a solution, as a fraction of the total weight of all
-        positions.
-        """
+        """Total relevance of the qualified positions in a solution, as a fraction of that of all positions."""
         qualified = np.rint(solved.x[-len(self.relevance) :]).astype(int)
         return float(self.relevance @ qualified / self.relevance.sum())
 
@@ -229,8 +232,9 @@ POLL_SECONDS = 0.2  # seconds between two calls of the callback while the solver
 
 
 class Milp(DeploymentSearch):
-    """Optimiser that finds the best deployment on a lattice of poses, and an upper bound on the fitness of all
-    deployments on this lattice.
+    """Optimiser that finds the best deployment on a lattice of poses, and an upper bound on the fitness.
+
+    The bound holds for all deployments on this lattice.
 
     The start is the result until the solver finds a better deployment. For each pose of the lattice, computing the
     views that would see a landmark at this pose costs as much of the budget as moving one landmark; the solver costs
@@ -238,8 +242,8 @@ class Milp(DeploymentSearch):
 
     Args:
         spacing: spacing of the lattice, metres.
-        seconds: time limit of the solver; the best deployment found by then is the result, and the upper bound found by
-            then is valid.
+        seconds: time limit of the solver; the best deployment found until then is the result, and the upper bound found
+            until then is valid.
         seed: seed of the start, see `Optimiser`; the solver draws no random numbers.
 
     Raises:
@@ -253,8 +257,9 @@ class Milp(DeploymentSearch):
         self.proven: dict[str, float] = {}
 
     def figures(self) -> dict[str, float]:
-        """Metrics: the upper bound, the value of the solver's choice without occlusion, and the difference between the
-        bound and the fitness of the result.
+        """Metrics, keyed by name: the upper bound, the value of the solver's choice without occlusion, and the gap.
+
+        The gap is the difference between the bound and the fitness of the result.
         """
         return self.proven
 

@@ -18,20 +18,19 @@ PLANNED = 10_000  # evaluations that a method plans if their number is unknown; 
 
 
 class Nevergrad(Wrapped):
-    """Optimiser of nevergrad on the unit box; the optimiser gets the start as a suggestion.
+    """Optimiser of nevergrad on the unit box, to which the problem's start is suggested.
 
     Args:
-        name: a registered optimiser, e.g. `TwoPointsDE`, `NGOpt`, `RLSOnePlusOne`.
-        workers: number of deployments that are asked for at a time; 1 for methods that must be told each fitness before
-            they propose again.
-        budget: number of evaluations for which the method plans; None for `PLANNED`. After this number the method
-            restarts.
+        name: name of a registered optimiser, e.g. `TwoPointsDE`, `NGOpt`, `RLSOnePlusOne`.
+        workers: number of candidates that the method proposes at a time; 1 for methods that must be told each fitness
+            before they propose again.
+        budget: number of evaluations for which the method plans; None for `PLANNED`, after which the method restarts.
         step: standard deviation of a step (genes span 1); None for nevergrad's default, 1/6.
         encoding: see `AskTell`.
         seed: see `Optimiser`.
 
     Raises:
-        InputError: there is no such optimiser, it cannot be used through ask and tell, or a parameter is out of range.
+        InputError: nevergrad has no optimiser of that name, or a parameter is out of range.
     """
 
     def __init__(

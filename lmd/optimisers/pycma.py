@@ -12,13 +12,13 @@ from lmd.optimisers.wrapped import LibraryOptimiser, Wrapped
 class PyCma(Wrapped):
     """Covariance matrix adaptation evolution strategy (CMA-ES) on the unit box.
 
-    The mean of the distribution begins at the start; when the strategy's own criterion stops it, a new strategy begins
-    at the best genes.
+    The mean of the distribution begins at the problem's start. Whenever CMA-ES ends by its own criterion before the
+    budget is used up, it is restarted from the best genes.
 
     Args:
         variant: form of the covariance matrix that is learnt. `full` is the whole matrix, which takes about 100
-            evaluations per gene. `separable` is one variance per gene, `vkd` one variance per gene and a few
-            directions.
+            evaluations per gene to learn. `separable` is one variance per gene; `vkd` is one variance per gene and a
+            few directions.
         step: initial standard deviation sigma_0 (genes span 1).
         encoding: see `AskTell`.
         seed: see `Optimiser`.

@@ -14,8 +14,8 @@ from lmd.optimisers.wrapped import LibraryOptimiser, Wrapped, name_of
 class Pymoo(Wrapped):
     """Algorithm of pymoo on the unit box.
 
-    The first population is the start, filled up with uniform genes. pymoo's default termination is replaced by the
-    budget. Local searches keep their own termination, and are restarted from the best genes when they end.
+    The first population is the start, filled up with uniform random genes. pymoo's default termination is replaced by
+    the budget. Local searches keep their own termination, and are restarted from the best genes when they end.
 
     Args:
         algorithm: function that makes the algorithm; in YAML a node with `_target_` (the class), `_partial_: true` and
@@ -61,7 +61,10 @@ def _made(make: Callable[[], Any]) -> Any:
 
 
 def _size(algorithm: Any) -> int:
-    """Number of candidates with which the algorithm begins; a local search then continues from the best of them."""
+    """Number of candidates with which the algorithm begins.
+
+    A local search continues from the best of these candidates.
+    """
     from pymoo.core.variable import get
 
     size = getattr(algorithm, "n_sample_points", None) or getattr(algorithm, "pop_size", None) or 1

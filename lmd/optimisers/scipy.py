@@ -1,5 +1,6 @@
-"""Adapter that makes a global optimiser of SciPy an `AskTell` optimiser. SciPy's optimisers are functions that call the
-objective, so such a function runs in a thread of its own.
+"""Adapter that makes a global optimiser of SciPy an `AskTell` optimiser.
+
+SciPy's optimisers are functions that call the objective, so such a function runs in a thread of its own.
 """
 
 import inspect
@@ -27,8 +28,8 @@ MOST_GENES = 400  # genes beyond which a float cannot hold the number of pairs
 class Scipy(Wrapped):
     """Optimisation on the unit box by a function such as `scipy.optimize.dual_annealing`.
 
-    The function gets the start if it has an argument `x0`. Whenever the function ends by its own criterion before
-    the budget is used up, the function is called again.
+    If the function has an argument `x0`, it begins at the problem's start. Whenever the function ends by its own
+    criterion before the budget is used up, the function is called again.
 
     Args:
         minimise: function that is called with the objective and `bounds`; in YAML a node with `_target_` (the

@@ -1,9 +1,9 @@
 """Lazy greedy selection of poses from a grid on the surfaces of the room.
 
-The selection maximises a surrogate of an objective (its `selection`), which is monotone and submodular. If in each step
-the pose with the largest gain is added, the value is at least 1 - 1/e of the value for the best choice of poses. Gains
-do not increase, so the lazy variant (Minoux 1978) is exact: a pose is evaluated again only while its last known gain is
-the largest.
+An objective's surrogate (its `selection`) is monotone and submodular. If in each step the pose with the largest gain is
+added, the surrogate reaches at least 1 - 1/e of its value for the best choice of poses. The gain of a pose never
+increases when other poses are added, so the lazy variant (Minoux 1978) is exact: a pose is evaluated again only while
+its last known gain is the largest.
 
 For tags of several sizes, a candidate is a pose with a size, and may be chosen while unplaced tags of this size remain.
 If instead the area of paper or the cost of all tags is limited, candidates are compared by their gain divided by their
@@ -51,8 +51,9 @@ class Tags:
         return np.ones(len(poses))
 
     def none_left(self, poses: Deployment, chosen: Sequence[int]) -> BoolArray:
-        """Mask `(N,)` of the poses that can no longer be chosen, because the poses `chosen` have used up all landmarks
-        of the pose's size.
+        """Mask `(N,)` of the poses for whose size no landmark is left.
+
+        `chosen` are the indices of the poses that have been chosen; each of them has used up one landmark of its size.
         """
         sizes, of = np.unique(poses.edges_of(self.tag), return_inverse=True)
         left = (self.sizes == sizes[:, None]).sum(axis=1) - np.bincount(of[list(chosen)], minlength=len(sizes))
@@ -73,7 +74,10 @@ class Limited:
         return self.prices_of(poses)
 
     def none_left(self, poses: Deployment, chosen: Sequence[int]) -> BoolArray:
-        """See `Tags.none_left`."""
+        """Mask `(N,)` of the poses whose price exceeds the rest of the limit.
+
+        `chosen` are the indices of the poses that have been chosen and use up a part of the limit.
+        """
         prices = self.prices(poses)
         return np.asarray(prices > self.total * (1.0 + ROUNDING) - prices[list(chosen)].sum())
 
@@ -90,16 +94,16 @@ def select(
     fixed: Deployment | None = None,
     stop: Callable[[], bool] = bool,
 ) -> tuple[IntArray, int]:
-    """Choose some of the `poses`, each at most once, with footprints that do not overlap.
+    """Choose poses greedily, by gain divided by price, each at most once, so that no footprints overlap.
 
     Args:
-        selection: surrogate, for which no landmark has been chosen yet.
+        selection: surrogate without landmarks; fixed and chosen landmarks are added to it in place.
         poses: N candidate poses.
         stock: supply of landmarks, or the number of landmarks if these are points.
         footprints: footprints of the tags; None for landmarks that are points.
         allowance: largest number of gains that may be evaluated; fewer poses are chosen if this number does not
             suffice.
-        fixed: landmarks that are chosen before the first of the poses.
+        fixed: fixed landmarks, which are added before the first of the poses.
         stop: function that is called from time to time, and returns True to end the choice early.
 
     Returns:
@@ -138,17 +142,21 @@ def select(
 
 
 def add_each(selection: Selection, fixed: Deployment | None) -> None:
-    """Add the `fixed` landmarks to a selection; None adds no landmark."""
+    """Add the `fixed` landmarks to a selection in place, one after the other; None adds no landmark."""
     if fixed is not None:
         for k in range(len(fixed)):
             selection.add(fixed[k : k + 1])
 
 
 def candidates(footprints: Footprints, edges: FloatArray, spacing: float) -> Deployment:
-    """Candidate poses on a grid of the places where tags may hang, for each different edge length in `edges` `(K,)`,
-    metres, see `Deployment.edges`.
+    """Candidate poses for landmarks: a grid of the places where tags may hang, for each edge length.
 
     The poses have edge lengths of their own if any of `edges` is not NaN.
+
+    Args:
+        footprints: footprints of the tags, and the surfaces on which they may hang.
+        edges: edge lengths of K tags, `(K,)`, metres; NaN for the edge length of the scene's tag.
+        spacing: spacing of the grids, metres.
     """
     parts, own = [], not np.isnan(edges).all()
     for edge in np.unique(footprints.tag.filled(edges)):
@@ -158,8 +166,9 @@ def candidates(footprints: Footprints, edges: FloatArray, spacing: float) -> Dep
 
 
 def _candidates_within(footprints: Footprints, edges: FloatArray, spacing: float, most: float) -> Deployment:
-    """Poses as from `candidates`, with the spacing enlarged so that there are at most `most` poses, but at least one
-    pose of each size on each piece of a surface.
+    """Candidate poses (`candidates`) on a grid whose `spacing`, metres, is enlarged so that there are at most `most`.
+
+    The spacing is not enlarged further than to one pose of each size on each piece of a surface.
     """
     poses, widest = candidates(footprints, edges, spacing), max(max(wall.extent) for wall in footprints.room.surfaces())
     while len(poses) > most and spacing < widest:
@@ -171,15 +180,16 @@ def _candidates_within(footprints: Footprints, edges: FloatArray, spacing: float
 def greedy_start(
     problem: Problem, start: Deployment, spacing: float, allowance: float, stop: Callable[[], bool]
 ) -> tuple[Deployment, int]:
-    """Choose landmarks greedily until an allowance is used up or `stop` is True; landmarks that are not chosen keep
-    their poses in `start`.
+    """Choose landmarks greedily until an allowance is used up or `stop` returns True.
+
+    Landmarks that are not chosen keep their poses in `start`.
 
     Args:
         problem: problem whose objective has a selection.
         start: K landmarks; fixed landmarks come first.
         spacing: spacing of the grid of poses, metres; larger if the allowance does not suffice for the grid.
         allowance: largest number of gains to evaluate.
-        stop: see `select`.
+        stop: function that is called from time to time, and returns True to end the choice early.
 
     Returns:
         the deployment, and the number of gains evaluated.
@@ -193,8 +203,9 @@ def greedy_start(
 
 
 def _in_place(problem: Problem, start: Deployment, found: Deployment) -> Deployment:
-    """Copy of `start` in which the first free landmarks of each size have the poses of those landmarks in `found` that
-    have this size.
+    """Copy of `start` in which the landmarks of `found` replace free landmarks of equal size.
+
+    Of each size, the first free landmarks of `start` are replaced.
     """
     new = found.edges_of(problem.scene.tag)
     for edge in np.unique(new):
@@ -207,13 +218,14 @@ def _in_place(problem: Problem, start: Deployment, found: Deployment) -> Deploym
 def composition(
     scene: Scene, objective: Objective, threads: int | None = None, fixed: Deployment | None = None
 ) -> tuple[int, ...]:
-    """Choose the number of tags of each edge length by greedy selection; candidates are compared by their gain divided
-    by their price.
+    """Choose the number of tags of each edge length by greedy selection.
+
+    Candidate poses are compared by their gain divided by their price.
 
     Args:
         scene: scene whose tag has several edge lengths, and a limit on the area of paper or on the cost.
         objective: objective that has a surrogate for greedy choice (`selection`).
-        threads: worker threads, all processors by default; the result does not depend on the number.
+        threads: number of worker threads; None for all processors. The result does not depend on this number.
         fixed: fixed landmarks, with their surfaces.
 
     Raises:

@@ -28,7 +28,9 @@ def array(
     low: float | FloatArray = -LARGEST,
     high: float | FloatArray = LARGEST,
 ) -> np.ndarray:
-    """Return `value` if it is an array of the given type and shape (None: any length) with all values in [low, high].
+    """Return `value`, checked to be an array of the given type and shape with all elements in [low, high].
+
+    None in `shape` stands for any length; `name` is the name of the value in messages.
 
     Raises:
         InputError: `value` is not an array of this type and shape, or an element is NaN or out of range.
@@ -57,7 +59,7 @@ def generator_state(rng: np.random.Generator) -> dict[str, Any]:
 
 
 def generator(name: str, state: Mapping[str, Any]) -> np.random.Generator:
-    """Make a random generator from the data that `generator_state` returned.
+    """Make a random generator from data that `generator_state` returned; `name` is its name in messages.
 
     Raises:
         InputError: `state` is not the state of a generator.
@@ -78,7 +80,7 @@ def deployment_state(deployment: Deployment) -> dict[str, Any]:
 
 
 def deployment(name: str, state: Mapping[str, Any], problem: Problem, count: int) -> Deployment:
-    """Make a deployment from the data that `deployment_state` returned.
+    """Make a deployment from data that `deployment_state` returned.
 
     Args:
         name: name of the argument, for error messages.

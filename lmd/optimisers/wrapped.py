@@ -1,6 +1,4 @@
-"""Base class that makes optimisers of other libraries `AskTell` optimisers: it seeds and restarts them, and suppresses
-their output.
-"""
+"""Base class of adapters for optimisers of other libraries, which are seeded, restarted, and kept from printing."""
 
 import inspect
 import io
@@ -35,17 +33,20 @@ class LibraryOptimiser(Protocol):
         """Return the next genes `(B, dim)`, or None when the optimiser has ended by its own criterion."""
 
     def tell(self, genes: FloatArray, losses: FloatArray) -> None:
-        """Tell the optimiser the losses `(B,)` of the genes that it has returned, which were clipped to the unit
-        box.
+        """Tell the optimiser the `losses` `(B,)` of `genes` `(B, dim)`.
+
+        These are the genes of the last `ask`, clipped to the unit box.
         """
 
 
 class Wrapped(AskTell):
-    """Optimisers of other libraries as `AskTell` optimisers; subclasses write `_open` only.
+    """Base class of adapters that make optimisers of other libraries `AskTell` optimisers.
+
+    Subclasses write `_open` only.
 
     - If an optimiser ends before the budget, a new optimiser with another seed starts from the best genes.
-    - Libraries draw from global random generators. These are seeded for each call of a library, and reset to their
-      former state afterwards.
+    - Libraries draw from global random generators. During the calls of a library, these have a state of their own,
+      which begins with the seed. After each call, their former state is restored.
     """
 
     def __init__(self, seed: int = 0, encoding: str | None = None) -> None:
@@ -54,8 +55,9 @@ class Wrapped(AskTell):
 
     @abstractmethod
     def _open(self, start: FloatArray, rng: np.random.Generator) -> LibraryOptimiser:
-        """Make an optimiser of the library that draws from `rng`, and begins with `start` `(S, dim)` if the library
-        supports this.
+        """Make an optimiser of the library that draws from `rng`.
+
+        The optimiser begins with the candidates `start` `(S, dim)` if the library supports this.
         """
 
     def _ask(self) -> FloatArray:
@@ -86,7 +88,10 @@ class Wrapped(AskTell):
         return genes
 
     def _in_library(self, work: Callable[..., T], *arguments: Any) -> T:
-        """Call a library in a daemon thread, because some libraries leave behind a thread that never ends.
+        """Call `work`, a function of a library, in a daemon thread; return the function's result.
+
+        Some libraries leave behind a thread that never ends. As a daemon, such a thread does not keep the process
+        alive.
 
         Raises:
             InputError: the library fails.
@@ -101,7 +106,7 @@ class Wrapped(AskTell):
 
     @contextmanager
     def _own_world(self) -> Iterator[None]:
-        """Seed all global random generators for a call of the library, and suppress its prints and warnings."""
+        """Context of a call of the library: random numbers follow from the seed, prints and warnings are suppressed."""
         outside = _global_state()
         _set_global_state(self.global_state)
         default_rng = np.random.default_rng
@@ -134,8 +139,9 @@ def name_of(call: Callable[..., Any]) -> str:
 
 
 def with_tuples(call: Callable[..., Any]) -> Callable[..., Any]:
-    """Among the arguments of a partial function, replace lists by tuples for those whose defaults are tuples, because
-    configurations can only contain lists.
+    """Return a partial function in which lists are replaced by tuples where the parameter's default is a tuple.
+
+    Configurations can only contain lists. A function without bound arguments is returned unchanged.
     """
     if not isinstance(call, partial):
         return call

@@ -54,7 +54,7 @@ class AngleCells:
         return np.asarray((self.edges[:-1] + self.edges[1:]) / 2.0)
 
     def index(self, angle: FloatArray) -> IntArray:
-        """For each of the angles `(S,)`, radians, index of the cell that contains it, `(S,)`."""
+        """Index of the cell that contains each of the angles `(S,)`, radians; `(S,)`."""
         offset = angle - self.low
         if self.circular:
             offset = np.mod(offset, self.high - self.low)
@@ -68,7 +68,7 @@ class Density:
     family: str
     """Family: `uniform`, `von_mises`, `normal`, `kernel` or `fixed`."""
     parameters: dict[str, float]
-    """Fitted parameters by name, radians."""
+    """Fitted parameters, keyed by name, radians; the concentration of `von_mises` has no unit."""
     probability: FloatArray
     """Probability of each fine cell, `(M,)`, or `(M_1, M_2)` for two angles; the sum is 1."""
 
@@ -96,8 +96,9 @@ def uniform(_angle: FloatArray, axis: AngleCells) -> Density:
 
 
 def von_mises(angle: FloatArray, axis: AngleCells) -> Density:
-    """Fit the von Mises distribution with the maximum likelihood; its density is exp(kappa cos(x - mu)) / (2 pi
-    I_0(kappa)).
+    """Fit the von Mises distribution by maximum likelihood.
+
+    Its density is exp(kappa cos(x - mu)) / (2 pi I_0(kappa)).
     """
     kappa, mean, _ = vonmises.fit(angle, fscale=1)
     probability = np.diff(vonmises.cdf(axis.edges, kappa, loc=mean))
@@ -105,8 +106,9 @@ def von_mises(angle: FloatArray, axis: AngleCells) -> Density:
 
 
 def normal(angle: FloatArray, axis: AngleCells) -> Density:
-    """Fit the normal distribution with the mean and the standard deviation of the samples, truncated to the range of
-    the angle.
+    """Fit a normal distribution that is truncated to the range of the angle.
+
+    Its mean and standard deviation before the truncation are those of the samples.
     """
     mean, std = norm.fit(angle)
     std = max(std, axis.width / 4.0)  # at least a quarter of a cell, as a fold may contain a single value
@@ -116,7 +118,7 @@ def normal(angle: FloatArray, axis: AngleCells) -> Density:
 
 
 def kernel_estimate(angle: FloatArray, axis: AngleCells) -> Density:
-    """Fit a kernel estimate, see `kernel_density`."""
+    """Fit a kernel density estimate to the samples of one angle, see `kernel_density`."""
     probability, (bandwidth,) = kernel_density((axis.index(angle),), (axis,))
     return Density("kernel", {"bandwidth": bandwidth}, probability)
 
@@ -125,11 +127,12 @@ def kernel_density(index: tuple[IntArray, ...], axes: tuple[AngleCells, ...]) ->
     """Estimate a density with Gaussian kernels, wrapped on circular axes and reflected at the ends of other axes.
 
     Args:
-        index: index of each sample's cell, for each angle one array `(S,)`.
+        index: index of each sample's cell, one array `(S,)` for each angle.
         axes: fine cells of one angle or of two angles.
 
     Returns:
-        probabilities, `(M,)` or `(M_1, M_2)`; bandwidth of each axis, radians, chosen by cross-validation.
+        probabilities of the fine cells, `(M,)` or `(M_1, M_2)`, and the bandwidth of each axis, radians, which
+        cross-validation chooses.
     """
     shape = tuple(axis.cells for axis in axes)
     cell = np.ravel_multi_index(index, shape)
@@ -160,10 +163,10 @@ def kernel_density(index: tuple[IntArray, ...], axes: tuple[AngleCells, ...]) ->
 
 
 def choose(angle: FloatArray, axis: AngleCells, families: Sequence[Family]) -> tuple[Density, tuple[Candidate, ...]]:
-    """Choose a family for samples of an angle by the one-standard-error rule.
+    """Choose a family for samples of an angle by the one-standard-error rule (module docstring).
 
     Args:
-        angle: radians, ordered in time, `(S,)`.
+        angle: samples, radians, ordered in time, `(S,)`.
         axis: cells of the angle.
         families: candidates, the simplest first.
 
@@ -188,9 +191,7 @@ def choose(angle: FloatArray, axis: AngleCells, families: Sequence[Family]) -> t
 
 
 def fixed_angle(angle: FloatArray, axis: AngleCells) -> float | None:
-    """The angle, radians, at which samples are fixed: their circular mean if all lie within the width of a fine cell,
-    otherwise None.
-    """
+    """Circular mean of the samples, radians, if all lie within the width of a fine cell; otherwise None (not fixed)."""
     mean = float(circmean(angle, high=np.pi, low=-np.pi))
     return mean if np.ptp(circular_difference(angle, mean)) < axis.width else None
 
@@ -200,10 +201,14 @@ def _folds(count: int) -> list[IntArray]:
 
 
 def _log_likelihood(probability: FloatArray, count: float, index: IntArray) -> FloatArray:
-    """Logarithm of the probability of the cell that contains each held-out sample, `(S,)`. The cells have the indices
-    `index`; their `probability` was fitted to `count` other samples.
+    """Logarithm of the probability of each held-out sample's cell, `(S,)`.
 
     The density is mixed with one additional uniform sample, so that the log probability of an outlier is finite.
+
+    Args:
+        probability: probabilities of all cells, fitted to other samples.
+        count: number of the samples to which the probabilities were fitted.
+        index: index of each held-out sample's cell, `(S,)`.
     """
     flat = probability.reshape(-1)
     return np.asarray(np.log((count * flat[index] + 1.0 / flat.size) / (count + 1.0)))
@@ -211,7 +216,7 @@ def _log_likelihood(probability: FloatArray, count: float, index: IntArray) -> F
 
 @dataclass(frozen=True)
 class Independence:
-    """Outcome of `independence_test`."""
+    """Outcome of the test that yaw and pitch are independent, see `independence_test`."""
 
     statistic: float
     """Pearson's chi-squared statistic of the contingency table of yaw and pitch bins."""
@@ -232,14 +237,15 @@ def independence_test(samples: Samples, significance: float, rng: np.random.Gene
     """Pearson's chi-squared test of the contingency table of yaw and pitch bins, with a Monte Carlo p value.
 
     Bins are categories, so the seam of the yaw needs no special treatment, and nonlinear dependence is detected. Bins
-    have equal numbers of samples. The p value is the fraction of random tables with equal margins whose statistic is at
-    least the statistic of the data, so the p value is valid for few samples, too. The test assumes independent samples,
-    which random intervals provide. For samples closer in time than the correlation time, it would reject too often.
+    have equal numbers of samples. The p value is the fraction of random tables, with the margins of the data, whose
+    statistic is at least that of the data. So the p value is also valid for few samples. The test assumes independent
+    samples, which random intervals provide. If samples were closer in time than the correlation time, the test would
+    reject too often.
 
     Args:
         samples: samples of yaw and pitch, neither of them fixed.
         significance: significance level in [0, 1].
-        rng: draws the tables.
+        rng: random generator that draws the tables.
     """
     around_mean = circular_difference(samples.yaw, circmean(samples.yaw))
     rows, columns = _equal_bins(around_mean, YAW_BINS), _equal_bins(samples.pitch, PITCH_BINS)

@@ -66,7 +66,7 @@ class Marginal:
 
     @property
     def grid_cell(self) -> IntArray:
-        """Index of the orientation grid's cell that contains each of `angles`."""
+        """Index of the orientation grid's cell that contains each of `angles`, `(M,)`, or `(1,)` for a fixed angle."""
         return np.arange(len(self.angles)) // self.block
 
     @property
@@ -104,8 +104,9 @@ class Marginal:
         }
 
     def described(self) -> str:
-        """Text with the chosen density, and for each candidate the amount by which its log-likelihood is below the best
-        one.
+        """Text with the chosen density and with all candidates.
+
+        For each candidate, the text states the amount by which its log-likelihood is below the best one.
         """
         parameters = ", ".join(f"{key.replace('_', ' ')} {value:.3g}" for key, value in self.density.parameters.items())
         name = self.density.family.replace("_", " ") + (f" ({parameters})" if parameters else "")
@@ -171,7 +172,7 @@ class PdfEstimate:
         return figures
 
     def lines(self) -> dict[str, str]:
-        """Labelled lines for a terminal."""
+        """Lines of text for a terminal, keyed by label: samples, fit of each angle, and independence test."""
         samples = self.samples
         return {
             "samples": f"{len(samples)}, {samples.mean_interval:.3g} s apart on average (the motion stays correlated "
@@ -243,10 +244,10 @@ def _marginal(angle: FloatArray, axis: AngleCells, block: int, families: Sequenc
 
 
 def _gathered(table: FloatArray, yaw: Marginal, pitch: Marginal, name: str) -> OrientationPdf:
-    """PDF on the orientation grid: for each cell of the grid, its probability and, as its orientation, the mean
-    orientation in the cell.
+    """PDF on the orientation grid: the probability of each cell, at the mean orientation in the cell.
 
-    The mean orientation, unlike the centre of the cell, preserves the mean of a pitch that hardly varies.
+    Unlike the centre of the cell, the mean orientation preserves the mean of a pitch that hardly varies. Negligible
+    cells are dropped.
 
     Args:
         table: probabilities at the angles of the marginals, `(M_yaw, M_pitch)`.

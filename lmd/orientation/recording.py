@@ -1,6 +1,4 @@
-"""Recordings of the yaw and pitch of a camera, from a CSV or simulated, and samples of recordings at random
-intervals.
-"""
+"""Recordings of a camera's yaw and pitch, from a CSV file or simulated, and samples of a recording at random times."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -34,7 +32,7 @@ INTERVAL_FACTOR = 2.0
 
 @dataclass(frozen=True)
 class OrientationRecording:
-    """Yaw alpha and pitch beta of a camera over time; each record is valid until the next record.
+    """Yaw alpha and pitch beta of a camera over time; each record holds until the time of the next record.
 
     Raises:
         InputError: shapes differ, there are fewer than two records, a value is not finite, time does not increase, or a
@@ -151,13 +149,15 @@ class FileRecording:
 
 @dataclass(frozen=True)
 class SimulatedRecording(Checked):
-    """Simulated smooth random motion; at any time the yaw has a von Mises distribution, and the pitch a truncated
-    normal distribution.
+    """Simulated smooth random motion.
+
+    At any time the yaw has a von Mises distribution, and the pitch a truncated normal distribution.
 
     z_1 and z_2 are stationary Gaussian processes with the autocorrelation exp(-t^2 / (2 tau^2)). The phase phi has a
     uniform start and the rate z_1 / tau, so phi is uniform at any time. The yaw is the von Mises quantile of
-    phi / (2 pi) + 1/2 with phi wrapped to [-pi, pi), so the seam is not special. The pitch is the truncated normal
-    quantile with the normal score c g + sqrt(1 - c^2) z_2, where g is the normal quantile of |phi| / pi.
+    `phi / (2 pi) + 1/2` with phi wrapped to [-pi, pi), so the seam of the yaw needs no special treatment. The pitch is
+    the truncated normal quantile with the normal score c g + sqrt(1 - c^2) z_2, where g is the normal quantile of
+    `|phi| / pi`.
 
     Args:
         duration: length of the recording, seconds.
@@ -236,8 +236,9 @@ class Samples:
 def sample_at_random_intervals(
     recording: OrientationRecording, mean_interval: float | None, rng: np.random.Generator
 ) -> Samples:
-    """Draw samples from a recording at random intervals m / 2 + e. Here m is the mean interval, and e has an
-    exponential distribution with the mean m / 2.
+    """Draw samples from a recording at random intervals.
+
+    An interval is m / 2 + e, where m is the mean interval, and e has an exponential distribution with the mean m / 2.
 
     The fixed part m / 2 limits the correlation of neighbouring samples; the random part e avoids aliasing with periodic
     motion. Each record is thus drawn with a probability in proportion to its duration, even if the rate of the
@@ -278,8 +279,9 @@ def sample_at_random_intervals(
 def integrated_correlation_time(recording: OrientationRecording) -> float:
     """Integrated autocorrelation time, seconds: the larger of the times of yaw and pitch.
 
-    T = step (1 + 2 sum_k rho_k), summed up to the first lag with rho_k <= 0. For the yaw, rho is the autocorrelation of
-    the unit vector (cos alpha, sin alpha), which has no seam. For a fixed angle, T is one step.
+    The time of an angle is T = step (1 + 2 sum_k rho_k), with the autocorrelation rho_k at a lag of k steps, summed up
+    to the first lag with rho_k <= 0. For the yaw alpha, rho is the autocorrelation of the unit vector
+    `(cos alpha, sin alpha)`, which has no seam. For a fixed angle, T is one step.
     """
     times = np.linspace(recording.time[0], recording.time[-1], len(recording.time))
     yaw, pitch = recording.at(times)

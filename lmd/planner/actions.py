@@ -1,6 +1,4 @@
-"""Requests from browsers: connections are checked, and one thread runs the requested actions in the order of the
-requests.
-"""
+"""Requests from browsers: checks of connections, and a queue of actions that one thread runs in order."""
 
 import hmac
 import logging
@@ -40,15 +38,16 @@ class ActionQueue:
             return None
 
     def on(self, register: Callable[[Any], object], answer: Callable[[Any], None]) -> None:
-        """Arrange that each event of viser appends `answer` to the queue; `register` is viser's function that registers
-        a callback for the event.
+        """Append `answer` to the queue at each event of viser.
+
+        `register` is viser's function that registers a callback for the event; `answer` is called with the event.
         """
         call_in_order(register, partial(self.put_answer, answer))
 
     def put_answer(self, answer: Callable[..., None], *of_event: Any) -> None:
-        """Append to the queue the function that answers an event from a browser.
+        """Append the function `answer`, with its arguments `of_event`, to the queue.
 
-        Browsers may send invalid values. If the function fails, its error is replaced by an `InputError`.
+        Browsers may send invalid values. So if the function fails, its error is replaced by an `InputError`.
         """
         self.put(partial(_answer, answer, *of_event))
 
@@ -64,8 +63,10 @@ def _answer(answer: Callable[..., None], *of_event: Any) -> None:
 
 
 def call_in_order(register: Callable[[Any], object], answer: Callable[[Any], None]) -> None:
-    """Call `answer` for each event of viser, in viser's own thread and in the order of the events; `answer` must not
-    block.
+    """Call `answer` for each event of viser, in the order of the events.
+
+    The call is in viser's own thread, so `answer` must not block. `register` is viser's function that registers a
+    callback.
     """
 
     async def call(event: Any) -> None:  # viser runs plain functions in a pool of threads, in any order
@@ -82,8 +83,9 @@ Answer = Callable[[Any, Any], Any]
 
 
 class Access:
-    """Check that the address of each request contains a secret token. Without the token a request is refused; otherwise
-    the token is removed, and the request is forwarded.
+    """Access control of the planner: the address of each request must contain a secret token.
+
+    A request without the token is refused. Otherwise the token is removed, and the request is forwarded.
     """
 
     def __init__(self) -> None:
@@ -117,7 +119,10 @@ class Access:
             raise InputError("this version of viser would accept connections from every web page; install viser 1.1.1.")
 
     def _answer(self, hand_on: Answer, connection: Any, request: Any) -> Any:
-        """Refuse or forward a request; called by the server as `process_request`."""
+        """Refuse a request, or forward it to `hand_on`, viser's own function for requests.
+
+        The server calls this method as `process_request`.
+        """
         path = self._inner_path(request.path)
         if path is None:
             return connection.respond(HTTPStatus.FORBIDDEN, "This is not the address that the planner has printed.\n")
@@ -133,7 +138,10 @@ class Access:
 
 
 def _is_from_here(headers: Any) -> bool:
-    """True if a request is addressed to this machine and, for a websocket, was sent by one of this machine's pages."""
+    """True if a request is addressed to this machine.
+
+    A websocket must also have been opened by a page from the same address.
+    """
     hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
     if len(hosts) != 1 or not LOCAL_ADDRESS.fullmatch(hosts[0]):
         return False

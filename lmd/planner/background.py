@@ -45,8 +45,9 @@ class Worker(Generic[Question]):
         self._thread.start()
 
     def ask(self, question: Question | None) -> None:
-        """Replace the present question by `question`; None means that there is no question. A question is answered
-        once, unless another question replaces it before.
+        """Replace the present question by `question`; None removes the present question.
+
+        A question is answered once, unless it is replaced before.
         """
         with self._changed:
             if question is None:
@@ -56,8 +57,9 @@ class Worker(Generic[Question]):
                 self._changed.notify()
 
     def close(self) -> None:
-        """Ask the thread to end. The thread ends at its next check that the answer is still wanted; a compilation has
-        no such check.
+        """Ask the thread to end, and wait for at most `PATIENCE_SECONDS`.
+
+        The thread ends when it checks next that its answer is still wanted; a compilation has no such check.
         """
         with self._changed:
             self._question, self._closing = None, True
@@ -114,9 +116,10 @@ def off_grid(problem: Problem, deployment: Deployment, seed: int, wanted: Wanted
 
 
 class Background:
-    """Background work for the present plan. The first result is an estimate of the metrics off the grid, the second
-    the gain by one more tag at each candidate place. The metrics off the grid from the full sample follow. Each result
-    is shown when it is computed.
+    """Background work for the present plan: metrics that take longer are computed and shown one after the other.
+
+    The first result is an estimate of the metrics off the grid, the second the gain by one more tag at each candidate
+    place. The third are the metrics off the grid from the full sample.
 
     Args:
         session: session with the plan.
@@ -139,7 +142,7 @@ class Background:
         self._worker = Worker(self._work, lambda *failure: actions.put(partial(self._take_failure, *failure)))
 
     def announce(self) -> None:
-        """Show in the panel, in place of the metrics off the grid, that these metrics will follow."""
+        """Show a note in the panel that the metrics off the grid will follow."""
         if self._seed is not None:
             self._panel.show_off_grid(TO_COME)
 
@@ -156,9 +159,7 @@ class Background:
         self._worker.close()
 
     def show_additions(self, _: Any = None) -> None:
-        """Show as colours of the surfaces the gain by one more tag at each place, if the user has chosen these
-        colours.
-        """
+        """Colour the surfaces by the gain by one more tag at each place if the user has chosen this; otherwise grey."""
         gains = self.additions if self._panel.additions.value else None
         self._picture.show_additions(gains)
         self._panel.show_legend(None if gains is None else float(np.nanmax(gains, initial=0.0)))

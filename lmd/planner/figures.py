@@ -1,6 +1,4 @@
-"""Metrics of a plan: the objective's values, updated while tags are moved, and the gain of the objective by one more
-tag at each place.
-"""
+"""Metrics of a plan, updated while tags are moved, and the gain of the objective by one more tag at each place."""
 
 import math
 from collections.abc import Callable
@@ -67,8 +65,9 @@ class Values:
 
 
 class _FieldValues:
-    """Objective's values at the positions of one evaluator, which the objective's field (its incremental evaluator)
-    updates when tags move.
+    """Values of the objective at the positions of one evaluator.
+
+    When tags move, the objective's incremental evaluator (its field) updates the values.
     """
 
     def __init__(self, problem: Problem, evaluator: Evaluator, deployment: Deployment) -> None:
@@ -96,8 +95,9 @@ class _FieldValues:
 
 @kernel
 def _add_up(units, relevance, value):  # type: ignore[no-untyped-def]
-    """Write to `value` `(N,)` the mean of each row of `units` `(N, Q)` over the Q positions, weighted by
-    `relevance`.
+    """Write the weighted mean of each row of `units` `(N, Q)`, converted to values in [0, 1], into `value` `(N,)`.
+
+    `units` are quantised values at Q positions; `relevance` `(Q,)` are the weights, with the sum 1.
     """
     for i in range(len(units)):
         total = 0.0
@@ -107,8 +107,9 @@ def _add_up(units, relevance, value):  # type: ignore[no-untyped-def]
 
 
 def candidate_cells(problem: Problem) -> Cells:
-    """About `CANDIDATES` cells of a coarse grid on the surfaces; the centres of the cells are the candidate places for
-    one more tag.
+    """About `CANDIDATES` cells of a coarse grid on the surfaces.
+
+    The centres of the cells are the candidate places for one more tag.
     """
     room = problem.scene.footprints.hanging
     surfaces = SurfaceArrays.of(room.surfaces())
@@ -120,13 +121,14 @@ def candidate_cells(problem: Problem) -> Cells:
 def additions(
     problem: Problem, deployment: Deployment, poses: Deployment, wanted: Callable[[], bool] = lambda: True
 ) -> FloatArray | None:
-    """Gain by one more tag at each of N poses, in the objective's mean value over positions weighted by relevance.
+    """Gain of the objective's mean value by one more tag at each of N poses.
 
-    Unlike the fitness, the mean value also distinguishes places where a new tag lifts no position over the threshold.
+    The mean is over positions, weighted by relevance. Unlike the fitness, it also distinguishes places where a new tag
+    lifts no position over the threshold.
 
-    A landmark is added at a place where it is not visible, and moves from there to each of the N places in turn are
-    tried (`lmd.incremental.field`). Occlusion by the moved landmark is taken into account (the move is settled), but no
-    move is accepted.
+    A landmark is added where it is not visible, and its moves to each of the N places are tried
+    (`lmd.incremental.field`). The values after a move are exact, occlusion by the moved landmark included; no move is
+    carried out.
 
     Args:
         problem: scene and objective; gains are computed on its grid.

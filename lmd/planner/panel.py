@@ -111,7 +111,10 @@ class PlannerPanel:
         self._tag.content = _paragraph("tag", text, TWO_LINES)
 
     def show_progress(self, progress: SearchProgress | None, running: bool) -> None:
-        """Show the progress of a search, and the label of the button that starts or stops it."""
+        """Show the progress of a search, and the label of the button that starts or stops a search.
+
+        `progress` is None without a search, and before its first evaluation.
+        """
         self.optimise.label = STOP if running else OPTIMISE
         for number in self._limits.values():
             number.disabled = running
@@ -123,13 +126,14 @@ class PlannerPanel:
         self._progress.content = _paragraph("progress", text)
 
     def show_span(self, span: tuple[float, float]) -> None:
-        """Show in the legend the two values that the first and the last colour of positions represent."""
+        """Show in the legend the values `span` that the first and the last colour of positions represent."""
         self._span = span
         self.show_legend(self._most)
 
     def show_legend(self, most: float | None) -> None:
-        """Show the legend; `most` is the gain that the brightest colour of surfaces represents, None while surfaces are
-        grey.
+        """Show the legend of the colours.
+
+        `most` is the gain that the brightest colour of surfaces represents; None if surfaces are grey.
         """
         self._most = most
         self._legend.content = _legend_html(self._value, self._span, most)

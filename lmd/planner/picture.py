@@ -79,8 +79,9 @@ class RoomPicture:
 
     @staticmethod
     def _behind(face: Surface) -> FloatArray:
-        """Corners of a face, `(4, 3)`, in counter-clockwise order as seen from its front; they are moved slightly
-        behind the face, so that tags on the face remain visible.
+        """Corners of a face, `(4, 3)`, metres, in counter-clockwise order as seen from its front.
+
+        They are moved slightly behind the face, so that tags on the face remain visible.
         """
         (length, height), is_left = face.extent, np.cross(face.u, face.v) @ face.normal > 0.0
         ring = face.point(*np.array([[0.0, 0.0], [length, 0.0], [length, height], [0.0, height]]).T)
@@ -146,22 +147,26 @@ class RoomPicture:
         return fresh
 
     def _halves(self, deployment: Deployment) -> FloatArray:
-        """Half the edge length of each tag's paper, `(K,)`, metres; for landmarks that are points, half the edge length
-        of the square that is drawn.
+        """Half the edge length of the square that is drawn for each landmark, `(K,)`, metres.
+
+        The square of a tag is its paper; points have a square of a fixed size.
         """
         papers = self._problem.scene.footprints.papers(deployment)
         return np.where(papers > 0.0, papers / 2.0, POINT_SIZE * self._diagonal)
 
     def show_values(self, values: FloatArray, span: tuple[float, float]) -> None:
-        """Colour the positions by the objective's `values` `(P,)`; `span` has the values that the first and the last
-        colour of the colour map represent.
+        """Colour the positions by the objective's `values` `(P,)`.
+
+        `span` are the values that the first and the last colour of the colour map represent.
         """
         low, high = span
         self.balls.batched_colors = mapped(VALUES, (values - low) / (high - low))
 
     def show_additions(self, gains: FloatArray | None) -> None:
-        """Colour the N cells of the surfaces by `gains` `(N,)`, the gain by one more tag in each cell; the colours
-        represent 0 to the largest gain. The cells are grey if `gains` is None.
+        """Colour the N cells of the surfaces by `gains` `(N,)`, the gain by one more tag in each cell.
+
+        The first colour of the colour map represents 0, the last colour the largest gain. Cells whose gain is NaN are
+        grey, and all cells if `gains` is None.
         """
         if gains is None:
             self.cells.batched_colors = alike(UNKNOWN, len(self.candidates.poses))
@@ -173,8 +178,9 @@ class RoomPicture:
 
 
 def _quaternions(right: FloatArray, up: FloatArray, normal: FloatArray) -> FloatArray:
-    """Quaternions (w, x, y, z), `(N, 4)`, of the rotations that turn the axes x, y, z to the unit vectors `right`,
-    `up`, `normal`, `(N, 3)` each.
+    """Quaternions (w, x, y, z), `(N, 4)`, of the rotations that turn the axes x, y, z to `right`, `up`, `normal`.
+
+    These are unit vectors, `(N, 3)` each.
     """
     return np.asarray(Rotation.from_matrix(np.stack([right, up, normal], axis=-1)).as_quat(scalar_first=True))
 
@@ -207,8 +213,9 @@ class Captions:
         del self._shown[len(ids) :]
 
     def _show_id(self, k: int, wanted: tuple[str, tuple[float, ...], bool, bool]) -> None:
-        """Update label k, but only if its content differs from `wanted`: there may be hundreds of labels, and each
-        update is sent to all browsers.
+        """Update the label with the index `k` to `wanted`: text, position, and True if selected and if visible.
+
+        An unchanged label is left alone: there may be hundreds of labels, and each update is sent to all browsers.
         """
         if k == len(self._ids):
             self._ids.append(self._scene.add_label(f"/ids/{k}", "", anchor="bottom-center", visible=False))

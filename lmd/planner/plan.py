@@ -1,4 +1,4 @@
-"""Plan of a user: tags, each of which is pinned, or free to be moved by the user and by a search."""
+"""Plan of a user: tags that are either pinned, or free to be moved by the user and by a search."""
 
 import threading
 from collections.abc import Callable
@@ -30,9 +30,7 @@ class Plan:
 
     @classmethod
     def of(cls, deployment: Deployment, hung: Deployment | None = None) -> "Plan":
-        """Make the plan of a deployment; those tags of the deployment that are also in `hung` (tags already in place)
-        are pinned.
-        """
+        """Make the plan of a deployment; its tags that are also in `hung`, the tags already in place, are pinned."""
         labels = deployment.labels or Labels(deployment.ids)
         pinned = frozenset() if hung is None else frozenset(hung.ids.tolist())
         return cls(replace(deployment, labels=labels), pinned)
@@ -69,7 +67,13 @@ class Plan:
         return f"tag {number}: {where}, ({x:.3f}, {y:.3f}, {z:.3f}) m{size}{pinned}"
 
     def moved(self, footprints: Footprints, number: int, surface: int, at: FloatArray) -> "Plan":
-        """Move a tag to the free place nearest to the coordinates `at` `(2,)` on a surface, metres.
+        """Return the plan after a tag is moved to the free place nearest to a given place.
+
+        Args:
+            footprints: footprints of the tags, and the surfaces.
+            number: id of the tag.
+            surface: index of the surface with the given place.
+            at: coordinates of the given place along u and v of the surface, `(2,)`, metres.
 
         Raises:
             InputError: there is no such tag, the tag is pinned, or there is no room for it with its white margin.
@@ -81,12 +85,12 @@ class Plan:
         return replace(self, deployment=self.deployment.put(slice(k, k + 1), there))
 
     def added(self, scene: Scene, surface: int, at: FloatArray, edge: float | None = None) -> tuple["Plan", int]:
-        """Add a tag at the free place nearest to `at`; return the plan, and the tag's id, which is the least unused id.
+        """Add a tag at the free place nearest to `at`; return the new plan and the tag's id, the least unused id.
 
         Args:
             scene: scene of the tags.
             surface: index of a surface.
-            at: see `moved`.
+            at: coordinates along u and v of the surface, `(2,)`, metres.
             edge: edge length of the tag, metres; None for the edge length of the scene's tag.
 
         Raises:
@@ -104,7 +108,7 @@ class Plan:
         return replace(self, deployment=replace(self.deployment + there, labels=more)), number
 
     def without(self, number: int) -> "Plan":
-        """Delete a tag.
+        """Return the plan without the tag with the id `number`.
 
         Raises:
             InputError: there is no such tag, the tag is pinned, or the plan has no other tag.
@@ -115,7 +119,7 @@ class Plan:
         return replace(self, deployment=self.deployment[np.flatnonzero(np.arange(len(self.deployment)) != k)])
 
     def toggled(self, number: int) -> "Plan":
-        """Pin a free tag, or free a pinned tag.
+        """Return the plan after the tag with the id `number` is pinned if it was free, or freed if it was pinned.
 
         Raises:
             InputError: there is no such tag.
@@ -124,7 +128,7 @@ class Plan:
         return replace(self, pinned=self.pinned ^ {number})
 
     def _movable(self, number: int) -> int:
-        """Index of a tag that is not pinned.
+        """Index of the tag with the id `number`, which must not be pinned.
 
         Raises:
             InputError: there is no such tag, or the tag is pinned.
@@ -138,10 +142,10 @@ class Plan:
 def _nearest_free(
     footprints: Footprints, others: Deployment | None, surface: int, at: FloatArray, edge: float = np.nan
 ) -> Deployment:
-    """Deployment of one landmark at the free place nearest to the coordinates `at` `(2,)` on a surface; the landmarks
-    `others` do not move.
+    """Deployment of one landmark at the free place nearest to a given place; the landmarks `others` do not move.
 
-    `edge` is the edge length of the landmark's tag, metres; NaN for the edge length of the scene's tag.
+    The given place is at `at` `(2,)`, metres along u and v of a surface. `edge` is the edge length of the landmark's
+    tag, metres; NaN for the edge length of the scene's tag.
 
     Raises:
         InputError: `at` is not a place on the surface, or no surface has room for the tag with its white margin.
@@ -232,8 +236,9 @@ class TagSearch:
             self._done()
 
     def _note(self, optimiser: Optimiser) -> bool:
-        """Record the progress of `optimiser`, which calls this method as its callback; return True to end the
-        search.
+        """Record the progress of `optimiser`; return True to end the search.
+
+        The optimiser calls this method as its callback.
         """
         ledger, before = optimiser.ledger, self.progress
         used = min(self._budget.used(ledger.evaluations, ledger.seconds), 1.0)

@@ -84,8 +84,9 @@ class Planner:
         return self._access.address(self._server.get_port())
 
     def run(self) -> None:
-        """Run actions until an exception other than `InputError` is raised; then the best deployment of a running
-        search is applied to the plan.
+        """Run actions until an exception other than `InputError` is raised.
+
+        Then the best deployment of a running search is applied to the plan.
         """
         try:
             while True:
@@ -125,8 +126,9 @@ class Planner:
             self._background.begin()
 
     def _point(self, event: Any) -> None:
-        """Record the place to which the user has dragged a tag. The function runs in viser's thread; a later place
-        replaces an earlier one.
+        """Record the place to which the user has dragged a tag; a later place replaces an earlier one.
+
+        The function runs in viser's thread.
         """
         if event.phase == "start":
             self._actions.put_answer(self._grab, event.instance_index)
@@ -183,7 +185,11 @@ class Planner:
 
     @property
     def _chosen(self) -> int:
-        """Id of the selected tag."""
+        """Id of the selected tag.
+
+        Raises:
+            InputError: no tag is selected.
+        """
         if self._selected is None:
             raise InputError("click a tag first.")
         return self._selected

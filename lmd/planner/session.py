@@ -58,8 +58,9 @@ class PlanningSession:
 
     @property
     def is_saved(self) -> bool:
-        """True if the tags have not changed since the plan was last saved or, if it never was, since the
-        session began.
+        """True if the tags have not changed since the plan was last saved.
+
+        Before the first save, the beginning of the session counts instead.
         """
         return self.plan.deployment is self._saved.deployment
 
@@ -90,7 +91,12 @@ class PlanningSession:
         additions(self.problem, deployment, deployment[:1])
 
     def drag(self, number: int, surface: int, at: FloatArray) -> None:
-        """Move a tag, see `Plan.moved`. All moves of a tag until `drop` form one step for undo.
+        """Move a tag to the free place nearest to a given place; all moves of a tag until `drop` are one step for undo.
+
+        Args:
+            number: id of the tag.
+            surface: index of the surface with the given place.
+            at: coordinates of the given place along u and v of the surface, `(2,)`, metres.
 
         Raises:
             InputError: as for `Plan.moved`, or a search is running.
@@ -102,7 +108,12 @@ class PlanningSession:
         self._dragged = None
 
     def add(self, surface: int, at: FloatArray, edge: float | None = None) -> int:
-        """Add a tag, see `Plan.added`, and return its id.
+        """Add a tag at the free place nearest to a given place; return the tag's id.
+
+        Args:
+            surface: index of the surface with the given place.
+            at: coordinates of the given place along u and v of the surface, `(2,)`, metres.
+            edge: edge length of the tag, metres; None for the edge length of the scene's tag.
 
         Raises:
             InputError: as for `Plan.added`, or a search is running.
@@ -112,16 +123,16 @@ class PlanningSession:
         return number
 
     def delete(self, number: int) -> None:
-        """Delete a tag, see `Plan.without`.
+        """Delete the tag with the id `number`.
 
         Raises:
-            InputError: as for `Plan.without`, or the objective needs the tag, or a search is running.
+            InputError: as for `Plan.without`, or too few tags would be left for the objective, or a search is running.
         """
         self.problem.objective.check(len(self.deployment) - 1)
         self._become(self.plan.without(number))
 
     def pin(self, number: int) -> None:
-        """Pin a tag, or unpin it.
+        """Pin the tag with the id `number`, or unpin it if it is pinned.
 
         Raises:
             InputError: there is no such tag, the tag is fixed by the problem, or a search is running.
@@ -147,7 +158,9 @@ class PlanningSession:
         self._step(self._future, self._past, "redo")
 
     def optimise(self, optimiser: Optimiser, budget: Budget, done: Callable[[], None] = lambda: None) -> TagSearch:
-        """Start a search, see `TagSearch`; no other change is allowed until `take` is called.
+        """Start a search, see `TagSearch`, and return it.
+
+        No other change is allowed until `take` is called.
 
         Raises:
             InputError: as for `TagSearch`, or a search is running.
@@ -161,10 +174,11 @@ class PlanningSession:
         """Wait for the end of the search, and apply its best deployment as one step if it is better than the plan.
 
         Args:
-            patience: maximum time to wait, seconds, after which the result is dropped; None to wait without a limit.
+            patience: maximum time to wait, seconds; None to wait without a limit. If the search has not ended by then,
+                its best deployment until then is applied.
 
         Returns:
-            increase of the fitness.
+            increase of the fitness; 0 if no better deployment was found.
 
         Raises:
             InputError: the search failed.
@@ -181,7 +195,7 @@ class PlanningSession:
         return search.progress.fitness - before
 
     def end_search(self) -> None:
-        """Stop a running search, and apply its best deployment if it ends within `PATIENCE_SECONDS`."""
+        """Stop a running search, wait for at most `PATIENCE_SECONDS`, and apply its best deployment found by then."""
         if self.search is not None:
             self.search.stop()
             with suppress(InputError):
@@ -197,13 +211,14 @@ class PlanningSession:
         self.plan = source.pop()
 
     def _follow(self, plan: Plan) -> None:
-        """Update the values and metrics so that they belong to the given plan."""
+        """Update the values, the metrics and `posed` to the given plan; `plan` itself is not replaced."""
         self._values.update(plan.deployment)
         self.posed = Posed(self.problem, plan.deployment)
 
     def _become(self, plan: Plan, dragged: object = None) -> None:
-        """Replace the present plan by `plan`. While one tag (`dragged`) is dragged, all changes belong to one step for
-        undo.
+        """Replace the present plan by `plan`, as a new step for undo.
+
+        If `dragged` is the id of the tag whose drag is under way, the change belongs to the step of that drag.
         """
         self._check_idle()
         self._follow(plan)

@@ -1,6 +1,4 @@
-"""Geometry of the view in a browser: the viewpoint from which the room fills the window, and the place at which a ray
-from the viewer meets a surface.
-"""
+"""Geometry of the view in a browser: viewpoints from which the room fills the window, and places hit by rays."""
 
 import math
 from typing import Any, NamedTuple
@@ -55,12 +53,13 @@ def framed(low: FloatArray, high: FloatArray, aspect: float) -> BrowserView:
 
 
 class Framing:
-    """Fits the room into the window of each browser at the beginning and after each change of the window's size, until
-    the user moves the view.
+    """Fits the room into the window of each browser until the user moves the view.
+
+    The view is fitted at the beginning, and after each change of the window's size.
 
     Args:
         server: server of viser.
-        low, high: see `framed`.
+        low, high: corners of the room's box with the least and the largest coordinates, `(3,)`, metres.
     """
 
     def __init__(self, server: Any, low: FloatArray, high: FloatArray) -> None:
@@ -166,7 +165,7 @@ def span_of(values: FloatArray) -> tuple[float, float]:
 
 
 def mapped(name: str, shares: ArrayLike) -> Colours:
-    """Colours `(N, 3)` of the values `shares` `(N,)` from 0 to 1 in the matplotlib colour map `name`."""
+    """Colours `(N, 3)` of the values `shares` `(N,)`, from 0 to 1, in matplotlib's colour map `name`."""
     from matplotlib import colormaps
 
     return np.asarray(colormaps[name](np.asarray(shares), bytes=True))[:, :3]

@@ -106,8 +106,9 @@ def save_comparison_figure(
 
 
 def _draw_median(axes: Any, at: FloatArray, curves: FloatArray, name: str, number: int) -> None:
-    """Draw R curves of the fitness, `(R, N)`, against `at` `(N,)`: their median, in per cent, and a band from the worst
-    to the best curve.
+    """Draw the median of R curves of the fitness against `at` `(N,)`, and a band from the worst to the best curve.
+
+    `curves` `(R, N)` has fractions, which are drawn in per cent. `number` is the index of the colour and line style.
     """
     known = np.isfinite(curves).all(axis=0)
     band = np.quantile(100.0 * curves[:, known], (0.0, 0.5, 1.0), axis=0)
@@ -175,8 +176,9 @@ def save_groups_figure(
 
 
 def _labelled(keys: Sequence[str], group: Sequence[str]) -> str:
-    """Label of a group of jobs, made from the group's values of the `keys`; a number is preceded by its key, as in
-    `annealing n=2`.
+    """Label of a group of jobs: the values of the group for the settings `keys`.
+
+    A number is preceded by the name of its setting, as in `annealing n=2`.
     """
     words = zip(keys, group, strict=False)
     return literal(" ".join(f"{key.split('.')[-1]}={value}" if _is_number(value) else value for key, value in words))
@@ -192,27 +194,28 @@ class Panel(NamedTuple):
     label: str
     """Label of the vertical axis."""
     figure: str
-    """Name of the column that has the plotted metric, a share off the grid, in the table of points."""
-    on_grid: str | None = None
-    """Name of the column that has the metric of `figure` on the grid of positions; its curve is drawn in a faint
-    colour. None for no such curve.
+    """Name of the column of the plotted metric in the table of points; the metric is a share (fraction) off the grid.
     """
+    on_grid: str | None = None
+    """Name of the column of this metric on the grid of positions, drawn as a dotted curve; None for no such curve."""
     wanted: float | None = None
     """Share that is marked by a line; None for no line."""
 
 
 def curve_name(edge: float) -> str:
-    """Label of a curve: the edge length of its tags, metres, or a word for points."""
+    """Label of the curve for tags with the edge length `edge`, metres; `points` for an edge length of 0."""
     return f"tags of {1e3 * edge:g} mm" if edge else "points"
 
 
 def save_tradeoff_figure(path: str | Path, points: "pd.DataFrame", panels: Sequence[Panel], title: str) -> None:
-    """Write a PNG of a trade-off, 550 pixels wide for each panel and 450 high: curves of the medians over the seeds,
-    with bands from the least to the greatest value.
+    """Write a PNG of a trade-off, 550 pixels wide for each panel and 450 high.
+
+    Curves show the medians over the seeds, and bands extend from the least to the greatest value.
 
     Args:
         path: path of the PNG.
-        points: table of points, as for `lmd.evaluation.tradeoff.front`.
+        points: table with a row for each edge length `edge` (metres), number of landmarks `count` and `seed`; the
+            metrics of the panels are further columns.
         panels: panels from left to right; their metrics are shares.
         title: title of the figure.
     """
@@ -267,10 +270,12 @@ def save_landmark_count_figure(
     """Write a PNG: the qualified ratio plotted against the number of landmarks K.
 
     Args:
+        path: path of the PNG.
         ratios: one row per run with the columns `count` (K) and `qualified_ratio` (fraction); a line joins the medians
             of each K.
         references: points (K, qualified ratio) that are drawn for comparison, such as published results, keyed by the
             name of their source.
+        title: title of the figure.
     """
     from matplotlib.ticker import PercentFormatter
 
@@ -292,9 +297,11 @@ def _written(value: object) -> str:
 
 
 def save_sensitivity_figure(path: str | Path, found: "Sensitivity", title: str) -> None:
-    """Write a PNG of 1500 x 500 pixels with three panels about the share of localised views and the share of views with
-    enough covered landmarks. The first panel shows both shares for other values of the assumptions, the second shows
-    them if covered landmarks are missed at random, the third shows their losses if landmarks are lost.
+    """Write a PNG of 1500 x 500 pixels with three panels about two shares of views.
+
+    These are the share of localised views and the share of views with enough covered landmarks. The first panel shows
+    both shares if the assumptions have other values. The second panel shows the shares if covered landmarks are missed
+    at random. The third panel shows the losses of both shares if landmarks are lost.
     """
     from lmd.evaluation.sensitivity import SHARE_COLUMNS
 

@@ -54,8 +54,9 @@ def size_of(room: Space) -> FloatArray:
 
 
 def spacing_of(room: Space, positions: FloatArray) -> float:
-    """Typical distance between neighbouring positions, metres: the median of the distances from each of the `positions`
-    `(P, 3)` to the nearest other one. For a single position, the size of the room.
+    """Typical distance between neighbouring positions `(P, 3)`, metres; for one position, the size of the room.
+
+    It is the median of the distances from a position to the nearest other position.
     """
     some = positions[:: max(1, len(positions) // SPACING_SAMPLE)]
     away = (np.linalg.norm(positions - one, axis=1) for one in some)
@@ -71,8 +72,9 @@ def ball_scale(room: Space, positions: FloatArray) -> float:
 
 
 def logarithmic_ticks(low: float, high: float) -> FloatArray:
-    """A few round numbers as ticks of a logarithmic axis from `low` to `high`; there are several ticks even if `low`
-    and `high` are close.
+    """Choose a few round numbers as ticks of a logarithmic axis from `low` to `high`.
+
+    There are several ticks even if `low` and `high` are close.
     """
     from matplotlib.ticker import MaxNLocator
 
@@ -109,8 +111,9 @@ def dress(axes: Any, legend: bool = False, **settings: Any) -> None:
 
 
 def draw_band(axes: Any, x: Any, band: Any, label: str | None, mark: str = "", **style: Any) -> None:
-    """Draw a line through the middle values, and a faint area from the low to the high values; these are the rows low,
-    middle and high of `band` `(3, N)`.
+    """Draw a line through the middle values, and a faint area from the low to the high values.
+
+    The rows of `band` `(3, N)` are the low, middle and high values at `x` `(N,)`.
     """
     low, middle, high = band
     axes.fill_between(x, low, high, color=style["color"], alpha=0.2, lw=0)
@@ -140,8 +143,9 @@ class Group(NamedTuple):
 
 
 def landmark_groups(count: int, fixed: int) -> list[Group]:
-    """Groups into which `count` landmarks are divided for drawing: the first `fixed` landmarks, which existed before
-    the optimisation, and all others; empty groups are omitted.
+    """Divide `count` landmarks into groups for drawing; empty groups are omitted.
+
+    The first `fixed` landmarks existed before the optimisation and form one group; all others form the other group.
     """
     hung = np.arange(count) < fixed
     if not fixed:
@@ -195,7 +199,7 @@ def series(number: int) -> dict[str, str]:
 
 
 def literal(text: object) -> str:
-    """Escape a text from a file for matplotlib, which would otherwise take `$` for the beginning of a formula."""
+    """Escape a text for matplotlib, which would otherwise take `$` for the beginning of a formula."""
     return printable(str(text)).replace("$", r"\$")
 
 
@@ -205,8 +209,9 @@ def wrapped(title: str, inches: float) -> str:
 
 
 def new_panels(inches: tuple[float, float], title: str | None, rows: int, columns: int, **shared: Any) -> Any:
-    """Make a figure with panels in rows and columns, otherwise like `new_figure`; return the figure and its panels
-    `(rows, columns)`.
+    """Make a figure like `new_figure`, with panels in rows and columns.
+
+    Return the figure and its panels, `(rows, columns)`.
     """
     figure = new_figure(inches, title)
     return figure, figure.subplots(rows, columns, squeeze=False, **shared)

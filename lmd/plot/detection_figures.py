@@ -27,9 +27,10 @@ LEGEND = (
 
 
 def save_calibration_figure(path: str | Path, figures: pd.DataFrame, pitches: pd.DataFrame, title: str) -> None:
-    """Write a PNG with two panels for each deployment. The upper panel shows the share of frames with at least n tags,
-    P(>= n), predicted and detected. The lower panel shows, by pitch, the shares of tags that are predicted and
-    detected.
+    """Write a PNG with two panels for each deployment, which compare predictions with detections.
+
+    The upper panel shows the predicted and the detected share of frames with at least n tags, P(>= n). The lower panel
+    shows the predicted and the detected share of tags against the pitch, pixels per module.
 
     Args:
         path: path of the PNG.
@@ -68,9 +69,10 @@ def save_calibration_figure(path: str | Path, figures: pd.DataFrame, pitches: pd
 
 
 def save_limits_figure(path: str | Path, calibrations: Mapping[str, DetectorCalibration], title: str) -> None:
-    """Write a PNG with two panels for each detector. The left panel shows which views of tags were detected, against
-    pitch and blur. The right panel shows the share of views in which the tag was detected, against the ratio of the
-    tag's size to the detector's limit.
+    """Write a PNG with two panels for each detector, which compare detections with the detector's limits.
+
+    The left panel shows the views of tags, detected or not, against blur and pitch (pixels per module). The right panel
+    shows the share of views in which the tag was detected, against the ratio of the tag's size to the detector's limit.
 
     Args:
         path: path of the PNG.
@@ -117,7 +119,7 @@ def outlined(image: UInt8Array, expected: FloatArray, predicted: BoolArray, foun
 
     Args:
         image: grey image, `(h, w)`.
-        expected: exact corners of the K tags, pixels from the border, `(K, 4, 2)`; NaN behind the camera.
+        expected: exact corners of the K tags, pixels from the top-left border, `(K, 4, 2)`; NaN behind the camera.
         predicted: mask of the predicted tags, `(K,)`.
         found: detected corners, `(K, 4, 2)`; NaN for tags that were not detected.
     """
@@ -137,7 +139,7 @@ def outlined(image: UInt8Array, expected: FloatArray, predicted: BoolArray, foun
 def save_frame(
     path: str | Path, image: UInt8Array, expected: FloatArray, predicted: BoolArray, found: FloatArray
 ) -> None:
-    """Write the image that `outlined` returns as a PNG, with a legend."""
+    """Write a PNG of an image with outlined tags and a legend; arguments as in `outlined`."""
     cv2 = optional("cv2", "detection")
     drawn, scale = outlined(image, expected, predicted, found), _scale(image)
     for i, (colour, text) in enumerate(LEGEND):

@@ -14,8 +14,10 @@ CHOSEN = "#1a9641"  # colour of the chosen fit, as in the paper
 
 
 def save_orientation_figure(path: str | Path, estimate: PdfEstimate, title: str) -> None:
-    """Write a PNG of 1500 x 500 pixels: histograms of yaw and pitch with all fitted densities, and the PDF of both
-    angles.
+    """Write a PNG of 1500 x 500 pixels with three panels about an orientation PDF.
+
+    Two panels show histograms of yaw and of pitch with all fitted densities. The third panel shows the joint PDF of yaw
+    and pitch.
     """
     figure, ((left, middle, right),) = new_panels((15.0, 5.0), title, 1, 3, width_ratios=(1.2, 1.0, 1.2))
     _draw_marginal(left, estimate.yaw, "yaw")

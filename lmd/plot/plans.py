@@ -1,5 +1,7 @@
-"""Pictures of rooms from above, as PNGs: the predicted accuracy of the position from one image, surveyed tags with
-their planned places, and the camera poses of a localisation.
+"""Pictures of rooms from above, as PNGs.
+
+They show the camera positions of a room, the predicted accuracy of the position from one image, surveyed tags with
+their planned places, or the camera poses of a localisation.
 """
 
 from collections.abc import Callable, Mapping
@@ -83,11 +85,11 @@ def save_room_figure(path: str | Path, room: Space, title: str, people: FloatArr
 def save_accuracy_figure(
     path: str | Path, deployments: Mapping[str, tuple[Problem, Deployment, "pd.DataFrame"]], title: str
 ) -> None:
-    """Write a PNG with a panel for each deployment: the room from above, with the landmarks of the deployment, and with
-    the median predicted error of the position as colour. All panels have one colour scale.
+    """Write a PNG with a panel for each deployment: the room from above, with landmarks and predicted errors.
 
-    The median is taken over all orientations and heights at each place of the plan. A recording is drawn as its path,
-    with a colour for each step of `TOLERANCES`.
+    The colour of a place is the median predicted error of the position. The median is taken over all orientations and
+    heights at the place. A recording is drawn as its path, with a colour for each step of `TOLERANCES`. All panels have
+    one colour scale.
 
     Args:
         path: path of the PNG.
@@ -128,8 +130,10 @@ def save_accuracy_figure(
 
 
 def save_survey_figure(path: str | Path, survey: "Survey", room: Space | None, title: str) -> None:
-    """Write a PNG of 1500 x 700 pixels: measured and planned tags from above, and the offset of each tag from its
-    planned place.
+    """Write a PNG of 1500 x 700 pixels with two panels about a survey of tags.
+
+    The left panel shows the tags from above. The right panel shows the offset of each tag from its planned place.
+    Without a plan, the right panel shows the standard deviations of the tags' positions.
 
     Args:
         path: path of the PNG.
@@ -142,7 +146,7 @@ def save_survey_figure(path: str | Path, survey: "Survey", room: Space | None, t
 
 
 def _save_panels(path: str | Path, title: str, left: Callable[[Any], None], right: Callable[[Any], None]) -> None:
-    """Write a PNG of 1500 x 700 pixels with two panels, each drawn by a function of its axes."""
+    """Write a PNG of 1500 x 700 pixels with two panels; the functions `left` and `right` draw on the axes."""
     figure, (both,) = new_panels((15.0, 7.0), title, 1, 2)
     for draw, axes in zip((left, right), both, strict=True):
         draw(axes)
@@ -151,8 +155,10 @@ def _save_panels(path: str | Path, title: str, left: Callable[[Any], None], righ
 
 
 def _draw_above(axes: Any, survey: "Survey", room: Space | None) -> None:
-    """Draw the tags from above, with uncertainty ellipses and, if there is a plan, with arrows from the planned to the
-    measured places. Planned tags that were not placed are marked at their planned places, with their ids.
+    """Draw the tags of a survey from above, with uncertainty ellipses.
+
+    If there is a plan, arrows lead from the planned to the measured places. Planned tags that the survey has not placed
+    are marked at their planned places, with their ids.
     """
     from lmd.adjust.gauge import in_world
 
@@ -189,8 +195,10 @@ def _draw_above(axes: Any, survey: "Survey", room: Space | None) -> None:
 
 
 def edge_lines(tags: FloatArray, edges: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Ends of the lines that show K tags from above: the line of a tag is horizontal, goes through the tag's centre and
-    is as long as the tag is wide. Returns x and y coordinates, `(2, K)` each, metres.
+    """Ends of the lines that show K tags from above: x and y coordinates, metres, `(2, K)` each.
+
+    The line of a tag is horizontal, goes through the tag's centre and is as long as the tag is wide. `tags` `(K, 4, 4)`
+    are the poses of the tags, and `edges` `(K,)` their edge lengths, metres.
     """
     half = edges[:, None] / 2.0 * tags[:, :2, 0]
     ends = np.stack([tags[:, :2, 3] - half, tags[:, :2, 3] + half])
@@ -198,7 +206,10 @@ def edge_lines(tags: FloatArray, edges: FloatArray) -> tuple[FloatArray, FloatAr
 
 
 def ellipse(covariance: FloatArray) -> FloatArray:
-    """Points on the ellipse that a covariance matrix `(2, 2)` describes around the origin, `(2, N)`."""
+    """Points on the ellipse of `ELLIPSE_SIGMAS` standard deviations around the origin, `(2, N)`.
+
+    `covariance` is the covariance matrix `(2, 2)` of the position.
+    """
     values, axes = np.linalg.eigh(covariance)
     angle = np.linspace(0.0, 2.0 * np.pi, ELLIPSE_POINTS)
     circle = np.stack([np.cos(angle), np.sin(angle)])
@@ -206,8 +217,9 @@ def ellipse(covariance: FloatArray) -> FloatArray:
 
 
 def _draw_offsets(axes: Any, survey: "Survey") -> None:
-    """Draw the offset of each tag in its own plane, with uncertainty ellipses, and the ids of the tags with the largest
-    offsets.
+    """Draw the offset of each tag from its planned place, in the plane of the tag, with an uncertainty ellipse.
+
+    The tags with the largest offsets are marked by their ids.
     """
     from lmd.survey.results import tag_columns
 
@@ -272,8 +284,10 @@ def save_localised_figure(path: str | Path, result: "Localisation", room: Space 
 
 
 def _ways(result: "Localisation") -> list[tuple[str, str, FloatArray, FloatArray]]:
-    """Tuples (name, colour, poses, covariances) of the paths to draw: one of the poses from single images, and one of
-    the smoothed poses of a drive, as far as they exist.
+    """Paths to draw, if they exist: that of the poses from single images, and that of the smoothed poses of a drive.
+
+    Returns:
+        name, colour, poses and covariances of each path.
     """
     every = ("single images", SINGLE, result.found), ("smoothed", SMOOTHED, result.smoothed)
     return [(name, colour, one.poses.frames, one.frame_covariances) for name, colour, one in every if one is not None]

@@ -33,8 +33,7 @@ DECADES = 12  # number of decades shown below the largest error
 def save_error_figure(
     path: str | Path, curves: pd.DataFrame, time: FloatArray, counts: dict[str, IntArray], n: int, title: str
 ) -> None:
-    """Write a PNG: the errors of the poses from each estimator against time, and below the errors the number of
-    landmarks in view.
+    """Write a PNG of the errors of estimated poses against time; a lower panel shows the numbers of landmarks in view.
 
     Args:
         path: path of the PNG.
@@ -73,8 +72,9 @@ def save_error_figure(
 
 
 def save_map_figure(path: str | Path, views: pd.DataFrame, title: str) -> None:
-    """Write a PNG of 800 x 500 pixels with a curve for each map of the tags: the share of views whose position error is
-    below the value on the horizontal axis.
+    """Write a PNG of 800 x 500 pixels with a curve for each map of the tags.
+
+    The curve shows the share of views whose position error is below the value on the horizontal axis.
 
     Args:
         path: path of the PNG.
@@ -142,8 +142,11 @@ def save_uncertainty_figure(
 
 
 def _cells(places: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Divide the floor into nearly square cells. Returns the bounds of the cells along x and along y, and the index of
-    the cell of each place `(V, 2)`; the index increases along x first.
+    """Divide the floor into nearly square cells.
+
+    Returns:
+        bounds of the cells along x; bounds along y; index of the cell of each of the `places` `(V, 2)`, `(V,)`. The
+        index increases along x first.
     """
     low, high = places.min(axis=0), np.maximum(places.max(axis=0), places.min(axis=0) + 1e-3)
     counts = np.maximum(np.rint(CELLS * (high - low) / (high - low).max()).astype(int), 1)
@@ -173,8 +176,9 @@ def _draw_shares(axes: Any, views: Any, x: FloatArray, y: FloatArray, cell: IntA
 
 
 def _shares(cell: IntArray, hit: Any, count: int) -> FloatArray:
-    """For each of `count` cells, the share of its views with a True entry of `hit`; NaN for cells with few views.
-    `cell` has the index of each view's cell.
+    """Share of the views in each of `count` cells for which `hit` is True, `(count,)`; NaN for cells with few views.
+
+    `cell` `(V,)` has the index of each view's cell, and `hit` is a mask `(V,)`.
     """
     number, hits = np.bincount(cell, minlength=count), np.bincount(cell, hit.astype(float), count)
     return np.where(number >= LEAST_IN_CELL, hits / np.maximum(number, 1), np.nan)

@@ -23,10 +23,10 @@ Groups: TypeAlias = Sequence[common.Group]
 
 
 def save_scene_figure(path: str | Path, problem: Problem, deployment: Deployment, title: str) -> None:
-    """Write a PNG of 1500 x 750 pixels with two pictures of the room: in one the positions are coloured by the
-    objective's value, in the other by whether they are qualified.
+    """Write a PNG of 1500 x 750 pixels with two pictures of the room.
 
-    If all positions have one height, the room is drawn from above, with the ids of the landmarks.
+    In one picture, the colours of the positions show the objective's value. In the other, they show the qualified
+    positions. If all positions have one height, the room is drawn from above, with the ids of the landmarks.
 
     Args:
         path: path of the PNG.
@@ -56,7 +56,7 @@ def save_scene_figure(path: str | Path, problem: Problem, deployment: Deployment
 def _draw_in_space(
     problem: Problem, values: FloatArray, good: BoolArray, deployment: Deployment, groups: Groups, title: str
 ) -> tuple[Any, Any]:
-    """Figure with two pictures of the room in perspective, and the figure's colour bar."""
+    """Draw two pictures of the room in perspective; return the figure and its colour bar."""
     from matplotlib.figure import Figure
 
     room, positions = problem.scene.room, problem.places
@@ -75,7 +75,7 @@ def _draw_in_space(
 def _draw_from_above(
     problem: Problem, values: FloatArray, good: BoolArray, deployment: Deployment, groups: Groups, title: str
 ) -> tuple[Any, Any]:
-    """Figure with two pictures of the room from above, and the figure's colour bar."""
+    """Draw two pictures of the room from above; return the figure and its colour bar."""
     from matplotlib.collections import PatchCollection
     from matplotlib.patches import Rectangle
 
@@ -97,7 +97,10 @@ def _draw_from_above(
 
 
 def _legends(room: Space, groups: Groups, labels: tuple[str, str]) -> tuple[list[Any], list[Any]]:
-    """Legend entries of the room and the landmarks, and legend entries of qualified and unqualified positions."""
+    """Make two lists of legend entries: one of the room and the landmarks, one of the positions.
+
+    `labels` are the labels of the qualified and of the unqualified positions.
+    """
     from matplotlib.lines import Line2D
 
     lines = [
@@ -113,8 +116,9 @@ def _legends(room: Space, groups: Groups, labels: tuple[str, str]) -> tuple[list
 def save_deployments_figure(
     path: str | Path, deployments: Mapping[str, tuple[Problem, Deployment]], title: str
 ) -> None:
-    """Write a PNG with a panel for each deployment, two panels in a row; a panel shows the deployment and its qualified
-    positions.
+    """Write a PNG with a panel for each deployment, two panels in a row.
+
+    A panel shows the landmarks of the deployment and the qualified positions.
 
     Args:
         path: path of the PNG.
@@ -206,7 +210,10 @@ def _draw_balls(axes: Any, room: Space, positions: FloatArray, **colours: Any) -
 
 
 def _faces(is_qualified: BoolArray) -> Any:
-    """Colours `(P, 4)` of the balls at P positions; `is_qualified` `(P,)` is the mask of the qualified ones."""
+    """Colours of the balls at P positions, red, green, blue and opacity, `(P, 4)`.
+
+    `is_qualified` `(P,)` is the mask of the qualified positions.
+    """
     from matplotlib.colors import to_rgba_array
 
     colours = np.where(is_qualified, common.QUALIFIED, common.UNQUALIFIED)

@@ -45,8 +45,9 @@ class Canvas:
         self.cv2: Any = optional("cv2", "detection")
 
     def outline(self, polygon: FloatArray) -> FloatArray:
-        """Outline in the image, pixels, `(m, 2)`, of the part of a convex polygon that is beyond the near plane. The
-        polygon `(M, 3)` is in the camera frame, metres.
+        """Image outline of the part of a convex polygon that is beyond the near plane, pixels, `(m, 2)`.
+
+        `polygon` `(M, 3)` has the vertices in the camera frame, metres.
         """
         image = clipped(polygon) @ self.matrix.T
         return np.asarray(image[:, :2] / image[:, 2:])
@@ -141,9 +142,9 @@ class Canvas:
         part += inside[..., 1] * (black - part) + contrast * inside[..., 0]
 
     def _window(self, outline: FloatArray, margin: int) -> tuple[int, int, int, int] | None:
-        """Bounding box (x, y, width, height) of an outline, enlarged by `margin`, pixels.
+        """Bounding box (x, y, width, height) of an outline, enlarged by `margin`; all in pixels.
 
-        The box may reach beyond the image by `margin`. None if the box is outside the image.
+        The box may reach beyond the image by `margin`. The result is None if the box is outside the image.
         """
         if not len(outline):
             return None
@@ -158,10 +159,11 @@ class Canvas:
     def _warp(
         self, picture: Any, homography: FloatArray, window: tuple[int, int, int, int], samples: int, border: int
     ) -> Any:
-        """Warp `picture` by a homography that maps texels to pixels; texels and pixels count from the outer corner of
-        the first texel or pixel.
+        """Warp `picture` by a homography that maps texels to pixels.
 
-        The result covers `window`, with `samples` values per pixel along each axis.
+        Texels and pixels count from the outer corner of the first texel or pixel. The result covers the rectangle
+        `window` (x, y, width, height), with `samples` values per pixel along each axis. `border` is OpenCV's mode for
+        points outside the picture.
         """
         x, y, width, height = window
         from_centre = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
@@ -187,8 +189,9 @@ class Canvas:
 
 
 def clipped(polygon: FloatArray) -> FloatArray:
-    """Part of a convex polygon at depths z >= `NEAR_PLANE`, as vertices `(m, 3)`, possibly none. The polygon `(M, 3)`
-    is in the camera frame, metres.
+    """Part of a convex polygon at depths z of at least `NEAR_PLANE`, as vertices `(m, 3)`; m may be 0.
+
+    `polygon` `(M, 3)` has the vertices of the whole polygon in the camera frame, metres.
     """
     depth = polygon[:, 2] - NEAR_PLANE
     if (depth >= 0.0).all():
@@ -203,15 +206,16 @@ def clipped(polygon: FloatArray) -> FloatArray:
 
 
 def _area(outline: FloatArray) -> float:
-    """Area of a polygon `(m, 2)`."""
+    """Area of a polygon with the vertices `outline` `(m, 2)`, in the squared unit of the vertices."""
     x, y = outline[:, 0], outline[:, 1]
     return float(abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2.0)
 
 
 @lru_cache(maxsize=512)
 def texture(tag: Tag, number: int, texels: int) -> UInt8Array:
-    """Texture of a tag with its quiet zone, with `texels` texels per module along each axis: whiteness and opacity, 0
-    or 255, `(S, S, 2)`.
+    """Texture of a tag with its quiet zone, `(S, S, 2)`: whiteness and opacity of each texel, 0 or 255.
+
+    `number` is the id of the tag in its family. There are `texels` texels per module along each axis.
     """
     modules = np.where(tag.picture(number), 255, 0).astype(np.uint8)
     margin = round(tag.quiet_zone * texels)
@@ -228,8 +232,9 @@ MOST_REPEATS = 3
 
 @lru_cache(maxsize=2)
 def covering(amplitude: float, seed: int, length: float) -> Float32Array:
-    """Offsets of grey levels for a square, `(T, T)`: a random `pattern`, repeated until it covers the square, but at
-    most `MOST_REPEATS` times along an edge.
+    """Offsets of grey levels, `(T, T)`, for a square: a random `pattern` that is repeated until it covers the square.
+
+    There are at most `MOST_REPEATS` repetitions along an edge.
 
     Args:
         amplitude: standard deviation, grey levels.
@@ -241,7 +246,9 @@ def covering(amplitude: float, seed: int, length: float) -> Float32Array:
 
 
 def pattern(amplitude: float, rng: np.random.Generator) -> Float32Array:
-    """Random pattern of grey levels around 0, `(PATTERN, PATTERN)`. The amplitude of its waves falls as 1 / frequency.
+    """Random pattern of grey levels around 0, `(PATTERN, PATTERN)`.
+
+    The amplitude of the waves that make up the pattern falls as 1 / frequency.
 
     Args:
         amplitude: standard deviation, grey levels.

@@ -1,4 +1,4 @@
-"""Imaging: conversion of a scene's light to grey levels by lens, exposure and noise."""
+"""Conversion of a scene's light to the grey levels of an image by lens, exposure and noise."""
 
 import math
 from dataclasses import dataclass
@@ -29,8 +29,9 @@ Grey = Annotated[float, partial(real, low=0.0, high=GREY_LEVELS)]
 
 @dataclass(frozen=True)
 class Imaging(Checked):
-    """Settings for the rendering of 8-bit images. The brightness of surfaces is given as grey levels at exposure 1 and
-    gamma 1.
+    """Settings for the rendering of 8-bit images.
+
+    The brightness of surfaces is given as grey levels at exposure 1 and gamma 1.
 
     Raises:
         InputError: a value is out of range.

@@ -55,14 +55,17 @@ class Face(NamedTuple):
     size: tuple[int, int]
     """Width and height, pixels."""
     at: tuple[Float32Array, Float32Array] | None
-    """Maps for `cv2.remap`: coordinates in the face for each pixel of the camera's image, `(h, w)` each; None if the
-    face is the camera's image."""
+    """Maps for `cv2.remap`, `(h, w)` each; None if the face is the camera's image.
+
+    The maps give the coordinates in the face of each pixel of the camera's image.
+    """
     taken: BoolArray | None
     """Mask of the pixels of the camera's image that show the face, `(h, w)`."""
 
     def scale(self, camera: Camera, point: FloatArray) -> float:
-        """Scale of the camera's image relative to the face, near the image of a point `(3,)` in the camera's frame. The
-        scale is the number of pixels of the camera's image per pixel of the face.
+        """Scale of the camera's image relative to the face: pixels of the camera's image per pixel of the face.
+
+        It is the scale near the image of `point` `(3,)`, a point in the camera's frame.
         """
         if camera.lens is None:
             return 1.0
@@ -96,7 +99,7 @@ class Renderer:
             motion: body twist (w, v) times the exposure time, rad and metres, `(6,)`; None for `Imaging.motion_blur`.
 
         Returns:
-            `(h, w)`.
+            grey levels of the image, 8 bits, `(h, w)`.
         """
         if motion is None and self.imaging.motion_blur > 0.0:
             motion = self._turn(rng)
@@ -104,16 +107,17 @@ class Renderer:
         return self.imaging.develop(_assembled(faces_of(self.camera), lights), rng)
 
     def corners(self, pose: FloatArray) -> FloatArray:
-        """Exact image points of the tags' corners, seen from camera poses `(..., 4, 4)`, pixels from the outer corner
-        of the image's top left pixel, `(..., K, 4, 2)`.
+        """Exact image points of the tags' corners, seen from camera poses `(..., 4, 4)`, `(..., K, 4, 2)`.
 
-        Tags outside the image, facing away or occluded are included. NaN as in `lmd.geometry.projection.project`.
+        They are in pixels from the outer corner of the image's top left pixel. Tags outside the image, facing away or
+        occluded are included. Points are NaN behind the camera, and beyond the lens's `widest_angle`.
         """
         return self._images(pose, self.room.corners)
 
     def picture_corners(self, pose: FloatArray) -> FloatArray:
-        """Exact image points as `corners` gives them, but of the corners of the tags' whole pictures. In some families
-        the picture is larger than the black square.
+        """Exact image points of the corners of the tags' whole pictures, in the form of `corners`, `(..., K, 4, 2)`.
+
+        In some families the picture is larger than the black square.
         """
         return self._images(pose, self.room.picture_corners)
 
@@ -135,11 +139,13 @@ class Renderer:
         return np.asarray(within & ((towards * room.normals).sum(axis=-1) > 0.0))
 
     def _lights(self, pose: FloatArray) -> list[Float32Array]:
-        """Light on each face, rendered from one pose."""
+        """Light on each face (pinhole image) of the camera's image, rendered from one pose."""
         return [self._light(pose, face) for face in faces_of(self.camera)]
 
     def _light(self, from_camera: FloatArray, face: Face) -> Float32Array:
-        """Light on one face. Surfaces are drawn first, then people, from far to near, and blurred; then tags from far
+        """Light on one face (pinhole image), rendered from the pose `from_camera`, camera to world, `(4, 4)`.
+
+        Surfaces are drawn first, then people, each from far to near, and both are blurred. Then tags are drawn from far
         to near.
         """
         pose = from_camera.copy()
@@ -164,8 +170,10 @@ class Renderer:
         return canvas.light
 
     def _sigma(self, square: FloatArray, face: Face) -> float:
-        """Standard deviation of a tag's blur in a face, pixels of the face. This is the blur at the depth of the tag's
-        centre, divided by the scale of the camera's image relative to the face.
+        """Standard deviation of the blur of a tag in one face (pinhole image) of the frame, pixels of the face.
+
+        It is the blur of the camera's image at the depth of the tag's centre, divided by `Face.scale` at the centre.
+        `square` `(4, 3)` has the corners of the tag in the frame of the face, metres.
         """
         centre, sigma, camera = face.turn.T @ square.mean(axis=0), self.imaging.psf_sigma, self.camera
         if self.imaging.defocus:
@@ -173,8 +181,9 @@ class Renderer:
         return sigma / face.scale(camera, centre)
 
     def _turn(self, rng: np.random.Generator) -> FloatArray:
-        """Draw a rotation of the camera in a random direction that moves the image centre by `Imaging.motion_blur`; a
-        body twist `(6,)`, rad.
+        """Draw a rotation of the camera in a random direction that moves the image centre by `Imaging.motion_blur`.
+
+        Return the rotation as a body twist `(6,)`, rad, with zero translation.
         """
         direction = rng.uniform(0.0, 2.0 * math.pi)
         shift = self.imaging.motion_blur * np.array([math.cos(direction), math.sin(direction)])
@@ -182,7 +191,10 @@ class Renderer:
         return np.array([down, -right, 0.0, 0.0, 0.0, 0.0])
 
     def _moving(self, pose: FloatArray, motion: FloatArray) -> list[Float32Array]:
-        """Light on each face, averaged over poses along a motion, in steps of about a pixel."""
+        """Light on each face, averaged over poses along a motion around `pose`, in steps of about a pixel.
+
+        `motion` is the body twist times the exposure time, rad and metres, `(6,)`.
+        """
         ends = [self.corners(pose @ exp(t * motion))[self.inside(pose)] for t in (-0.5, 0.5)]
         shift = np.linalg.norm(ends[1] - ends[0], axis=-1)
         longest = float(np.nanmax(shift)) if np.isfinite(shift).any() else 0.0
@@ -203,22 +215,30 @@ class Renderer:
 
 
 def _from_afar(surfaces: Sequence[Surface], position: FloatArray) -> list[tuple[Surface, FloatArray]]:
-    """Parts of those surfaces that face a position `(3,)`: pairs of the surface and the part's polygon, the farthest
-    first.
+    """Parts of the surfaces that face a position `(3,)`, the farthest part first.
+
+    Returns:
+        for each part, the surface and the corners of the part in the surface's coordinates (a, b), metres, `(4, 2)`.
     """
     seen = [(s, part) for s in surfaces if (position - s.origin) @ s.normal > 0.0 for part in s.parts]
     return sorted(seen, key=lambda one: -float(np.linalg.norm(_middle(*one) - position)))
 
 
 def _middle(surface: Surface, part: FloatArray) -> FloatArray:
-    """Middle of the bounding box of a part of a surface, world frame, metres, `(3,)`."""
+    """Centre of the bounding box of a part of a surface, world frame, metres, `(3,)`.
+
+    `part` `(M, 2)` has the vertices of the part in the surface's coordinates (a, b), metres.
+    """
     a, b = (part.min(axis=0) + part.max(axis=0)) / 2.0
     return np.asarray(surface.origin + a * surface.u + b * surface.v)
 
 
 @lru_cache(maxsize=2)
 def faces_of(camera: Camera) -> tuple[Face, ...]:
-    """Faces of a camera's image; cached outside of `Renderer`, so that a pickled renderer is small."""
+    """Faces: the pinhole images from which the image of a camera is assembled.
+
+    The result is cached outside of `Renderer`, so that a pickled renderer is small.
+    """
     width, height = image_size(camera)
     if camera.lens is None:
         return (Face(CUBE[0], projection.intrinsics(camera), (width, height), None, None),)
@@ -240,8 +260,13 @@ def faces_of(camera: Camera) -> tuple[Face, ...]:
 
 
 def _face(turn: FloatArray, focal: FloatArray, rays: FloatArray, taken: BoolArray) -> Face:
-    """Smallest face (pinhole image) with the rotation `turn` and the focal lengths `focal` that contains the rays of
-    the pixels in the mask `taken` `(h, w)`. `rays` `(h, w, 3)` has the rays of all pixels, in the camera's frame.
+    """Make the smallest face (pinhole image) that contains the rays of the pixels in the mask `taken` `(h, w)`.
+
+    Args:
+        turn: rotation matrix from the camera's frame to the frame of the face, `(3, 3)`.
+        focal: focal lengths of the face, pixels, `(2,)`.
+        rays: rays of all pixels of the camera's image, in the camera's frame, `(h, w, 3)`.
+        taken: mask of the pixels that show the face.
     """
     x, y, z = np.moveaxis(rays @ turn.T, -1, 0)
     with np.errstate(all="ignore"):
@@ -255,7 +280,7 @@ def _face(turn: FloatArray, focal: FloatArray, rays: FloatArray, taken: BoolArra
 
 
 def _assembled(faces: tuple[Face, ...], lights: list[Float32Array]) -> Float32Array:
-    """Image of the camera, assembled from its faces; black outside the view of the lens."""
+    """Image of the camera, assembled from the light on each of its faces; black outside the view of the lens."""
     cv2, whole = optional("cv2", "detection"), lights[0]
     for number, (face, light) in enumerate(zip(faces, lights, strict=True)):
         if face.at is not None and face.taken is not None:

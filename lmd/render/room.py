@@ -1,4 +1,4 @@
-"""Tags on the surfaces of a room, with people, for a renderer."""
+"""Room with tags on its surfaces, and with people, for a renderer."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,8 +17,9 @@ SIDES = 32  # number of sides of a prism; error of its outline: r (1 - cos(pi / 
 
 
 def faces_of(people: FloatArray) -> tuple[Surface, ...]:
-    """Surfaces of prisms that approximate people: sides and tops of the cylinders `people` `(N, 5)`, see
-    `lmd.space.crowd`.
+    """Surfaces (sides and tops) of prisms that approximate people.
+
+    `people` `(N, 5)` are the cylinders of the people: x, y, radius, lower and upper z, metres.
     """
     import shapely
 
@@ -66,7 +67,7 @@ class TaggedRoom:
     edges: FloatArray = None  # type: ignore[assignment] # always an array once made
     """Edge length of each tag, metres, `(K,)`; None for that of `tag`."""
     people: FloatArray = None  # type: ignore[assignment] # always an array once made
-    """Cylinders of people in front of surfaces and tags, `(N, 5)`, see `lmd.space.crowd`; None without a crowd."""
+    """Cylinders of people in front of surfaces and tags, `(N, 5)`, columns as in `faces_of`; None without a crowd."""
 
     def __post_init__(self) -> None:
         ids = np.asarray(self.ids)
@@ -107,8 +108,9 @@ class TaggedRoom:
 
     @cached_property
     def picture_corners(self) -> FloatArray:
-        """Corners of the tags' whole pictures, in the order and shape of `corners`. In some families the picture is
-        larger than the black square; a detector needs the whole picture in the image.
+        """Corners of the tags' whole pictures, world frame, metres, `(K, 4, 3)`, in the order of `corners`.
+
+        In some families the picture is larger than the black square; a detector needs the whole picture in the image.
         """
         if self.tag.picture_share == 1.0:
             return self.corners

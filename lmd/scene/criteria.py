@@ -3,8 +3,8 @@
 Most criteria depend mainly on the camera's position, so a model is evaluated in stages:
 
 - `from_position` bounds the result for all orientations at a position.
-- `in_image` tests one orientation, given by the optical axis and the image's right; a model with a conical field of
-  view ignores the right.
+- `in_image` tests one orientation, given by two unit vectors: the optical axis, and the direction to the right in the
+  image (the *image's right*). A model with a conical field of view ignores the second vector.
 - `hide` tests if one landmark occludes another.
 
 These functions are scalar, with as few branches as possible. Kernels call only the functions of this module.
@@ -12,14 +12,15 @@ These functions are scalar, with as few branches as possible. Kernels call only 
 A visibility model has two parts:
 
 - a `Criteria` with the thresholds that a user sets; its `covered` is the NumPy reference.
-- a `SightModel`, the *model of sight*: a named tuple of numbers, compiled for one camera, whose type is registered with
+- a `SightModel`, the *model of sight*: a named tuple of numbers, compiled for one camera. Its type is registered with
   the functions below.
 
 Both parts must give equal results, bit for bit. A `Covering` has the NumPy reference only, without a model of sight.
 
-Pruning uses conservative bounds. An axis is an orientation of the camera, given by the optical axis and the image's
-right. Bands of axes use a cone (`low`) that contains every axis from which the landmark is covered. Tables of
-directions use only the field of view (`in_view`).
+Few orientations need the exact test, as conservative bounds exclude the others. One method sorts the orientations by
+the height (z coordinate) of the optical axis. If an orientation covers a landmark at a depth of at least `low`, its
+optical axis is in a cone around the direction of the landmark, and so its height is in a band. The other method looks
+up the orientations in tables by the direction of the landmark; the tables depend only on the field of view (`in_view`).
 """
 
 import math
@@ -49,37 +50,41 @@ class SightModel(Protocol):
 
     @property
     def inset(self) -> float:
-        """Least angle, rad, between a landmark's direction and the border of the field of view with which the landmark
-        is *well in view*.
+        """Angular margin, rad, from the border of the field of view, with which a landmark is *well in view*.
 
-        A landmark that is well in view is covered if its depth is between `low` and `sure` of `from_position`;
-        `in_view` tests the angle.
+        The field of view then contains the cone with this half-angle around the landmark's direction (tested by
+        `in_view`). A landmark that is well in view is covered if its depth is between the results `low` and `sure` of
+        `from_position`.
         """
 
     @property
     def reach(self) -> float:
-        """Square of the distance from a line of sight beyond which a landmark cannot block the line, m^2; negative if
-        no landmark can block it.
+        """Square of the largest distance, m^2, from a line of sight at which a landmark can block this line.
+
+        The value is negative if no landmark can block a line of sight.
         """
 
     @property
     def horizon(self) -> float:
-        """Distance beyond which a landmark has no effect, metres, see `horizon_of`; an optional field, by default
-        infinite.
+        """Distance beyond which a landmark has no effect, metres, see `horizon_of`.
+
+        An optional field, by default infinite.
         """
 
     @property
     def tabulated(self) -> bool:
-        """True if looking up a table of directions (`lmd.sight.directions`) is faster than `in_image`; an optional
-        field, by default False. Use False if `in_image` has few operations.
+        """True if a look-up in a table of directions (`lmd.sight.directions`) is faster than `in_image`.
+
+        An optional field, by default False. Use False if `in_image` has few operations.
         """
 
     def unhidden(self) -> "SightModel":
-        """Model of sight without occlusion of one landmark by another."""
+        """Model of sight in which no landmark occludes another."""
 
     def among(self, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray) -> "SightModel":
-        """Model of sight for given landmarks: the result of `unhidden` if a conservative test finds that no landmark
-        can hide another, otherwise the model itself.
+        """Model of sight for given landmarks; without occlusion, as from `unhidden`, if no landmark can hide another.
+
+        The test is conservative: the result may be the model itself although no landmark is hidden.
 
         Args:
             low, high: corners of a box around all positions of the camera, `(3,)`, metres.
@@ -113,7 +118,8 @@ class Criteria(Protocol):
         Args:
             camera: intrinsics.
             position: position p of the camera, world frame, metres, `(3,)`.
-            axes: optical axis and image's right of each orientation, two unit vectors, world frame, `(A, 6)`.
+            axes: two unit vectors for each orientation, the optical axis and the direction to the right in the image,
+                world frame, `(A, 6)`.
             landmarks: positions, world frame, metres, `(K, 3)`.
             normals: unit normals, `(K, 3)`.
         """
@@ -122,7 +128,7 @@ class Criteria(Protocol):
 class Covering(ABC):
     """Base of criteria without a compiled model of sight; a subclass implements `covered`, see `Criteria`.
 
-    All results are computed with `covered` (`lmd.sight.reference`); this is slower than a compiled model of sight.
+    All results are computed with `covered` (`lmd.sight.reference`), which is slower than a compiled model of sight.
     """
 
     needs_roll = True
@@ -153,7 +159,8 @@ def sized(sight: Any, k: Integer) -> Any:
     """Compiled model of landmark k.
 
     A model for landmarks of several sizes stores arrays with one value per landmark; `sized` selects the values of
-    landmark k. All functions below except `in_view` and `pixel_density` require a model of one landmark.
+    landmark k. A model for landmarks of one size is returned unchanged. All functions below except `in_view` and
+    `pixel_density` require a model of one landmark.
     """
     return sight
 
@@ -165,8 +172,8 @@ def from_position(sight: Any, offset: Vector, normal: Vector, slack: float) -> A
     Args:
         offset: offset of the landmark from the camera, world frame, metres.
         normal: unit normal of the landmark.
-        slack: metres; `reached` and `low` also hold if the landmark is moved by up to this distance in its plane (see
-            `lmd.sight.poses`).
+        slack: metres; `reached` and `low` also hold if the landmark is moved by up to this distance in its plane. It is
+            0 for a single landmark, and positive for a cell of a wall (`lmd.sight.poses`).
 
     Returns:
         reached: False only if no orientation covers the landmark.
@@ -178,7 +185,7 @@ def from_position(sight: Any, offset: Vector, normal: Vector, slack: float) -> A
 
 @overridable
 def from_around(sight: Any, offset: Vector, normal: Vector, radius: float) -> Any:
-    """Bounds on `from_position` over all camera positions within `radius` of a point.
+    """Bounds on the results of `from_position` that hold for all camera positions within `radius` of a point.
 
     Args:
         offset: offset of the landmark from the point, world frame, metres.
@@ -197,30 +204,38 @@ def from_around(sight: Any, offset: Vector, normal: Vector, radius: float) -> An
 
 @dispatched
 def in_image(sight: Any, offset: Vector, normal: Vector, low: float, slack: float, axis: Vector, right: Vector) -> Any:
-    """True if an orientation covers a landmark that passed the test `reached` of `from_position`; occlusion is ignored.
+    """True if an orientation covers a landmark for which `from_position` returned `reached`; occlusion is ignored.
 
     Args:
-        offset, normal, slack: as in `from_position`.
+        offset: offset of the landmark from the camera, world frame, metres.
+        normal: unit normal of the landmark.
         low: result of `from_position`; if it is infinite, the function returns False.
+        slack: metres; the result is True if the orientation may cover the landmark after a move by up to this distance
+            in its plane.
         axis: optical axis, unit vector.
-        right: image's right, unit vector; axis x right points down in the image.
+        right: unit vector to the right in the image; axis x right points down in the image.
     """
 
 
 @dispatched
 def in_view(sight: Any, way: Vector, sine: float, cosine: float, axis: Vector, right: Vector) -> Any:
-    """True if the field of view contains the cone of half-angle delta around a unit vector `way`.
+    """True if the field of view contains the whole cone of half-angle delta around the unit vector `way`.
 
-    `sine` and `cosine` are sin(delta) and cos(delta), |delta| < pi / 2. If delta is negative, the function is True if
-    the field of view may contain any part of the cone of half-angle -delta. The field of view contains the directions
-    of all landmarks that the model may cover. `axis` and `right` are as in `in_image`.
+    If delta is negative, the result is True if the field of view may contain any part of the cone of half-angle -delta.
+    The field of view contains the directions of all landmarks that the model may cover.
+
+    Args:
+        way: axis of the cone, world frame.
+        sine, cosine: sin(delta) and cos(delta), |delta| < pi / 2.
+        axis, right: optical axis and direction to the right in the image, unit vectors, world frame.
     """
 
 
 @inlined
 def in_cone(least: float, way: Vector, sine: float, cosine: float, axis: Vector) -> Any:
-    """Result of `in_view` for a model whose field of view is a cone around the optical axis; `least` is the cosine of
-    this cone's half-angle, other arguments as in `in_view`.
+    """Result of `in_view` for a model whose field of view is a cone around the optical axis.
+
+    `least` is the cosine of the half-angle of the field of view. The other arguments are those of `in_view`.
     """
     # With the half-angle theta, the cone narrowed by delta has the cosine cos(theta - delta), unless it is empty or the
     # whole sphere.
@@ -242,18 +257,19 @@ def hide(sight: Any, a: Vector, aa: float, b: Vector, bb: float, u: Vector, v: V
 
 @overridable
 def hide_between(sight: Any, other: Any, a: Vector, aa: float, b: Vector, bb: float, u: Vector, v: Vector) -> Any:
-    """Test as in `hide` for two landmarks A and B of different sizes, each with its own compiled model (see `sized`):
-    `sight` for A, `other` for B.
+    """Test as in `hide` for two landmarks A and B of different sizes; return two booleans.
 
-    A model with landmarks of several sizes registers this function instead of `hide`.
+    Each landmark has its own compiled model (see `sized`): `sight` for A, `other` for B. A model with landmarks of
+    several sizes registers this function instead of `hide`.
     """
     return hide(sight, a, aa, b, bb, u, v)
 
 
 @inlined
 def covers(sight: Any, offset: Vector, normal: Vector, low: float, slack: float, axes: FloatArray, a: Integer) -> Any:
-    """Result of `in_image` for orientation a, column a of `axes` `(6, D)`: rows 0 to 2 are its optical axis, rows 3 to
-    5 its image's right.
+    """Result of `in_image` for the orientation in column a of `axes` `(6, D)`.
+
+    Rows 0 to 2 of the column are the optical axis, rows 3 to 5 the direction to the right in the image.
     """
     axis, right = pair3(axes, a)
     return in_image(sight, offset, normal, low, slack, axis, right)
@@ -261,31 +277,35 @@ def covers(sight: Any, offset: Vector, normal: Vector, low: float, slack: float,
 
 @overridable
 def frame_of(sight: Any, normal: Vector) -> Any:
-    """Compute the argument `frame` of `covers_one` in advance, for a landmark with a unit normal."""
+    """Compute the argument `frame` of `covers_one` in advance, for a landmark with the unit normal `normal`.
+
+    By default `frame` is the normal.
+    """
     return normal
 
 
 @overridable
 def covers_one(sight: Any, offset: Vector, frame: Any, depths: Vector, well: Any, axes: FloatArray, a: Integer) -> Any:
-    """Result of `covers` with a slack of 0. A model with an expensive test may register a function of its own that
-    returns early.
+    """Result of `covers` with a slack of 0; a model with an expensive test may register a faster function for it.
 
     Args:
-        offset: as in `from_position`.
+        offset: offset of the landmark from the camera, world frame, metres.
         frame: result of `frame_of`.
         depths: results `low`, `high` and `sure` of `from_position`.
         well: True if the landmark is well in view at orientation a, see `SightModel.inset`.
-        axes, a: as in `covers`.
+        axes: orientations, one per column, `(6, D)`, as in `covers`.
+        a: column of the orientation.
     """
     return covers(sight, offset, frame, depths[0], 0.0, axes, a)
 
 
 @overridable
 def pixel_density(sight: Any, offset: Vector, axes: FloatArray, a: Integer) -> Any:
-    """Image area per solid angle in the direction of a landmark, divided by distance^3, for a camera with orientation
-    a, which must cover the landmark.
+    """Image area per solid angle in the direction of a landmark, divided by the cube of the distance of the landmark.
 
-    The unit is squared focal lengths per steradian and cubic metre. For a pinhole the result is 1 / depth^3.
+    The orientation in column a of `axes` `(6, D)` must cover the landmark. `offset` is the offset of the landmark from
+    the camera, metres. The unit is squared focal lengths per steradian and cubic metre. For a pinhole the result is 1 /
+    depth^3.
     """
     depth = dot3(column3(axes, a), offset)
     return 1.0 / (depth * depth * depth)
@@ -295,11 +315,22 @@ def pixel_density(sight: Any, offset: Vector, axes: FloatArray, a: Integer) -> A
 def covering(
     sight: Any, left: Any, w: Integer, offset: Vector, frame: Any, depths: Vector, well: Any, axes: FloatArray
 ) -> Any:
-    """Axes from which the landmark is covered, among the axes `left`, which are still to be tested; both sets are bits
-    of word w.
+    """Test which orientations of a bit mask cover a landmark, among 64 consecutive orientations (one word of the mask).
 
-    Arguments as in `covers_one`, except that `well` is a bit set. If any bit of `left` is set in a half of the word,
-    all axes of this half are tested. For a cheap test this is faster than iterating over the set bits.
+    If any bit of `left` is set in a half of the word, all orientations of this half are tested. For a cheap test this
+    is faster than iterating over the set bits.
+
+    Args:
+        left: bits of the orientations to test.
+        w: index of the word; bit i stands for column 64 w + i of `axes`.
+        offset: offset of the landmark from the camera, world frame, metres.
+        frame: result of `frame_of`.
+        depths: results `low`, `high` and `sure` of `from_position`.
+        well: bits of the orientations at which the landmark is well in view, see `SightModel.inset`.
+        axes: orientations, one per column, `(6, D)`, as in `covers`.
+
+    Returns:
+        bits of the orientations in `left` that cover the landmark.
     """
     visible = ZERO
     for first in range(np.uint64(0), np.uint64(BITS), np.uint64(LANES)):
@@ -315,8 +346,9 @@ def covering(
 def depth_first(
     sight: Any, left: Any, w: Integer, offset: Vector, frame: Any, depths: Vector, well: Any, axes: FloatArray
 ) -> Any:
-    """Result of `covering`, computed faster for models with an expensive test: depths are compared first, as the depths
-    decide most cases.
+    """Result of `covering`, computed faster for models with an expensive test.
+
+    The function first compares the depth of the landmark with its bounds, which decides most orientations.
     """
     within, shallow, (low, high, sure) = ZERO, ZERO, depths
     for first in range(np.uint64(0), np.uint64(BITS), np.uint64(LANES)):

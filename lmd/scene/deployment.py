@@ -33,12 +33,12 @@ class Deployment:
         normals: `(K, 3)` unit normals of the front faces, world frame.
         surfaces: index of the room's surface that carries each landmark, `(K,)`; -1 (the default) if unknown, see
             `with_surfaces`.
-        labels: ids and further columns of the landmarks; None for ids from 0.
+        labels: ids and further columns of the landmarks; None to number the landmarks from 0.
         surveyed: measured positions and up vectors, for landmarks measured behind their surface or rotated in their
             plane; None if `positions` are the measured positions and all landmarks hang upright.
         edges: edge lengths of the black squares, metres, `(K,)`; NaN (the default) for the edge length of the scene's
             tag, see `edges_of`.
-        note: remark on an ambiguous file, a sentence; empty if nothing is ambiguous.
+        note: sentence about an ambiguity in the file of the landmarks; empty if nothing is ambiguous.
 
     Raises:
         InputError: wrong shapes, no landmark, a value that is not finite, a normal that is not unit, or an edge length
@@ -59,7 +59,7 @@ class Deployment:
             if array.ndim != 2 or array.shape[1] != 3 or not len(array):
                 raise InputError(f"deployment {name} must have the shape (K, 3) with K >= 1, got {array.shape}.")
             if not np.isfinite(array).all():
-                raise InputError(f"deployment {name} have a value that is not finite.")
+                raise InputError(f"deployment {name} must be finite, but a value is not.")
             array.flags.writeable = False
             object.__setattr__(self, name, array)
         if len(self.positions) != len(self.normals):
@@ -82,7 +82,7 @@ class Deployment:
         return len(self.positions)
 
     def __getitem__(self, chosen: slice | IntArray | BoolArray) -> "Deployment":
-        """Deployment of the landmarks selected by `chosen`."""
+        """Deployment with only the landmarks selected by `chosen`, a slice, indices or a mask."""
         labels = None if self.labels is None else self.labels[chosen]
         surveyed = None if self.surveyed is None else self.surveyed[chosen]
         parts = self.positions[chosen], self.normals[chosen], self.surfaces[chosen]
@@ -94,8 +94,9 @@ class Deployment:
         return np.arange(len(self)) if self.labels is None else self.labels.ids
 
     def put(self, chosen: slice | IntArray, there: "Deployment") -> "Deployment":
-        """Copy of the deployment in which the landmarks `chosen` have the poses of the landmarks in `there`: the first
-        of `chosen` has the first pose, and so on.
+        """Copy of the deployment in which the landmarks `chosen` have the poses of the landmarks in `there`.
+
+        The first landmark of `chosen` gets the first pose, the second landmark the second pose, and so on.
         """
         parts = {name: getattr(self, name).copy() for name in POSE_FIELDS}
         for name, values in parts.items():
@@ -103,7 +104,7 @@ class Deployment:
         return replace(self, **parts)
 
     def __add__(self, other: "Deployment") -> "Deployment":
-        """Concatenate two deployments; the result has ids from 0."""
+        """Deployment with the landmarks of `self` followed by those of `other`; the result has ids from 0."""
         columns = ((getattr(self, name), getattr(other, name)) for name in (*POSE_FIELDS, "edges"))
         positions, normals, surfaces, edges = (np.concatenate(column) for column in columns)
         both = Deployment(positions, normals, surfaces, edges=edges)
@@ -115,13 +116,13 @@ class Deployment:
     def with_surfaces(self, room: Space, anywhere: bool = False, papers: float | FloatArray = 0.0) -> "Deployment":
         """Copy of the deployment with `surfaces` set to the surfaces of `room` that carry the landmarks.
 
-        The wall would hide a tag that belongs to a surface (`Space.surface_near`) but has a corner behind the surface.
+        If a tag belongs to a surface (`Space.surface_near`) but has a corner behind it, the wall would hide the tag.
         Such a tag is moved along the normal until the tag touches the surface; `places` keeps the measured position.
 
         Args:
             room: room of the landmarks.
             anywhere: True if landmarks may lie outside the room.
-            papers: edge lengths of the footprints, metres, one for all or `(K,)`; 0 for points.
+            papers: edge lengths of the papers of the tags, metres, one for all or `(K,)`; 0 for points.
 
         Raises:
             InputError: a landmark lies outside the room and belongs to none of the room's surfaces.
@@ -147,7 +148,7 @@ class Deployment:
         return replace(hung, surfaces=room.surfaces_of(hung.positions, hung.normals))
 
     def fault(self, room: Space, near: bool = False) -> str | None:
-        """Clause for a message about the first misplaced landmark; None if all are well placed.
+        """Describe the first misplaced landmark in a clause for an error message; None if all are well placed.
 
         A landmark is misplaced if it is on no surface, faces into its surface, or is outside the allowed region.
         `surfaces` must refer to `room`, see `with_surfaces`.
@@ -184,17 +185,16 @@ class Deployment:
         return None
 
     def belonging(self, room: Space) -> IntArray:
-        """Index of each landmark's surface, `(K,)`: the surface that carries the landmark, else the surface that is
-        near (`Space.surface_near`), else -1.
+        """Index of each landmark's surface, `(K,)`; -1 if no surface is near.
+
+        This is the surface that carries the landmark (`surfaces`), else the surface nearby (`Space.surface_near`).
         """
         if (self.surfaces >= 0).all():
             return self.surfaces
         return np.where(self.surfaces < 0, room.surface_near(self.positions, self.normals), self.surfaces)
 
     def before(self, room: Space) -> "Deployment":
-        """Copy of the deployment in which every landmark has a surface: the surface that `belonging` finds, else the
-        nearest surface.
-        """
+        """Copy of the deployment in which every landmark has a surface, from `belonging` or else the nearest."""
         own = self.belonging(room)
         if own is self.surfaces:
             return self
@@ -207,8 +207,7 @@ class Deployment:
         return np.array([surface.distance(self.positions) for surface in room.surfaces()])
 
     def movable(self, room: Space, flush: bool = True) -> "Deployment":
-        """Assign surfaces to the landmarks (`with_surfaces`), and check that an optimiser can move them along the
-        surfaces.
+        """Copy of the deployment with surfaces assigned (`with_surfaces`), checked to be movable by an optimiser.
 
         Args:
             room: room of the landmarks.
@@ -237,13 +236,17 @@ class Deployment:
 
     @property
     def places(self) -> FloatArray:
-        """Measured positions of the landmarks, `(K, 3)`, world frame, metres; see `Surveyed`."""
+        """Measured position of each landmark, `(K, 3)`, world frame, metres.
+
+        For a landmark that is not in `surveyed` or was moved after the measurement, this is its present position.
+        """
         return self.positions if self.surveyed is None else self.surveyed.places_of(self.positions)
 
     @property
     def ups(self) -> FloatArray:
-        """Up vectors: unit vectors from the centres of the tags to their upper edges, world frame, `(K, 3)`; tags are
-        upright unless `surveyed`.
+        """Up vectors: unit vectors from the centres of the tags to their upper edges, world frame, `(K, 3)`.
+
+        A tag hangs upright unless `surveyed` has another up vector for it and it has not been moved.
         """
         ups = upright(self.normals)[1] + 0.0  # turns -0 into 0
         return ups if self.surveyed is None else self.surveyed.ups_of(self.positions, ups)
@@ -254,15 +257,17 @@ class Deployment:
         return not np.isnan(self.edges).all()
 
     def edges_of(self, tag: Tag) -> FloatArray:
-        """Edge lengths of the black squares, metres, `(K,)`: `edges`, with NaN replaced by the edge length of `tag`; 0
-        for points.
+        """Edge lengths of the black squares, metres, `(K,)`: `edges`, with NaN replaced by the edge length of `tag`.
+
+        All are 0 if `tag` is a point.
         """
         return tag.filled(self.edges)
 
     def to_csv(self, file: str | Path | TextIO, ups: bool = False) -> None:
         """Write a CSV with the columns `id,x,y,z,nx,ny,nz` and all digits; `from_csv` restores equal values and labels.
 
-        If any tag has an individual edge length, the column `edge` is added.
+        If any tag has an individual edge length, the column `edge` is added. Further columns of the labels are also
+        written.
 
         Args:
             file: path or open text file.
@@ -294,7 +299,11 @@ class Deployment:
 
     @classmethod
     def from_table(cls, table: Table) -> "Deployment":
-        """Read a deployment from a table, see `from_csv`."""
+        """Read a deployment from a table with the columns of `from_csv`.
+
+        Raises:
+            InputError: the table is not a deployment, or an up vector is not in the plane of its tag.
+        """
         path = table.path
         columns = COLUMNS + UP_COLUMNS if any(name in table for name in UP_COLUMNS) else COLUMNS
         rows, labels = table.numbers(columns, None), Labels.of(table, (*columns, EDGE))
@@ -307,7 +316,11 @@ class Deployment:
         return deployment if rows.shape[1] == len(COLUMNS) else deployment.turned(path, rows[:, 6:])
 
     def turned(self, path: str | Path, ups: FloatArray) -> "Deployment":
-        """Copy of the deployment with the up vectors `(K, 3)` of a file; the deployment itself if all tags are upright.
+        """Copy of the deployment with given up vectors of the tags; the deployment itself if all tags are upright.
+
+        Args:
+            path: file of the up vectors, for messages.
+            ups: up vectors, `(K, 3)`, world frame.
 
         Raises:
             InputError: an up vector is not a unit vector in the plane of its tag.
@@ -317,6 +330,6 @@ class Deployment:
 
 
 def poses_of(deployment: Deployment) -> FloatArray:
-    """Poses of tags in the world, `(K, 4, 4)`: x to the right of the tag, y up, z along the normal."""
+    """Poses of tags in the world frame, `(K, 4, 4)`, metres: x to the right of the tag, y up, z along the normal."""
     up, normal = deployment.ups, deployment.normals
     return pose_of(np.stack([np.cross(up, normal), up, normal], axis=-1), deployment.places)

@@ -23,7 +23,7 @@ class DeploymentSource(Protocol):
 
     @property
     def varies(self) -> bool:
-        """True if two draws may differ, as they are random."""
+        """True if the deployments are random, so that two draws may differ."""
 
     def draw(self, room: Space, rng: np.random.Generator, tag: Tag = POINT) -> Deployment:
         """Draw a deployment in `room`; each landmark stores the index of its surface.
@@ -31,12 +31,13 @@ class DeploymentSource(Protocol):
         Args:
             room: room whose surfaces are already reduced to the places that centres of landmarks may have.
             rng: random generator.
-            tag: tag of the landmarks; its sizes are assigned as in `Tag.edges_in_order`.
+            tag: tag of the landmarks. If it has several sizes, they are assigned in the order of the landmarks, see
+                `Tag.edges_in_order`.
         """
 
 
 def landmark_count(name: str, value: Any) -> int:
-    """Return `value` as K, the number of landmarks of a source.
+    """Return `value` as K, the number of landmarks that a source draws.
 
     Raises:
         InputError: the value is not a positive whole number, or the landmarks would not fit into memory.
@@ -51,7 +52,7 @@ LandmarkCount = Annotated[int, landmark_count]
 
 @dataclass(frozen=True)
 class RandomDeployment(Checked):
-    """Random landmarks flush with the walls; a wall is chosen with a probability proportional to its area."""
+    """Random landmarks flush with the walls; the probability of a wall is proportional to its area."""
 
     count: LandmarkCount
     varies = True
@@ -67,7 +68,7 @@ class RandomDeployment(Checked):
 
 @dataclass(frozen=True)
 class UniformDeployment(Checked):
-    """Landmarks at the centres of a regular grid on each wall, flush.
+    """Landmarks at the centres of a regular grid on each wall, flush with the wall.
 
     Args:
         count: number of landmarks K.
@@ -99,7 +100,7 @@ class ExistingDeployment:
 
     Attributes:
         path: file of the landmarks, for messages.
-        free: True to skip the check of placement: landmarks may then be outside the room or on no surface, and may
+        free: True to skip the check of placement. Landmarks may then be outside the room or on no surface, and may
             overlap.
     """
 
@@ -113,7 +114,7 @@ class GivenDeployment:
     """Source that returns a given deployment.
 
     Args:
-        deployment: deployment with known surfaces.
+        deployment: deployment whose `surfaces` are set.
     """
 
     deployment: Deployment
@@ -125,8 +126,13 @@ class GivenDeployment:
 
 
 def _flush(surfaces: SurfaceArrays, surface: IntArray, at: FloatArray, tag: Tag) -> Deployment:
-    """Landmarks flush with their surfaces. Each landmark is given by the index `surface` `(K,)` of its surface, and by
-    its coordinates `at` `(K, 2)` on the surface, metres.
+    """Make landmarks flush with their surfaces.
+
+    Args:
+        surfaces: surfaces of the room.
+        surface: index of each landmark's surface, `(K,)`.
+        at: coordinates of each landmark along u and v of its surface, metres, `(K, 2)`.
+        tag: tag that gives the edge lengths.
     """
     points, normals = surfaces.points(surface, at), surfaces.normal[surface]
     return Deployment(points, normals, surface, edges=tag.edges_in_order(len(surface)))

@@ -20,7 +20,7 @@ from lmd.core.optional import optional
 
 @dataclass(frozen=True)
 class Family:
-    """Family of tags.
+    """Family of tags, whose pictures consist of square modules that are black or white.
 
     Args:
         modules: N, number of modules along the edge between the detected corners.
@@ -28,8 +28,8 @@ class Family:
         dictionary: name of the dictionary in `cv2.aruco`; None if OpenCV lacks the family.
         apriltag: name in the AprilTag library; None if the library lacks the family.
         around: width of the border (ring and data) outside the detected square, modules.
-        square: phrase by which messages name the detected square, such as `black square`; the edge length of a tag is
-            the edge length of this square.
+        square: phrase for the detected square in messages, such as `black square`. The edge length of a tag is the edge
+            length of this square.
     """
 
     modules: int
@@ -81,11 +81,10 @@ _NAMED = {_short(name): name for name in FAMILIES} | {"aruco": "aruco_original"}
 
 
 def family_named(name: Any) -> str:
-    """Convert a library's name of a family to the name in `FAMILIES`; a library's name is, for instance,
-    `tagStandard41h12` or `DICT_4X4_50`.
+    """Convert a library's name of a family, such as `tagStandard41h12` or `DICT_4X4_50`, to the name in `FAMILIES`.
 
     Returns:
-        one of `FAMILIES`, or `name` unchanged if no family has that name.
+        one of `FAMILIES`, or `name` without surrounding spaces if no family has that name.
 
     Raises:
         InputError: the name is not a text.
@@ -96,7 +95,7 @@ def family_named(name: Any) -> str:
 
 
 def picture(family: str, number: int) -> BoolArray:
-    """Modules of tag `number`, `(M, M)`, row 0 at the top; True for white.
+    """Picture of tag `number`: the colours of its M x M modules, `(M, M)`, row 0 at the top; True for white.
 
     Raises:
         InputError: the family has no such tag.
@@ -110,13 +109,13 @@ def picture(family: str, number: int) -> BoolArray:
 
 
 def dictionary(family: str) -> Any:
-    """Dictionary of `cv2.aruco` for a family."""
+    """Object of `cv2.aruco` that contains the codes of a family's tags (a dictionary of ArUco)."""
     aruco = optional("cv2", "detection").aruco
     return aruco.getPredefinedDictionary(getattr(aruco, str(FAMILIES[family].dictionary)))
 
 
 def _apriltag_picture(family: str, number: int) -> BoolArray:
-    """Picture of a tag from its code in the AprilTag library, as drawn by `apriltag_to_image`."""
+    """Picture of tag `number`, `(M, M)`, drawn from its code as in `apriltag_to_image` of AprilTag; True for white."""
     known, described = FAMILIES[family], _described(family)
     size, first = known.picture_modules, known.around
     shown = np.ones((size, size), dtype=bool)  # the corners of a circular family's picture are white paper
@@ -133,9 +132,7 @@ def _apriltag_picture(family: str, number: int) -> BoolArray:
 
 @lru_cache
 def _described(family: str) -> Any:
-    """AprilTag library's description of a family: the code of each tag, and the place of each bit of a code in the
-    picture.
-    """
+    """Description of a family in the AprilTag library: codes of the tags, and place of each code bit in the picture."""
     # No detector is made for the family: its table of codes with errors would take up to 3.2 GB.
     library = optional("pyapriltags", "detection").Detector(families="").libc
     return getattr(library, f"{FAMILIES[family].apriltag}_create")().contents

@@ -1,10 +1,10 @@
-"""Footprints: the squares of paper that tags cover. A footprint must lie wholly on its surface, and must not overlap
-another footprint.
+"""Footprints: the squares that the papers of tags cover on a surface.
 
-Tags hang upright (`lmd.geometry.squares.upright`), so footprints are squares along u and v of their surface. Two
-footprints with the edge lengths e and f do not overlap if and only if their centres are at least (e + f) / 2 apart
-along u or v. Landmarks that are points have no footprints. Tags that are tilted or on no surface, which only files
-contain, are not checked.
+A footprint must lie wholly on its surface, and must not overlap another footprint. Tags hang upright
+(`lmd.geometry.squares.upright`), so the edges of a footprint are parallel to u and v of its surface. Two footprints
+with the edge lengths e and f do not overlap if and only if their centres are at least (e + f) / 2 apart along u or v.
+Landmarks that are points have no footprints. Tags that are tilted or on no surface, which only files contain, are not
+checked.
 """
 
 from dataclasses import dataclass, replace
@@ -27,9 +27,9 @@ COLUMN = "fixed"  # column in a file of landmarks: 1 for fixed landmarks, 0 for 
 
 
 def beside(fixed: Deployment, others: Deployment) -> Deployment:
-    """Concatenate the fixed landmarks and other landmarks; ids and columns are kept, and the column `COLUMN` is added.
+    """Concatenate fixed and other landmarks, keep ids and columns, and add the column `COLUMN`.
 
-    Other landmarks without labels get the smallest unused ids. `others` may include fixed landmarks, identified by
+    Other landmarks without labels get the smallest unused ids. `others` may also contain fixed landmarks, recognised by
     their ids; the function drops these from `others`.
 
     Args:
@@ -37,7 +37,7 @@ def beside(fixed: Deployment, others: Deployment) -> Deployment:
         others: N landmarks with known surfaces.
 
     Raises:
-        InputError: a fixed landmark and another landmark have one id and different positions, or all `others` are
+        InputError: a fixed landmark and another landmark have equal ids but different positions, or all `others` are
             fixed.
     """
     if others.labels is None:
@@ -84,7 +84,7 @@ class Footprints:
 
     @cached_property
     def hanging(self) -> Space:
-        """Room whose surfaces are reduced to the places where centres of the smallest tags are allowed.
+        """Room whose surfaces are reduced to the allowed centres of the smallest footprints.
 
         Raises:
             InputError: a surface is narrower than a footprint.
@@ -92,8 +92,10 @@ class Footprints:
         return self.inset(self.edge)
 
     def inset(self, paper: float) -> Space:
-        """Room whose surfaces are reduced to the places where centres of footprints with the edge length `paper`,
-        metres, are allowed.
+        """Room whose surfaces are reduced to the allowed centres of footprints with the edge length `paper`, metres.
+
+        Raises:
+            InputError: a surface is narrower than a footprint.
         """
         if not paper:
             return self.room
@@ -105,8 +107,9 @@ class Footprints:
         return SurfaceArrays.of(self.hanging.surfaces())
 
     def surfaces_of(self, paper: float) -> SurfaceArrays:
-        """Surfaces whose allowed regions are the allowed centres of footprints with the edge length `paper`, metres.
-        The coordinates (a, b) are those of the surfaces of `hanging`.
+        """Surfaces reduced to the allowed centres of footprints with the edge length `paper`, metres.
+
+        Coordinates along u and v are measured from the origins of the surfaces of `hanging`, for every `paper`.
 
         Raises:
             InputError: a surface is narrower than a footprint.
@@ -124,7 +127,9 @@ class Footprints:
         """Allowed centres of footprints with S different edge lengths `papers` `(S,)`, metres, as trapezoids.
 
         Returns:
-            `pieces` `(T, 6)`, and `first` `(S, W + 1)` with a row for each edge length, see `SurfaceArrays`.
+            pieces: trapezoids, `(T, 6)`, see `lmd.space.allowed`.
+            first: `(S, W + 1)`; rows `first[c, w]` to `first[c, w + 1] - 1` of `pieces` are the trapezoids for edge
+                length c on surface w.
         """
         sizes = [self.surfaces_of(paper) for paper in papers.tolist()]
         before = np.cumsum([0, *(len(own.pieces) for own in sizes[:-1])])
@@ -140,8 +145,9 @@ class Footprints:
         return self.tag.paper_share * deployment.edges_of(self.tag)
 
     def capacity(self, paper: float) -> float:
-        """Upper bound on the number of footprints with the edge length `paper`, metres: the number that a grid on each
-        surface would hold.
+        """Upper bound on the number of footprints with the edge length `paper`, metres; infinite for 0.
+
+        The bound is the number that a grid on each surface would hold.
         """
         if not paper:
             return np.inf
@@ -149,7 +155,7 @@ class Footprints:
         return float(np.floor(extent / paper * (1.0 + TOUCHING) + 1.0).prod(axis=1).sum())
 
     def checked_fixed(self, fixed: Deployment, beside: DeploymentSource) -> Deployment:
-        """Assign surfaces to existing landmarks and check them.
+        """Assign surfaces to existing landmarks, check the landmarks, and return them as a new deployment.
 
         Positions are measured by hand, so a tag slightly in front of or behind a surface is assigned to the surface.
         The tag's footprint is at the tag's projection to the surface.
@@ -182,7 +188,7 @@ class Footprints:
             source: source of the deployment.
             rng: random generator.
             fixed: existing landmarks from `checked_fixed`, which precede the drawn landmarks in the result. Drawn
-                landmarks that are not from a file are pushed away from the fixed landmarks.
+                landmarks are pushed away from the fixed landmarks, except for landmarks from a file.
 
         Raises:
             InputError: the source fails, a footprint overlaps another or is not wholly on its surface, or there is no
@@ -247,7 +253,13 @@ class Footprints:
             )
 
     def separated(self, deployment: Deployment, size: float = 1.0, fixed: int = 0) -> Deployment | None:
-        """Push the footprints of a deployment apart; None if there is no room for all, see `pushed`."""
+        """Copy of a deployment with the footprints pushed apart (see `pushed`); None if there is no room for all.
+
+        Args:
+            deployment: deployment of flush landmarks.
+            size: factor on the edge lengths of the footprints.
+            fixed: number of landmarks at the beginning that are not moved.
+        """
         parts = deployment.positions[None], deployment.normals[None], deployment.surfaces[None]
         positions, normals, surfaces, fits = self.pushed(*parts, deployment.edges, size, fixed)
         apart = replace(deployment, positions=positions[0], normals=normals[0], surfaces=surfaces[0])
@@ -262,11 +274,11 @@ class Footprints:
         size: float = 1.0,
         fixed: int = 0,
     ) -> tuple[FloatArray, FloatArray, IntArray, BoolArray]:
-        """Push the footprints of B deployments apart, largest first; valid footprints are not moved.
+        """Push the footprints of B deployments apart: first the fixed ones, then the largest first.
 
-        A footprint that overlaps an earlier footprint is moved to the nearest free place on its surface, or else on the
-        next surface with a free place. The result is deterministic, so that a search may use the positions before the
-        push.
+        A valid footprint is not moved. A footprint that overlaps an earlier footprint, or extends beyond the allowed
+        region, is moved to the nearest free place on its surface, or else on the next surface with a free place. The
+        result is deterministic, so a search may store the positions from before the push.
 
         Landmarks that are points are moved to the nearest allowed place.
 
@@ -279,7 +291,8 @@ class Footprints:
             fixed: number of landmarks at the beginning that are not moved.
 
         Returns:
-            positions, normals, surfaces; mask of the deployments with room for all footprints, `(B,)`.
+            new positions, normals and surfaces, with the shapes of the arguments; mask of the deployments with room for
+                all footprints, `(B,)`.
         """
         fits = np.ones(len(positions), dtype=np.bool_)
         s = self._surfaces
@@ -305,9 +318,7 @@ class Footprints:
         return positions, normals, surfaces, fits
 
     def touched(self, poses: Deployment, pose: Deployment) -> BoolArray:
-        """For each of the N landmarks `poses`, True if its footprint overlaps the footprint of the single landmark
-        `pose`, `(N,)`.
-        """
+        """Mask `(N,)` of the landmarks `poses` whose footprint overlaps the footprint of the single landmark `pose`."""
         s, surface = self._surfaces, poses.surfaces
         away = s.coordinates(surface, poses.positions) - s.coordinates(surface, pose.positions)
         near = np.abs(away).max(axis=1) < (self.papers(poses) + self.papers(pose)) / 2.0 * (1.0 - TOUCHING)
@@ -320,10 +331,10 @@ class Footprints:
 
 
 def as_they_are(source: DeploymentSource) -> bool:
-    """True if the placement of landmarks from `source` is not checked."""
+    """True if the placement of the landmarks from `source` is not checked (`ExistingDeployment.free`)."""
     return isinstance(source, ExistingDeployment) and source.free
 
 
 def _named(papers: FloatArray) -> str:
-    """Text for messages with the distinct edge lengths among the footprints `papers`, metres."""
+    """Distinct edge lengths among `papers`, metres, as text for messages."""
     return " and ".join(f"{paper:.4g}" for paper in np.unique(papers))

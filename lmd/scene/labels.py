@@ -1,5 +1,6 @@
-"""Data about landmarks that is read from a file and written again to the output: ids, further columns, edge lengths,
-and measured positions.
+"""Data about landmarks that is read from a file and written again to the output.
+
+The data are ids, further columns, edge lengths, and measured positions.
 """
 
 from collections.abc import Mapping, Sequence
@@ -46,7 +47,7 @@ class Labels:
 
         Args:
             table: table of the landmarks.
-            known: columns that are read elsewhere and are not labels.
+            known: names of the columns that are read elsewhere and are not labels.
 
         Raises:
             InputError: an id is not a whole number, is negative, or occurs twice.
@@ -64,7 +65,10 @@ class Labels:
             return cls(given.astype(np.int64), columns)
 
     def __add__(self, other: "Labels") -> "Labels":
-        """Concatenate labels; if only one operand has a column, landmarks of the other operand get empty texts."""
+        """Concatenate the labels of two deployments.
+
+        If only one of the two has a column, the landmarks of the other get empty texts in this column.
+        """
         names = {**self.columns, **other.columns}
         parts = ((part.columns.get(name, [""] * len(part.ids)) for part in (self, other)) for name in names)
         columns = {name: [*mine, *theirs] for name, (mine, theirs) in zip(names, parts, strict=True)}
@@ -81,8 +85,7 @@ EDGE = "edge"  # column with the edge of each tag, metres; an empty cell means t
 
 
 def checked_edges(edges: FloatArray | None, ids: IntArray) -> FloatArray:
-    """Check the edge lengths of K tags, and return them, metres, `(K,)`; NaN for tags without an individual edge
-    length.
+    """Return the edge lengths of K tags as a checked array, metres, `(K,)`; NaN for the edge length of the scene's tag.
 
     Args:
         edges: edge lengths, metres, `(K,)`; None if no tag has an individual edge length.
@@ -101,8 +104,7 @@ def checked_edges(edges: FloatArray | None, ids: IntArray) -> FloatArray:
 
 
 def edge_column(table: Table) -> FloatArray:
-    """Edge lengths from the column `EDGE` of a file, metres, `(K,)`; NaN for empty cells, or if the file lacks the
-    column.
+    """Edge lengths from the column `EDGE` of a file, metres, `(K,)`; NaN for an empty cell or a missing column.
 
     Raises:
         InputError: an edge length is not a number, or exceeds `LARGEST_EDGE`.
@@ -126,7 +128,7 @@ UP_TOLERANCE, IN_PLANE = 1e-3, 1e-2
 
 @dataclass(frozen=True)
 class Surveyed:
-    """Measurements of K landmarks; a measurement is ignored once its landmark is moved.
+    """Measurements of K landmarks; the measurement of a landmark that has been moved since is ignored.
 
     Args:
         positions: corrected positions, on or in front of the surfaces, world frame, metres, `(K, 3)`.
@@ -143,14 +145,18 @@ class Surveyed:
         return Surveyed(self.positions[chosen], self.places[chosen], self.ups[chosen])
 
     def places_of(self, positions: FloatArray) -> FloatArray:
-        """Measured position of each landmark that has not been moved; for a moved landmark, its present position.
-        Result and present `positions` are `(K, 3)`, metres.
+        """Measured position of each landmark that has not been moved, and present position of each moved landmark.
+
+        The result and the present positions `positions` are `(K, 3)`, world frame, metres.
         """
         return np.where(self._stays(positions), self.places, positions)
 
     def ups_of(self, positions: FloatArray, upright: FloatArray) -> FloatArray:
-        """Measured up vector of each landmark that has not been moved, `(K, 3)`; for a moved landmark, its entry of
-        `upright` `(K, 3)`. `positions` `(K, 3)` are the present positions, metres.
+        """Up vector of each landmark, `(K, 3)`: measured if the landmark has not been moved, else its row of `upright`.
+
+        Args:
+            positions: present positions, metres, `(K, 3)`.
+            upright: up vectors of upright tags, `(K, 3)`.
         """
         return np.where(self._stays(positions), self.ups, upright)
 
@@ -161,7 +167,19 @@ class Surveyed:
 def in_plane(
     path: str | Path, ids: IntArray, normals: FloatArray, upright: FloatArray, ups: FloatArray
 ) -> FloatArray | None:
-    """Project a file's up vectors `(K, 3)` to the planes of their tags; None if all equal `upright` `(K, 3)`.
+    """Project the up vectors of a file to the planes of their tags; None if all tags are upright.
+
+    A tag whose up vector differs by at most `UP_TOLERANCE` from `upright` gets the up vector of `upright`.
+
+    Args:
+        path: file, for messages.
+        ids: ids of the tags, `(K,)`.
+        normals: unit normals, `(K, 3)`.
+        upright: up vectors of the tags if they were upright, `(K, 3)`.
+        ups: up vectors of the file, `(K, 3)`.
+
+    Returns:
+        unit up vectors, `(K, 3)`, or None.
 
     Raises:
         InputError: an up vector is not a unit vector in the plane of its tag.

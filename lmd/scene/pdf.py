@@ -34,20 +34,24 @@ class Orientations(NamedTuple):
     """D distinct orientations of the camera, ordered by the z component of the optical axis."""
 
     axes: FloatArray
-    """Optical axis and image's right, unit vectors, world frame, `(D, 6)`; axis x right points down in the image."""
+    """Optical axis and direction to the right in the image, two unit vectors, world frame, `(D, 6)`.
+
+    The cross product axis x right points down in the image.
+    """
     index_of: np.ndarray
-    """Index in `axes` of each orientation of the PDF, `(A,)`."""
+    """Index in `axes` of each of the A orientations of the PDF, `(A,)`."""
     weight: FloatArray
     """Probability of each orientation, `(D,)`."""
 
 
 @dataclass(frozen=True)
 class OrientationPdf:
-    """Discrete orientation PDF D(alpha, beta).
+    """Discrete orientation PDF D(alpha, beta) of the yaw alpha and the pitch beta.
 
     Args:
         yaw, pitch: angles of each orientation, radians, `(A,)`; pitch in [-pi/2, pi/2].
-        weight: probability of each orientation, not negative, `(A,)`; normalised; the sum must be 1 within rounding.
+        weight: probability of each orientation, not negative, `(A,)`. The sum must be 1 within rounding; it is then
+            normalised to 1.
         name: name of the source, for messages.
         refine: function that returns the PDF with half the grid step; None if there is no finer grid.
         continuous: continuous distribution of yaw and pitch that the grid discretises; None for a discrete
@@ -58,7 +62,7 @@ class OrientationPdf:
             on the position.
 
     Raises:
-        InputError: shapes differ, an angle or weight is not finite or out of range, or the sum is not 1.
+        InputError: shapes differ, an angle or weight is not finite or out of range, or the sum of the weights is not 1.
     """
 
     yaw: FloatArray
@@ -93,19 +97,26 @@ class OrientationPdf:
 
     @cached_property
     def by_axis(self) -> Orientations:
-        """Orientations with distinct optical axes; poles and yaws of +-pi are merged, so `grid_325` has 266 axes."""
+        """Orientations of the PDF; those with equal optical axes are merged.
+
+        Axes are equal at each pole and for the yaws pi and -pi, so `grid_325` has 266 distinct axes.
+        """
         return self._distinct(3)
 
     @cached_property
     def by_axis_and_roll(self) -> Orientations:
-        """Orientations with distinct pairs of optical axis and image's right. At a pitch of +-90 degrees, different
-        yaws have one optical axis but different rights, so the orientations are not merged.
+        """Orientations of the PDF; those with equal optical axes and equal rolls of the image are merged.
+
+        The comparison uses two vectors: the optical axis, and the direction to the right in the image. At a pitch of
+        +-90 degrees, different yaws have equal optical axes but different directions to the right, so they are not
+        merged.
         """
         return self._distinct(6)
 
     def _distinct(self, size: int) -> Orientations:
-        """Orientations of the PDF, of which those with equal first `size` coordinates are merged; the six coordinates
-        are the optical axis, then the image's right.
+        """Orientations of the PDF; those with equal first `size` coordinates are merged.
+
+        The six coordinates are the optical axis, then the direction to the right in the image.
         """
         # `optical_axis` and the last row of `rotation` may differ in the last bits; results depend on the former.
         right = rotation(self.yaw, self.pitch, self.roll)[:, 0]
@@ -130,9 +141,10 @@ class OrientationPdf:
     def stratified(self, divisions: int, rng: np.random.Generator) -> "OrientationPdf":
         """PDF of equally weighted, stratified draws from `continuous`; the PDF itself if `continuous` is None.
 
-        One orientation is drawn in each of 2 divisions x divisions cells of equal probability. Estimates are unbiased,
-        as for independent draws, but the error of P_n for a union of visible axes falls as divisions^-1.5 instead of
-        divisions^-1. For a PDF of the yaw alone, 2 divisions^1.5 strata of the yaw give an error of this order.
+        The unit square of `continuous` is divided into 2 `divisions` x `divisions` cells of equal probability, and one
+        orientation is drawn in each cell. Estimates are unbiased, as for independent draws. The error of P_n, the
+        probability that at least n landmarks are covered, falls as divisions^-1.5 instead of divisions^-1. If only the
+        yaw varies, it is drawn in 2 divisions^1.5 strata, which gives an error of this order.
         """
         if self.continuous is None:
             return self
@@ -147,13 +159,17 @@ class OrientationPdf:
         return OrientationPdf(yaw, pitch, weight, f"{self.name}, stratified", roll=self._draw_roll(len(yaw), rng))
 
     def at(self, positions: FloatArray) -> FloatArray:
-        """Probability of each orientation at each of the positions `(Q, 3)`, `(Q, A)`; `(1, A)` without
-        `by_position`.
+        """Probability of each orientation at each of the positions `(Q, 3)`, metres, `(Q, A)`.
+
+        The result is `(1, A)` if the probabilities do not depend on the position.
         """
         return self.weight[None] if self.by_position is None else self.by_position(positions)
 
     def draw_at(self, positions: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Draw yaw, pitch and roll, `(Q,)` each, from the PDF at each of the positions `(Q, 3)`; see `draw`."""
+        """Draw one orientation at each of the positions `(Q, 3)`, metres: yaw, pitch and roll, radians, `(Q,)` each.
+
+        Without `by_position`, the orientations are drawn as in `draw`.
+        """
         if self.by_position is None:
             return self.draw(len(positions), rng)
         places, place = np.unique(positions, axis=0, return_inverse=True)
@@ -162,7 +178,7 @@ class OrientationPdf:
         return self.yaw[drawn], self.pitch[drawn], np.asarray(self.roll)[drawn]
 
     def draw(self, size: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Draw yaw, pitch and roll, `(size,)` each, from `continuous` if it is given, else from the discrete PDF."""
+        """Draw yaw, pitch and roll, radians, `(size,)` each, from `continuous` if given, else from the discrete PDF."""
         if self.continuous is not None:
             return *self.continuous(rng.random((size, 2))), self._draw_roll(size, rng)
         drawn = rng.choice(len(self.weight), size, p=self.weight)
@@ -174,13 +190,16 @@ class OrientationPdf:
         return rng.choice(roll, size, p=self.weight) if np.ptp(roll) > 0.0 else np.full(size, roll[0])
 
     def to_csv(self, path: str | Path) -> None:
-        """Write a CSV for `from_csv`: `yaw,pitch,weight`, and `roll` unless all are 0, with all digits."""
+        """Write a CSV file for `from_csv`: the columns `yaw,pitch,weight`, and `roll` unless all rolls are 0.
+
+        Numbers are written with all digits.
+        """
         columns = {"yaw": self.yaw, "pitch": self.pitch, "weight": self.weight}
         write_table(path, columns | ({"roll": np.broadcast_to(self.roll, len(self.yaw))} if np.any(self.roll) else {}))
 
 
 def divisions_of(value: int, pitches: int | None = None) -> int:
-    """Check `divisions`: the number of pitches of a grid, which is half the number of yaws.
+    """Return `value` as `divisions`, the number of pitches of a grid, which is half the number of yaws.
 
     Args:
         value: value from a user.
@@ -196,7 +215,7 @@ def divisions_of(value: int, pitches: int | None = None) -> int:
 
 
 def _rolls(roll: Roll) -> Sequence[tuple[float, float]]:
-    """Convert a roll to pairs (roll, probability)."""
+    """Convert a roll, one angle or pairs (roll, probability), to pairs; raise `InputError` if it is neither."""
     if not isinstance(roll, Iterable):
         return [(real("roll", roll), 1.0)]
     rows = list(roll)
@@ -217,8 +236,13 @@ def _product(
     continuous: Angles,
     rolls: Sequence[tuple[float, float]],
 ) -> OrientationPdf:
-    """PDF on the grid of all combinations of yaws, pitches and rolls; `weight` `(len(pitch),)` is the probability of
-    each pair (yaw, pitch).
+    """PDF on the grid of all combinations of yaws, pitches and rolls.
+
+    Args:
+        yaw, pitch: angles, radians, one-dimensional.
+        weight: probability of a pair (yaw, pitch) for each pitch, equal for all yaws, `(len(pitch),)`.
+        name, refine, continuous: as in `OrientationPdf`.
+        rolls: pairs (roll, probability), radians.
     """
     roll, share = np.array(rolls).T
     grid = (angles.reshape(-1) for angles in np.meshgrid(yaw, pitch, roll, indexing="ij"))
@@ -240,21 +264,21 @@ def _uniform_yaw(points: FloatArray, pitch: float) -> tuple[FloatArray, FloatArr
 
 
 def _cell_pitches(divisions: int) -> FloatArray:
-    """Pitch at the middle of each of `divisions` bands between -pi/2 and pi/2."""
+    """Pitches at the middles of `divisions` equal bands between -pi/2 and pi/2, radians, `(divisions,)`."""
     return np.asarray((np.arange(divisions) + 0.5) * (np.pi / divisions) - np.pi / 2)
 
 
 def _open_yaws(divisions: int) -> FloatArray:
-    """Yaws from -pi to below pi in steps of pi / divisions."""
+    """Yaws from -pi to below pi in steps of pi / divisions, radians, `(2 divisions,)`."""
     return np.asarray(np.arange(2 * divisions) * (np.pi / divisions) - np.pi)
 
 
 def grid_with_ends(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
-    """PDF uniform over the angles, on a grid that includes both ends of the range of each angle (`grid_325` for 12
-    divisions).
+    """PDF uniform over yaw and pitch, on a grid with both ends of the range of each angle.
 
-    The paper's tables use this grid: all printed maxima are multiples of 1/325. The PDF is uniform over the angles, not
-    over the sphere: each pole has 25 orientations, and each direction with a yaw of +-pi has two.
+    With 12 divisions this is `grid_325`, which the paper's tables use: all printed maxima are multiples of 1/325. The
+    PDF is uniform over the angles, not over the sphere: each pole has 25 orientations, and each direction with a yaw of
+    +-pi has two.
 
     Args:
         divisions: number of steps in pitch, each pi / divisions; half the number of steps in yaw.
@@ -268,9 +292,13 @@ def grid_with_ends(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
 
 
 def grid_of_cells(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
-    """PDF uniform over the angles, on the grid of the paper's text (`grid_288` for 12 divisions).
+    """PDF uniform over yaw and pitch, on the grid of the paper's text (`grid_288` for 12 divisions).
 
-    Yaws are -pi, ..., pi - step; pitches are the middles of the steps. Arguments as in `grid_with_ends`.
+    Yaws are -pi, ..., pi - step; pitches are the middles of the steps.
+
+    Args:
+        divisions: number of steps in pitch, each pi / divisions; half the number of steps in yaw.
+        roll: roll of the camera about its optical axis, radians: one angle, or pairs (angle, probability).
     """
     n, roll = divisions_of(divisions), _rolls(roll)
     weight, refine = np.full(n, 1.0 / (2 * n * n)), partial(grid_of_cells, 2 * n, roll)
@@ -278,7 +306,10 @@ def grid_of_cells(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
 
 
 def solid_angle(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
-    """PDF uniform over the sphere: the weight of each cell of `grid_of_cells` is its solid angle divided by 4 pi."""
+    """PDF uniform over the sphere: the weight of each cell of `grid_of_cells` is its solid angle divided by 4 pi.
+
+    The arguments are those of `grid_of_cells`.
+    """
     n, roll = divisions_of(divisions), _rolls(roll)
     weight = np.diff(np.sin(np.linspace(-np.pi / 2, np.pi / 2, n + 1))) / (4 * n)
     refine = partial(solid_angle, 2 * n, roll)
@@ -286,8 +317,12 @@ def solid_angle(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
 
 
 def level_flight(divisions: int = 12, pitch: float = 0.0, roll: Roll = 0.0) -> OrientationPdf:
-    """PDF uniform in yaw, in steps of pi / divisions, at a fixed pitch, radians (Eq. D_DJI, for the experiment's
-    UAV).
+    """PDF uniform in yaw at a fixed pitch (Eq. D_DJI, for the experiment's UAV).
+
+    Args:
+        divisions: the step in yaw is pi / divisions.
+        pitch: fixed pitch, radians.
+        roll: roll of the camera about its optical axis, radians: one angle, or pairs (angle, probability).
     """
     n, roll = divisions_of(divisions, pitches=1), _rolls(roll)
     fixed = real("pitch", pitch, low=-np.pi / 2, high=np.pi / 2)
@@ -298,10 +333,15 @@ def level_flight(divisions: int = 12, pitch: float = 0.0, roll: Roll = 0.0) -> O
 
 
 def from_csv(path: str | None) -> OrientationPdf:
-    """PDF from a CSV with the columns yaw, pitch (radians), weight (sum 1) and optionally roll (radians).
+    """Read an orientation PDF from a CSV file with the columns yaw, pitch, weight and optionally roll.
+
+    Angles are in radians. The weights are the probabilities of the orientations; their sum is 1.
+
+    Args:
+        path: path of the file; None if the user gave none.
 
     Raises:
-        InputError: there is no path, the file cannot be read, or the weights are not probabilities.
+        InputError: `path` is None, the file cannot be read, or the weights are not probabilities.
     """
     if path is None:
         raise InputError("path is missing: a CSV with the columns yaw,pitch,weight is needed.", "path")

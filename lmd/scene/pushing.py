@@ -13,7 +13,7 @@ NEARBY_EDGES = 3.0
 
 @inner
 def _is_free(k, a, b, s, surface, at, edge):  # type: ignore[no-untyped-def]
-    """True if footprint k at (a, b) on surface s overlaps none of the footprints 0 to k - 1."""
+    """True if footprint k, centred at (a, b) on surface s, overlaps none of the footprints 0 to k - 1."""
     free = True
     for j in range(k):
         least = (edge[j] + edge[k]) / 2.0 * (1.0 - TOUCHING)
@@ -23,11 +23,14 @@ def _is_free(k, a, b, s, surface, at, edge):  # type: ignore[no-untyped-def]
 
 @inner
 def _blocked(k, a, b, s, surface, at, edge, beside):  # type: ignore[no-untyped-def]
-    """Ends of the interval around b in which footprint k fits nowhere: not at any place (a, q) of surface s with q in
-    the interval. The interval is empty if the footprint fits at (a, b).
+    """Find the interval around b along v in which footprint k does not fit, if its coordinate along u is a.
 
-    For safety against rounding, the interval is slightly shorter than the one that footprints 0 to k - 1 block.
-    `beside` `(2, K)` is working memory.
+    The footprint would overlap one of the footprints 0 to k - 1 at every place (a, q) on surface s with q inside the
+    interval. For safety against rounding, the interval is slightly shorter than the blocked one. `beside` `(2, K)` is
+    working memory.
+
+    Returns:
+        both ends of the interval; the interval is empty if the footprint fits at (a, b).
     """
     low, high, count, grows = b, b, 0, True
     for j in range(k):
@@ -46,12 +49,15 @@ def _blocked(k, a, b, s, surface, at, edge, beside):  # type: ignore[no-untyped-
 
 @inner
 def _nearest_free(k, s, a, b, within, surface, at, pieces, start, stop, edge, lines, beside, found):  # type: ignore[no-untyped-def]
-    """Write into `found` the free place for footprint k that is nearest to (a, b) on surface s; return False if there
-    is no free place.
+    """Find the free place for footprint k nearest to (a, b) on surface s, and write its coordinates into `found`.
 
     Each coordinate of the nearest place is either unchanged or on a candidate line. Such a line is a border of a
-    trapezoid along u or v, or a line on which footprint k touches another footprint. Only footprints within a distance
-    of `within` give candidate lines. Rows `start` to `stop - 1` of `pieces` are trapezoids of allowed centres.
+    trapezoid along u or v, or a line on which footprint k touches another footprint. Only footprints at most `within`,
+    metres, from (a, b) give candidate lines. Rows `start` to `stop - 1` of `pieces` are trapezoids of allowed centres.
+    `lines` and `beside` are working memory.
+
+    Returns:
+        True if there is a free place.
     """
     lines[0, 0], lines[1, 0] = a, b
     across, up = 1, 1
@@ -90,10 +96,10 @@ def push(fixed, surface, at, pieces, first, of, edge, moved):  # type: ignore[no
         fixed: number of footprints at the beginning that are not moved.
         surface: surface of each footprint, `(K,)`; updated.
         at: centres in surface coordinates, metres, `(K, 2)`; updated.
-        pieces: trapezoids of the allowed centres of S sizes, `(T, 6)`.
-        first: rows `first[c, s]` to `first[c, s + 1] - 1` of `pieces` are the trapezoids for size c on surface s, `(S,
-            W + 1)`.
-        of: size index of each footprint, `(K,)`.
+        pieces: trapezoids of the allowed centres of footprints of S sizes, `(T, 6)`.
+        first: `(S, W + 1)`; rows `first[c, s]` to `first[c, s + 1] - 1` of `pieces` are the trapezoids for size c on
+            surface s.
+        of: index c of the size of each footprint, `(K,)`.
         edge: edge lengths of the footprints, metres, `(K,)`.
         moved: receives True for each footprint that is moved, `(K,)`.
     """

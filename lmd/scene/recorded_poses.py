@@ -1,8 +1,8 @@
 """Recorded camera poses, which replace the position grid and the orientation PDF.
 
 The recording is cut into blocks of time. Every `held_out`-th block is held out for validation:
-`lmd.evaluation.validation` scores a deployment at the exact poses of these blocks. The other blocks give the positions
-(`lmd.space.changed`) and the position-dependent orientation PDF (`lmd.scene.recorded_poses`) for optimisation.
+`lmd.evaluation.validation` scores a deployment at the exact poses of these blocks. For optimisation, the other blocks
+give the positions (`lmd.space.changed`) and the position-dependent orientation PDF (`pdf_by_position`).
 """
 
 import math
@@ -72,8 +72,9 @@ def pdf_by_position(
 
 
 def _grid(poses: FloatArray, divisions: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Grid of orientations: yaw, pitch (the poles included), roll (only those recorded), and relative solid angle of
-    the cell, `(A,)` each.
+    """Grid of orientations: yaw, pitch and roll, radians, and relative solid angle of each cell, `(A,)` each.
+
+    The pitches include the poles. The rolls are the recorded rolls, rounded to the grid.
     """
     step = np.pi / divisions
     *_, rolled = angles_of(np.swapaxes(poses[:, :3, :3], 1, 2))
@@ -85,13 +86,12 @@ def _grid(poses: FloatArray, divisions: int) -> tuple[FloatArray, FloatArray, Fl
 
 
 def _spread(poses: FloatArray, orientations: FloatArray, solid_angle: FloatArray, width: float) -> csr_array:
-    """Kernels K_t(a): for each record t, weights that spread the recorded orientation over the grid's orientations a,
-    `(T, A)`.
+    """Kernels K_t(a): the weights that spread the orientation of record t over the grid's orientations a, `(T, A)`.
 
     Args:
         poses: pose matrix of each record, from the camera frame to the world, `(T, 4, 4)`.
         orientations: rotations from the world to the camera, `(A, 3, 3)`.
-        solid_angle: solid angle A_a of each orientation's cell, `(A,)`.
+        solid_angle: relative solid angle of each orientation's cell, `(A,)`.
         width: bandwidth g in direction, radians.
     """
     nodes = Rotation.from_matrix(np.swapaxes(orientations, 1, 2)).as_quat()
@@ -111,7 +111,7 @@ def _spread(poses: FloatArray, orientations: FloatArray, solid_angle: FloatArray
 
 
 class _Kernels:
-    """Estimate w_a(p) of the orientation PDF at a position p, by kernels around the records.
+    """Estimator of w_a(p), the probability of orientation a at position p, with kernels around the records.
 
     Args:
         positions: position x_t of each record, `(T, 3)`, metres.
@@ -128,7 +128,7 @@ class _Kernels:
         self._everywhere, self._bandwidth = everywhere, bandwidth
 
     def probabilities(self, positions: FloatArray) -> FloatArray:
-        """Probability w_a(p) of each orientation a at each position p, `(Q, A)`, for `positions` `(Q, 3)`."""
+        """Probability w_a(p) of each orientation a at each position p of `positions` `(Q, 3)`, metres; `(Q, A)`."""
         rows = max(CHUNK // self._records.n, 1)
         parts = [self._near(positions[start : start + rows]) for start in range(0, len(positions), rows)]
         found = np.concatenate(parts)
@@ -136,7 +136,10 @@ class _Kernels:
         return np.where(total > 0.0, found / np.where(total > 0.0, total, 1.0), self._everywhere)
 
     def _near(self, positions: FloatArray) -> FloatArray:
-        """Numerators of w_a(p), sum_t tau_t G(p - x_t) K_t(a), at positions p `(Q, 3)`, `(Q, A)`."""
+        """Unnormalised probability of each orientation a at each position p of `positions` `(Q, 3)`, metres; `(Q, A)`.
+
+        This is sum_t tau_t G(p - x_t) K_t(a), with the Gaussian kernel G in position.
+        """
         pairs = cKDTree(positions).sparse_distance_matrix(
             self._records, CUT_AT * self._bandwidth, output_type="ndarray"
         )
@@ -170,8 +173,7 @@ class Records:
 
 @dataclass(frozen=True)
 class RecordedPoses(Checked):
-    """Recording of camera poses, with settings for the positions, the orientation PDF and the validation that are
-    derived from the recording.
+    """Recording of camera poses, and settings for what is derived from it: positions, orientation PDF and validation.
 
     Args:
         trajectory: trajectory of the camera in the room.
@@ -183,7 +185,7 @@ class RecordedPoses(Checked):
         held_out: every `held_out`-th block is held out, at least 2; None to hold out none.
         block: length of a block, seconds.
         path: file of the recording, for messages.
-        note: remark on an ambiguous file.
+        note: sentence about an ambiguity in the file; empty if nothing is ambiguous.
 
     Raises:
         InputError: a value is out of range, or the recording is too short to hold out a block.
@@ -209,7 +211,7 @@ class RecordedPoses(Checked):
 
     @cached_property
     def records(self) -> Records:
-        """All records of the trajectory. The last pose is not a record, but the end of the last record."""
+        """All records of the trajectory; the last pose is not a record, but marks the end of the last record."""
         time = self.trajectory.time
         block = np.floor((time[:-1] - time[0]) / self.block).astype(np.int64)
         return Records(self.trajectory.poses[:-1], np.diff(time), block)
@@ -230,7 +232,7 @@ class RecordedPoses(Checked):
         return self.records[self._is_kept_back]
 
     def visited(self, room: Space) -> RecordedRoom:
-        """Room with the positions of the recording.
+        """Room whose camera positions are those of the recording, without the blocks that are held out.
 
         Raises:
             InputError: a pose, held out or not, is outside the room or in an obstacle, or the spacing is out of range.
@@ -241,7 +243,7 @@ class RecordedPoses(Checked):
 
     @cached_property
     def pdf(self) -> OrientationPdf:
-        """Position-dependent orientation PDF.
+        """Position-dependent orientation PDF, estimated from the blocks that are not held out.
 
         Raises:
             InputError: the records and orientations do not fit into memory.

@@ -46,7 +46,8 @@ class Mount(Checked):
     Args:
         camera: intrinsics.
         translation: offset of the camera's centre from the body's origin, body frame, metres.
-        yaw, pitch, roll: radians, see the module; with zero angles the camera looks along the body's x axis, upright.
+        yaw, pitch, roll: radians; the rotation Rz(yaw) Ry(pitch) Rx(roll) turns vectors from the camera's frame to the
+            body's frame. With zero angles the camera looks along the body's x axis, upright.
         quaternion: rotation from the camera's frame to the body's frame as x, y, z, w, instead of the angles. The
             camera's frame has x along the optical axis, y left and z up in the image.
 
@@ -95,8 +96,12 @@ class Rig:
 
     @classmethod
     def of_poses(cls, cameras: Sequence[Camera], poses: FloatArray) -> "Rig":
-        """Rig of cameras with given poses, as in `mounted`, `(C, 4, 4)`; the body's frame is the first camera's
-        frame.
+        """Rig of C cameras with given poses; the first camera's frame becomes the body's frame.
+
+        Args:
+            cameras: intrinsics of the cameras.
+            poses: poses of the cameras in the frame of the first camera (x right, y down, z ahead), `(C, 4, 4)`,
+                metres.
         """
         from scipy.spatial.transform import Rotation
 
@@ -106,40 +111,39 @@ class Rig:
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
-        """Camera on each mount."""
+        """Cameras of the rig, in the order of `mounts`."""
         return tuple(mount.camera for mount in self.mounts)
 
     @cached_property
     def extrinsics(self) -> FloatArray:
-        """Poses of the cameras relative to the body, `(C, 4, 4)`; here the frames of body and cameras have x right, y
-        down, z ahead.
+        """Poses of the cameras relative to the body, `(C, 4, 4)`, metres.
 
-        If X is the pose of the body in this convention (`lmd.geometry.se3.camera_pose`), X extrinsics[c] is the pose of
-        camera c.
+        Here the frames of body and cameras have x right, y down, z ahead. If X is the pose of the body in this
+        convention (`lmd.geometry.se3.camera_pose`), X extrinsics[c] is the pose of camera c.
         """
         turns = OPTICAL.T @ np.stack([mount.rotation for mount in self.mounts]) @ OPTICAL
         return pose_of(turns, np.stack([mount.translation for mount in self.mounts]) @ OPTICAL)
 
     @property
     def needs_roll(self) -> bool:
-        """True if the body's roll moves a camera or its optical axis."""
+        """True if rolling the body (a rotation about its x axis) moves a camera or turns an optical axis."""
         return any(np.any(mount.translation[1:]) or np.any(mount.rotation[1:, 0]) for mount in self.mounts)
 
     @property
     def mounted(self) -> FloatArray:
-        """Poses of the cameras in the frame of the first camera (x right, y down, z the optical axis), `(C, 4, 4)`."""
+        """Poses of the cameras in the frame of the first camera (x right, y down, z ahead), `(C, 4, 4)`, metres."""
         return np.asarray(inverse(self.extrinsics[0]) @ self.extrinsics)
 
     def views(self, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Offsets and orientations of the cameras for A orientations of the body.
 
         Args:
-            axes: body's x axis and right (-y), two unit vectors, world frame, `(A, 6)`, see
-                `lmd.scene.pdf.Orientations`.
+            axes: body's x axis and the direction to its right (-y), two unit vectors, world frame, `(A, 6)`.
 
         Returns:
-            offsets from the body's origin, world frame, metres, `(C, A, 3)`; optical axis and image's right of each
-            camera, unit vectors, world frame, `(C, A, 6)`.
+            offsets of the cameras from the body's origin, world frame, metres, `(C, A, 3)`.
+            orientations of the cameras, `(C, A, 6)`: optical axis and direction to the right in the image, unit
+                vectors, world frame.
         """
         forward, right = axes[:, :3], axes[:, 3:]
         body = (forward, -right, np.cross(right, forward))
@@ -152,8 +156,12 @@ class Rig:
         return np.round(offsets, SAME_PLACE_DECIMALS) + 0.0, np.stack(turned)  # + 0.0 turns -0 into 0
 
     def stations(self, axes: FloatArray) -> "Iterator[Station]":
-        """Stations of the cameras (see `Station`) for orientations `(A, 6)` of the body, ordered by camera and
-        offset.
+        """Yield the stations of each camera (see `Station`) for given orientations of the body.
+
+        The stations are ordered by camera, then by offset.
+
+        Args:
+            axes: body's x axis and the direction to its right (-y), two unit vectors, world frame, `(A, 6)`.
         """
         for camera, offsets, turned in zip(self.cameras, *self.views(axes), strict=True):
             places, place = np.unique(offsets, axis=0, return_inverse=True)
@@ -163,20 +171,18 @@ class Rig:
 
 
 def rig_of(camera: Camera | Rig) -> Rig | None:
-    """Return `camera` if it is a rig; None for a single camera."""
+    """Return `camera` if it is a rig, and None if it is a single camera."""
     return camera if isinstance(camera, Rig) else None
 
 
 class Station(NamedTuple):
-    """Station of a rig's camera: one offset of the camera from the body's origin, and the orientations of the body that
-    give this offset.
-    """
+    """Station of a rig's camera: an offset from the body's origin, and the orientations of the body that give it."""
 
     camera: Camera
     """Intrinsics of the camera."""
     offset: FloatArray
     """Offset of the camera from the body's origin, world frame, metres, `(3,)`."""
     there: np.ndarray
-    """Indices of the orientations of the body with this offset, `(a,)`."""
+    """Indices of the orientations of the body that give this offset, `(a,)`."""
     axes: FloatArray
-    """Optical axis and image's right for each of these orientations, unit vectors, world frame, `(a, 6)`."""
+    """Optical axis and direction to the right in the image at each of these orientations, world frame, `(a, 6)`."""

@@ -36,14 +36,15 @@ class Scene:
         pdf: orientation PDF.
         visibility: criteria for the coverage of a landmark.
         tag: tag at each landmark; by default the tag of the visibility model, or a point.
-        recorded: recording from which `room` and `pdf` are derived, together with the poses that are held out for
-            validation; None without a recording.
+        recorded: recording from which `room` and `pdf` are derived, with the poses that are held out for validation;
+            None without a recording.
         edges: edge length of each landmark in the order of the deployment, or one length for all, metres, see `sized`;
             None for the edge length of `tag`.
         crowd: states of people and other robots that hide landmarks; None without a crowd.
 
     Raises:
-        InputError: the visibility model has another tag, or a scene with a rig has a crowd.
+        InputError: the visibility model has another tag, it has `covered` but no `sight`, or a scene with a rig has a
+            crowd.
     """
 
     room: Space
@@ -98,34 +99,34 @@ class Scene:
         return self.edges is not None and len(self.edges) > 1
 
     def check_one_size(self, what: str) -> None:
-        """Raise `InputError` if tags have several sizes; `what` is the subject of the message."""
+        """Raise `InputError` if tags have several sizes; `what` is the subject of the error message."""
         if self.edges is not None and self.has_several_sizes:
             sizes = ", ".join(f"{edge:g}" for edge in sorted(set(self.edges)))
             raise InputError(f"{what} works with tags of one size, not with edges of {sizes} m.")
 
     def check_count(self, count: int) -> None:
-        """Raise `InputError` if `edges` has one value per landmark, and the number of values is not `count`."""
+        """Raise `InputError` if `edges` has one value per landmark, but not `count` values."""
         if self.edges is not None and len(self.edges) not in (1, count):
             raise InputError(f"{count} landmarks need one edge each, but edges has {len(self.edges)} values.")
 
     @cached_property
     def footprints(self) -> Footprints:
-        """Footprints of the tags."""
+        """Footprints of the tags: the squares that their papers cover on the surfaces."""
         return Footprints(self.room, self.tag)
 
     @property
     def spacing(self) -> float:
-        """Least distance between neighbouring landmarks at which they neither hide nor overlap each other, metres."""
+        """Distance between neighbouring landmarks from which on they neither hide nor overlap each other, metres."""
         return max(self.visibility.spacing, self.footprints.edge)
 
     @property
     def rig(self) -> Rig | None:
-        """Rig; None for a single camera."""
+        """The rig; None for a single camera."""
         return rig_of(self.camera)
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
-        """Cameras, `(C,)`: the single camera, or the cameras of the rig."""
+        """The single camera, or the C cameras of the rig."""
         return self.camera.cameras
 
     @property
@@ -137,7 +138,7 @@ class Scene:
         """Return the single camera, for functions that do not support rigs.
 
         Args:
-            what: subject of the message.
+            what: subject of the error message.
 
         Raises:
             InputError: the scene has a rig.
@@ -147,17 +148,20 @@ class Scene:
         return self.cameras[0]
 
     def check_no_crowd(self, what: str) -> None:
-        """Raise `InputError` if the scene has a crowd; `what` is the subject of the message."""
+        """Raise `InputError` if the scene has a crowd; `what` is the subject of the error message."""
         if self.crowd is not None:
             raise InputError(f"crowd: {what} works only without people in the way.", "crowd")
 
     def in_state(self, state: int) -> "Scene":
-        """Scene with a single crowd state; the scene itself without a crowd."""
+        """Scene with only the crowd state of index `state`; the scene itself without a crowd."""
         return self if self.crowd is None else replace(self, crowd=self.crowd.only(state))
 
     def stations(self, axes: FloatArray) -> Iterator[Station]:
-        """Stations of the cameras (`lmd.scene.rig.Station`) for orientations of the camera or of the rig's body, `(A,
-        6)`.
+        """Yield the stations of the cameras (`lmd.scene.rig.Station`) for given orientations.
+
+        Args:
+            axes: orientations of the single camera or of the rig's body, `(A, 6)`: optical axis or body's x axis, and
+                direction to the right, unit vectors, world frame.
         """
         if self.rig is not None:
             yield from self.rig.stations(axes)
@@ -189,13 +193,17 @@ class Scene:
 
     @property
     def orientations(self) -> Orientations:
-        """Distinct orientations of the PDF; orientations that differ only in roll are merged if roll has no effect."""
+        """Distinct orientations of the PDF.
+
+        Orientations that differ only in roll are merged if roll has no effect.
+        """
         by_rig = self.rig is not None and self.rig.needs_roll
         return self.pdf.by_axis_and_roll if by_rig or self.visibility.needs_roll else self.pdf.by_axis
 
     def probability(self, positions: FloatArray) -> FloatArray:
-        """Probability of each of `orientations` at each of the positions `(Q, 3)`, `(Q, D)`; `(1, D)` if the PDF does
-        not depend on the position.
+        """Probability of each of the D distinct `orientations` at each of the positions `(Q, 3)`, metres; `(Q, D)`.
+
+        The result is `(1, D)` if the PDF does not depend on the position.
         """
         axes, index_of, _ = self.orientations
         check_views(PROBABILITY_BYTES, 1 if self.pdf.by_position is None else len(positions), len(index_of))
@@ -210,8 +218,9 @@ class Scene:
         return self.visibility.sight(self.cameras[0]) is not None
 
     def check_compiled(self, what: str) -> None:
-        """Raise `InputError` if the visibility model has no compiled model of sight, a `SightModel`; `what` is the
-        subject of the message.
+        """Raise `InputError` if the visibility model has no compiled model of sight, a `SightModel`.
+
+        `what` is the subject of the error message.
         """
         if not self.is_compiled:
             name = type(self.visibility).__name__
@@ -222,5 +231,5 @@ class Scene:
 
     @cached_property
     def sight(self) -> Any:
-        """Visibility model compiled for the single camera, see `lmd.scene.criteria.Criteria.sight`."""
+        """Visibility model compiled for the single camera, a `SightModel`, see `lmd.scene.criteria.Criteria.sight`."""
         return self.visibility.sight(self.single_camera("this"))

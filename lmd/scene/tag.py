@@ -28,8 +28,10 @@ from lmd.scene.families import FAMILIES, Family, family_named, picture
 
 
 def edge_or_point(name: str, value: Any) -> float | None:
-    """Return `value` as the edge length of a tag, metres; None for a point. Raise `InputError` if the value is
-    neither.
+    """Return `value` as the edge length of a tag, metres; None for a point (no value or 0).
+
+    Raises:
+        InputError: the value is negative or not a number.
     """
     if value is not None and real(name, value) < 0.0:
         raise InputError(
@@ -39,7 +41,7 @@ def edge_or_point(name: str, value: Any) -> float | None:
 
 
 def known_family(name: str, value: Any) -> str:
-    """Return the name in `FAMILIES` of the family `value`; raise `InputError` if the family is unknown."""
+    """Convert a library's name of a family to its name in `FAMILIES`; raise `InputError` if the family is unknown."""
     return choice(name, family_named(value), tuple(FAMILIES))
 
 
@@ -55,8 +57,8 @@ class Tag(Checked):
         quiet_zone: q, width of the white margin on each side, modules.
         edges: edge lengths of tags of several sizes, metres; None for one size, `edge`. Placed landmarks are assigned
             these lengths cyclically unless `counts` is given.
-        counts: number of placed landmarks for each edge length in `edges`, which are assigned in the order of the
-            landmarks; None for the cyclic assignment.
+        counts: number of placed landmarks for each edge length in `edges`; the lengths are assigned in the order of the
+            landmarks. None for the cyclic assignment.
         paper: limit on the total area of paper of the placed landmarks, square metres. The number of tags of each size
             is optimised within this limit. None if the number of landmarks is given.
         costs: cost of a tag for each edge length in `edges`, in any unit.
@@ -87,8 +89,7 @@ class Tag(Checked):
             told = f"counts = {list(self.counts)} must have a number of tags for each length in edges = {sizes}."
             raise InputError(told, "counts")
         if self.paper is not None and not sizes:
-            told = f"paper = {self.paper:g} square metres needs edges: the sizes that it may go into."
-            raise InputError(told, "paper")
+            raise InputError(f"paper = {self.paper:g} m2 needs edges, the sizes of tags to choose from.", "paper")
         if self.costs is not None and len(self.costs) != len(sizes):
             raise InputError(f"costs = {list(self.costs)} must have one cost per length in edges = {sizes}.", "costs")
         if self.budget is not None and self.costs is None:
@@ -99,8 +100,7 @@ class Tag(Checked):
             )
 
     def edges_in_order(self, count: int) -> FloatArray:
-        """Edge lengths of `count` landmarks in the order of placement, metres, `(count,)`; NaN if one edge length holds
-        for all.
+        """Edge lengths of `count` landmarks in the order of placement, metres, `(count,)`; NaN if there is one size.
 
         Raises:
             InputError: the sum of `counts` is not `count`.
@@ -112,22 +112,23 @@ class Tag(Checked):
         return np.repeat(self.edges, self.counts)
 
     def filled(self, edges: FloatArray) -> FloatArray:
-        """Edge lengths `(K,)`, metres, with NaN replaced by the edge length of the tag; zeros for points."""
+        """Copy of `edges` `(K,)`, metres, with NaN replaced by the edge length of the tag; zeros for points."""
         return np.zeros(len(edges)) if self.edge is None else np.where(np.isnan(edges), self.edge, edges)
 
     def of_size(self, edge: float) -> "Tag":
-        """Tag of the single size `edge`, metres."""
+        """Copy of the tag with the single edge length `edge`, metres."""
         return replace(self, edge=edge, edges=None, counts=None, paper=None, costs=None, budget=None)
 
     @property
     def sizes(self) -> tuple[float, ...]:
-        """Edge lengths of placed tags, metres; empty for points."""
+        """Edge lengths of placed tags, metres; empty if landmarks are points."""
         return self.edges or (() if self.edge is None else (self.edge,))
 
     @property
     def limit(self) -> float | None:
-        """Limit on the total area of paper, square metres, or on the total cost; None if the number of landmarks is
-        given.
+        """Limit on the total area of paper, square metres, or on the total cost.
+
+        None if the number of landmarks is given.
         """
         return self.budget if self.paper is None else self.paper
 
@@ -154,9 +155,7 @@ class Tag(Checked):
 
     @property
     def square(self) -> str:
-        """Phrase, such as `black square`, by which messages name the detected square of the tag, whose edge length is
-        `size`.
-        """
+        """Phrase for the detected square in messages, such as `black square`; `size` is its edge length."""
         return self.in_family.square
 
     @property
@@ -187,8 +186,9 @@ class Tag(Checked):
 
     @property
     def picture_share(self) -> float:
-        """Ratio M / N of the edge length of the whole picture, M modules, to the edge length of the tag, N modules. The
-        ratio is 1 if there is no data around the detected square.
+        """Ratio M / N of the edge length of the whole picture, M modules, to the edge length of the tag, N modules.
+
+        The ratio is 1 if there is no data around the detected square.
         """
         return self.in_family.picture_modules / self.modules
 
@@ -199,15 +199,14 @@ class Tag(Checked):
 
     @property
     def paper_modules(self) -> float:
-        """Edge length of the paper in modules, M + 2 q: M of the whole picture, and q of the quiet zone on each
-        side.
-        """
+        """Edge length of the paper in modules, M + 2 q: the picture has M modules, the quiet zone q on each side."""
         return self.in_family.picture_modules + 2.0 * self.quiet_zone
 
     @property
     def paper_share(self) -> float:
-        """Ratio (M + 2 q) / N of the edge length of the paper to the edge length of the tag, N modules; for M and q see
-        `paper_modules`.
+        """Ratio (M + 2 q) / N of the edge length of the paper to the edge length of the tag.
+
+        The picture has M modules along its edge, the tag N modules, and the quiet zone on each side q modules.
         """
         return self.picture_share + 2.0 * self.quiet_zone / self.modules
 
@@ -217,9 +216,7 @@ class Tag(Checked):
         return self.size * self.paper_share
 
     def check_ids(self, ids: IntArray) -> None:
-        """Raise `InputError` if the family has fewer than K tags, or lacks one of the `ids` `(K,)`, which are all
-        different.
-        """
+        """Raise `InputError` if the family has fewer than K tags, or lacks a tag of the K distinct `ids` `(K,)`."""
         if len(ids) > self.ids:
             raise InputError(f"family {self.family} has {self.ids} different tags, too few for {len(ids)}.", "family")
         if ids.max() >= self.ids:
@@ -227,7 +224,7 @@ class Tag(Checked):
             raise InputError(message, "family")
 
     def picture(self, number: int) -> BoolArray:
-        """Modules of tag `number`, `(M, M)`, row 0 at the top; True for white.
+        """Picture of tag `number`: the colours of its M x M modules, `(M, M)`, row 0 at the top; True for white.
 
         Raises:
             InputError: the family has no such tag.

@@ -41,8 +41,8 @@ def in_blocks(positions: FloatArray) -> tuple[np.ndarray, np.ndarray]:
     """Order positions `(P, 3)` into blocks of neighbours; copies of a position pad the last block.
 
     Returns:
-        order: indices of the positions, `(Q,)`, Q a multiple of `BLOCK`.
-        index_of: index in `order` of each position, `(P,)`.
+        order: indices of the positions, `(Q,)`, where Q is a multiple of `BLOCK`.
+        index_of: for each position, its first index in `order`, `(P,)`.
     """
     order = _block_order(positions)
     order = np.append(order, np.full(-len(order) % BLOCK, order[-1]))

@@ -4,8 +4,8 @@ A landmark is blocked if an obstacle of the room or a cylinder intersects the li
 (`lmd.sight.obstacles`). The decisions repeat the operations of `lmd.space.crowd`. An evaluator has one crowd state at
 each of its positions. With several states, each camera position is therefore listed once for each state.
 
-The line to the centre excludes most cylinders: the lines to the other points stay within half the diagonal of the
-square from the line to the centre.
+Most cylinders are excluded by a test of the line to the landmark's centre. The lines to the corners of a tag are
+nowhere farther from this line than half a diagonal of the tag.
 """
 
 import math
@@ -66,7 +66,10 @@ class CrowdEnds(NamedTuple):
 
 
 def obstacles_of(scene: Scene, positions: FloatArray, states: IntArray | None) -> Any:
-    """Obstacles of a scene prepared for cameras at `positions` `(P, 3)`, metres, in the crowd states `(P,)`."""
+    """Obstacles of a scene, prepared for cameras at `positions` `(P, 3)`, metres.
+
+    `states` `(P,)` has the crowd state at each position; it may be None for a scene without a crowd.
+    """
     room = obstacles_at(scene.room.blockers(), positions)
     if scene.crowd is None:
         return room

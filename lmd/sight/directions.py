@@ -1,7 +1,7 @@
 """Tables of the axes that can cover a landmark, by the direction of the landmark from the camera.
 
-The sphere of directions is projected onto an octahedron, which is unfolded into a square of `SIDE` x `SIDE` cells. Two
-tables have a set of axes for each cell:
+An axis is an orientation of the camera. The sphere of directions is projected onto an octahedron, which is unfolded
+into a square of `SIDE` x `SIDE` cells. Two tables have a set of axes for each cell:
 
 - `CERTAIN`: axes that have *every* direction of the cell in view, at least `SightModel.inset` from the border.
 - `POSSIBLE`: axes that have *some* direction of the cell in view.
@@ -14,9 +14,9 @@ that cover a landmark lie in a cone around its direction. So the lowest and the 
 that need the exact test to one contiguous band.
 
 A cell is the projection of a parallelogram or of two triangles, so a spherical cap that contains its corners contains
-the cell. Let rho be the greatest angle between the cell's centre and a corner. An axis with the centre at least rho
-inside its field of view has every direction of the cell in view. An axis with the centre more than rho outside has no
-direction of the cell in view.
+the cell. Let rho be the greatest angle between the cell's centre and a corner. If the centre is at least rho inside the
+field of view of an axis, the axis has every direction of the cell in view. If the centre is more than rho outside, the
+axis has no direction of the cell in view.
 """
 
 import math
@@ -44,7 +44,7 @@ HEIGHT_MARGIN = 1e-6
 
 @inner
 def cell_of(way: Vector) -> Any:
-    """Index of the cell that contains the direction of a vector; arbitrary for a zero vector."""
+    """Index of the cell that contains the direction of the vector `way`; arbitrary for a zero vector."""
     x, y, z = way
     scale = 1.0 / (abs(x) + abs(y) + abs(z))
     u, v = x * scale, y * scale
@@ -58,8 +58,9 @@ def cell_of(way: Vector) -> Any:
 
 @cache
 def _cells() -> tuple[FloatArray, FloatArray]:
-    """Unit directions of the cells' centres, `(3, SIDE * SIDE)`, and rho, the greatest angle between a cell's centre
-    and a corner, rad, `(SIDE * SIDE,)`.
+    """Unit directions of the cells' centres, `(3, SIDE * SIDE)`, and the angles rho, rad, `(SIDE * SIDE,)`.
+
+    rho is the greatest angle between the centre and a corner of a cell, plus a margin.
     """
     edge = np.linspace(-1.0, 1.0, SIDE + 1)
     u, v = np.meshgrid(edge, edge, indexing="ij")
@@ -78,14 +79,14 @@ def _cells() -> tuple[FloatArray, FloatArray]:
 def _fill(
     sight: Any, centres: FloatArray, angles: FloatArray, axes: FloatArray, shifts: FloatArray, table: np.ndarray
 ) -> None:
-    """For each cell, write the set of axes for which the cell's centre is inside the field of view, at least the cell's
-    angle from the border.
+    """For each cell, write the set of axes that have the cell's centre in view, at a given angle from the border.
 
     Args:
         sight: compiled model of sight.
         centres: unit directions of the centres of the cells, `(3, cells)`.
-        angles: least angle between centre and border of the field of view for each cell, rad, `(cells,)`.
-        axes: optical axis and image's right of each axis, unit vectors, `(6, 64 W)`.
+        angles: least angle between the centre and the border of the field of view for each cell, rad, `(cells,)`;
+            negative if the centre may lie outside the border by this angle.
+        axes: optical axis and direction to the right in the image, unit vectors, for each axis, `(6, 64 W)`.
         shifts: displacement of the camera for each axis, divided by the distance of the landmark, `(3, 64 W)`; the
             displacement is subtracted from the centre.
         table: receives the sets of axes, `(cells, W)`.
@@ -107,10 +108,12 @@ def _fill(
 
 
 def tables(sight: SightModel, axes: FloatArray) -> tuple[np.ndarray, np.ndarray]:
-    """Tables `CERTAIN` and `POSSIBLE` of sets of axes, `(EMPTY_ROW + 1, W)` each.
+    """Make the tables `CERTAIN` and `POSSIBLE`: a bit set of axes for each cell, `(EMPTY_ROW + 1, W)` each.
 
     Args:
-        axes: optical axis and image's right, unit vectors, `(6, 64 W)`, padded with zeros to whole words.
+        sight: model of sight.
+        axes: optical axis and direction to the right in the image, unit vectors, `(6, 64 W)`, padded with zeros to
+            whole words.
     """
     certain, possible = np.zeros((2, EMPTY_ROW + 1, axes.shape[1] // BITS), dtype=np.uint64)
     fill_tables(sight, axes, (np.zeros((3, axes.shape[1])), 0.0, 0.0), certain, possible)
@@ -120,16 +123,17 @@ def tables(sight: SightModel, axes: FloatArray) -> tuple[np.ndarray, np.ndarray]
 def fill_tables(
     sight: SightModel, axes: FloatArray, shift: tuple[FloatArray, float, float], certain: IntArray, possible: IntArray
 ) -> None:
-    """Fill the tables `certain` and `possible` for cameras that are displaced from the point at the centre of the
-    sphere of directions.
+    """Fill the tables `certain` and `possible` for cameras displaced from the centre of the sphere of directions.
 
-    Let u be the unit direction of a landmark from the point, and s the displacement of the camera divided by the
+    Let u be the unit direction of a landmark from this centre, and s the displacement of the camera divided by the
     distance of the landmark. The camera sees the landmark in the direction of u - s. If u lies in a cell, and `shifts`
     approximates s, then u - s differs from the tabulated vector by at most 2 sin(rho / 2) + `error`. Both vectors have
     at least the length 1 - `longest`.
 
     Args:
-        sight, axes: as in `tables`.
+        sight: model of sight.
+        axes: optical axis and direction to the right in the image, unit vectors, `(6, 64 W)`, padded with zeros to
+            whole words.
         shift: tuple of three values: `shifts`, the approximation of s for each axis, `(3, 64 W)`; `longest`, an upper
             bound on |s|; and `error`, an upper bound on the distance between s and `shifts`.
         certain, possible: tables whose first `SIDE * SIDE` rows are filled, `(>= SIDE * SIDE, W)`.
@@ -145,9 +149,10 @@ def fill_tables(
 
 
 def height_index(heights: FloatArray) -> np.ndarray:
-    """Index of the first axis of each bin of height, `(HEIGHT_BINS + 2,)`. The bins divide the heights (z coordinates)
-    from -1 to 1 equally. The first axis of a bin is the lowest axis whose height is at least the bin's lower limit,
-    less a margin.
+    """Index of the first axis of each bin of height, `(HEIGHT_BINS + 2,)`.
+
+    The bins divide the heights (z coordinates) from -1 to 1 equally. The first axis of a bin is the lowest axis whose
+    height is at least the bin's lower limit, less a margin.
 
     Args:
         heights: z coordinates of the axes in ascending order, `(D,)`.
@@ -158,12 +163,16 @@ def height_index(heights: FloatArray) -> np.ndarray:
 
 @inlined
 def band_of(offset: Vector, low: Any, slack: Any) -> Any:
-    """Range of bins of height (z coordinate) that contain all axes along which a landmark has a depth of at least
-    `low`, metres. `offset` is the landmark's offset from the camera, metres.
+    """Range of bins of height (z coordinate) that contain all axes along which a landmark has at least the depth `low`.
 
     These axes lie in a cone around the direction of the landmark. With a positive `slack` (metres), the bins are valid
-    for all landmarks that are at most `slack` away from the one at `offset`. The function has no branches, so that
+    for all landmarks that are at most `slack` away from the landmark at `offset`. The function has no branches, so that
     loops over it vectorise.
+
+    Args:
+        offset: offset of the landmark from the camera, metres.
+        low: depth along the optical axis, metres.
+        slack: greatest displacement of the landmark, metres.
 
     Returns:
         the first and the last bin, as indices into the result of `height_index`.

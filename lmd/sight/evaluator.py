@@ -92,8 +92,9 @@ class Evaluator:
             self.sight, self.obstacles = scene.sight, obstacles_of(scene, self.positions, states)
 
     def sized(self, edges: FloatArray) -> "Evaluator":
-        """Evaluator of the scene for tags with the given edge lengths, `(K,)`, metres, see `Scene.sized`; recent
-        evaluators are cached.
+        """Evaluator of the scene for tags with the edge lengths `edges` `(K,)`, metres, see `Scene.sized`.
+
+        Recent evaluators are cached.
         """
         scene = self.scene.sized(edges)
         if scene is self.scene:
@@ -125,7 +126,7 @@ class Evaluator:
         return isinstance(self.views, ReferenceViews)
 
     def scene_at(self, p: int) -> Scene:
-        """The scene reduced to the crowd state of position p, for an evaluation by the NumPy reference."""
+        """Scene reduced to the crowd state of position p if the NumPy reference is used, else the whole scene."""
         return self.views.scene_at(p) if isinstance(self.views, ReferenceViews) else self.scene
 
     @property
@@ -135,12 +136,12 @@ class Evaluator:
 
     @cached_property
     def tables(self) -> tuple[np.ndarray, np.ndarray]:
-        """Tables `CERTAIN` and `POSSIBLE` of the axes, see `lmd.sight.directions.tables`."""
+        """Tables of the axes that certainly and that possibly cover a landmark, see `lmd.sight.directions.tables`."""
         return tables(self.sight, self.axes)
 
     @cached_property
     def blocks(self) -> tuple[IntArray, IntArray]:
-        """Results of `in_blocks`, which sorts the positions into blocks of neighbours."""
+        """Positions sorted into blocks of neighbours: the results `order` and `index_of` of `in_blocks`."""
         return in_blocks(self.positions)
 
     def check_memory(self, each: float) -> None:
@@ -148,8 +149,10 @@ class Evaluator:
         check_views(each, len(self.positions), self.axes.shape[1])
 
     def by_place(self, weight: FloatArray, *values: FloatArray) -> tuple[FloatArray, ...]:
-        """Put the values of all S crowd states of a camera position into one row: probabilities `(1, D)` or `(P, D)`
-        and values `(P, D)` become `(P / S, S D)`. Without a crowd, nothing changes.
+        """Put the values of all S crowd states of a camera position into one row.
+
+        Probabilities `weight`, `(1, D)` or `(P, D)`, become `(P / S, S D)`, divided by S. `values` `(P, D)` become
+        `(P / S, S D)`. Without a crowd, the arguments are returned unchanged.
         """
         if self.scene.crowd is None:
             return weight, *values
@@ -178,8 +181,11 @@ class Evaluator:
     def _evaluate(
         self, positions: FloatArray, normals: FloatArray, n: int, keep: bool
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Quantised P_n `(B, P)`, and the counts `(B, P, D)` if `keep` is set; the positions are divided among the
-        threads.
+        """Evaluate B deployments on the threads; arguments as in `units`.
+
+        Returns:
+            quantised P_n, `(B, P)`, and numbers of covered landmarks, `(B, P, D)`; these numbers are empty unless
+            `keep` is True.
         """
         size, axes = len(self.positions), self.axes.shape[1]
         if keep:
@@ -196,8 +202,9 @@ class Evaluator:
         return units, counts
 
     def batch(self, positions: FloatArray, normals: FloatArray) -> tuple[kernels.Batch, Any]:
-        """Arguments `batch` and `tables` of `kernels.evaluate_range` for B deployments, whose positions and normals are
-        `(B, K, 3)`.
+        """Make the arguments `batch` and `tables` of `kernels.evaluate_range` for B deployments.
+
+        `positions`, metres, and unit `normals` are those of the landmarks, `(B, K, 3)` each.
         """
         self.scene.check_count(positions.shape[1])
         landmarks = tuple(for_kernels(v.transpose(0, 2, 1)) for v in (positions, normals))

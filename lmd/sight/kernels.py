@@ -35,16 +35,16 @@ PROBABILITY_ONE = 1 << 52
 
 @inlined
 def weights_row(weights: Any, p: Integer) -> Any:
-    """Row of `weights` for position p: row 0 of `(1, D)` weights, which all positions share, or row p of `(P, D)`
-    weights.
-    """
+    """Index of the row of `weights` for position p: 0 for `(1, D)` weights, which all positions share, else p."""
     return np.uint64(p) if len(weights) > 1 else np.uint64(0)
 
 
 @inner
 def sum_weights(before: Any, after: Any, weights: Any, p: Integer, w: Integer) -> Any:
-    """Change of the quantised probability of a set of axes, at position p, when word w of the set changes from `before`
-    to `after`.
+    """Change of the quantised probability of a set of axes when word w (64 bits) of the set changes.
+
+    `before` and `after` are the values of the word. `weights`, `(1, D)` or `(P, D)`, are the quantised probabilities of
+    the axes; p is the position.
     """
     change, left, row = np.int64(0), before ^ after, weights_row(weights, p)
     while left:
@@ -57,8 +57,10 @@ def sum_weights(before: Any, after: Any, weights: Any, p: Integer, w: Integer) -
 
 @inlined
 def count_set(at_least: WordArray, w: Integer, visible: Any) -> None:
-    """Add one to the count of each orientation in the set `visible` (bits of word w). The counts are stored as bit
-    sets, `at_least` `(n, W)`: set j has the orientations that were counted more than j times.
+    """Add one to the count of each orientation whose bit is set in `visible`, word w (64 bits) of a bit set.
+
+    The counts are stored as bit sets, `at_least` `(n, W)`: set j has the orientations that were counted more than j
+    times.
     """
     for j in range(len(at_least) - 1, 0, -1):
         at_least[j, w] |= at_least[j - 1, w] & visible
@@ -78,10 +80,10 @@ def evaluate_range(
         positions: positions of the camera, `(P, 3)`, metres.
         landmarks, normals: positions, metres, and unit normals of B deployments, `(B, 3, K)`.
         sight: compiled model of sight.
-        horizon: result of `criteria.horizon_of`, metres.
-        obstacles: bodies of the room seen from the positions, see `obstacles`.
-        axes: optical axis and image's right, `(6, D)`, sorted by the z component of the optical axis and padded to D =
-            64 W.
+        horizon: distance beyond which a landmark has no effect, metres.
+        obstacles: obstacles of the room, prepared for the positions, see `crowd.obstacles_of`.
+        axes: optical axis and direction to the right in the image, `(6, D)`, sorted by the z component of the optical
+            axis and padded to D = 64 W.
         bands: result of `directions.height_index` for these axes.
         tables: result of `directions.tables` for a model with an expensive test, else None.
         weights: quantised probability of each axis, `(1, D)` for all positions or `(P, D)` for each.

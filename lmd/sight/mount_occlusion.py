@@ -21,9 +21,10 @@ from lmd.sight.mounts import camera_at
 def hidden_bits(
     group: Any, m: Integer, w: Integer, left: Any, i: Integer, k: Integer, body: Vector, one: Any, other: Any
 ) -> Any:
-    """Bit set, for the orientations of word w, of the body's orientations at which landmark i hides landmark k from the
-    camera of mount m (`hides_from`). Only the orientations in the set `left`, which are still to be tested, are
-    considered.
+    """Set of the orientations in `left` at which landmark i hides landmark k from the camera on mount m.
+
+    `left` and the result are bit sets of orientations of the body, 64 in a word; w is the index of this word. The other
+    arguments are those of `hides_from`.
     """
     found = ZERO
     while left:
@@ -35,9 +36,10 @@ def hidden_bits(
 
 @inlined
 def hides_from(group: Any, m: Integer, a: Integer, i: Integer, k: Integer, body: Vector, one: Any, other: Any) -> Any:
-    """True if landmark i hides landmark k from mount m, for the body with orientation a at the position `body`, metres.
+    """True if landmark i hides landmark k from the camera on mount m of a rig, for orientation a of its body.
 
-    `one` and `other` are position and unit normal of landmarks i and k, six numbers each.
+    `body` is the position of the body, metres. `one` is the position and the unit normal of landmark i, `other` of
+    landmark k.
     """
     camera, (a_place, u), (b_place, v) = camera_at(group, m, a, body), one, other
     first, second = minus3(a_place, camera), minus3(b_place, camera)
@@ -48,11 +50,12 @@ def hides_from(group: Any, m: Integer, a: Integer, i: Integer, k: Integer, body:
 
 @inlined
 def may_hide_around(a: Vector, b: Vector, radius: float, width: float) -> Any:
-    """False only if neither of two landmarks hides the other from any camera within `radius` of a centre.
+    """True if one of two landmarks may hide the other from some camera near a centre; False if this is impossible.
 
-    Let a and b be the offsets of the landmarks from the centre. The offsets from a camera displaced by
-    delta are a' = a - delta and b' = b - delta. So a' x b' = a x b - delta x (b - a). One landmark hides the other only
-    within `width` = sqrt(reach) of the line of sight, that is if |a' x b'| <= width max(|a'|, |b'|).
+    The offsets of the landmarks from the centre are a and b, metres. A camera is at a displacement delta from the
+    centre, at most `radius` long. The offsets from the camera are a' = a - delta and b' = b - delta, so a' x b' = a x b
+    - delta x (b - a). A landmark hides the other only if it is at most `width` from the line of sight to the other, so
+    that |a' x b'| <= width max(|a'|, |b'|). `width`, metres, is the square root of `SightModel.reach`.
     """
     e = minus3(b, a)
     c, longest, apart = cross3(a, e), math.sqrt(max(dot3(a, a), dot3(b, b))), math.sqrt(dot3(e, e))
@@ -61,8 +64,15 @@ def may_hide_around(a: Vector, b: Vector, radius: float, width: float) -> Any:
 
 @inlined
 def hiding_bound(longest: float, apart: float, radius: float, width: float) -> Any:
-    """Upper bound, m^4, on |a x b|^2 of two landmarks of which one hides the other, see `may_hide_around`; `longest` is
-    max(|a|, |b|), `apart` is |b - a|.
+    """Upper bound, m^4, on |a x b|^2 for two landmarks of which one hides the other from a camera near a centre.
+
+    a and b are the offsets of the landmarks from the centre. `may_hide_around` derives the bound.
+
+    Args:
+        longest: max(|a|, |b|), metres.
+        apart: |b - a|, metres.
+        radius: greatest distance of the camera from the centre, metres.
+        width: greatest distance from a line of sight at which a landmark hides another, metres.
     """
     room = (width * (longest + radius) + radius * apart) * (1.0 + SINGLE_ERROR) + SINGLE_ERROR
     return room * room
@@ -70,13 +80,15 @@ def hiding_bound(longest: float, apart: float, radius: float, width: float) -> A
 
 @inlined
 def _may_occlude(j: Integer, k: Integer, mine: Any, view: Any) -> Any:
-    """False only if landmark j hides landmark k from no camera whose distance from the centre is at most the radius
-    (`radius` of `find_suspects`). The computation is in float32; the result is True for j = k.
+    """True if landmark j may hide landmark k from some camera within a radius of the centre, see `find_suspects`.
 
-    If a position is within the radius of the centre, the direction of a landmark at the distance d turns by at most
-    asin(radius / d). The landmark hides other landmarks within asin(width / (d - radius)) of its direction. So the sine
-    of the angle between occluder j and landmark k is at most `close[j]` + `mine`. Here `close[j]` = radius / d_j +
-    width / (d_j - radius), and `mine` = radius / d_k.
+    False means that no such occlusion is possible. The computation is in float32; the result is True for j = k.
+
+    Seen from a camera and from the centre, the directions of a landmark at the distance d from the centre differ by at
+    most asin(radius / d). Seen from the camera, the landmark hides only landmarks within asin(width / (d - radius)) of
+    its direction. So if landmark j hides landmark k, the sine of the angle between both directions is at most
+    `close[j]` + `mine`. Here `close[j]` = radius / d_j + width / (d_j - radius), and `mine` = radius / d_k. `width` is
+    the greatest distance of an occluder from a line of sight.
     """
     u, v, w = view.u, view.v, view.w
     cosine, sine = u[j] * u[k] + v[j] * v[k] + w[j] * w[k], view.close[j] + mine
@@ -85,8 +97,10 @@ def _may_occlude(j: Integer, k: Integer, mine: Any, view: Any) -> Any:
 
 @inlined
 def find_suspects(k: Integer, view: Any, count: Integer, radius: float, close: Any) -> Any:
-    """Find the landmarks that may hide landmark k from any camera within `radius` of the centre, and write the set of
-    these landmarks as bits into `close` `(blocks,)`. Return True if there is such a landmark.
+    """Find the landmarks that may hide landmark k from some camera within `radius`, metres, of the centre.
+
+    The set of these landmarks is written as bits into `close` `(blocks,)`, 32 bits per entry. Return True if there is
+    such a landmark.
     """
     # An upper bound radius / d on the sine of the angle by which the direction of landmark k may turn.
     mine = np.float32(min(radius / math.sqrt(view.squared[k]), 1.0) if view.squared[k] > 0.0 else 1.0)
@@ -109,8 +123,10 @@ def find_suspects(k: Integer, view: Any, count: Integer, radius: float, close: A
 def list_occluders(
     k: Integer, view: Any, radius: float, width: float, close: Any, blocks: Integer, occluders: np.ndarray
 ) -> Any:
-    """Write to `occluders` those landmarks of the set `close` (from `find_suspects`) that may hide landmark k by the
-    test `may_hide_around`. Return the number of these landmarks.
+    """List the landmarks that may hide landmark k from a camera near a centre; return their number.
+
+    The landmarks in the bit set `close`, which `find_suspects` has written, are tested with `may_hide_around`. The
+    indices of those that pass the test are written to `occluders`.
     """
     x, y, z, kept = view.x, view.y, view.z, 0
     for b in range(blocks):

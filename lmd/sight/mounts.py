@@ -1,12 +1,11 @@
-"""Positions of the cameras of a rig, and tests of the landmarks that these cameras cover, in compiled code; see
-`lmd.scene.rig`.
+"""Positions of the cameras of a rig (`lmd.scene.rig`), and compiled tests of the landmarks that these cameras cover.
 
 A camera with a lever arm has another position for every orientation of the body, but stays within a radius of a
 *centre*. Two bounds hold for all these positions:
 
 - `criteria.from_around` bounds the depths of a landmark, given its offset from the centre.
-- tables of directions, shifted for each orientation (`lmd.sight.directions.fill_tables`), one for each of `LEVELS`
-  ranges of distance, bound the orientations.
+- Tables of directions bound the orientations. The tables are shifted for each orientation
+  (`lmd.sight.directions.fill_tables`); there is one table for each of `LEVELS` ranges of distance.
 
 The bounds decide most orientations of most landmarks. The other orientations are tested one by one from the exact
 position of the camera with the operations of the reference, so the result is exact. Most occlusions between landmarks
@@ -35,8 +34,9 @@ MARGIN = 1e-6  # safety margin of depths and distances, metres, above their roun
 
 
 class MountGroup(NamedTuple):
-    """M mounts of a rig with equal cameras. The mounts are around C centres; there are D orientations of the body, in W
-    words.
+    """M mounts of a rig with equal cameras, around C centres.
+
+    The body has D orientations; a set of orientations is a bit set of W words of 64 bits.
     """
 
     number: int
@@ -56,7 +56,7 @@ class MountGroup(NamedTuple):
     offsets: np.ndarray
     """`(M, 3, 64 W)` offset of each camera from the body's origin for each orientation, world frame, metres."""
     axes: np.ndarray
-    """`(M, 6, 64 W)` optical axis and image's right of each camera, unit vectors, world frame."""
+    """`(M, 6, 64 W)` optical axis and direction to the right in the image of each camera, unit vectors, world frame."""
     depths: np.ndarray
     """`(M, 64 W)` for each camera and orientation: coordinate of the camera along its optical axis, measured from the
     centre to which its mount belongs, metres.
@@ -87,8 +87,13 @@ def mount_groups(scene: Scene) -> tuple[MountGroup, ...]:
 
 
 def _group_of(number: int, sight: Any, offsets: FloatArray, axes: FloatArray) -> MountGroup:
-    """Make the group of M mounts from their offsets and axes for D orientations of the body, `offsets` `(M, D, 3)`,
-    metres, and `axes` `(M, D, 6)`, see `MountGroup`.
+    """Make the group of M mounts with equal cameras.
+
+    Args:
+        number: index of the group in the rig.
+        sight: compiled model of sight of the cameras.
+        offsets: offset of each camera from the body's origin for D orientations of the body, metres, `(M, D, 3)`.
+        axes: optical axis and direction to the right in the image of each camera for these orientations, `(M, D, 6)`.
     """
     middle = np.round((offsets.min(axis=1) + offsets.max(axis=1)) / 2.0, 9)
     centres, centre = np.unique(middle, axis=0, return_inverse=True)
@@ -136,7 +141,11 @@ def with_sight(group: MountGroup, sight: Any) -> MountGroup:
 
 
 def places_around(positions: FloatArray, group: MountGroup) -> FloatArray:
-    """Camera positions, `(P G, 3)`, metres; rows p G to p G + G - 1 belong to position p of the body."""
+    """Positions of the cameras for P positions of the body, metres, `(P G, 3)`.
+
+    Rows p G to p G + G - 1 belong to position p of the body. The G offsets of the cameras from the body's origin are
+    `MountGroup.places`.
+    """
     return np.asarray((positions[:, None] + group.places).reshape(-1, 3))
 
 
@@ -146,8 +155,10 @@ def _all_of(size: int, words: int) -> np.ndarray:
 
 
 def _shift_at(level: int, shift: FloatArray, radius: float) -> tuple[FloatArray, float, float]:
-    """Argument `shift` of `fill_tables` for one range of distances of the landmark: from 2^(level + 1) to 2^(level + 2)
-    times `radius`; the last level has no upper limit.
+    """Make the argument `shift` of `fill_tables` for landmarks in one range of distances from the centre.
+
+    The range is from 2^(level + 1) to 2^(level + 2) times `radius`; the last level has no upper limit. `shift`
+    `(3, 64 W)` is the displacement of the camera from the centre for each orientation, metres.
     """
     if radius == 0.0:
         return 0.0 * shift, 0.0, 0.0
@@ -165,7 +176,9 @@ def bounds_from(group: Any, c: Integer, k: Integer, offset: Vector, normal: Vect
         normal: unit normal of the landmark.
 
     Returns:
-        reached, most, start, sure: see `criteria.from_around`.
+        reached: False only if no camera covers the landmark.
+        most: upper bound on the depth of a covered landmark, metres.
+        start, sure: a landmark well in view at a depth from `start` to `sure` is covered, see `criteria.from_around`.
     """
     if group.radius[c] > 0.0:
         reached, most, start, sure = from_around(sized(group.sight, k), offset, normal, group.radius[c])
@@ -177,8 +190,9 @@ def bounds_from(group: Any, c: Integer, k: Integer, offset: Vector, normal: Vect
 
 @inlined
 def table_row(group: Any, c: Integer, offset: Vector) -> Any:
-    """Index of the row of `MountGroup.tables` for a landmark at `offset` (metres) from centre c; the row is prefetched
-    into the processor's cache.
+    """Index of the row of `MountGroup.tables` for a landmark at `offset` (metres) from centre c.
+
+    The row is also prefetched into the processor's cache.
     """
     levels, level, squared = (len(group.tables) - FIRST) // CELLS, -1, dot3(offset, offset)
     for i in range(LEVELS):
@@ -192,18 +206,20 @@ def table_row(group: Any, c: Integer, offset: Vector) -> Any:
 def split_by_certainty(
     group: Any, m: Integer, w: Integer, asked: Any, words: Integer, offset: Vector, bounds: Vector, row: Integer
 ) -> Any:
-    """Split a set of orientations by the bounds into three parts: mount m certainly covers a landmark, the exact test
-    is needed, or the landmark is not covered.
+    """Split orientations by bounds: coverage of a landmark is certain, needs the exact test, or is impossible.
+
+    The camera on mount m must cover the landmark. Sets of orientations are bit sets, 64 orientations in a word; w is
+    the index of this word.
 
     Args:
-        asked: orientations to split, bits of word w.
-        words: number of words W.
+        asked: set of the orientations to split.
+        words: number W of words of all orientations.
         offset: offset of the landmark from the centre, metres.
         bounds: `most`, `start` and `sure` of `bounds_from`.
         row: result of `table_row`.
 
     Returns:
-        two sets of bits: the certain orientations, and those that need the exact test.
+        two sets: the orientations with certain coverage, and the orientations that need the exact test.
     """
     most, start, sure = bounds
     at, half = np.uint64(m) * words + w, np.uint64(group.tables.shape[1] // 2)
@@ -233,10 +249,10 @@ def camera_at(group: Any, m: Integer, a: Integer, body: Vector) -> Vector:
 
 @inlined
 def covers_from(group: Any, m: Integer, a: Integer, k: Integer, body: Vector, pose: Any, frame: Any) -> Any:
-    """True if the camera on mount m covers landmark k. The landmark has the pose `pose`, the body has orientation a and
-    the position `body`. The test is exact.
+    """True if the camera on mount m covers landmark k, for the body with orientation a; the test is exact.
 
-    Occlusion by other landmarks and by the room is ignored. `frame` is a result of `criteria.frame_of`.
+    Occlusion by other landmarks and by the room is ignored. `body` is the position of the body, metres. `pose` is the
+    position and the unit normal of the landmark, and `frame` the result of `criteria.frame_of` for the landmark.
     """
     place, normal = pose
     offset, sight = minus3(place, camera_at(group, m, a, body)), sized(group.sight, k)
@@ -246,8 +262,10 @@ def covers_from(group: Any, m: Integer, a: Integer, k: Integer, body: Vector, po
 
 @inlined
 def covered_bits(group: Any, m: Integer, w: Integer, left: Any, k: Integer, body: Vector, pose: Any, frame: Any) -> Any:
-    """Set of the orientations of the body, as bits of word w, with which mount m covers landmark k (`covers_from`).
-    Only the orientations in the set `left`, which are still to be tested, are considered.
+    """Set of the orientations in `left` at which the camera on mount m covers landmark k.
+
+    `left` and the result are bit sets of orientations of the body, 64 in a word; w is the index of this word. The other
+    arguments are those of `covers_from`.
     """
     found = ZERO
     while left:
@@ -259,10 +277,10 @@ def covered_bits(group: Any, m: Integer, w: Integer, left: Any, k: Integer, body
 
 @inlined
 def blocked_bits(group: Any, m: Integer, w: Integer, left: Any, k: Integer, p: Integer, ends: Any, row: Integer) -> Any:
-    """Set of the orientations of the body, as bits of word w, with which the room blocks landmark k from mount m at
-    position p. Only the orientations in the set `left`, which are still to be tested, are considered.
+    """Set of the orientations in `left` at which the room blocks landmark k from the camera on mount m.
 
-    `ends` has the points of the landmark in row `row`, see `obstacles.find_ends`.
+    `left` and the result are bit sets of orientations of the body, 64 in a word; w is the index of this word. The body
+    is at position p. Row `row` of `ends` has the required points of the landmark, see `obstacles.find_ends`.
     """
     found, sight = ZERO, sized(group.sight, k)
     while left:

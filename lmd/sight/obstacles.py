@@ -1,7 +1,7 @@
 """Obstacles of the room between a camera and a landmark.
 
 A landmark is blocked if a convex body of the room (`lmd.space.blockers`) intersects the line of sight to a required
-point: the centre, and for tags the corners of the black square. The heights (signed distances) of the camera's
+point: the centre, and for tags the corners of the tag's picture. The heights (signed distances) of the camera's
 positions above the planes of the bodies are precomputed; the heights of a landmark's points above these planes are
 computed once for all positions. A few comparisons then exclude most bodies: if the camera and all required points lie
 in front of one plane of a body, this body does not block the landmark.
@@ -53,7 +53,7 @@ class MeshObstacles(NamedTuple):
 
 
 def obstacles_at(blockers: Blockers | Triangles | None, positions: FloatArray) -> Obstacles | MeshObstacles:
-    """Obstacles prepared for cameras at `positions` `(P, 3)`, metres."""
+    """Obstacles prepared for cameras at `positions` `(P, 3)`, metres; there are none if `blockers` is None."""
     if blockers is None:
         return Obstacles(np.empty((0, 3)), np.empty(0), np.zeros(1, dtype=np.int64), np.empty((0, 0)))
     if isinstance(blockers, Triangles):
@@ -66,7 +66,7 @@ def obstacles_at(blockers: Blockers | Triangles | None, positions: FloatArray) -
 def half_edge(sight: Any) -> Any:
     """Half the edge length of the square whose corners must be seen, metres; 0.0 for a point landmark.
 
-    The result is a column `(K,)` for a model of landmarks of several sizes, a number for a `sized` model.
+    The result is an array `(K,)` for a model of landmarks of several sizes, a number for a `sized` model.
     """
     return 0.0
 
@@ -90,6 +90,7 @@ def unobstructed(
 
     Args:
         space: the room.
+        sight: compiled model of sight, which defines the size of the tags.
         position: p, `(3,)`, world frame, metres.
         landmarks, normals: `(K, 3)` positions, metres, and unit normals.
     """
@@ -110,9 +111,7 @@ def _has_no_body(obstacles: Any) -> Any:
 
 @dispatched
 def new_ends(obstacles: Any, count: Integer) -> Any:
-    """Return a new array for the required points of `count` landmarks, not yet filled: the array `ends` of
-    `find_ends`.
-    """
+    """Return a new array `ends` for the required points of `count` landmarks; `find_ends` fills this array."""
 
 
 @new_ends.register(Obstacles)
@@ -127,7 +126,7 @@ def _no_end_points(obstacles: Any, count: Integer) -> Any:
 
 @dispatched
 def find_ends(obstacles: Any, sight: Any, place: Vector, normal: Vector, ends: Any, k: Integer) -> None:
-    """Write the required points of landmark k at a place with a unit normal into `ends`.
+    """Write the required points of landmark k, at the position `place` with the unit normal `normal`, into `ends`.
 
     For `Obstacles`, `ends` `(K, 6, J)` has the heights of the five points above the planes, then their minimum. For
     `MeshObstacles`, `ends` `(K, 5, 3)` has the points, metres.
@@ -153,7 +152,7 @@ def _find_end_points(obstacles: Any, sight: Any, place: Vector, normal: Vector, 
 
 @inlined
 def write_points(sight: Any, place: Vector, normal: Vector, points: FloatArray, k: Integer) -> None:
-    """Write the required points of landmark k into `points` `(K, POINTS, 3)`."""
+    """Write the required points of landmark k, its centre and the corners of a tag, into `points` `(K, POINTS, 3)`."""
     half, sides = half_edge(sight), upright_axes(normal, VERTICAL_TOLERANCE)
     for i in range(POINTS if half > 0.0 else 1):
         points[k, i, 0], points[k, i, 1], points[k, i, 2] = point_of(i, half, place, sides)
@@ -161,10 +160,10 @@ def write_points(sight: Any, place: Vector, normal: Vector, points: FloatArray, 
 
 @inlined
 def point_of(i: Integer, half: float, place: Vector, sides: tuple[Vector, Vector]) -> Vector:
-    """Point i of a landmark at c = `place`. The points are c, `c + h (r + u)`, `c - h (r + u)`, `c + h (r - u)` and
-    `c - h (r - u)`.
+    """Point i of a landmark: its centre c = `place` for i = 0, otherwise a corner of the tag.
 
-    h = `half` is half the edge length; `sides` are the unit vectors r to the right and u up.
+    The corners are `c + h (r + u)`, `c - h (r + u)`, `c + h (r - u)` and `c - h (r - u)`. Here h = `half` is half the
+    edge length, metres; `sides` are the unit vectors r to the right and u up.
     """
     way, up = half * (0.0 if i == 0 else 1.0 if i % 2 == 1 else -1.0), 1.0 if i < 3 else -1.0
     return plus3(place, times3(way, plus3(sides[0], times3(up, sides[1]))))
@@ -172,7 +171,10 @@ def point_of(i: Integer, half: float, place: Vector, sides: tuple[Vector, Vector
 
 @dispatched
 def is_blocked(obstacles: Any, sight: Any, p: Integer, ends: Any, k: Integer) -> Any:
-    """True if an obstacle blocks landmark k from position p; `ends` as in `find_ends`."""
+    """True if an obstacle blocks landmark k from position p.
+
+    `ends` has the required points of the landmark, as written by `find_ends`.
+    """
 
 
 @is_blocked.register(Obstacles)

@@ -3,10 +3,11 @@
 `gains` sums, for each pose, the prices (weights) of the positions and axes from which a landmark at the pose is
 covered. `covered_amounts` sums, for each position and axis, the amounts of the covered poses.
 
-With a `slack` a pose represents a cell of a wall: an axis counts if it may cover some landmark at most `slack` from the
-cell's centre. A move by delta within the wall changes depth and distance by at most |delta| and leaves n . d unchanged,
-so conditions that are loosened by `slack` hold for the whole cell. Obstacles of the room are then ignored, as a part of
-the cell may be visible beside them. Without slack the decisions equal the decisions of `kernels`.
+With a positive distance `slack`, a pose represents a cell of a wall: an axis counts if it may cover some landmark at
+most `slack` from the cell's centre. A move by delta within the wall changes depth and distance by at most |delta|, and
+leaves the product of unit normal and offset, n . d, unchanged. So conditions that are loosened by `slack` hold for the
+whole cell. Obstacles of the room are then ignored, as a part of the cell may be visible beside them. Without slack the
+decisions equal the decisions of `kernels`.
 """
 
 import math
@@ -61,7 +62,7 @@ class Cells:
         return Cells(self.poses[index], self.half_u[index], self.half_v[index])
 
     def quarters(self) -> "Cells":
-        """Cells of half the width: four for each cell, `4 N` in total."""
+        """Quarters of the cells, half as long along u and v: four for each cell, `4 N` in total."""
         u, v = self.half_u / 2.0, self.half_v / 2.0
         points = np.concatenate([self.poses.positions + i * u + j * v for i in (-1, 1) for j in (-1, 1)])
         normals, surfaces = np.tile(self.poses.normals, (4, 1)), np.tile(self.poses.surfaces, 4)
@@ -69,7 +70,7 @@ class Cells:
 
 
 def wall_cells(room: Space, spacing: float) -> Cells:
-    """Cut the allowed pieces of all walls into cells at most `spacing` metres wide.
+    """Cut the pieces of the allowed regions of all walls (`Surface.pieces`) into cells at most `spacing` metres wide.
 
     Cells of a piece are congruent. A cell may extend beyond a border that is parallel to neither u nor v.
 
@@ -98,8 +99,9 @@ def wall_cells(room: Space, spacing: float) -> Cells:
 
 
 def _meets(piece: FloatArray, a: FloatArray, b: FloatArray, half_u: float, half_v: float) -> NDArray[np.bool_]:
-    """Mask `(N,)` of the cells that meet a trapezoid `(6,)` (`lmd.space.allowed`); cells have the centres (a, b), and
-    the half sides `half_u` and `half_v`, metres.
+    """Mask `(N,)` of the cells that meet a trapezoid `piece` `(6,)`, see `lmd.space.allowed`.
+
+    The cells have the centres (a, b), `(N,)` each, and the half sides `half_u` and `half_v`, metres.
     """
     left, right, *borders = piece
     ends = (np.clip((a + way * half_u - left) / max(right - left, 1e-300), 0.0, 1.0) for way in (-1.0, 1.0))
@@ -111,7 +113,7 @@ def _meets(piece: FloatArray, a: FloatArray, b: FloatArray, half_u: float, half_
 
 
 def candidate_poses(room: Space, spacing: float) -> Deployment:
-    """Landmarks flush with the walls, at those centres of `wall_cells` at which a landmark may hang."""
+    """Landmarks flush with the walls: at the centres of the cells of `wall_cells` where a landmark may hang."""
     poses, surfaces = wall_cells(room, spacing).poses, SurfaceArrays.of(room.surfaces())
     return poses[surfaces.allow(poses.surfaces, surfaces.coordinates(poses.surfaces, poses.positions))]
 
@@ -123,7 +125,9 @@ def _gains(
 ) -> None:  # fmt: skip
     """Write into `out` `(N,)` the gains of the poses `start` to `stop - 1`.
 
-    Arguments as in `gains`, except that the positions are `(3, P)`.
+    `points` and `normals` `(N, 3)` are the positions, metres, and unit normals of the poses; `slack` and `prices` are
+    as in `gains`. `parts` has the camera positions, `(3, P)`, and the evaluator's model of sight, obstacles, axes and
+    bands.
     """
     positions, sight, obstacles, axes, bands = parts
     size, row = positions.shape[1], np.empty(axes.shape[1])
@@ -161,7 +165,8 @@ def _sum_covered(
 ) -> None:
     """Add to `out` `(P, D)`, at the positions `start` to `stop - 1`, the amounts of the poses that are covered there.
 
-    Arguments as in `covered_amounts`.
+    `points` and `normals` `(N, 3)` are the positions, metres, and unit normals of the poses; `amounts` is `(N,)`.
+    `parts` has the camera positions, `(P, 3)`, and the evaluator's model of sight, obstacles, axes and bands.
     """
     positions, sight, obstacles, axes, bands = parts
     ends = new_ends(obstacles, 1)
@@ -178,7 +183,7 @@ def _sum_covered(
 
 
 def by_edge(evaluator: Evaluator, poses: Deployment) -> Iterator[tuple[Evaluator, NDArray[Any]]]:
-    """Yield, for each size of the tags, an evaluator for this size and the indices of the poses whose tags have it.
+    """Yield, for each size of the tags, an evaluator for this size and the indices of the poses with tags of this size.
 
     Raises:
         InputError: the scene has tags of several sizes, and `poses` does not give the size of each tag.
@@ -193,8 +198,7 @@ def by_edge(evaluator: Evaluator, poses: Deployment) -> Iterator[tuple[Evaluator
 
 
 def gains(evaluator: Evaluator, poses: Deployment, prices: FloatArray, slack: FloatArray | None = None) -> FloatArray:
-    """Sum, for each pose, of the prices (weights) of all positions and axes from which a landmark at the pose is
-    covered.
+    """For each pose, sum of the prices (weights) of the positions and axes from which a landmark there is covered.
 
     Args:
         poses: N poses.
@@ -218,8 +222,9 @@ def gains(evaluator: Evaluator, poses: Deployment, prices: FloatArray, slack: Fl
 
 
 def covered_amounts(evaluator: Evaluator, poses: Deployment, amounts: FloatArray) -> FloatArray:
-    """Sum of the amounts of the covered poses at each position and axis, c = sum_j x_j cover_j, where cover_j is 1 if
-    pose j is covered, else 0.
+    """For each position and axis, sum of the amounts of the covered poses.
+
+    The sum is c = sum_j x_j cover_j, where cover_j is 1 if a landmark at pose j is covered, else 0.
 
     Args:
         poses: N poses.

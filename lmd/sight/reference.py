@@ -34,7 +34,7 @@ def coverage_caps(scene: Scene, deployment: Deployment, position: FloatArray, ax
         scene: criteria, room and cameras, with at most one crowd state.
         deployment: K landmarks.
         position: p, `(3,)`, world frame, metres.
-        axes: optical axis and image's right, `(A, 6)`, unit vectors, world frame.
+        axes: optical axis and direction to the right in the image, `(A, 6)`, unit vectors, world frame.
     """
     covered = np.zeros((len(axes), len(deployment)), dtype=np.bool_)
     for station in scene.stations(axes):
@@ -43,8 +43,10 @@ def coverage_caps(scene: Scene, deployment: Deployment, position: FloatArray, ax
 
 
 def station_caps(scene: Scene, deployment: Deployment, position: FloatArray, station: Station) -> BoolArray:
-    """Mask `(a, K)` of the landmarks that the camera at a station covers (its coverage caps), for each of the a
-    orientations of the body that bring the camera to the station.
+    """Mask `(a, K)` of the landmarks that the camera at a station covers: columns are its coverage caps.
+
+    `position` `(3,)` is the position of the body, metres. The station has one offset of the camera from the body, and
+    the a orientations of the body that give this offset.
     """
     landmarks, place = (deployment.positions, deployment.normals), position + station.offset
     seen = scene.visibility.covered(station.camera, place, station.axes, *landmarks)
@@ -66,16 +68,17 @@ def n_ple_cap(counts: IntArray, n: int) -> BoolArray:
 def coverage_probability(
     counts: IntArray, pdf: OrientationPdf, n: int, positions: FloatArray | None = None
 ) -> FloatArray:
-    """P_n(p): probability of the n-ple cap under the PDF (Eq. P_n), `(...)`, from counts `(..., A)`.
+    """P_n(p): probability of the n-ple cap under the PDF (Eq. P_n), `(...)`.
 
-    A PDF that depends on the position needs the `positions` `(P, 3)` of the counts `(P, A)`.
+    `counts` `(..., A)` are the numbers of caps that contain each orientation. A PDF that depends on the position needs
+    the `positions` `(P, 3)` of the counts `(P, A)`.
     """
     weight = pdf.weight if positions is None else pdf.at(positions)
     return np.asarray((n_ple_cap(counts, n) * weight).sum(axis=-1))
 
 
 def qualified(probability: FloatArray, thold_p: float) -> BoolArray:
-    """Qual: P_n(p) >= thold_p (Eq. Qual), shape of `probability`."""
+    """Qual: mask of the entries of `probability` with P_n(p) >= thold_p (Eq. Qual), in the shape of `probability`."""
     return np.asarray(probability >= thold_p - TOLERANCE)
 
 
@@ -116,7 +119,7 @@ class ReferenceViews:
             _warn_uncompiled(type(scene.visibility).__name__)
 
     def scene_at(self, p: int) -> Scene:
-        """The scene reduced to the crowd state of position p."""
+        """Scene reduced to the crowd state of position p."""
         return self._in_state[int(self._states[p])]
 
     def caps(self, deployment: Deployment, p: int) -> BoolArray:
@@ -126,7 +129,14 @@ class ReferenceViews:
     def evaluate(
         self, landmarks: FloatArray, normals: FloatArray, weights: np.ndarray, n: int, counts: np.ndarray
     ) -> np.ndarray:
-        """Quantised P_n of one deployment, `(P,)`; arguments as in `rig_views.RigViews.evaluate`."""
+        """Quantised P_n of one deployment at every position, `(P,)`.
+
+        Args:
+            landmarks, normals: positions, metres, and unit normals, `(K, 3)`.
+            weights: quantised probability of each orientation, padded with zeros, `(1, 64 W)` or `(P, 64 W)`.
+            n: number of landmarks that must be covered.
+            counts: receives the number of landmarks covered, `(P, 64 W)` zeros; empty to skip the counts.
+        """
         deployment, size = Deployment(landmarks, normals), len(self._axes)
         rows = np.broadcast_to(weights[:, :size], (len(self._positions), size))
         units = np.empty(len(rows), dtype=np.int64)
@@ -152,8 +162,9 @@ class ReferenceViews:
         return in_words(out)
 
     def _alone(self, landmark: FloatArray, normal: FloatArray) -> BoolArray:
-        """Mask `(P, D)` of the positions and orientations from which a single landmark is covered; `landmark` and
-        `normal` are `(1, 3)`.
+        """Mask `(P, D)` of the positions and orientations from which a single landmark is covered.
+
+        `landmark`, the position, and `normal` are `(1, 3)`.
         """
         deployment = Deployment(landmark, normal)
         return np.stack([self.caps(deployment, p)[:, 0] for p in range(len(self._positions))])
@@ -165,8 +176,10 @@ Views: TypeAlias = tuple[FloatArray, FloatArray]  # positions `(N, 3)` and axes 
 def seen_from(
     scene: Scene, camera: Camera, deployment: Deployment, poses: Views, states: IntArray | None = None
 ) -> BoolArray:
-    """Mask `(N, K)` of the landmarks that a camera covers from N poses: positions `(N, 3)` and axes `(N, 6)`, with a
-    crowd state for each pose, `(N,)`, if there is a crowd.
+    """Mask `(N, K)` of the landmarks that a camera covers from N poses.
+
+    `poses` are positions, metres, `(N, 3)`, and axes `(N, 6)`: optical axis and direction to the right in the image.
+    With a crowd, `states` `(N,)` has the crowd state for each pose.
     """
     positions, axes = poses
     seen = np.empty((len(positions), len(deployment)), dtype=np.bool_)

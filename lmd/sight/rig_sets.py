@@ -37,8 +37,10 @@ Poses: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]  # see `covered_set
 
 @inlined
 def _fill_viewpoint_around(group: Any, c: Integer, view: Any, count: Integer, body: Vector, start: Any) -> None:
-    """Fill `view` for its first `count` landmarks, as seen from centre c of the group's cameras, for the body at the
-    position `body`.
+    """Fill `view` for its first `count` landmarks, as seen from centre c of the group's cameras.
+
+    `body` is the position of the body, metres. `start` `(K,)` receives the least depth, metres, at which a landmark
+    well in view is certainly covered.
     """
     near, x, y, z, squared, high, sure_depth, reached = (
         view.near_poses, view.x, view.y, view.z, view.squared, view.high, view.sure_depth, view.reached
@@ -73,11 +75,13 @@ def _add_covered(
         positions: positions of the body, in blocks of neighbours, `(P, 3)`, metres.
         group: mounts; if their model is `unhidden`, occlusion by landmarks is ignored.
         landmarks, normals: positions, metres, and unit normals, `(1, 3, K)`.
-        slack: see `criteria.from_position`, `(K,)`, metres; obstacles are ignored for a landmark with a slack.
+        slack: distance by which each landmark may be moved in its plane, `(K,)`, metres. If it is positive, an
+            orientation counts if it may cover the moved landmark, and all occlusion is ignored for this landmark.
         n: number of covered landmarks after which a test may stop, see `keep`.
-        keep: False to test no further landmarks at a position and orientation from which n landmarks are covered; True
-            to test all landmarks.
-        seen: sets of orientations, `(1, P, K, W)`; or `(M, P, K, W)` for each mount, which requires `keep`.
+        keep: True to test all landmarks; False to test no further landmarks at a position and orientation from which n
+            landmarks are covered.
+        seen: bit sets of orientations, `(1, P, K, W)` for the group, or `(M, P, K, W)` for each of its mounts. The
+            latter requires `keep`.
     """
     sight, words, total = group.sight, np.uint64(seen.shape[3]), landmarks.shape[2]
     poses, indices, order = np.empty((6, total)), np.arange(total), np.arange(len(positions))
@@ -168,8 +172,10 @@ def _add_covered(
 
 @inner
 def _add_within_slack(group: Any, body: Vector, pose: Any, k: Integer, slack: Any, seen: Any) -> None:
-    """Add to `seen` `(W,)` the orientations with which some landmark within `slack` metres of landmark k would be
-    covered.
+    """Add to `seen` `(W,)` the orientations that may cover landmark k, moved by up to `slack` metres in its plane.
+
+    `body` is the position of the body, metres; `pose` is the position and the unit normal of the landmark. Occlusion is
+    ignored. Nothing is added if `slack` is 0.
     """
     sight, (place, normal) = sized(group.sight, k), pose
     if slack == 0.0:
@@ -191,14 +197,14 @@ def _add_within_slack(group: Any, body: Vector, pose: Any, k: Integer, slack: An
 def covered_sets(
     groups: tuple[MountGroup, ...], blockers: Blocking, positions: FloatArray, poses: Poses, n: int = 0
 ) -> np.ndarray:
-    """Sets of the orientations with which at least one camera covers each landmark, `(P, K, W)`.
+    """Bit sets of the orientations with which at least one camera covers each landmark, `(P, K, W)`.
 
     Args:
         groups: the mounts of the rig.
         blockers: bodies of the room that block lines of sight; None without such bodies.
         positions: positions of the body, `(P, 3)`, metres.
-        poses: positions, metres, and unit normals of the landmarks, `(K, 3)`, and their slack (see `_add_covered`),
-            `(K,)`, metres.
+        poses: positions, metres, and unit normals of the landmarks, `(K, 3)`, and their slack, `(K,)`, metres: the
+            distance by which a landmark may be moved in its plane.
         n: number of covered landmarks after which a position and orientation needs no further test; 0 to test all
             landmarks.
     """
@@ -209,7 +215,10 @@ def covered_sets(
 
 
 def covered_sets_by_mount(group: MountGroup, blockers: Blocking, positions: FloatArray, poses: Poses) -> np.ndarray:
-    """Sets of the orientations with which each mount of a group covers each landmark, `(M, P, K, W)`."""
+    """Bit sets of the orientations with which each mount of a group covers each landmark, `(M, P, K, W)`.
+
+    Other arguments as in `covered_sets`.
+    """
     seen = _empty_sets(len(group.axes), group, positions, poses)
     _add_group(group, blockers, positions, poses, 0, seen)
     return seen
@@ -223,7 +232,10 @@ def _empty_sets(count: int, group: MountGroup, positions: FloatArray, poses: Pos
 def _add_group(
     group: MountGroup, blockers: Blocking, positions: FloatArray, poses: Poses, n: int, seen: np.ndarray
 ) -> None:
-    """Call `_add_covered` for a group; other arguments as in `covered_sets`."""
+    """Add to `seen` the orientations with which the cameras of one group cover each landmark.
+
+    `seen` is as in `_add_covered`; other arguments are as in `covered_sets`.
+    """
     landmarks, normals, slack = poses
     points, directions = (for_kernels(v.T[None]) for v in (landmarks, normals))
     obstacles = obstacles_at(blockers, places_around(positions, group) if blockers is not None else positions)

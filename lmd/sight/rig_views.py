@@ -24,10 +24,10 @@ LARGEST_BATCH = 256
 
 @kernel
 def _sum_probability(seen: Any, weights: Any, n: Integer, units: Any, counts: Any) -> None:
-    """Write quantised P_n into `units` `(P,)`, and the number of covered landmarks into `counts` `(P, 64 W)` unless
-    `counts` is empty.
+    """Write quantised P_n into `units` `(P,)`, and the numbers of covered landmarks into `counts` `(P, 64 W)`.
 
-    `seen` `(P, K, W)` has bit sets of the orientations from which each landmark is covered.
+    If `counts` is empty, only `units` is written. `seen` `(P, K, W)` has bit sets of the orientations from which each
+    landmark is covered, and `weights`, `(1, 64 W)` or `(P, 64 W)`, the quantised probabilities of the orientations.
     """
     words, keep = np.uint64(seen.shape[2]), len(counts) > 0
     at_least = np.empty((n, words), dtype=np.uint64)  # [j]: orientations that cover more than j landmarks
@@ -52,8 +52,10 @@ def _sum_probability(seen: Any, weights: Any, n: Integer, units: Any, counts: An
 
 @kernel
 def _sum_gains(seen: Any, prices: FloatArray, out: Any) -> None:
-    """For each of N poses, write into `out` `(N,)` the sum of the `prices` (weights) `(P, 64 W)` over all positions and
-    orientations from which a landmark at the pose is seen. The bits of `seen` `(P, N, W)` are these orientations.
+    """For each of N poses, sum the prices of the positions and orientations from which a landmark there is covered.
+
+    `seen` `(P, N, W)` has bit sets of these orientations for each position and pose. `prices` `(P, 64 W)` are weights.
+    The sums are written into `out` `(N,)`.
     """
     row = np.empty(prices.shape[1])
     for j in range(len(out)):
@@ -72,8 +74,10 @@ def _sum_gains(seen: Any, prices: FloatArray, out: Any) -> None:
 
 @kernel
 def _sum_amounts(seen: Any, amounts: FloatArray, out: Any) -> None:
-    """Add the amount of each pose, `amounts` `(N,)`, to `out` `(P, 64 W)` at the positions and orientations from which
-    the pose is seen: the bits of `seen` `(P, N, W)`.
+    """For each position and orientation, add the amounts of the covered poses to `out` `(P, 64 W)`.
+
+    `seen` `(P, N, W)` has bit sets of the orientations from which each of the N poses is covered, and `amounts` `(N,)`
+    the amounts of the poses.
     """
     for p in range(len(seen)):
         for j in range(len(amounts)):
@@ -104,8 +108,10 @@ class RigViews:
         return tuple(with_sight(group, group.sight.unhidden()) for group in self.groups)
 
     def groups_among(self, landmarks: FloatArray, normals: FloatArray) -> tuple[MountGroup, ...]:
-        """Mount groups with the models of sight that `SightModel.among` returns for the landmarks of a deployment, `(K,
-        3)`.
+        """Mount groups whose models of sight are adapted to the landmarks of a deployment by `SightModel.among`.
+
+        A model ignores occlusion of landmarks by landmarks if this cannot occur. `landmarks`, metres, and unit
+        `normals` are `(K, 3)`.
         """
         low, high = self.positions.min(axis=0), self.positions.max(axis=0)
         batch = landmarks.T[None], normals.T[None]

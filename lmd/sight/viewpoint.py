@@ -118,19 +118,16 @@ def gather(
     low: Any, high: Any, horizon: float, count: Integer, poses: FloatArray, indices: np.ndarray, near: FloatArray,
     index: np.ndarray,
 ) -> Any:  # fmt: skip
-    """Copy the landmarks that are at most `horizon` metres from a box.
+    """Copy the landmarks that are at most `horizon` metres from a box; return their number.
 
     Args:
         low, high: corners of the box, three numbers each.
-        horizon: see `criteria.horizon_of`.
+        horizon: distance beyond which a landmark has no effect, metres.
         count: number of landmarks to test.
         poses: positions and normals of the landmarks, `(6, K)`.
         indices: indices of the landmarks in the deployment, `(K,)`.
         near: receives positions and normals of the landmarks found, `(6, K)`.
         index: receives the indices, in the deployment, of the landmarks found, `(K,)`.
-
-    Returns:
-        number of landmarks found.
     """
     most, found = horizon * horizon, 0
     for k in range(count):
@@ -148,10 +145,11 @@ def gather(
 def load_deployment(
     b: Integer, landmarks: FloatArray, normals: FloatArray, sight: Any, room: Any, poses: FloatArray
 ) -> None:
-    """Write the poses of deployment b into `poses` `(6, K)`. If the room has obstacles, also write the results of
-    `obstacles.find_ends` for the landmarks into the last entry of the tuple `room`, see `is_shown`.
+    """Write positions, metres, and unit normals of deployment b's landmarks into `poses` `(6, K)`.
 
-    `landmarks` and `normals` are `(B, 3, K)`.
+    If the room has obstacles, also write the required points of the landmarks (`obstacles.find_ends`) into the last
+    entry of the tuple `room`, see `is_shown`. `landmarks` and `normals` are the positions and unit normals of B
+    deployments, `(B, 3, K)`.
     """
     obstacles, clear, ends = room
     for k in range(landmarks.shape[2]):
@@ -167,16 +165,18 @@ def gather_near(
     o: Integer, part: Any, horizon: float, many: Integer, count: Integer, poses: FloatArray, indices: np.ndarray,
     view: Viewpoint,
 ) -> Any:  # fmt: skip
-    """Update the landmarks near the region and near the block of position `order[o]`, if this position is the first in
-    the region or in the block.
+    """Update the lists of the landmarks near the region, and near the block, of position `order[o]`.
+
+    A list is updated only if this position is the first in its region or in its block.
 
     Args:
-        part: `first`, `last`, `order` and `positions`: the caller works on the positions `order[first:last]`, in
-            blocks of neighbours.
+        part: `first`, `last`, `order` and `positions`: the caller works on the positions `order[first:last]`, in blocks
+            of neighbours.
+        horizon: distance beyond which a landmark has no effect, metres.
         many, count: for the previous position, number of landmarks near its region, and number of landmarks near its
             block.
-        poses, indices: all landmarks, `(6, K)` and `(K,)`.
-        view: working memory, whose landmarks are updated.
+        poses, indices: positions and unit normals of all landmarks, `(6, K)`, and their indices, `(K,)`.
+        view: working memory, whose lists are updated.
 
     Returns:
         many, count: these numbers for position `order[o]`.
@@ -194,7 +194,10 @@ def gather_near(
 
 @inlined
 def fill_viewpoint(view: Viewpoint, count: Integer, camera: Vector, sight: Any, tables: Any) -> None:
-    """Fill `view` for the first `count` landmarks as seen from a position of the camera, for all orientations."""
+    """Fill `view` for its first `count` landmarks, as seen from the position `camera`, for all orientations.
+
+    `tables` has the result of `directions.tables`; None for a model without tables.
+    """
     near, index, x, y, z, squared, low, high, sure_depth = (
         view.near_poses, view.near_index, view.x, view.y, view.z, view.squared, view.low, view.high, view.sure_depth
     )  # fmt: skip
@@ -282,18 +285,19 @@ def list_shown(view: Viewpoint, count: Integer, p: Integer, sight: Any, room: An
 def see_alone(
     pose: Any, positions: FloatArray, p: Integer, sight: Any, obstacles: Any, ends: Any, bands: np.ndarray
 ) -> Any:
-    """Find the offset of a landmark from position p, and the axes that may cover the landmark; other landmarks are
-    ignored.
+    """Find the offset of a landmark from position p, and the axes that may cover the landmark.
+
+    Occlusion by other landmarks is ignored.
 
     Args:
         pose: position and unit normal of the landmark.
         positions: positions of the camera, `(P, 3)`, metres.
-        ends: result of `obstacles.find_ends`, whose first row belongs to this landmark.
+        ends: required points that `obstacles.find_ends` has written; its first row belongs to this landmark.
         bands: result of `directions.height_index`.
 
     Returns:
         offset: offset, metres.
-        low: least depth of `criteria.from_position`, metres.
+        low: least depth at which an axis may cover the landmark, metres.
         start, stop: the axes `start` to `stop - 1` may cover the landmark; equal if none does.
     """
     place, normal = pose

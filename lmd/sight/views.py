@@ -30,7 +30,13 @@ def _mark_visible(
 ) -> None:  # fmt: skip
     """Set the entries of `seen` `(N, K)` for the landmarks covered from N poses.
 
-    Positions are `(N, 3)`, axes `(6, N)`; other arguments as in `kernels.evaluate_range`.
+    Args:
+        positions: positions of the camera, `(N, 3)`, metres.
+        axes: optical axis and direction to the right in the image, unit vectors, for each pose, `(6, N)`.
+        landmarks, normals: positions, metres, and unit normals, `(1, 3, K)`.
+        sight: compiled model of sight.
+        obstacles: obstacles prepared for the positions, see `obstacles_of`.
+        seen: receives the mask.
     """
     count, clear = landmarks.shape[2], is_clear(obstacles)
     view, room = viewpoint_for(count), (obstacles, clear, new_ends(obstacles, count))
@@ -52,9 +58,9 @@ def visible(evaluator: Evaluator, deployment: Deployment, positions: FloatArray,
     Args:
         deployment: K landmarks.
         positions: positions of the camera, or of the body of a rig, `(N, 3)`, world frame, metres.
-        axes: optical axis and image's right of the camera (or of the body), two unit vectors in the world frame, `(N,
-            6)` (`lmd.geometry.se3.axis_and_right`). The optical axis alone, `(N, 3)`, suffices for criteria that need
-            no roll.
+        axes: optical axis and direction to the right in the image of the camera (or of the body), unit vectors in the
+            world frame, `(N, 6)` (`lmd.geometry.se3.axis_and_right`). The optical axis alone, `(N, 3)`, suffices for
+            criteria that need no roll.
     """
     return np.asarray(visible_to_each(evaluator, deployment, positions, axes).any(axis=0))
 
@@ -66,10 +72,9 @@ def visible_to_each(
     axes: FloatArray,
     states: IntArray | None = None,
 ) -> BoolArray:
-    """Mask of the landmarks that each camera of the scene covers from each pose, `(C, N, K)`; arguments as in
-    `visible`.
+    """Mask of the landmarks that each of the C cameras of the scene covers from each pose, `(C, N, K)`.
 
-    With a crowd, `states` `(N,)` has the crowd state in each pose.
+    With a crowd, `states` `(N,)` has the crowd state in each pose. Other arguments as in `visible`.
     """
     evaluator = evaluator.sized(deployment.edges)
     scene, axes = evaluator.scene, np.pad(axes, [(0, 0), (0, 6 - axes.shape[1])])
@@ -80,7 +85,10 @@ def visible_to_each(
 
 
 def visible_through(scene: Scene, camera: Camera, deployment: Deployment, poses: FloatArray) -> BoolArray:
-    """Mask `(N, K)` of the landmarks covered by a camera at `poses` `(N, 4, 4)`, see `lmd.geometry.se3.camera_pose`."""
+    """Mask `(N, K)` of the landmarks covered by a camera at `poses` `(N, 4, 4)`, camera to world.
+
+    The poses are as in `lmd.geometry.se3.camera_pose`.
+    """
     scene = scene.sized(deployment.edges)
     return _visible(scene, camera, deployment, (poses[:, :3, 3], axis_and_right(poses)))
 

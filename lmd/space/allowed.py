@@ -1,9 +1,9 @@
 """Allowed regions of a surface for landmarks, cut into trapezoids for compiled code.
 
-A region is a shapely polygon or multipolygon in the coordinates (a, b) of the surface, metres. A trapezoid has two
-sides along v, the left and the right side. A trapezoid is a row of six numbers in three pairs: coordinate a, lower b
-and upper b. The first number of a pair belongs to the left side, the second to the right side. Trapezoids cover the
-region exactly without overlaps.
+A region is a shapely polygon or multipolygon in the coordinates (a, b) of the surface, metres: a along the surface's
+unit vector u, b along its unit vector v. A trapezoid has two sides parallel to v, the left and the right side. It is
+stored as a row of six numbers in three pairs: coordinate a, lower b and upper b. The first number of a pair belongs to
+the left side, the second to the right side. Trapezoids cover the region exactly without overlaps.
 """
 
 import itertools
@@ -23,7 +23,10 @@ TRAPEZOID_NUMBERS = 6
 
 
 def trapezoids(region: Any) -> FloatArray:
-    """Cut a region along v at each of its vertices into T trapezoids, `(T, 6)`."""
+    """Cut a region into T trapezoids by lines of constant a through its vertices; return rows `(T, 6)`.
+
+    The columns are a, lower b and upper b, metres, each at the left and at the right side.
+    """
     import shapely
 
     rings = [np.asarray(ring.coords)[:, :2] for ring in shapely.get_parts(shapely.boundary(region))]
@@ -46,14 +49,15 @@ def trapezoids(region: Any) -> FloatArray:
 
 
 def sizes(pieces: FloatArray) -> FloatArray:
-    """Areas of trapezoids `(T, 6)`, square metres, `(T,)`."""
+    """Areas of the trapezoids in the rows of `pieces` `(T, 6)`, square metres, `(T,)`."""
     left, right, low_left, low_right, high_left, high_right = pieces.T
     return np.asarray((right - left) * (0.5 * (high_left - low_left) + 0.5 * (high_right - low_right)))
 
 
 def eroded(region: Any, margin: float) -> Any:
-    """Erode a region by a square with sides along u and v: a point remains if the square around it, with the edge
-    length 2 `margin`, metres, lies in the region.
+    """Erode a region by a square with the edge length 2 `margin`, metres, and sides along u and v.
+
+    A point remains in the region if the square around the point lies in the region.
     """
     import shapely
 
@@ -70,7 +74,7 @@ def eroded(region: Any, margin: float) -> Any:
 
 
 def polygons(region: Any) -> Any:
-    """Drop parts of a region smaller than `MIN_AREA` and normalise the order of its vertices."""
+    """Return a region without parts smaller than `MIN_AREA`, with its vertices in a normalised order."""
     import shapely
 
     parts = [part for part in shapely.get_parts(region) if part.area > MIN_AREA]
@@ -80,8 +84,10 @@ def polygons(region: Any) -> Any:
 def _spread(
     left: Any, right: Any, low_left: Any, low_right: Any, high_left: Any, high_right: Any, x: Any, y: Any
 ) -> tuple[Any, Any]:
-    """Map x, y in [0, 1] to a point of a trapezoid; uniform x, y give uniform points. Arguments are numbers or
-    arrays.
+    """Map x and y in [0, 1] to the coordinates (a, b) of a point in a trapezoid.
+
+    Uniformly distributed x and y give uniformly distributed points. The other arguments are the six numbers of the
+    trapezoid. All arguments are numbers or arrays.
     """
     one, two = high_left - low_left, high_right - low_right
     even = one == two
@@ -92,15 +98,19 @@ def _spread(
 
 
 def spread(pieces: FloatArray, at: FloatArray) -> FloatArray:
-    """Map points `at` `(..., 2)` of the unit square to points (a, b) of the trapezoids `pieces` `(..., 6)`; uniformly
-    distributed points stay so.
+    """Map points `at` `(..., 2)` of the unit square to points (a, b) of the trapezoids `pieces` `(..., 6)`.
+
+    Uniformly distributed points of the square give uniformly distributed points of the trapezoids.
     """
     columns = [*np.moveaxis(pieces, -1, 0), *np.moveaxis(at, -1, 0)]
     return np.stack(_spread(*columns), axis=-1)
 
 
 def gathered(pieces: FloatArray, places: FloatArray) -> FloatArray:
-    """Inverse of `spread`: map points (a, b) of trapezoids, `(..., 2)`, to the unit square."""
+    """Map the points (a, b) `places` `(..., 2)` of the trapezoids `pieces` `(..., 6)` to points of the unit square.
+
+    The function is the inverse of `spread`.
+    """
     left, right, low_left, low_right, high_left, high_right = np.moveaxis(pieces, -1, 0)
     one, two = high_left - low_left, high_right - low_right
     share = (places[..., 0] - left) / np.maximum(right - left, 1e-300)
@@ -115,10 +125,10 @@ spread_one = inlined(_spread)
 
 @inlined
 def nearest(pieces, start, stop, a, b):  # type: ignore[no-untyped-def]
-    """Find the trapezoid nearest to the point (a, b) among the rows `start` to `stop - 1` of `pieces`. Return the row,
-    and the coordinates of the trapezoid's point that is nearest to (a, b).
+    """Find the trapezoid nearest to the point (a, b) among the rows `start` to `stop - 1` of `pieces`.
 
-    The coordinates are exact inside a trapezoid and for rectangles, otherwise approximate.
+    Return the index of its row, and the coordinates of the trapezoid's point that is nearest to (a, b). The coordinates
+    are exact inside a trapezoid and for rectangles, otherwise approximate.
     """
     piece, least, at_a, at_b = start, np.inf, a, b
     for t in range(start, stop):
@@ -143,11 +153,15 @@ def allows(pieces, start, stop, a, b):  # type: ignore[no-untyped-def]
 
 @kernel
 def find_nearest(pieces, first, surface, at, out, piece):  # type: ignore[no-untyped-def]
-    """For each of N points with the coordinates `at` `(N, 2)` on the surface with the index `surface` `(N,)`, find the
-    nearest allowed place on this surface.
+    """For each of N points on surfaces, find the nearest allowed place on the point's surface.
 
-    The function writes the coordinates of the places to `out` `(N, 2)`, and the index of the trapezoid of each place to
-    `piece` `(N,)`. Rows `first[s]` to `first[s + 1] - 1` of `pieces` are the trapezoids of surface s.
+    Args:
+        pieces: trapezoids of all surfaces, `(T, 6)`.
+        first: rows `first[s]` to `first[s + 1] - 1` of `pieces` are the trapezoids of surface s.
+        surface: index of the surface of each point, `(N,)`.
+        at: coordinates (a, b) of each point on its surface, metres, `(N, 2)`.
+        out: receives the coordinates of the nearest places, `(N, 2)`.
+        piece: receives the index of the trapezoid of each place, `(N,)`.
     """
     for k in range(len(at)):
         start, stop = first[surface[k]], first[surface[k] + 1]

@@ -31,7 +31,7 @@ class Blockers(NamedTuple):
     normals: np.ndarray
     """Outward unit normals, `(J, 3)`."""
     offsets: np.ndarray
-    """Offset n . x of each plane, where n is its normal, moved by the tolerance, metres, `(J,)`."""
+    """Offset n . x of each plane with the normal n, metres, `(J,)`; faces have been moved inwards, see `of`."""
     solid: np.ndarray
     """True for planes that are faces of a body, False for planes between two adjacent bodies, `(J,)`."""
     first: np.ndarray
@@ -39,14 +39,18 @@ class Blockers(NamedTuple):
 
     @classmethod
     def of(cls, bodies: Sequence[Body]) -> "Blockers":
-        """Make the arrays of at least one body, with faces moved inwards by the tolerance."""
+        """Make the arrays of one or more bodies.
+
+        Faces are moved inwards by `PLACEMENT_TOLERANCE`; planes between adjacent bodies are moved outwards by
+        `OVERLAP_M`.
+        """
         normals, offsets, solid = (np.concatenate(parts) for parts in zip(*bodies, strict=True))
         offsets = offsets + np.where(solid, -PLACEMENT_TOLERANCE, OVERLAP_M)
         first = np.append(0, np.cumsum([len(body.offsets) for body in bodies]))
         return cls(np.ascontiguousarray(normals), offsets, solid, first)
 
     def grown(self, by: float) -> "Blockers":
-        """Bodies with all faces moved outwards `by` metres."""
+        """Copy of the bodies with all faces moved outwards by the distance `by`, metres."""
         return self._replace(offsets=self.offsets + by * self.solid)
 
     def heights(self, points: FloatArray) -> FloatArray:
@@ -81,10 +85,12 @@ Ring = tuple[tuple[float, ...], ...]
 
 
 def checked_ring(name: str, value: Any, either_way: bool = False) -> Ring:
-    """Check the vertices of a simple polygon, metres, counter-clockwise unless `either_way`.
+    """Check the vertices [x, y], metres, of a simple polygon, and return them as a tuple.
+
+    The vertices must run counter-clockwise, unless `either_way` is True.
 
     Raises:
-        InputError: the value is not a polygon, or the polygon crosses or touches itself or is clockwise.
+        InputError: the value is not a polygon, the polygon crosses or touches itself, or its direction is wrong.
     """
     import shapely
 
@@ -110,9 +116,9 @@ def edges(ring: Sequence[Sequence[float]] | FloatArray) -> FloatArray:
 
 
 def planes(edge: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Lines n . x = d through edges `(N, 2, 2)`: unit normals n to the right `(N, 2)`; offsets d, metres, `(N,)`.
+    """Lines n . x = d through edges `(N, 2, 2)`: unit normals n, `(N, 2)`, and offsets d, metres, `(N,)`.
 
-    The normals point outwards if the edges run counter-clockwise.
+    The normals point to the right of the edges, so they point outwards if the edges run counter-clockwise.
     """
     way = edge[:, 1] - edge[:, 0]
     way = way / np.linalg.norm(way, axis=1, keepdims=True)
@@ -129,10 +135,11 @@ def on_hull(polygon: Any) -> Any:
 
 
 def upright_bodies(polygon: Any) -> list[Body]:
-    """Upright bodies of unlimited height that fill a polygon's holes, and the parts of the convex hull outside the
-    polygon.
+    """Make upright bodies of unlimited height that fill the space outside a floor plan, given as a shapely polygon.
 
-    Sides on the hull are omitted, as no line between two points of the polygon crosses such a side.
+    The bodies fill the polygon's holes, and the parts of its convex hull that lie outside the polygon. If a side of a
+    body lies on the border of the hull, the body has no plane there, as no line between two points of the polygon
+    crosses this side.
     """
     import shapely
 
@@ -154,12 +161,15 @@ def upright_bodies(polygon: Any) -> list[Body]:
 
 
 def _tips(edge: FloatArray, solid: Any) -> tuple[FloatArray, FloatArray]:
-    """Line through each of those T vertices of a convex piece at which both edges are shared with other pieces: unit
-    normals `(T, 2)` and offsets `(T,)`, metres.
+    """Lines that cut off the tips of a convex piece: unit normals `(T, 2)`, and offsets n . x, metres, `(T,)`.
 
-    Shared edges are moved outwards by `OVERLAP_M`, so that adjacent pieces overlap. At such a vertex, the enlarged
-    piece would have a tip that protrudes into the room; the line, perpendicular to the bisector of both edges, cuts
-    this tip off.
+    There is one line for each vertex at which neither edge is part of a wall. Such edges are moved outwards by
+    `OVERLAP_M`, so that adjacent pieces overlap. At the vertex, the enlarged piece would have a tip that protrudes into
+    the room. The line is perpendicular to the bisector of both edges and cuts this tip off.
+
+    Args:
+        edge: edges of the piece, counter-clockwise, metres, `(N, 2, 2)`.
+        solid: mask of the edges that are part of a wall, `(N,)`.
     """
     bare = ~solid & ~np.roll(solid, 1)  # tips at the start of an edge
     way = edge[:, 1] - edge[:, 0]

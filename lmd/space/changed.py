@@ -1,4 +1,4 @@
-"""Rooms derived from another room: with smaller surfaces, or with the positions of a recording."""
+"""Rooms derived from another room: with smaller surfaces, or with other camera positions, taken from a recording."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -88,7 +88,7 @@ class TimeSpent:
 
 
 class RecordedRoom(Changed):
-    """Room with the positions of a recording; a `Space`.
+    """Room whose camera positions are the positions of a recording; implements `Space`.
 
     Args:
         room: room of the recording.
@@ -128,14 +128,16 @@ class RecordedRoom(Changed):
         return TimeSpent(self.grid(), self._cells.seconds, self.original.relevance)
 
     def grid(self) -> FloatArray:
-        """Grid of one position for each visited cell, `(P, 3)`: the recorded position in the cell that is nearest to
-        the mean of the recorded positions in the cell.
+        """One position for each of the P visited cells, metres, `(P, 3)`.
+
+        It is the recorded position in the cell that is nearest to the mean of the cell's recorded positions.
         """
         return self._positions[self._cells.chosen]
 
     def passable(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
-        """Mask of the straight paths that no obstacle blocks (`clear`). The camera's clearance is not required, as a
-        recorded pose may be closer to an obstacle.
+        """Mask of the straight paths that no obstacle blocks, see `Space.clear`.
+
+        The paths need not keep the camera's clearance, as a recorded pose may be closer to an obstacle.
         """
         return np.asarray(self.clear(starts, ends))
 
@@ -160,9 +162,7 @@ class RecordedRoom(Changed):
         return self._positions[rng.choice(len(self._seconds), size, p=self._seconds / self._seconds.sum())]
 
     def sample_evenly(self, size: int, rng: np.random.Generator) -> FloatArray:
-        """Draw `size` recorded positions that are evenly spread over time, `(size, 3)`: one from each of `size` equal
-        parts of the recorded time.
-        """
+        """Draw `size` recorded positions, `(size, 3)`: one from each of `size` equal parts of the recorded time."""
         ends = np.cumsum(self._seconds)
         times = (np.arange(size) + rng.random(size)) / size * ends[-1]
         return np.asarray(self._positions[np.searchsorted(ends[:-1], times, side="right")])
@@ -187,7 +187,7 @@ class FrameTime(TimeSpent):
 
 
 class DrivenRoom(RecordedRoom):
-    """Room whose grid has one position for each frame of drives, in the order of frames; a `Space`.
+    """Room whose grid has one position for each frame of drives, in the order of the frames; implements `Space`.
 
     Args:
         room: room of the drives.
@@ -207,7 +207,7 @@ class DrivenRoom(RecordedRoom):
         return FrameTime(self._positions, self._seconds, self.original.relevance)
 
     def grid(self) -> FloatArray:
-        """Position of each frame, `(F, 3)`; frames may coincide."""
+        """Position of each frame, metres, `(F, 3)`; several frames may have equal positions."""
         return self._positions
 
     def finer(self) -> "DrivenRoom":

@@ -4,9 +4,10 @@ A crowd state is a set of cylinders. S states are drawn once, so all deployments
 (common random numbers), and one cylinder hides all landmarks behind it at the same time.
 
 A cylinder is an open convex set. A line of sight from p to q is blocked if its part in the cylinder has a positive
-length. The points p + t d, d = q - p, are horizontally inside for |t d_h - e|^2 < r^2 with e the vector from p to the
-axis. So t lies between (b -+ sqrt(b^2 - a c)) / a with a = |d_h|^2, b = d_h . e, c = |e|^2 - r^2. The planes of the
-cylinder's lower and upper end limit t further.
+length. Let d = q - p, let d_h be the horizontal part of d, and let e be the horizontal vector from p to the axis of a
+cylinder with the radius r. The point p + t d is horizontally inside the cylinder if |t d_h - e|^2 < r^2. So t lies
+between (b - s) / a and (b + s) / a, where a = |d_h|^2, b = d_h . e, c = |e|^2 - r^2 and s = sqrt(b^2 - a c). The planes
+of the cylinder's lower and upper end limit t further.
 
 The camera is never inside a cylinder: a cylinder closer to the camera than the clearance is ignored for that camera
 position.
@@ -103,7 +104,7 @@ class Crowd(Checked):
         """Draw the crowd states with the generator `rng` if it is given, else with a generator made from `seed`.
 
         Raises:
-            InputError: there is no room for a cylinder.
+            InputError: there is no free place for a cylinder.
         """
         return CrowdStates(self, _draw(self, room, np.random.default_rng(self.seed) if rng is None else rng))
 
@@ -121,7 +122,7 @@ class CrowdStates:
         return len(self.people)
 
     def only(self, state: int) -> "CrowdStates":
-        """These crowd states, reduced to the single state with the index `state`."""
+        """Copy that contains only the crowd state with the index `state`."""
         return CrowdStates(self.crowd, self.people[[state]])
 
     @property
@@ -130,11 +131,11 @@ class CrowdStates:
         return worst_of(len(self), self.crowd.worst)
 
     def present(self, positions: FloatArray, states: IntArray) -> BoolArray:
-        """Mask of the cylinders that are present while the camera is at each position, `(P, N)`.
+        """Mask of the cylinders that are at least the clearance away from the camera, `(P, N)`; others are ignored.
 
         Args:
             positions: camera positions, `(P, 3)`, metres.
-            states: state at each position, `(P,)`.
+            states: index of the crowd state at each position, `(P,)`.
         """
         people, (x, y, z) = self.people[states], (positions[:, i, None] for i in range(3))
         away, clearance = people[..., RADIUS] + self.crowd.clearance, self.crowd.clearance
@@ -143,8 +144,9 @@ class CrowdStates:
         return np.asarray(~((ex * ex + ey * ey < away * away) & beside))
 
     def clear(self, position: FloatArray, points: FloatArray) -> BoolArray:
-        """Mask of the lines from a camera position `(3,)` to points `(..., 3)` that no cylinder blocks, for a crowd
-        with one state. Reference for the compiled kernels.
+        """Mask of the lines from a camera position `(3,)` to points `(..., 3)` that no cylinder blocks, `(...)`.
+
+        There must be exactly one crowd state. The function is the reference for the compiled kernels.
         """
         assert len(self) == 1, "the reference is about one state"
         standing = self.people[0][self.present(position[None], np.zeros(1, dtype=np.int64))[0]]
@@ -203,7 +205,7 @@ def _draw(crowd: Crowd, room: Space, rng: np.random.Generator) -> FloatArray:
 
 
 def stands(room: Space, cylinders: FloatArray) -> BoolArray:
-    """Mask of the cylinders `(M, 5)` that are in free space of a room.
+    """Mask of the cylinders `(M, 5)` that are in the free space of a room, `(M,)`.
 
     A cylinder is tested on its axis and in `DIRECTIONS` directions around the axis, at each of `HEIGHTS` (fractions of
     the cylinder's height). A cylinder taller than the room ends at the room's ceiling.

@@ -20,7 +20,7 @@ WALLS = ("x_min", "x_max", "y_min", "y_max", "floor", "ceiling")
 
 @dataclass(frozen=True)
 class Cuboid(Gridded):
-    """Cuboid room with a centred reachable box (Sec. V-A of the paper); a `lmd.space.space.Space`.
+    """Cuboid room with a centred reachable box (Sec. V-A of the paper); implements `lmd.space.space.Space`.
 
     Raises:
         InputError: sizes are not positive, the reachable box exceeds the room, a wall is unknown or repeated, or the
@@ -110,7 +110,7 @@ def _walls(size: tuple[float, float, float]) -> dict[str, Surface]:
 
 
 def box_edges(low: FloatArray, high: FloatArray) -> FloatArray:
-    """Edges of an axis-aligned box with corners `low` and `high` `(3,)`, `(12, 2, 3)`."""
+    """Edges, `(12, 2, 3)`, of an axis-aligned box with the corners `low` and `high`, `(3,)` each."""
     bits = np.array(list(itertools.product((0, 1), repeat=3)))
     pairs = [(a, b) for a, b in itertools.combinations(bits, 2) if np.abs(a - b).sum() == 1]
     return np.asarray(low + np.array(pairs) * (high - low))

@@ -30,8 +30,10 @@ class Fixture:
 
     @cached_property
     def kind(self) -> str:
-        """One of `KINDS`: `door` or `window` if the name has this word; otherwise `other` for a fixture at most
-        `TOUCHING_M` thick, seen from above, and `furniture` for a thicker one.
+        """One of `KINDS`: `door` or `window` if the name contains this word.
+
+        Otherwise, a fixture is of the kind `other` if its footprint is at most `TOUCHING_M` wide, and `furniture` if
+        not.
         """
         named = NAMED_KIND.search(self.name.lower())
         if named:

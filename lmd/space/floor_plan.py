@@ -119,8 +119,10 @@ class FloorPlan(Checked):
 
     @cached_property
     def rim(self) -> tuple[FloatArray, FloatArray]:
-        """Lines through all sides of the walls' convex hull, as arrays like those of `hull`. The bodies that fill the
-        space outside the outline extend to these lines.
+        """Lines n . x = d through all sides of the walls' convex hull: unit normals n, `(N, 2)`, and offsets d, `(N,)`.
+
+        The normals point outwards; offsets are in metres. The bodies that fill the space outside the outline extend to
+        these lines.
         """
         import shapely
 
@@ -129,7 +131,7 @@ class FloorPlan(Checked):
     def contains(self, points: FloatArray, clearance: float = 0.0) -> BoolArray:
         """Mask of the points `(..., 3)` in the closed room, `(...)`.
 
-        Only points at least `clearance`, metres, from the planes of walls, holes and obstacles count.
+        To count, a point must be at least `clearance`, metres, from the planes of walls, holes and obstacles.
         """
         p = np.asarray(points)
         inside = np.ones(p.shape[:-1], dtype=np.bool_)
@@ -142,7 +144,7 @@ class FloorPlan(Checked):
 
     @cached_property
     def _faces(self) -> dict[str, Surface]:
-        """All faces by name, as whole rectangles; keep-outs are not cut out."""
+        """All faces of walls, floor, ceiling and obstacles by name, as whole rectangles; keep-outs are not cut out."""
         faces = [self._wall(f"wall_{i}", edge, -1.0) for i, edge in enumerate(edges(self.outline))]
         for i, hole in enumerate(self.holes):
             faces += [self._wall(f"hole_{i}_wall_{j}", edge, 1.0) for j, edge in enumerate(edges(hole))]
@@ -237,8 +239,9 @@ class FloorPlan(Checked):
 
 
 def _covered(face: Surface, obstacle: Obstacle) -> Any:
-    """Part of a face that an obstacle covers by touching the face, a shapely geometry in the coordinates of the
-    face.
+    """Part of a face that an obstacle covers by touching the face: a shapely polygon, possibly empty.
+
+    Its coordinates are the coordinates (a, b) of the face, metres.
     """
     import shapely
 

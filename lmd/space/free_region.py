@@ -46,13 +46,13 @@ class OccupancyGrid(NamedTuple):
     """Clause of a message about ambiguities of the file; empty without ambiguities."""
 
     def in_map(self, at: FloatArray) -> FloatArray:
-        """Convert points (column, row) in cells, from the corner of cell (0, 0), to points of the map frame, metres."""
+        """Convert points (column, row), in cells from the outer corner of cell (0, 0), to the map frame, metres."""
         x, y, yaw = self.origin
         turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
         return np.asarray(self.resolution * np.asarray(at) @ turn.T + [x, y])
 
     def in_cells(self, points: FloatArray) -> FloatArray:
-        """Convert points of the map frame, metres, to points (column, row) in cells; the inverse of `in_map`."""
+        """Convert points of the map frame, metres, to points (column, row) in cells; inverse of `in_map`."""
         x, y, yaw = self.origin
         turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
         return np.asarray((np.asarray(points) - [x, y]) @ turn / self.resolution)
@@ -76,7 +76,11 @@ def plan_of_grid(
 
     Args:
         grid: map.
-        tolerance, speck, passage, start: see `lmd.formats.plans.Reading`; metres.
+        tolerance: maximum distance of a wall from the contour in the map, metres.
+        speck: a group of cells that are not free counts as free if both sides of its bounding box are shorter than
+            this, metres.
+        passage: minimum width of parts of the free region, metres; narrower parts are left out.
+        start: point (x, y) in the region, metres; None for the largest region.
 
     Raises:
         InputError: there is no free region, or a setting does not fit the map.
@@ -95,7 +99,10 @@ def plan_of_grid(
 def _free_region(
     grid: OccupancyGrid, tolerance: float, speck: float, passage: float, start: tuple[float, ...] | None
 ) -> Region:
-    """Free region of a map; `tolerance`, `speck` and `passage` are in cells, `start` in metres."""
+    """Find the free region of a map; the arguments are those of `plan_of_grid`.
+
+    `tolerance`, `speck` and `passage` are in cells, but `start` is in metres.
+    """
     import shapely
     from scipy import ndimage
 
@@ -150,7 +157,10 @@ def _free_region(
 
 
 def _at(grid: OccupancyGrid, parts: IntArray, start: tuple[float, ...], corner: IntArray) -> int:
-    """Label of the part of the free region that contains the point `start`."""
+    """Label, in the array `parts`, of the part of the free region that contains the point `start`.
+
+    `start` is in the map frame, metres. `corner` is the column and row in the map of the first cell of `parts`.
+    """
     column, row = np.floor(grid.in_cells(np.array(start)) - corner).astype(int)
     inside = 0 <= row < parts.shape[0] and 0 <= column < parts.shape[1]
     if not inside or not parts[row, column]:
@@ -177,7 +187,10 @@ def _left_out(grid: OccupancyGrid, labels: IntArray, others: list[tuple[int, int
 
 
 def _without_pinches(region: BoolArray, core: BoolArray) -> BoolArray:
-    """Part of a region that is connected to the core; of two cells that touch only at a corner, one is dropped."""
+    """Mask of the cells of a region that are connected to the mask `core`.
+
+    If two cells of the region touch only at a corner, one of them is dropped.
+    """
     from scipy import ndimage
 
     while True:
@@ -202,8 +215,10 @@ def _polygon(region: BoolArray) -> Any:
 
 
 def _simplified(polygon: Any, tolerance: float, grid: OccupancyGrid) -> Any:
-    """Simplify a polygon that is a union of cells. The edges of the result, which has fewer vertices, stay within
-    `tolerance`, in cells, of the polygon's border; its rings do not touch each other.
+    """Simplify a polygon that is a union of cells; return a polygon with fewer vertices.
+
+    The edges of the result are at most `tolerance`, in cells, from the border of the given polygon. The rings of the
+    result do not touch each other.
     """
     import shapely
 
@@ -238,7 +253,7 @@ def _simplified(polygon: Any, tolerance: float, grid: OccupancyGrid) -> Any:
 
 
 def _fitted(simple: FloatArray, contour: FloatArray, tolerance: float) -> FloatArray:
-    """Move the vertices of a ring so that its edges are least-squares lines through the vertices of the contour.
+    """Fit the edges of a ring to a contour by least squares; return the vertices of the fitted ring, `(N, 2)`.
 
     A vertex is not moved if an edge of the ring would then be farther than the tolerance from the contour.
 
@@ -283,8 +298,16 @@ def _fitted(simple: FloatArray, contour: FloatArray, tolerance: float) -> FloatA
 
 
 def _gaps(edge: FloatArray, to_wall: FloatArray, most: float, shortest: float) -> list[tuple[float, float]]:
-    """Intervals (from, to) of an edge that are farther than `most` cells from a wall, counted in cells from the start
-    of the edge. Intervals shorter than `shortest` are omitted, unless the interval is the whole edge.
+    """Find the parts of an edge that are farther than `most` cells from the nearest occupied cell.
+
+    Args:
+        edge: ends of the edge, in cells, `(2, 2)`.
+        to_wall: distance of each cell from the nearest occupied cell, in cells, `(H, W)`.
+        most: distance, in cells.
+        shortest: least length of a part, in cells; shorter parts are omitted, unless the part is the whole edge.
+
+    Returns:
+        start and end of each part, in cells from the start of the edge.
     """
     length = float(np.linalg.norm(edge[1] - edge[0]))
     count = max(math.ceil(2.0 * length), 1)

@@ -1,4 +1,4 @@
-"""Rooms with camera positions on a grid in a box, limited to the reachable volume."""
+"""Rooms whose camera positions are the points of a grid in a box, limited to the reachable volume."""
 
 import math
 from abc import ABC, abstractmethod
@@ -29,7 +29,9 @@ GridKind = Annotated[str, partial(choice, options=KINDS)]
 
 
 def checked_spacing(value: Any, size: Sequence[float]) -> float | tuple[float, ...]:
-    """Check the spacing of a grid in a box of `size`, metres: one number or one per axis.
+    """Check the spacing of a grid in a box with the side lengths `size`, metres, and return the spacing.
+
+    The spacing is one number, or three numbers, one per axis, metres.
 
     Raises:
         InputError: the spacing is not positive, or the positions would not fit into memory.
@@ -47,7 +49,11 @@ def checked_spacing(value: Any, size: Sequence[float]) -> float | tuple[float, .
 
 
 def grid_counts(size: FloatArray, spacing: float | Sequence[float], kind: str) -> tuple[int, int, int]:
-    """Number of positions along x, y, z in a box of `size` `(3,)`; `kind` as in `grid_axes`."""
+    """Numbers of grid positions along x, y and z in a box with the side lengths `size` `(3,)`, metres.
+
+    The cells are at most `spacing` long, metres. `kind` is `cells` for one position at the centre of each cell, or
+    `vertices` for positions at the vertices of the cells.
+    """
     # The tolerance of 1e-9 keeps rounding from adding a cell, as in 4.5 / 0.5 = 9.
     cells = np.ceil(np.asarray(size) / np.asarray(spacing) - 1e-9).astype(int)
     nx, ny, nz = (int(c) for c in np.maximum(cells, 1) + (kind == "vertices"))
@@ -55,9 +61,10 @@ def grid_counts(size: FloatArray, spacing: float | Sequence[float], kind: str) -
 
 
 def grid_axes(low: FloatArray, high: FloatArray, counts: tuple[int, int, int], kind: str) -> list[FloatArray]:
-    """Coordinates of a grid along x, y, z in a box with corners `low` and `high` `(3,)`, metres.
+    """Coordinates of a grid along x, y and z in a box with the corners `low` and `high` `(3,)`, metres.
 
-    `cells` puts a position at the centre of each cell, `vertices` at each vertex.
+    `counts` are the numbers of positions along x, y and z. The `kind` `cells` puts a position at the centre of each
+    cell, `vertices` at each vertex.
     """
     if kind == "vertices":
         return [np.linspace(a, b, count) for a, b, count in zip(low, high, counts, strict=True)]
@@ -65,7 +72,11 @@ def grid_axes(low: FloatArray, high: FloatArray, counts: tuple[int, int, int], k
 
 
 def cell_borders(axes: list[FloatArray], low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Lower and upper corners of the cell of each position, `(P, 3)` each."""
+    """Lower and upper corners of the cell around each grid position, `(P, 3)` each.
+
+    `axes` are the coordinates of the positions along x, y and z; `low` and `high` `(3,)` are the corners of the box
+    that the cells fill.
+    """
     lows, highs = [], []
     for axis, start, stop in zip(axes, low, high, strict=True):
         between = (axis[1:] + axis[:-1]) / 2.0
@@ -91,7 +102,7 @@ def latin_hypercube(repeats: int, shape: tuple[int, ...], rng: np.random.Generat
 
 
 def kronecker(shift: FloatArray) -> Callable[[int], FloatArray]:
-    """Kronecker sequence in the unit cube: a function that returns its next `count` points, `(count, 3)`.
+    """Make a function that returns the next `count` points of a Kronecker sequence in the unit cube, `(count, 3)`.
 
     If the first point `shift` `(3,)` is uniform, every point is uniform. Means over many points usually have smaller
     errors than means over independent points.
@@ -116,14 +127,14 @@ SAME_WAY = 1e-6
 
 
 def clear_of(blockers: Blockers | Triangles | None, starts: FloatArray, ends: FloatArray) -> BoolArray:
-    """Mask of the straight lines between pairs of points `(..., 3)` that are not blocked, `(...)`."""
+    """Mask of the straight lines between pairs of points `(..., 3)` that `blockers` do not block, `(...)`."""
     if blockers is None:
         return np.ones(np.broadcast_shapes(starts.shape, ends.shape)[:-1], dtype=np.bool_)
     return blockers.clear(starts, ends)
 
 
 class Gridded(Checked, ABC):
-    """Base of rooms with a grid; a subclass is a frozen dataclass with the fields declared here."""
+    """Base class of rooms with a grid; a subclass is a frozen dataclass with the fields declared here."""
 
     reachable: Any
     spacing: Any
@@ -140,7 +151,7 @@ class Gridded(Checked, ABC):
 
     @abstractmethod
     def reaches(self, points: FloatArray) -> BoolArray:
-        """Mask of the points `(..., 3)`, given within the box, that are in the reachable volume, `(...)`."""
+        """Mask of the points `(..., 3)` that are in the reachable volume, `(...)`; all points must be in the box."""
 
     @abstractmethod
     def contains(self, points: FloatArray) -> BoolArray:
@@ -244,8 +255,9 @@ class Gridded(Checked, ABC):
         return self._reached(size, kronecker((self.sample(1, rng)[0] - low) / extent))
 
     def _reached(self, size: int, following: Callable[[int], FloatArray]) -> FloatArray:
-        """Return the first `size` reachable points of a sequence; `following` returns its next points in the unit cube,
-        which are scaled to the box.
+        """Return the first `size` points of a sequence that are in the reachable volume, metres, `(size, 3)`.
+
+        `following(count)` returns the next `count` points of the sequence in the unit cube; they are scaled to the box.
         """
         low, high = self.box
         drawn, tries = np.empty((0, 3)), 0
@@ -262,11 +274,11 @@ class Gridded(Checked, ABC):
         return drawn
 
     def surfaces_of(self, positions: FloatArray, normals: FloatArray) -> IntArray:
-        """See `Space.surfaces_of`; a landmark at an edge that surfaces share belongs to the surface whose normal is
-        most similar to the landmark's.
+        """See `Space.surfaces_of`; this method also decides between several surfaces that contain a landmark.
 
-        Among coplanar surfaces with overlapping rectangles, a landmark belongs to the surface whose allowed region
-        contains the landmark.
+        At an edge that surfaces share, a landmark belongs to the surface whose normal is most similar to the
+        landmark's. Among coplanar surfaces with overlapping rectangles, it belongs to the surface whose allowed region
+        contains it.
         """
         carriers, within, allowed = self._carried(positions)
         hangs = within & self.contains(positions)[..., None]

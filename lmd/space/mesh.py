@@ -1,4 +1,4 @@
-"""Triangle meshes of rooms: planar patches as surfaces, a test of the up axis, and the interior."""
+"""Triangle meshes of rooms: search for planar patches, test of the up axis, and search for the interior."""
 
 import itertools
 from dataclasses import dataclass
@@ -64,8 +64,10 @@ def areas_of(corners: FloatArray) -> FloatArray:
 
 
 def plane_of(corners: FloatArray) -> tuple[FloatArray, float]:
-    """Plane fitted to triangles `(T, 3, 3)`: mean unit normal, `(3,)`, and largest distance of a vertex from the plane,
-    metres.
+    """Fit a plane to triangles `(T, 3, 3)`.
+
+    Returns:
+        mean unit normal, `(3,)`, and largest distance of a vertex from the plane, metres.
     """
     total = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).sum(axis=0)
     normal = total / np.linalg.norm(total) + 0.0
@@ -98,8 +100,7 @@ def grown(shapes: Any, width: float) -> Any:
 
 
 def standing_on(surface: Surface, triangles: FloatArray, height: float) -> list[Any]:
-    """Projections to a surface of those parts of triangles `(T, 3, 3)` that are at most `height`, metres, in front of
-    the surface.
+    """Project onto a surface the parts of triangles `(T, 3, 3)` that are at most `height`, metres, in front of it.
 
     The results are shapely shapes in the coordinates of the surface. A triangle perpendicular to the surface gives a
     line.
@@ -117,8 +118,9 @@ def standing_on(surface: Surface, triangles: FloatArray, height: float) -> list[
 
 
 def _between(corners: FloatArray, height: FloatArray, low: float, high: float) -> FloatArray:
-    """Cut out the part of a triangle `(3, 3)` between the heights `low` and `high`; return its corners in any order,
-    `(m, 3)`.
+    """Corners, in any order, `(m, 3)`, of the part of a triangle between the heights `low` and `high`, metres.
+
+    `corners` `(3, 3)` are the corners of the whole triangle, and `height` `(3,)` are the heights of these corners.
     """
     found = [corners[(height >= low) & (height <= high)]]
     for i, j in ((0, 1), (1, 2), (2, 0)):
@@ -173,7 +175,10 @@ def _built_along(corners: FloatArray, up: FloatArray) -> float:
 
 
 def _floor_area(corners: FloatArray, up: FloatArray) -> float:
-    """Area of the level triangles near the lowest point of triangles `(T, 3, 3)`, square metres."""
+    """Area of those of the triangles `(T, 3, 3)` that are level and near the lowest point, square metres.
+
+    `up` `(3,)` is the unit vector that is assumed to point up.
+    """
     height, is_level = corners @ up, np.abs(unit_normals(corners) @ up) > LEVEL_NORMAL_Z
     return float(areas_of(corners)[is_level & (height.max(axis=1) < height.min() + STOREY)].sum())
 
@@ -188,11 +193,11 @@ STEPS_TO_NODES = 2
 
 @dataclass(frozen=True)
 class Interior:
-    """Free space of a mesh as a graph: the nodes are points of a grid, and an edge joins two neighbouring nodes if no
-    triangle crosses the line between them.
+    """Free space of a mesh as a graph, whose nodes are points of a grid.
 
-    Only points of the grid above a triangle are nodes, as there usually is no floor outside the walls. The room is the
-    connected component with the largest volume; the insides of furniture and walls are other components.
+    An edge joins two neighbouring nodes if no triangle crosses the line between them. Only points of the grid above a
+    triangle are nodes, as there usually is no floor outside the walls. The room is the connected component with the
+    largest volume; the insides of furniture and walls are other components.
     """
 
     triangles: Triangles
@@ -216,7 +221,7 @@ class Interior:
 
     @cached_property
     def nodes(self) -> tuple[FloatArray, BoolArray]:
-        """Positions of all nodes, metres, `(N, 3)`, and the mask of the nodes in the room, `(N,)`."""
+        """All points of the grid, metres, `(N, 3)`, and the mask of the points that are nodes in the room, `(N,)`."""
         from scipy.sparse import coo_array
         from scipy.sparse.csgraph import connected_components
 
@@ -239,7 +244,10 @@ class Interior:
         return at, free & (piece == np.bincount(piece[free], minlength=1).argmax()) if free.any() else free
 
     def contains(self, points: FloatArray) -> BoolArray:
-        """Mask of the points `(..., 3)`, given within the box, that are in the room or on its walls, `(...)`."""
+        """Mask of the points `(..., 3)` that are in the room or on its walls, `(...)`.
+
+        All points must be in the box.
+        """
         nodes, inside = self.nodes
         flat = np.asarray(points, dtype=np.float64).reshape(-1, 3)
         found, left = np.zeros(len(flat), dtype=np.bool_), np.arange(len(flat))

@@ -20,10 +20,10 @@ from lmd.space.triangles import Triangles
 
 @dataclass(frozen=True)
 class MeshRoom(Gridded):
-    """Room from a mesh; a `lmd.space.space.Space`.
+    """Room from a mesh; implements `lmd.space.space.Space`.
 
     Positions are the points of a grid that are in the free space of the mesh and keep the clearance. The grid fills a
-    given box, or the box around the mesh reduced by the clearance.
+    given box; without a given box, it fills the box around the mesh, reduced by the clearance.
 
     Raises:
         InputError: the reachable volume leaves the mesh or is empty, a value is out of range, or the positions would
@@ -59,7 +59,7 @@ class MeshRoom(Gridded):
             )
         self._set_grid(
             f"{name} and clearance = {self.reachable.clearance:g} hold no position of the grid: triangles leave "
-            "nothing, there is no floor below, or spacing is too large.",
+            "no space, there is no floor below, or spacing is too large.",
             name,
         )
         self.surfaces()  # raises an error if no surface may carry landmarks
@@ -94,8 +94,9 @@ class MeshRoom(Gridded):
 
     @override
     def contains(self, points: FloatArray) -> BoolArray:
-        """See `Space.contains`; places where landmarks are allowed count as inside, even if all lines from them to the
-        nodes of `Scan.interior` are blocked.
+        """See `Space.contains`; places where landmarks are allowed always count as inside.
+
+        This holds even if all lines from such a place to the nodes of `Scan.interior` are blocked.
         """
         low, high = self.bounds()
         within = (points >= low - PLACEMENT_TOLERANCE) & (points <= high + PLACEMENT_TOLERANCE)
@@ -109,7 +110,7 @@ class MeshRoom(Gridded):
 
     @override
     def passable(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
-        """See `Space.passable`: the whole path keeps the clearance."""
+        """See `Space.passable`: the whole path must keep the clearance."""
         free, clearance = self.clear(starts, ends), self.reachable.clearance
         return free if self.scan.solids is None else free & self.scan.solids.keeps_away(starts, ends, clearance)
 

@@ -52,7 +52,10 @@ def box_text(lengths: Iterable[float]) -> str:
 
 
 def box_surfaces(low: FloatArray, high: FloatArray, names: Sequence[str], inwards: bool = False) -> list[Surface]:
-    """Faces of a box in the order of `FACES`, with normals outwards unless `inwards`."""
+    """Surfaces of the six faces of a box with the corners `low` and `high` `(3,)`, metres, in the order of `FACES`.
+
+    The normals point outwards, or inwards if `inwards` is True. `names` are the names of the surfaces.
+    """
     (lx, ly, lz), (ex, ey, ez) = (float(length) for length in high - low), np.eye(3)
     sides = (
         (low, ey, ez, 0.0 - ex, (ly, lz)),
@@ -97,7 +100,7 @@ class Obstacle(Checked):
         )
 
     def surfaces(self, name: str) -> dict[str, Surface]:
-        """Faces by name, called `<name>_<face>`."""
+        """Surfaces of the six faces, keyed by the names in `FACES`; each surface is named `<name>_<face>`."""
         names = [f"{name}_{face}" for face in FACES]
         return dict(zip(FACES, box_surfaces(np.array(self.low), np.array(self.high), names), strict=True))
 
@@ -162,21 +165,25 @@ def made(name: str, value: Any, kind: type[T]) -> T:
     try:
         return kind(**value)
     except TypeError:
-        raise InputError(f"{name} lacks a required key of {', '.join(fields)}, got {value!r}.", name) from None
+        raise InputError(f"{name} lacks a required key (its keys: {', '.join(fields)}), got {value!r}.", name) from None
     except InputError as error:
         raise error.within(name) from None
 
 
 def all_made(name: str, value: Any, kind: type[T]) -> tuple[T, ...]:
-    """Make each part in a list of values in a configuration, see `made`."""
+    """Make the parts in a list of a configuration; an entry is a part, or a mapping of the part's arguments.
+
+    Raises:
+        InputError: the value is not a list, or an entry is invalid, see `made`.
+    """
     return entries(name, value, partial(made, kind=kind))
 
 
 def checked_names(name: str, value: Any, known: Sequence[str]) -> tuple[str, ...]:
-    """Check a list of names of surfaces.
+    """Check a list of names of surfaces, and return it as a tuple.
 
     Raises:
-        InputError: the list is empty, or a name is not `known` or repeated.
+        InputError: the list is empty, a name is repeated, or a name is not in `known`.
     """
     given = value if isinstance(value, list | tuple) else ()
     for one in given:
@@ -219,7 +226,7 @@ class KeepOut(Checked):
         """Raise `InputError` if the keep-out reaches beyond its surface.
 
         Args:
-            name: argument with the keep-out, for messages.
+            name: name of the argument with the keep-out, for messages.
             extent: length and width of the surface, metres.
         """
         at = np.array(self.ring)

@@ -21,10 +21,10 @@ from lmd.space.surface import Surface
 
 @dataclass(frozen=True)
 class Prism(Gridded):
-    """Room over a floor plan; a `lmd.space.space.Space`.
+    """Room over a floor plan; implements `lmd.space.space.Space`.
 
-    Positions are the points of a grid that are in the reachable volume. The grid fills the box around the walls reduced
-    by the clearance.
+    Positions are the points of a grid that are in the reachable volume. The grid fills the box around the walls,
+    reduced by the clearance.
 
     Raises:
         InputError: the reachable volume leaves the room or is empty, a value is out of range, or the positions would
@@ -58,7 +58,7 @@ class Prism(Gridded):
             )
         self._set_grid(
             f"reachable.height = {list(self.reachable.height)} and clearance = {self.reachable.clearance:g} hold no "
-            "position of the grid: walls, holes and obstacles leave nothing, or spacing is too large.",
+            "position of the grid: walls, holes and obstacles leave no space, or spacing is too large.",
             "reachable.height",
         )
 
@@ -92,7 +92,7 @@ class Prism(Gridded):
 
     @override
     def passable(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
-        """See `Space.passable`: the whole path keeps the clearance."""
+        """See `Space.passable`: the whole path must keep the clearance."""
         blockers = self.plan.blockers
         return clear_of(blockers and blockers.grown(self.reachable.clearance), starts, ends)
 
@@ -115,7 +115,7 @@ class Prism(Gridded):
 
 
 def _prism_edges(ring: Sequence[Sequence[float]], low: float, high: float) -> FloatArray:
-    """Edges of an upright prism between heights `low` and `high`, metres, `(M, 2, 3)`."""
+    """Edges, `(M, 2, 3)`, of the upright prism over the polygon `ring`, from height `low` to height `high`, metres."""
     flat = edges(ring)
     bottom, top = (np.insert(flat, 2, z, axis=2) for z in (low, high))
     return np.concatenate([bottom, top, np.stack([bottom[:, 0], top[:, 0]], axis=1)])

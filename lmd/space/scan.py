@@ -68,7 +68,7 @@ class Scan(Checked):
     mesh: Mesh
     """Mesh with z up; `lmd.formats.meshes.read_mesh` reads a mesh from a file."""
     least_area: Positive = 0.1
-    """Area of an upright square that must fit on a patch, else the patch carries no landmarks, square metres."""
+    """Area of an upright square, square metres; a patch into which this square does not fit carries no landmarks."""
     surfaces: Sequence[str] | None = None
     """Names of the patches that may carry landmarks; None for all."""
     keep_out: Annotated[Sequence[Any], partial(all_made, kind=KeepOut)] = ()
@@ -119,7 +119,7 @@ class Scan(Checked):
 
     @cached_property
     def interior(self) -> Interior:
-        """Free space of the mesh, from which the inside of the room follows, see `Interior`."""
+        """Free space of the mesh, a graph that determines the points inside the room, see `Interior`."""
         return Interior(self.triangles, *self.bounds)
 
     @cached_property
@@ -179,11 +179,14 @@ class Scan(Checked):
                 why = "is seen from no position of the camera" if surface is None else "has no free place for tags"
                 raise InputError(f"surfaces: {name} {why}.", "surfaces")
         if not carriers:
-            raise InputError("surfaces: no patch is in view of any camera position and free.", "surfaces")
+            raise InputError("surfaces: no patch is both visible from a camera position and free for tags.", "surfaces")
         return tuple(carriers)
 
     def _facing(self, name: str, positions: FloatArray) -> Surface | None:
-        """Surface of a patch, facing the side that is visible from more positions; None if neither side is visible."""
+        """Surface of a patch, facing the side that is visible from more of the `positions` `(P, 3)`.
+
+        None if neither side is visible from any of the positions.
+        """
         corners = self._corners[self._patches[name]]
         normal, _ = plane_of(corners)
         surface = surface_of(name, corners, normal)
@@ -206,12 +209,11 @@ class Scan(Checked):
         return [part for part in self.keep_out if part.surface == surface.name]
 
     def _inside(self, surface: Surface, region: Any, standing: Sequence[Any]) -> Any:
-        """Part of a patch's region that borders on the inside of the room. The parts of the region that are below the
-        floor, beyond a wall or in furniture are excluded.
+        """Part of a patch's region that borders on the inside of the room.
 
-        Triangles that stand on the patch at a right angle divide the region into cells; strips narrower than 2
-        `FREE_BEFORE_M` are ignored. No triangle crosses a cell, so the whole cell is inside the room if any point of it
-        is.
+        Parts of the region below the floor, beyond a wall or in furniture are excluded. Triangles that stand on the
+        patch at a right angle divide the region into cells; strips narrower than 2 `FREE_BEFORE_M` are ignored. No
+        triangle crosses a cell, so the whole cell is inside the room if any of its points is inside.
         """
         import shapely
 

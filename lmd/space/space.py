@@ -1,4 +1,4 @@
-"""Interface of rooms, functions for any room, and Rel(p), the relevance of a position."""
+"""Interface of rooms, functions for any room, and the relevance Rel(p): the weight of a camera position p."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -114,7 +114,10 @@ class Space(Protocol):
         """
 
     def surface_near(self, positions: FloatArray, normals: FloatArray) -> IntArray:
-        """Index of the surface to which each landmark `(K, 3)` belongs, see `lmd.space.surface.surface_near`."""
+        """For each landmark `(K, 3)`, index of the surface to which it belongs, `(K,)`; -1 if no surface is near.
+
+        See `lmd.space.surface.surface_near`.
+        """
 
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Lower and upper corner of the box around the room, `(3,)` each."""
@@ -132,8 +135,9 @@ class Space(Protocol):
         """
 
     def passable(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
-        """Mask `(...)` of the pairs of reachable points, `starts` and `ends` `(..., 3)`, between which the camera may
-        move along a straight line.
+        """Mask `(...)` of the pairs of points between which the camera may move along a straight line.
+
+        `starts` and `ends` `(..., 3)` are reachable points.
         """
 
     def faces(self) -> tuple[Surface, ...]:
@@ -146,7 +150,7 @@ class Space(Protocol):
         """Room with half the grid spacing."""
 
     def jittered_grid(self, repeats: int, rng: np.random.Generator) -> FloatArray:
-        """Draw stratified uniform positions in the cell of each grid position, `(repeats P, 3)`.
+        """Draw `repeats` uniform positions, stratified, in the cell of each of P grid positions, `(repeats P, 3)`.
 
         Row i belongs to grid position i mod P.
         """
@@ -194,8 +198,9 @@ def lower_edge(room: Space, surface: Surface) -> float:
 
 
 def outwards(room: Space, surface: Surface) -> FloatArray:
-    """Direction `(2,)` in which a drawing puts the name of a wall: behind a wall at the edge of the room, in front of a
-    wall inside the room.
+    """Direction `(2,)` in which a drawing puts the name of a wall.
+
+    The name is behind a wall at the edge of the room, and in front of a wall inside the room.
     """
     low, high = room.bounds()
     middle, normal = surface.point(*np.divide(surface.extent, 2.0)), surface.normal

@@ -52,11 +52,12 @@ class Surface:
     extent: tuple[float, float]
     """Lengths along u and v, metres."""
     allowed: Any = None
-    """Allowed region in (a, b), a shapely polygon, see `lmd.space.allowed`; None for the whole rectangle."""
+    """Allowed region, a shapely polygon in coordinates (a, b), see `lmd.space.allowed`; None for the whole rectangle.
+    """
 
     @cached_property
     def pieces(self) -> FloatArray:
-        """Allowed region as trapezoids, `(T, 6)`."""
+        """Allowed region cut into T trapezoids, `(T, 6)`; `lmd.space.allowed` defines the columns."""
         length, height = self.extent
         whole = np.array([[0.0, length, 0.0, 0.0, height, height]])
         return whole if self.allowed is None else trapezoids(self.allowed)
@@ -115,7 +116,7 @@ class Surface:
 
     @property
     def is_upright(self) -> bool:
-        """True for walls."""
+        """True if the surface is upright, as a wall is."""
         return bool(abs(self.normal[2]) < UPRIGHT)
 
     @property
@@ -137,7 +138,7 @@ class Surface:
         return np.clip(offset @ self.u, 0.0, self.extent[0]), np.clip(offset @ self.v, 0.0, self.extent[1])
 
     def grid(self, count: int) -> list[tuple[float, float]]:
-        """Surface coordinates of `count` cell centres of a grid with nearly square cells.
+        """Surface coordinates (a, b), metres, of the centres of `count` cells of a grid with nearly square cells.
 
         For the paper's walls and `count` 15 the grid is 5 x 3. On a surface with an allowed region, the grid is refined
         until at least `count` centres are in the region; `count` evenly spaced centres among them are returned.
@@ -259,15 +260,25 @@ class SurfaceArrays(NamedTuple):
         return np.asarray(((points[..., None, :] - self.origin) * self.normal).sum(axis=-1))
 
     def points(self, surface: IntArray, at: FloatArray) -> FloatArray:
-        """For each surface `(...)`, the allowed place that is nearest to the coordinates `at` `(..., 2)` on this
-        surface; returned as a point in the world frame, metres, `(..., 3)`.
+        """Allowed places that are nearest to given places: points in the world frame, metres, `(..., 3)`.
+
+        Args:
+            surface: index of the surface of each given place, `(...)`.
+            at: coordinates (a, b) of each given place on its surface, metres, `(..., 2)`.
         """
         at, _ = self.nearest(surface, at)
         return np.asarray(self.origin[surface] + at[..., :1] * self.u[surface] + at[..., 1:] * self.v[surface])
 
     def nearest(self, surface: IntArray, at: FloatArray) -> tuple[FloatArray, IntArray]:
-        """For each surface `(...)`, the allowed place that is nearest to the coordinates `at` `(..., 2)` on this
-        surface: its coordinates, metres, `(..., 2)`, and the index of its trapezoid, `(...)`.
+        """Find the allowed places that are nearest to given places.
+
+        Args:
+            surface: index of the surface of each given place, `(...)`.
+            at: coordinates (a, b) of each given place on its surface, metres, `(..., 2)`.
+
+        Returns:
+            coordinates (a, b) of the allowed places, metres, `(..., 2)`, and the index of the trapezoid of each,
+            `(...)`.
         """
         at = np.asarray(at, dtype=np.float64)
         flat, out = at.reshape(-1, 2), np.empty((at.size // 2, 2))
@@ -276,25 +287,33 @@ class SurfaceArrays(NamedTuple):
         return out.reshape(at.shape), piece.reshape(at.shape[:-1])
 
     def allow(self, surface: IntArray, at: FloatArray, tolerance: float = EDGE_TOLERANCE) -> BoolArray:
-        """Mask `(...)` of the places that are in the allowed region of their surface, or at most `tolerance`, metres,
-        outside it. A place has the coordinates `at` `(..., 2)` on the surface with the index `surface` `(...)`.
+        """Mask of the places in the allowed region of their surface, or at most `tolerance`, metres, outside, `(...)`.
+
+        `surface` `(...)` has the index of the surface of each place, and `at` `(..., 2)` the coordinates on this
+        surface.
         """
         return np.asarray(np.abs(self.nearest(surface, at)[0] - at).max(axis=-1) <= tolerance)
 
     def spread(self, piece: IntArray, at: FloatArray) -> FloatArray:
-        """Map points `at` `(..., 2)` of the unit square to points (a, b) of the trapezoids with the indices `piece`
-        `(...)`; uniformly distributed points stay so.
+        """Map points `at` `(..., 2)` of the unit square to points (a, b) of trapezoids.
+
+        `piece` `(...)` has the index of the trapezoid of each point. Uniformly distributed points of the square give
+        uniformly distributed points of the trapezoids.
         """
         return spread(self.pieces[piece], at)
 
     def gathered(self, piece: IntArray, places: FloatArray) -> FloatArray:
-        """Inverse of `spread`: map `places` `(..., 2)` in the trapezoids with the indices `piece` `(...)` to the unit
-        square.
+        """Map points (a, b) of trapezoids, `places` `(..., 2)`, to points of the unit square; inverse of `spread`.
+
+        `piece` `(...)` has the index of the trapezoid of each point.
         """
         return gathered(self.pieces[piece], places)
 
     def coordinates(self, surface: IntArray, points: FloatArray) -> FloatArray:
-        """Coordinates `(..., 2)` of the projections of `points` `(..., 3)` to surfaces `(...)`, not clipped."""
+        """Coordinates (a, b), metres, `(..., 2)`, of the projections of `points` `(..., 3)` onto surfaces.
+
+        `surface` `(...)` has the indices of the surfaces. The coordinates are not clipped to the surfaces' rectangles.
+        """
         offset = points - self.origin[surface]
         at = [(offset * self.u[surface]).sum(axis=-1), (offset * self.v[surface]).sum(axis=-1)]
         return np.stack(at, axis=-1)

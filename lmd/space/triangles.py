@@ -30,15 +30,17 @@ LEAF, SMALL = 4, 48
 def box_tree(
     low: FloatArray, high: FloatArray
 ) -> tuple[IntArray, FloatArray, FloatArray, IntArray, IntArray, IntArray]:
-    """Build a hierarchy of T boxes that approximately minimises the expected cost of a ray.
+    """Build a hierarchy over T boxes that approximately minimises the expected cost of a ray.
 
     Args:
         low: lower corners of the boxes, `(T, 3)`.
         high: upper corners of the boxes, `(T, 3)`.
 
     Returns:
-        permutation of the boxes, `(T,)`; for the N nodes of the hierarchy, `centres` and `halves` `(N, 3)`, and `skip`,
-        `first` and `stop` `(N,)` as in `lmd.space.triangles.Triangles`.
+        order: permutation of the given boxes, `(T,)`.
+        centres, halves: centres and half the side lengths of the N nodes of the hierarchy, `(N, 3)` each.
+        skip: for each node, index of the first later node that is not inside this node, `(N,)`.
+        first, stop: the boxes `order[first:stop]` belong to a node, `(N,)` each; only leaves have boxes.
     """
     middle = low + high
     order: list[IntArray] = []
@@ -145,8 +147,12 @@ class Triangles(NamedTuple):
 
     @classmethod
     def of(cls, vertices: FloatArray, faces: IntArray, tolerance: float) -> "Triangles":
-        """Build the hierarchy of T triangles, none of them degenerate, with the corners `vertices[faces]`: `faces` is
-        `(T, 3)`, `vertices` is `(V, 3)`, metres.
+        """Build the hierarchy of T triangles with the corners `vertices[faces]`; no triangle may be degenerate.
+
+        Args:
+            vertices: vertices of the mesh, metres, `(V, 3)`.
+            faces: indices of the vertices of each triangle, `(T, 3)`.
+            tolerance: see the class, metres.
         """
         corners = vertices[faces]
         normals = unit_normals(corners)
@@ -170,23 +176,26 @@ class Triangles(NamedTuple):
         return ~self._of_each(_find_crossed, starts, ends)
 
     def distance(self, points: FloatArray, most: float) -> FloatArray:
-        """Distance of each of the points `(..., 3)` from the nearest triangle, at most `most`, metres, `(...)`; a
-        greater distance is replaced by `most`.
+        """Distance of each of the points `(..., 3)` from the nearest triangle, metres, `(...)`.
+
+        A distance greater than `most` is replaced by `most`.
         """
         found = np.empty(points.shape[:-1])
         _find_distance(self, np.ascontiguousarray(points).reshape(-1, 3), most, found.reshape(-1))
         return found
 
     def keeps_away(self, starts: FloatArray, ends: FloatArray, clearance: float) -> BoolArray:
-        """Mask `(...)` of the straight paths between points `(..., 3)` that stay at least `clearance`, metres, from all
-        triangles.
+        """Mask of the straight paths between points `(..., 3)` that keep the clearance from all triangles, `(...)`.
 
-        The function uses sphere tracing with steps of at least `STEP`.
+        `clearance` is the least distance, metres. The function uses sphere tracing with steps of at least `STEP`.
         """
         return self._of_each(_find_kept, starts, ends, clearance)
 
     def _of_each(self, find: Callable[..., None], starts: FloatArray, ends: FloatArray, *more: float) -> BoolArray:
-        """Result of the kernel `find` for each line between points `(..., 3)`, `(...)`."""
+        """Result of the kernel `find` for each line between points `(..., 3)`, a mask `(...)`.
+
+        `more` are further arguments of the kernel.
+        """
         starts, ends = np.broadcast_arrays(starts, ends)
         found = np.empty(starts.shape[:-1], dtype=np.bool_)
         first, last = (np.ascontiguousarray(p).reshape(-1, 3) for p in (starts, ends))
@@ -205,8 +214,9 @@ def unit_normals(corners: FloatArray) -> FloatArray:
 
 
 def _beyond(faces: IntArray, normals: FloatArray) -> FloatArray:
-    """Compute `Triangles.beyond`. If more than two triangles share an edge, each of them is its own neighbour
-    there.
+    """Compute `Triangles.beyond`: the unit normal of the adjacent triangle at each edge, `(T, 3, 3)`.
+
+    If more than two triangles share an edge, each of them is its own neighbour there.
     """
     count = len(faces)
     edge = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
@@ -274,7 +284,10 @@ def is_crossed(triangles, px, py, pz, qx, qy, qz):  # type: ignore[no-untyped-de
 
 @inner
 def _is_touched(triangles, corner, wx, wy, wz):  # type: ignore[no-untyped-def]
-    """True if a line along w through a corner only touches the surface at an edge of that corner."""
+    """True if a line through a corner of the mesh only touches the surface at an edge of that corner.
+
+    `corner` is the index of the vertex, and (wx, wy, wz) is the vector along the line.
+    """
     spokes, tolerance = triangles.spokes, triangles.tolerance
     for s in range(triangles.ending[corner], triangles.ending[corner + 1]):
         one = wx * spokes[s, 0, 0] + wy * spokes[s, 0, 1] + wz * spokes[s, 0, 2]
@@ -286,7 +299,7 @@ def _is_touched(triangles, corner, wx, wy, wz):  # type: ignore[no-untyped-def]
 
 @inner
 def _distance(triangles, x, y, z, most):  # type: ignore[no-untyped-def]
-    """Distance of (x, y, z) from the nearest triangle, or `most` if this is less."""
+    """Distance of the point (x, y, z) from the nearest triangle, metres; `most` if the distance is greater."""
     normals, offsets, corners, borders = triangles.normals, triangles.offsets, triangles.corners, triangles.borders
     centres, halves, skip, first, stop = (
         triangles.centres, triangles.halves, triangles.skip, triangles.first, triangles.stop,

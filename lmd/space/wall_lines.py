@@ -1,4 +1,4 @@
-"""Room enclosed by the lines of walls in a drawing."""
+"""Search for the room that the lines of the walls in a drawing enclose."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
@@ -56,14 +56,14 @@ class ReadPlan(NamedTuple):
     def of(
         cls, path: str, polygon: Any, openings: Callable[[FloatArray], Iterable[Any]], scale: str, *clauses: str
     ) -> "ReadPlan":
-        """Floor plan from a shapely polygon with holes.
+        """Make a floor plan from a shapely polygon with holes.
 
         Args:
             path: path of the file, for messages.
             polygon: outline and holes.
             openings: function that takes an edge `(2, 2)`, and returns start, end and name of each part of the edge
                 that may not carry landmarks.
-            scale: see the class.
+            scale: text that states the unit of the file, for messages.
             clauses: clauses of `note`; empty clauses are left out.
         """
         rings = [
@@ -96,7 +96,7 @@ def plan_of(path: str, drawing: Drawing, gap: float, start: Sequence[float] | No
     """Find the room in a drawing; the plan is in the frame of the drawing.
 
     Gaps between walls are closed by the straight lines between their ends. The room is a region that no line crosses;
-    lines inside the region, such as a pillar, are allowed.
+    lines inside the region, such as those of a pillar, are allowed.
 
     Args:
         path: path of the file, for messages.
@@ -138,7 +138,11 @@ def _check_lines(source: str, drawing: Drawing) -> None:
 
 
 def _enclosed(path: str, drawing: Drawing, gap: float, start: Sequence[float] | None) -> tuple[Any, str]:
-    """Region of the room, a shapely polygon, and text about the other regions, to be added to a message."""
+    """Find the region of the room; the arguments are those of `plan_of`.
+
+    Returns:
+        shapely polygon of the region, and text about the other regions, to be added to a message; it may be empty.
+    """
     import shapely
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -191,8 +195,10 @@ def _enclosed(path: str, drawing: Drawing, gap: float, start: Sequence[float] | 
 
 
 def _shared(corners: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
-    """Find the edges that two of the triangles `(T, 3, 2)` share: indices of the first and of the second triangle, and
-    lengths of the edges.
+    """Find the edges that two of the triangles `(T, 3, 2)` share.
+
+    Returns:
+        for each shared edge, the index of one triangle, the index of the other triangle, and the length of the edge.
     """
     sides = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2, 2)
     swap = (sides[:, 0, 0] > sides[:, 1, 0]) | ((sides[:, 0, 0] == sides[:, 1, 0]) & (sides[:, 0, 1] > sides[:, 1, 1]))
@@ -205,8 +211,10 @@ def _shared(corners: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
 
 
 def _openings(edge: FloatArray, near: Any, boxes: list[tuple[str, Any]]) -> Iterator[tuple[float, float, str]]:
-    """Yield the start, the end (both metres from the edge's first vertex) and the name of each part of an edge at which
-    there is no wall, or a door or window.
+    """Yield start, end and name of each part of an edge that has no wall, or that has a door or window.
+
+    Start and end are distances from the first vertex of the edge, metres. `near` is the area near the lines of walls,
+    and `boxes` are those of `Drawing`.
     """
     import shapely
 

@@ -1,5 +1,6 @@
-"""The suite: frozen problems (their definitions do not change), in the form of functions on the unit box, for
-optimisers of any library.
+"""The suite: frozen problems, as functions on the unit box, for optimisers of any library.
+
+The definition of a frozen problem does not change.
 
     >>> import lmd.suite
     >>> problem = lmd.suite.problem("lab_localisation")

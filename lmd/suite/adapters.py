@@ -1,5 +1,6 @@
-"""Adapter that converts problems of the suite to problems of pymoo; docs/suite.md shows the line of code that each
-other library needs.
+"""Adapter that converts problems of the suite to problems of pymoo.
+
+Other libraries need a single line of code each, see docs/suite.md.
 
 The suite maximises values; libraries that minimise get the values with the opposite sign.
 """

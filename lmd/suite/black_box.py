@@ -86,8 +86,7 @@ class BlackBox:
         return self.genome.rig(genes)
 
     def score(self, genes: FloatArray, seed: int = 0) -> Mapping[str, float]:
-        """Metrics of a candidate on the grid of the problem, and at random poses off the grid, see
-        `lmd.evaluation.validation`.
+        """Metrics of a candidate, keyed by name: on the problem's grid, and off the grid (`lmd.evaluation.validation`).
 
         Args:
             genes: genes of the candidate, `(d,)`.
@@ -98,6 +97,6 @@ class BlackBox:
         return scored.metrics(deployment) | validation_metrics(scored, deployment, seed)
 
     def _values(self, genes: FloatArray) -> FloatArray:
-        """Values of candidates whose genes `(B, d)` have been checked."""
+        """Values of candidates whose genes `(B, d)` have been checked: `(B,)`, or `(B, M)` for M objectives."""
         fitness = self.genome.fitness_of_genes(genes)
         return np.where(np.isfinite(fitness), fitness, IMPOSSIBLE)

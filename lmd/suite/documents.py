@@ -1,5 +1,6 @@
-"""Documents of the suite: each file `problems/NAME.yaml` holds a frozen problem with its hash, bound, budgets and best
-value.
+"""Documents of the suite: each file `problems/NAME.yaml` holds a frozen problem with its hash, bound and budgets.
+
+The record of the best known candidate is in `problems/best/NAME.yaml`.
 """
 
 import hashlib
@@ -68,7 +69,7 @@ class Document(Checked):
 
     @property
     def digest(self) -> str:
-        """Compute the digest of the problem's config nodes, and of the contents of all files that they name."""
+        """Hexadecimal digest of the problem's config nodes and of the contents of all files that they name."""
         text = hashlib.sha256(json.dumps(self.problem, sort_keys=True).encode())
         files = dict[str, str]()
         _changed(self.problem, {FILE: lambda file: files.setdefault(file, file)})
@@ -90,7 +91,9 @@ def names(which: str = "full") -> list[str]:
 
 @cache
 def document(name: str) -> Document:
-    """Document of a problem, or of an instance such as `tiny_mean-3`, which has no bound and no best candidate.
+    """Document of the problem `name`, or of an instance of a problem, such as `tiny_mean-3`.
+
+    The document of an instance has no bound and no best candidate.
 
     Raises:
         InputError: no problem has that name, or its document is damaged.
@@ -115,15 +118,14 @@ def _frozen(name: str) -> Document:
 
 
 def with_paths(node: Any) -> Any:
-    """Copy the config nodes of a problem. In the copy, relative paths of files are full paths, and old names of classes
-    are their present names.
-    """
+    """Copy the config nodes of a problem, with full paths of files and present names of classes (`MOVED`)."""
     return _changed(node, {FILE: lambda file: str(FOLDER / file), TARGET: lambda target: MOVED.get(target, target)})
 
 
 def _changed(node: Any, change: Mapping[str, Callable[[str], str]]) -> Any:
-    """Copy the config nodes of a problem with changed values. `change` has, for each key whose values change, a
-    function that converts the old value to the new value.
+    """Copy the config nodes of a problem with changed values.
+
+    `change` has the keys whose values change, each with a function that converts the old value to the new value.
     """
     if isinstance(node, Mapping):
         return {

@@ -1,5 +1,6 @@
-"""Families of problems: each problem of the suite has random variants ("instances"), which the name of the problem and
-the number of the instance determine.
+"""Families of problems: each problem of the suite has random variants, its numbered "instances".
+
+The name of the problem and the number of the instance determine the instance.
 
 In an instance the room, the camera, the number of landmarks, the size of the tags and the numbers of the objective are
 drawn from the distributions in `draws.yaml`. Instance 0 is the frozen problem.
@@ -82,9 +83,10 @@ def _parts(node: Any) -> Iterator[dict[str, Any]]:
 
 
 def _change(node: Any, path: Sequence[str], operation: str, by: Any) -> None:
-    """Multiply (operation `times`) the values that are found at `path` in a config node by `by`, or add `by` to them
-    (any other operation). Nothing is changed if the node lacks the path. `*` in the path stands for all items of a
-    list.
+    """Change the values at `path` in a config node, in place.
+
+    The operation `times` multiplies a value by `by`; any other operation adds `by`. Nothing is changed if the node
+    lacks the path. `*` in the path stands for all items of a list.
     """
     first, *rest = path
     for key in range(len(node)) if first == "*" else [first] if first in node else []:
@@ -95,8 +97,10 @@ def _change(node: Any, path: Sequence[str], operation: str, by: Any) -> None:
 
 
 def _changed(value: Any, operation: str, by: Any) -> Any:
-    """Multiply a number, a vector or a list of vectors by `by` (operation `times`), or add `by` to it; `by` is one
-    number, or one number for each axis. Return the result. A whole number stays a whole number.
+    """Return a number, a vector or a list of vectors, multiplied by `by` (operation `times`) or increased by `by`.
+
+    `by` is one number, or one number for each axis. A whole number stays whole; other numbers are rounded to `DIGITS`
+    significant digits.
     """
     numbers = np.array(value)
     each = by[: numbers.shape[-1]] if np.ndim(by) else by

@@ -40,7 +40,7 @@ class Leaderboard(NamedTuple):
 
 
 def leaderboard(results: Runs, problems: Iterable[str]) -> Leaderboard:
-    """Make the leaderboard from the runs `results` on some problems of the suite."""
+    """Make the leaderboard of the suite's `problems` from `results`, the runs of optimisers on these problems."""
     frozen = {name: document(name) for name in problems}
     blocks, figures, every = list[str](), dict[str, float](), []
     for place in sorted(results, reverse=True):  # the largest budget first
@@ -66,8 +66,9 @@ def leaderboard(results: Runs, problems: Iterable[str]) -> Leaderboard:
 
 
 def _held_out_apart(runs: Sequence[OptimiserRun]) -> Mapping[str, Sequence[OptimiserRun]]:
-    """Groups of runs, keyed by the name of the group: `development` and `held-out`, by the instance of the problem on
-    which a run was done. If all runs belong to one of these groups, there is a single group with an empty name.
+    """Runs in two groups: `development` and `held-out` instances of the problems, keyed by these names.
+
+    If all runs belong to one group, they have an empty name as their key.
     """
     is_held_out = [instance_of(run.problem) >= HELD_OUT for run in runs]
     if len(set(is_held_out)) == 1:
@@ -77,8 +78,14 @@ def _held_out_apart(runs: Sequence[OptimiserRun]) -> Mapping[str, Sequence[Optim
 
 
 def _section(held: Tournament, label: str, frozen: "Mapping[str, Document]") -> list[str]:
-    """Markdown lines with a table of one metric, and with the tests below the table. The table has a column of proven
-    bounds only for the fitness.
+    """Markdown blocks about a tournament by one metric: its table, and its tests below the table.
+
+    The table has a column of proven bounds only for the fitness.
+
+    Args:
+        held: the tournament.
+        label: label of the metric.
+        frozen: documents of the problems, keyed by name.
     """
     names, is_fitness = list(held.values), label == FIGURES["fitness"]
     columns = ["best known", "bound"] if is_fitness else ["best known"]
@@ -119,7 +126,11 @@ def _cell(value: float, greatest: float) -> str:
 
 
 def write_runs(folder: Path, results: Runs, boxes: "Mapping[str, BlackBox]") -> None:
-    """Write all runs in IOHprofiler's format: a folder for each budget contains a folder for each optimiser."""
+    """Write all runs in IOHprofiler's format; `folder` is replaced.
+
+    The folder has a folder for each budget, which contains a folder for each optimiser. `boxes` are the problems, keyed
+    by name.
+    """
     numbers = {name: number for number, name in enumerate(names(), 1)}
     shutil.rmtree(folder, ignore_errors=True)
     for place, every in results.items():

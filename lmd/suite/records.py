@@ -1,9 +1,10 @@
-"""Entries of the suite, which are candidates with their origin, and records, which also have the score of the
-candidate. The NumPy reference computes the scores.
+"""Entries to the suite (candidates with their origin), and records (entries with the score of their candidate).
+
+The NumPy reference computes the scores.
 
 An entry is a YAML file with the keys of `ENTRY`. The `candidate` is a list of genes, or the name of a file in the same
 folder: a rig file if the problem places cameras, else a table of landmarks. For two objectives, the candidate is a
-Pareto front, and the table's column `point` numbers the front's points. A record is an entry with its score.
+Pareto front: the column `point` of the table has the number of the point on the front to which a landmark belongs.
 `problems/best` has the best known candidates.
 """
 
@@ -34,9 +35,7 @@ from lmd.suite.several import SeveralObjectives, TagChoice
 
 ENTRY = ("problem", "who", "how", "when", "candidate")
 POINT = "point"
-"""Name of a column in the table of landmarks. For a problem with two objectives, it has the number of the point on the
-Pareto front to which each landmark belongs.
-"""
+"""Name of the column that has, for each landmark, the number of its point on the Pareto front of two objectives."""
 
 
 def verify(path: str | Path) -> dict[str, Any]:
@@ -76,7 +75,7 @@ def verify(path: str | Path) -> dict[str, Any]:
 
 
 def scored(frozen: Document, candidate: Any, folder: Path) -> dict[str, float | None]:
-    """Score of a candidate: the entries `value` and `off_grid` of a record, see `verify`.
+    """Score of a candidate: `value` and `off_grid` of a record, keyed by these names, see `verify`.
 
     Args:
         frozen: document of the problem.
@@ -112,16 +111,20 @@ def _values(box: BlackBox, deployment: Deployment) -> FloatArray:
 
 
 def hypervolume(points: FloatArray) -> float:
-    """Area of the region between the origin and the points `(N, 2)` of a front, that is, the region that these points
-    dominate; both coordinates are maximised.
+    """Area that the points `(N, 2)` of a front dominate, between the origin and the front.
+
+    Both coordinates are maximised.
     """
     first, second = points[np.argsort(-points[:, 0])].T
     return float(-np.diff(first, append=0.0) @ np.maximum.accumulate(second))
 
 
 def best(name: str) -> list[Deployment] | Rig:
-    """Best known solution of a problem: a deployment; the deployments of the front, for a problem with several
-    objectives; the cameras, for a problem that places cameras.
+    """Best known solution of a problem.
+
+    Returns:
+        cameras if the problem places cameras, otherwise a list of deployments: one for each point of the front if the
+        problem has several objectives, else a single deployment.
 
     Raises:
         InputError: no problem has this name, or no solution is recorded for the problem.

@@ -22,6 +22,9 @@ class SeveralObjectives(BlackBox):
         problems: two or more problems that differ only in their objective.
         name: see `BlackBox`.
         encoding: see `BlackBox`.
+
+    Raises:
+        InputError: there are fewer than two problems, or the encoding is unknown.
     """
 
     def __init__(self, problems: Sequence[Problem], name: str = "problem", encoding: str = "wall") -> None:
@@ -48,11 +51,12 @@ class SeveralObjectives(BlackBox):
 
 
 class TagChoice(BlackBox):
-    """Problem with two objectives: the fitness, and the fraction of the tags (or of their total paper area) that is
-    saved because these tags are not hung.
+    """Problem in which tags may be left out, with two objectives: the fitness, and the fraction of the tags left out.
 
-    Each landmark has an additional gene: its tag is hung if this gene is at least `HUNG`. A candidate that hangs no tag
-    has the fitness 0.
+    The fraction is of the number of tags, or of the total area of their paper.
+
+    Each tag has an additional gene: the tag is hung if this gene is at least `HUNG`. A candidate that hangs no tag has
+    the fitness 0.
 
     Args:
         problem: problem in which all tags are hung.
@@ -67,7 +71,7 @@ class TagChoice(BlackBox):
     def __init__(self, problem: Problem, name: str = "problem", encoding: str = "wall", by_paper: bool = False) -> None:
         super().__init__(problem, name, encoding)
         if problem.genome is not None or problem.fixed_count:
-            raise InputError(f"{name}: tags are chosen only if the problem places them all, none fixed.", "problem")
+            raise InputError(f"{name}: the problem must place all tags itself, without fixed tags.", "problem")
         self._encoding = make_encoding(encoding, problem.scene.footprints.hanging, flush=True)
         self.by_paper = by_paper
         self.objectives = (*self.objectives, f"share of the {'paper' if by_paper else 'tags'} left over")
@@ -90,8 +94,9 @@ class TagChoice(BlackBox):
         return deployment
 
     def values_of(self, deployment: Deployment) -> FloatArray:
-        """Fitness of the deployment of those tags that are hung, and the fraction of the tags (or of their paper area)
-        that is not hung, `(2,)`.
+        """Values of the two objectives, `(2,)`, for a deployment that consists of the hung tags.
+
+        They are the fitness of the deployment, and the fraction of all tags (or of their paper area) that is left out.
         """
         used, every = (
             (sizes**2).sum() if self.by_paper else len(sizes)
@@ -111,8 +116,9 @@ class TagChoice(BlackBox):
         return np.array([IMPOSSIBLE, 0.0]) if deployment is None else self.values_of(deployment)
 
     def _hung(self, row: FloatArray) -> Deployment | None:
-        """Tags that the candidate with the genes `row` `(d,)` hangs, after overlapping tags are pushed apart; None if
-        no tag is hung, or if there is no room for the tags.
+        """Tags that the candidate with the genes `row` `(d,)` hangs, after overlapping tags are pushed apart.
+
+        None if no tag is hung, or if there is no room for the tags.
         """
         hangs = row[self.genome.dim :] >= HUNG
         if not hangs.any():

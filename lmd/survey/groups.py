@@ -58,11 +58,11 @@ def join_groups(sightings: Sightings, poses: Poses, group: IntArray, prior: Prio
         sightings: sightings of the tags.
         poses: rough poses; each group that images connect has a world frame of its own.
         group: index of each tag's group, `(K,)`; -1 for tags without a group.
-        prior: prior with a motion.
+        prior: prior of the unknowns, with a motion model.
 
     Returns:
-        rough poses; the index of each tag's group after joining, `(K,)`; the prior with the estimated spread of the
-        motion.
+        rough poses; the index of each tag's group after joining, `(K,)`; the prior with the estimated noise (spread) of
+        the motion model.
     """
     assert prior.motion is not None
     parts = _parts(sightings, poses, group, prior.known)
@@ -91,9 +91,16 @@ def join_groups(sightings: Sightings, poses: Poses, group: IntArray, prior: Prio
 
 
 def _parts(sightings: Sightings, poses: Poses, group: IntArray, known: BoolArray) -> IntArray:
-    """Index of each tag's part, `(K,)`; -1 for tags without sightings.
+    """Divide the tags into parts: tags that several images show together. Other tags are parts by themselves.
 
-    A group with a tag of `known` pose, mask `(K,)`, stays one part.
+    Args:
+        sightings: sightings of K tags.
+        poses: rough poses of tags and frames.
+        group: index of the group that images connect, for each tag, `(K,)`; -1 for tags without a group.
+        known: mask of the tags with a prior, `(K,)`; a group with such a tag stays one part.
+
+    Returns:
+        index of each tag's part, `(K,)`; -1 for tags without sightings.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -111,8 +118,8 @@ def _parts(sightings: Sightings, poses: Poses, group: IntArray, known: BoolArray
 
 
 def _adjusted(nodes: Nodes, poses: Poses) -> tuple[Poses, Motion]:
-    """Adjust each part by itself. Returns: the adjusted poses of the nodes; the motion model, with its spread estimated
-    from the parts.
+    """Adjust each part by itself. Return the adjusted poses of the nodes (pairs of a frame and a part), and the motion
+    model with the noise (spread) estimated from all parts.
     """
     some, motion = nodes.sightings, nodes.motion
     of_tag = np.full(len(poses.tags), -1)
@@ -128,14 +135,14 @@ def _adjusted(nodes: Nodes, poses: Poses) -> tuple[Poses, Motion]:
 
 
 def _worlds(nodes: Nodes, poses: FloatArray, motion: Motion) -> tuple[FloatArray, IntArray]:
-    """Join parts by those relations that imply no leap of the body, a sudden change of its pose.
+    """Join parts by relative poses (relations) that imply no leap, a sudden change of the body's pose.
 
     A leap between two joined parts has one of two causes. If the leaping frames of a part are fewer than the frames
     that support the weakest relation between the parts, the leaping frames were misread; otherwise the relation is
     wrong.
 
     Args:
-        nodes: nodes, with the motion between the frames of the nodes.
+        nodes: nodes (pairs of a frame and a part), with the motion between the nodes.
         poses: poses of the nodes, each in the world frame of its part, `(n, 4, 4)`.
         motion: motion between the frames.
 
@@ -171,12 +178,16 @@ def _worlds(nodes: Nodes, poses: FloatArray, motion: Motion) -> tuple[FloatArray
 
 
 def _spanned(count: int, relations: Sequence[Relation]) -> tuple[FloatArray, IntArray, IntArray]:
-    """Common worlds of the parts, see `_worlds`, from a spanning tree of the `relations`; earlier relations take
-    precedence.
+    """Join parts into common worlds by a spanning tree of the `relations`, of which earlier ones take precedence.
+
+    Args:
+        count: number P of parts.
+        relations: relative poses of pairs of parts.
 
     Returns:
-        motions and worlds as in `_worlds`; index of the relation that first joined each pair of parts, which is the
-        weakest relation between them, `(P, P)`.
+        rigid motions from the world frames of the parts to common world frames, `(P, 4, 4)`; index of the common world
+        of each part, `(P,)`; index of the relation that first joined each pair of parts, which is the weakest relation
+        between the two, `(P, P)`, -1 for pairs that are not joined.
     """
     worlds, joined = np.tile(np.eye(4), (count, 1, 1)), np.arange(count)
     joined_by = np.full((count, count), -1)
@@ -191,7 +202,15 @@ def _spanned(count: int, relations: Sequence[Relation]) -> tuple[FloatArray, Int
 
 
 def _relations(nodes: Nodes, poses: FloatArray, motion: Motion, velocities: FloatArray) -> list[Relation]:
-    """Relations of all pairs of parts that have frames near in time; those on which most frames agree come first."""
+    """Relations (relative poses) of all pairs of parts that have frames near in time. Those on which most frames agree
+    come first.
+
+    Args:
+        nodes: nodes (pairs of a frame and a part), with the motion between the nodes of each part.
+        poses: poses of the n nodes, each in the world frame of its part, `(n, 4, 4)`.
+        motion: motion between the frames.
+        velocities: turn rates and velocities at the nodes, in the body's frame, `(n, 6)`; NaN if unknown.
+    """
     pairs = np.stack(nodes.following(FOLLOWING))
     i, j = np.take_along_axis(pairs, np.argsort(nodes.part[pairs], axis=0, kind="stable"), axis=0)
     there = (nodes.part[i] < nodes.part[j]) & motion.relates(nodes.frame[i], nodes.frame[j])

@@ -26,7 +26,7 @@ LONGEST = 0.21  # maximum seconds between keyframes that have frames between the
 
 
 def select_keyframes(detected: DetectedTags, every: int | None = None) -> DetectedTags:
-    """Select the detections in the keyframes; `left_out` lists the other frames.
+    """Select the detections in the keyframes; `left_out` of the result lists the other frames.
 
     Args:
         detected: detections in all frames.
@@ -46,8 +46,8 @@ def select_keyframes(detected: DetectedTags, every: int | None = None) -> Detect
 
 
 def _informative(seconds: FloatArray, shown: list[IntArray]) -> BoolArray:
-    """Mask of the keyframes, `(n,)`, given the times of the frames, seconds, `(n,)`, and the tags that each frame
-    shows.
+    """Mask of the keyframes among n frames, `(n,)`. `seconds` `(n,)` has the times of the frames; `shown` has an array
+    for each frame, with the ids of the tags that it shows.
     """
     kept = _evenly(seconds, _at_changes(seconds, shown))
     together = [set(combinations_with_replacement(tags.tolist(), 2)) for tags in shown]
@@ -60,8 +60,8 @@ def _informative(seconds: FloatArray, shown: list[IntArray]) -> BoolArray:
 
 
 def _evenly(seconds: FloatArray, needed: BoolArray) -> BoolArray:
-    """Mask of the keyframes: the `needed` frames, and as few other frames as possible so that neighbouring keyframes
-    are at most `LONGEST` seconds apart, unless no frame lies between them.
+    """Mask of the keyframes among n frames, `(n,)`: the `needed` frames, and as few others as possible. Neighbouring
+    keyframes are at most `LONGEST` seconds apart, unless no frame lies between them.
     """
     kept, since = np.ones(len(seconds), dtype=bool), np.nan
     for k, following in enumerate(np.append(seconds[1:], np.inf)):

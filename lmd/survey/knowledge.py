@@ -100,7 +100,7 @@ class Boards(Checked):
         return cls(tuple(table.texts["board"]), Labels.of(table, ()).ids, rows[:, 1:], printed)
 
     def among(self, ids: IntArray) -> Sheets:
-        """Sheets with only those of their tags that are among the tags `ids` `(K,)`, ascending."""
+        """Sheets, reduced to the tags whose ids are among `ids` `(K,)`, ascending."""
         _, of, own = np.intersect1d(ids, self.ids, return_indices=True)
         places = np.hstack([self.places[own], np.zeros((len(own), 1))])
         board = np.unique(self.names, return_inverse=True)[1][own]
@@ -110,7 +110,7 @@ class Boards(Checked):
 
 @dataclass(frozen=True)
 class PriorKnowledge:
-    """Knowledge that the user has before the survey; entries are None if unknown.
+    """Knowledge that the user has before the survey; an optional attribute is None if it is unknown.
 
     Raises:
         InputError: an edge length in `sizes` is not a number above 0.
@@ -151,8 +151,8 @@ class PriorKnowledge:
         return np.unique(np.concatenate([np.empty(0, dtype=np.int64), *named]))
 
     def edges(self, ids: IntArray, tag: Tag) -> FloatArray:
-        """Edge lengths of the tags `ids` `(K,)`, metres, `(K,)`: from `sizes`, else from the plan or the fixed tags,
-        else that of `tag`.
+        """Edge lengths of the tags `ids` `(K,)`, metres, `(K,)`. They are taken from `sizes`, else from the fixed tags,
+        else from the plan, else from `tag`.
         """
         edges = np.full(len(ids), tag.size)
         stated = [(known.ids, known.edges) for known in (self.plan, self.fixed) if known is not None]
@@ -162,7 +162,7 @@ class PriorKnowledge:
         return edges
 
     def planned(self, ids: IntArray) -> FloatArray:
-        """Planned poses, `(K, 4, 4)`; NaN for tags that are not in the plan."""
+        """Planned poses of the tags `ids` `(K,)`, `(K, 4, 4)`; NaN for tags that are not in the plan."""
         nothing = np.full((len(ids), 4, 4), np.nan)
         return nothing if self.plan is None else _among(ids, self.plan.ids, poses_of(self.plan))
 

@@ -45,8 +45,8 @@ def map_of(survey: Survey) -> Deployment:
 
 
 def measured_of(survey: Survey) -> Deployment | None:
-    """Deployment with the tags of the plan, in its order; tags that the survey placed have their measured poses, other
-    tags their planned poses. None without a plan.
+    """Deployment with the tags of the plan, in the order of the plan; None without a plan. Tags that the survey placed
+    have their measured poses, other tags their planned poses.
     """
     if (plan := survey.known.plan) is None:
         return None
@@ -75,8 +75,8 @@ def map_columns(survey: Survey) -> dict[str, ArrayLike]:
 
 
 def map_covariance(survey: Survey) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Ids `(n,)` and positions `(n, 3)`, metres, of the tags of `map.csv`, and the joint covariance of the twists of
-    these tags relative to each other, `(6 n, 6 n)`.
+    """Ids `(n,)`, positions `(n, 3)`, metres, and joint covariance `(6 n, 6 n)` of the tags of `map.csv`. The
+    covariance is that of the twists of these tags relative to each other.
     """
     found = survey.found
     chosen = survey.placed[found.known]
@@ -86,7 +86,7 @@ def map_covariance(survey: Survey) -> tuple[IntArray, FloatArray, FloatArray]:
 
 
 def frame_columns(survey: Survey) -> dict[str, ArrayLike]:
-    """Columns of `frames.csv`: for each frame, the pose of the body, which is the first camera, and the number of tags.
+    """Columns of `frames.csv`: for each frame of the map, time, pose of the body (first camera) and number of inliers.
 
     Quaternions rotate the camera's frame (x right, y down, z the optical axis) to the world frame.
     """
@@ -100,7 +100,8 @@ def tag_columns(survey: Survey) -> dict[str, ArrayLike]:
     """Columns of the table of all tags: state, numbers of sightings, and displacement from the planned pose.
 
     The displacement has the columns `right`, `up` and `out`, metres in the tag's frame, and `tilt_x`, `tilt_y` and
-    `turn`, rad about the axes of this frame. For the column `sigma` see `Estimate.sigmas`.
+    `turn`, rad about the axes of this frame. The column `sigma` is the standard deviation of the position relative to
+    the other tags, in the worst direction, metres.
     """
     found, some, placed = survey.found, survey.found.sightings, survey.placed
     seen = some.counts()
@@ -143,7 +144,7 @@ def metrics(survey: Survey) -> dict[str, float]:
 
 
 def survey_document(survey: Survey) -> dict[str, Any]:
-    """Content of `survey.json`."""
+    """Content of the file `survey.json`: metrics, doubts, cameras, motion, and a row for each tag."""
     found, ids, columns, motion = survey.found, survey.ids, tag_columns(survey), survey.found.prior.motion
     return {
         "figures": metrics(survey),
@@ -192,9 +193,7 @@ def to_text(survey: Survey) -> str:
 
 
 def _troubles(survey: Survey) -> dict[str, str]:
-    """Sentences on faults and on missing photographs, keyed by kind of trouble; the sentence is empty for kinds that do
-    not occur.
-    """
+    """Texts on faulty tags, keyed by kind of trouble; the text is empty for kinds that do not occur."""
     ids, found, faults, shown = survey.ids, survey.found, survey.faults, survey.found.sightings.counts() > 0
     unplanned = survey.placed & ~np.isin(ids, survey.known.ids) & (survey.known.plan is not None)
     moved = [(ids[one.tag], one.moved) for one in faults.second_places]

@@ -51,7 +51,7 @@ class Start(NamedTuple):
 
 
 def initialise(sightings: Sightings, prior: Prior) -> Start:
-    """Find initial poses.
+    """Find initial poses of tags and frames; each group of tags that images connect has a world frame of its own.
 
     Raises:
         InputError: no two tags were seen together.
@@ -66,9 +66,17 @@ def initialise(sightings: Sightings, prior: Prior) -> Start:
 
 
 def in_one_world(sightings: Sightings, start: Start, prior: Prior, origin: int | None) -> tuple[Poses, IntArray, Prior]:
-    """Move initial poses into the world frame of the prior, and join groups by motion. Returns: initial poses with one
-    body for all cameras; group of each tag; prior, in which the spread of the motion, if any, is estimated.
-    For `origin` see `lmd.survey.world.into_world`.
+    """Move initial poses into the world frame of the prior, and join groups of tags by motion.
+
+    Args:
+        sightings: sightings of the tags.
+        start: initial poses, as `initialise` returns.
+        prior: prior of the tags, and motion between frames, if any.
+        origin: id of the tag whose frame is the world if no tag has a prior; None for the tag seen most often.
+
+    Returns:
+        initial poses with one body for all cameras; group of each tag, `(K,)`; prior, with the estimated noise (spread)
+        of the motion model.
 
     Raises:
         InputError: a camera was never placed together with the first camera, or the prior determines no world frame.
@@ -83,15 +91,15 @@ def in_one_world(sightings: Sightings, start: Start, prior: Prior, origin: int |
 def _check_groups(group: IntArray) -> None:
     """Raise `InputError` if no tag has a group."""
     if group.max(initial=-1) < 0:
-        raise InputError("detections have no frame with two tags, at least one with an unambiguous pose.", "detections")
+        raise InputError("detections have no frame with two tags of which at least one has an unambiguous pose.", "detections")
 
 
 def _mounted(sightings: Sightings, apart: Poses) -> Poses:
-    """Poses of the body, computed from the poses that were found for each camera as a body of its own.
+    """Poses with one body for all cameras, from poses that were found with each camera as a body of its own.
 
     Args:
         sightings: sightings of the body.
-        apart: poses of the cameras, found with `sightings.with_separate_cameras()`.
+        apart: poses of tags, and of each camera at each frame, found with `sightings.with_separate_cameras()`.
 
     Raises:
         InputError: a camera was never placed together with the first camera.
@@ -112,7 +120,7 @@ class Placing:
 
     Args:
         sightings: sightings of one camera, see `Sightings.with_separate_cameras`.
-        single: the two poses of the tag of each sighting, see `SinglePoses`.
+        single: two poses of each sighting's tag in the frame of the camera.
         is_linked: True if frames are linked by motion; single sightings are then not trusted.
     """
 
@@ -154,8 +162,8 @@ class Placing:
                 self._adjust(FINAL_STEPS)
 
     def _seed(self) -> bool:
-        """Begin a new group with the frame that shows the most unplaced tags whose pose is beyond doubt. Return False
-        if there is no such frame.
+        """Begin a new group of tags with one frame; return False if there is no such frame. It is the frame that shows
+        the most unplaced tags whose pose is beyond doubt.
         """
         sightings, (tag, frame) = self.sightings, self._placed
         fresh = ~tag & ~frame
@@ -171,7 +179,7 @@ class Placing:
         return True
 
     def _grow(self) -> bool:
-        """Place frames, then tags, on whose pose several sightings agree. Return False if none is placed."""
+        """Place frames, then tags, if several sightings agree on the pose. Return False if nothing is placed."""
         placed = [self.place(self.waiting(by_frame), by_frame) for by_frame in (True, False)]
         return any(placed)
 
@@ -196,7 +204,7 @@ class Placing:
         return np.flatnonzero(tag & ~frame if by_frame else frame & ~tag)
 
     def _retry(self) -> None:
-        """Find better poses for the tags, then for the frames, that have many large errors."""
+        """Find better poses for the tags with many large errors, then for the frames with many large errors."""
         for by_frame in (False, True):
             owner = self.sightings.frame if by_frame else self.sightings.tag
             error = squared_errors(self.sightings, self.poses)
@@ -240,11 +248,12 @@ class Placing:
 
 
 def place_all(sightings: Sightings, planned: FloatArray, is_linked: bool) -> Placing:
-    """Place all tags and frames that can be placed.
+    """Place all tags and frames that can be placed; return the placement with which most sightings agree.
 
     Args:
         sightings: sightings in which each camera is a body of its own, see `Sightings.with_separate_cameras`.
-        planned: planned poses of tags, `(K, 4, 4)`; NaN if unknown.
+        planned: planned poses of tags, `(K, 4, 4)`; NaN if unknown. A placement that starts from these poses is tried
+            first, and accepted if nearly all sightings agree with it.
         is_linked: True if frames are linked by motion.
     """
     single, tried = single_poses(sightings), []

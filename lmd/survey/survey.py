@@ -4,7 +4,7 @@
 id. If they do not agree, the detector misread the id. A tag has a wrong size if its sightings agree on another size,
 with all frames fixed.
 
-*Held-out frames* are frames that are localised, as a check, in a map that is made from the other frames.
+*Held-out frames* check the map: they are localised in a map that is made from the other frames.
 """
 
 from collections.abc import Callable, Sequence
@@ -178,8 +178,11 @@ def _believed(detected: DetectedTags, tag: Tag, known: PriorKnowledge) -> IntArr
 
 
 def _turned(seen: Observations, known: PriorKnowledge) -> tuple[tuple[Observations, Prior, IntArray, Start], int]:
-    """Find initial poses and quarter turns of tags. Returns: detections and prior with these turns applied, the turns,
-    and the initial poses; number of sightings that agree with the initial poses.
+    """Find initial poses, and the quarter turns by which tags or corner numbers are rotated relative to the prior.
+
+    Returns:
+        detections and prior with the turns applied, the turns `(2, K)` (see `lmd.survey.world.turns_of`), and the
+        initial poses; number of sightings that agree with the initial poses.
     """
     given = replace(known.prior(seen.ids), motion=_motion(seen, known))
     turned, prior, turns = seen, given, np.zeros((2, len(seen.ids)), dtype=np.int64)
@@ -194,7 +197,7 @@ def _turned(seen: Observations, known: PriorKnowledge) -> tuple[tuple[Observatio
 
 
 def estimate_map(sightings: Sightings, prior: Prior, origin: int | None = None, start: Start | None = None) -> Estimate:
-    """Estimate the poses of all tags, frames and mounts together.
+    """Estimate the poses of all tags, of the body at all frames, and of the cameras on the body together.
 
     Args:
         sightings: sightings; at least one frame must show two tags.
@@ -241,8 +244,11 @@ def _steady(seen: Observations, known: PriorKnowledge) -> Motion | None:
 
 
 def _placed(found: Estimate, known: PriorKnowledge) -> tuple[BoolArray, BoolArray]:
-    """Mask of the placed tags, which are in the map, `(K,)`; and mask of the tags that are left out of the map only
-    because their covariance is too large, `(K,)`.
+    """Decide which tags are in the map.
+
+    Returns:
+        mask of the tags in the map, `(K,)`; mask of the tags that are left out only because their covariance is too
+        large, `(K,)`.
 
     Raises:
         InputError: no tag is placed.
@@ -258,7 +264,7 @@ def _placed(found: Estimate, known: PriorKnowledge) -> tuple[BoolArray, BoolArra
         loose = placed & (found.sigmas > max(LOOSE_M, LOOSE_SHARE * extent))
     placed &= ~loose
     if not placed.any():
-        text = f"no {FEWEST_BELIEVED} sightings of a tag agree, or no tag is well known beside the others"
+        text = f"no {FEWEST_BELIEVED} sightings of a tag agree, or no tag's pose relative to the others is accurate"
         raise InputError(f"detections: no tag is placed, as {text}: take more frames.", "detections")
     return placed, loose
 

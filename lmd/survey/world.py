@@ -28,13 +28,13 @@ NEAR, FACING, IN_QUARTERS, LEAST_SHARE = 0.3, 0.5, 0.35, 0.5
 
 
 def motion_to_prior(tags: FloatArray, prior: Prior) -> FloatArray | None:
-    """Rigid motion `(4, 4)` from the world frame of the poses `tags` `(K, 4, 4)` to the world frame of the prior; None
-    if the prior does not determine the motion.
+    """Rigid motion `(4, 4)` from the world frame of the poses `tags` `(K, 4, 4)` to that of the prior. None if the
+    prior does not determine the motion.
 
-    The fit uses centres and normals of the exactly known tags, or else of all tags with known orientation. If these
-    leave the rotation open, as with a single tag, one motion is tried for each tag: the motion that takes this tag to
-    its expected pose. The motion with the least loss over all these tags is returned. Without known orientations, three
-    or more centres determine the motion.
+    The fit uses centres and normals of the exactly known tags, or else of all tags with known orientation. If these do
+    not determine the rotation, as with a single tag, each tag proposes the motion that takes it to its expected pose.
+    Of these motions, that with the least loss over all tags is returned. Without known orientations, three or more
+    centres determine the motion.
     """
     there = np.isfinite(tags[:, 0, 0])
     posed = prior.is_posed & there
@@ -57,8 +57,8 @@ def motion_to_prior(tags: FloatArray, prior: Prior) -> FloatArray | None:
 def into_world(
     sightings: Sightings, poses: Poses, group: IntArray, prior: Prior, origin: int | None
 ) -> tuple[Poses, IntArray, Prior]:
-    """Move all groups that have tags with a prior into the world frame of the prior, as group 0; other groups keep
-    their own world frames, and are numbered 1, 2, ...
+    """Move the groups whose tags determine the prior's world frame into this frame, as group 0. Other groups keep their
+    own world frames, and are numbered 1, 2, ...
 
     Args:
         sightings: sightings of the tags.
@@ -99,8 +99,8 @@ def into_world(
 
 
 def turns_of(tags: FloatArray, group: IntArray, prior: Prior, in_order: bool) -> IntArray:
-    """For each tag, the number of quarter turns about its normal by which its pose differs from its prior pose,
-    clockwise for a viewer in front of the tag.
+    """Numbers of quarter turns about the tags' normals by which poses differ from the prior poses. Turns are clockwise
+    for a viewer in front of the tag.
 
     A turn that most tags share is attributed to the order of the corners, unless the order of the corners is known.
     Exactly known tags are assumed to hang as in the prior.
@@ -129,8 +129,15 @@ def turns_of(tags: FloatArray, group: IntArray, prior: Prior, in_order: bool) ->
 
 
 def _quarters(tags: FloatArray, planned: FloatArray, group: IntArray) -> IntArray:
-    """Quarter turns about their normals by which tags with poses `tags` `(K, 4, 4)` differ from their `planned` poses,
-    after each group, `group` `(K,)`, is aligned with the plan; -1 if unknown.
+    """Numbers of clockwise quarter turns by which tags are rotated about their normals relative to the plan.
+
+    Args:
+        tags: poses of the tags, `(K, 4, 4)`.
+        planned: planned poses of the tags, `(K, 4, 4)`.
+        group: group of each tag, `(K,)`; each group is aligned with the plan by itself, tags with -1 are left out.
+
+    Returns:
+        numbers from 0 to 3, `(K,)`; -1 if unknown.
     """
     turned = np.full(len(group), -1)
     for g in np.unique(group[group >= 0]):

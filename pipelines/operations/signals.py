@@ -17,7 +17,7 @@ class Stopped(KeyboardInterrupt):
 
     Args:
         number: number of the signal.
-        why: reason of the signal, if this process sent it.
+        why: reason of the signal if this process sent it itself, else empty.
     """
 
     def __init__(self, number: int, why: str = "") -> None:
@@ -55,7 +55,10 @@ class Stop:
         return 128 + self._number
 
     def listen(self) -> None:
-        """Begin to handle the signals. A hang-up that the process already ignores, as under `nohup`, stays ignored."""
+        """Begin to handle the signals.
+
+        A hang-up that the process already ignores, as under `nohup`, stays ignored.
+        """
         for number in SIGNALS:
             if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
                 signal.signal(number, self._handle)
@@ -79,12 +82,12 @@ class Stop:
             if self.requested or not worth_waiting():
                 self._raise(number)
             self._number = number
-            tell(f"stopping after {step}; once more to stop at once")
+            tell(f"stopping after {step}; interrupt again to stop at once")
 
         return self._acting(act)
 
     def shielded(self) -> AbstractContextManager[None]:
-        """Context in which a signal only sets `requested`, for short work that must not be interrupted."""
+        """Context in which a signal only sets `requested`; it is meant for short work that must not be interrupted."""
         return self._acting(partial(setattr, self, "_number"))
 
     @contextmanager
@@ -129,9 +132,7 @@ class Stop:
 
 
 def tell(text: str) -> None:
-    """Write a line to stderr directly. Python's buffer is avoided, because the signal may have interrupted a write to
-    it.
-    """
+    """Write a line to stderr directly, without Python's buffer, as the signal may have interrupted a write to it."""
     with suppress(OSError):  # the reader may have ended
         os.write(2, f"\n{text}\n".encode())
 
@@ -141,7 +142,8 @@ def _ignore(number: int) -> None:
 
 
 def _unless_stopped(unraisable: "sys.UnraisableHookArgs") -> None:
-    """Ignore a `Stopped` that was raised where Python cannot pass on exceptions, for example in a destructor;
+    """Handle an exception that Python cannot pass on, for example from a destructor: ignore it if it is `Stopped`.
+
     `requested` is set nevertheless.
     """
     if not isinstance(unraisable.exc_value, Stopped):

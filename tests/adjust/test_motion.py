@@ -104,7 +104,7 @@ def test_the_bias_of_odometry_is_found():
     np.testing.assert_allclose(at.bias * np.repeat(BIAS, 3), lean, rtol=0.02, atol=1e-6)  # of the odometer's metres
 
 
-FEW_LINKS = [(100.0, 1.0, "at most 1 s apart, but the frames have 100 to 104 s"), (0.5, 1.5, "a pose every 1 s")]
+FEW_LINKS = [(100.0, 1.0, "gaps up to 1 s, but the frames have 100 to 104 s"), (0.5, 1.5, "gaps of at most 1 s")]
 
 
 @pytest.mark.parametrize(("later", "apart", "said"), FEW_LINKS)

@@ -95,7 +95,7 @@ def test_all_visible_is_all_visible():
     assert_allclose(
         se3.act(FLIGHT.poses, recording.points[0]), np.broadcast_to(UNIFORM.positions, (401, 90, 3)), atol=1e-12
     )
-    with pytest.raises(InputError, match=r"^all_visible must be false where measurements are not exact"):
+    with pytest.raises(InputError, match=r"^all_visible must be false if measurements are not exact"):
         recorded(PointDetector(pixel_noise=0.5), all_visible=True)
 
 

@@ -192,7 +192,7 @@ def test_an_open_shutter_blurs_what_moves():
         (lambda: TagDetector(TAG, "eyes"), "^reader must be one of aruco, apriltag"),
         (lambda: TagDetector(TAG, missed=2.0), r"^missed must be in \[0, 1\], got 2"),
         (lambda: RenderedDetector(Tag(), ArucoDetector(), Imaging()), "^tag.edge must be given, in metres"),
-        (lambda: RenderedDetector(TAG, object(), Imaging()), "^reader must have corner_errors, object does not"),
+        (lambda: RenderedDetector(TAG, object(), Imaging()), "^reader must have corner_errors; object has none"),
         (lambda: RenderedDetector(TAG, ArucoDetector(), Imaging(), 0.0), "^pixel_noise must be greater than 0"),
         (lambda: RenderedDetector(TAG, ArucoDetector(), Imaging(), shutter=-1.0), "^shutter must be at least 0"),
         (lambda: record(TagDetector(TAG), [flight(all_visible=True)]), "^all_visible must be false"),

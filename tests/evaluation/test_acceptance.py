@@ -27,8 +27,8 @@ PAGE = Path(__file__).parents[2] / "docs" / "acceptance.md"
 ROW = "station,zone,x,y,z,yaw_deg,reported_x,reported_y,reported_z,tags\n1,hall,{}\n"
 REFUSED = [
     ("2,2,1.4,60,2,2,,0 1", "line 2: reported_z is '', not a number"),
-    ("2,2,1.4,60,2,2,1.4,", r"station '1' at \[2.0, 2.0, 1.4, 60.0\] sees fewer than 2 of its tags"),
-    ("2000,2000,1400,60,2,2,1.4,0 1", r"at \[2000.0, .*\] is outside the room, in metres"),
+    ("2,2,1.4,60,2,2,1.4,", r"station '1' at \[2.0, 2.0, 1.4, 60.0\] sees fewer than 2 listed tags"),
+    ("2000,2000,1400,60,2,2,1.4,0 1", r"at \[2000.0, .*\] is outside the room; give metres"),
     ("2,2,1.4,sixty,2,2,1.4,0 1", "yaw_deg is 'sixty', not a number"),
     ("2,2,1.4,60,2,2,inf,0 1", "reported_z is 'inf', not a finite number"),
     ("2,2,1.4,60,2,2,1.4", "has 9 values, but the header has 10 columns"),

@@ -140,7 +140,7 @@ def test_arrays_that_are_no_calibration_are_named(tmp_path):
     path = tmp_path / "camera.npz"
     for head, words in (
         (b"\x80\x04\x95", "is a pickle of Python, which may run code: write it by numpy.savez"),
-        (b"MATLAB 5.0 MAT-file", r"is a file of MATLAB: for a calibration writelines\(jsonencode\(toStruct"),
+        (b"MATLAB 5.0 MAT-file", r"is a file of MATLAB: for a calibration run writelines\(jsonencode\(toStruct"),
         (b"PK\x03\x04nothing", "cannot be read as arrays"),
     ):
         path.write_bytes(head)

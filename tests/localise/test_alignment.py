@@ -156,7 +156,7 @@ def test_models_that_do_not_fit_are_refused(done):
     turned = one._replace(poses=one.poses @ exp(np.array([1.5, 0.7, 0.0, 0.0, 0.0, 0.0])))
     still = one._replace(poses=np.where(np.arange(4) == 3, one.poses[:1], one.poses))
     for model in (one._replace(names=["b.png"] * 60), turned, still):
-        with pytest.raises(InputError, match=r"^align: .* (0 localised in common|fit one similarity)"):
+        with pytest.raises(InputError, match=r"^align: .* (0 localised images in both|fit one similarity)"):
             align(model, done[1])
 
 

@@ -132,7 +132,7 @@ def test_every_fifth_drive_of_a_recording_is_held_out():
     whole = cut(source.draw(), 2.0)
     assert len(objective.drives) + len(objective.fresh) == len(whole) > 5
     np.testing.assert_array_equal(objective.fresh.trajectories[0].poses, whole[4].poses)
-    with pytest.raises(InputError, match="held_out = 5 needs 5 drives, the recording gives 1: shorten"):
+    with pytest.raises(InputError, match="held_out = 5 needs 5 drives, but the recording gives 1: shorten"):
         problem_of(source, block=500.0)
 
 

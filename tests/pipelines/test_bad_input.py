@@ -114,7 +114,7 @@ CASES = [
     ("observe", "estimator.observer.gain=100", "estimator.observer.gain + damping = 101 1/s must stay below 20 1/s"),
     ("observe", "sensor=rendered tag.edge=null", "sensor.tag.edge must be given, in metres, as a detector"),
     ("observe", "sensor=noisy tag.edge=0.1 sensor.reader=eyes", "sensor.reader must be one of aruco"),
-    ("observe", "all_visible=true", "all_visible must be false where measurements are not exact"),
+    ("observe", "all_visible=true", "all_visible must be false if measurements are not exact"),
     ("detect", "frames=1e12", f"frames = 1000000000000 frames of 90 landmarks {MANY}"),
     ("detect", "tag.edge=null", "tag.edge must be given, in metres, as a detector cannot read a point: measure the"),
     ("detect", "tag.family=16h5", "tag.family 16h5 has 30 different tags, too few for 90."),

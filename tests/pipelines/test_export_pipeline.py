@@ -46,4 +46,4 @@ def test_a_map_of_one_stack_becomes_that_of_another(work):
     assert tags[0]["corners"]["top_left"] == pytest.approx([0.0, 1.925, 3.075])
     done = inside("export", *found, "formats=[rtabmap]", cwd=work, settings=TAGS)
     assert done.returncode == 1
-    assert "formats has rtabmap: it has one edge for all tags, but these have 0.05, 0.15 m" in done.stderr
+    assert "formats has rtabmap: it holds one edge length, but the tags have 0.05, 0.15 m" in done.stderr

@@ -68,7 +68,7 @@ def told(begin, tmp_path):
 def test_told_to_stop_while_the_map_is_refined_it_leaves_the_map_so_far(told, number, tmp_path):
     code, out, err = told(("REFINING", 1), number=number)
     assert code == 128 + number, err
-    assert err == "\nstopping after this step; once more to stop at once\n"
+    assert err == "\nstopping after this step; interrupt again to stop at once\n"
     assert "interrupted while refining the cameras: the map is not final, or later steps are missing" in out
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
         ".hydra", "camera.yaml", "colmap", "frames.csv", "in_view.csv", "map.csv", "map.npz", "survey.json",

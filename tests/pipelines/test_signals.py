@@ -66,7 +66,7 @@ def test_deferred_the_second_raises(stop, capfd):
         assert stop.requested
         with pytest.raises(Stopped):
             signal.raise_signal(signal.SIGINT)
-    assert "once more to stop at once" in capfd.readouterr().err
+    assert "interrupt again to stop at once" in capfd.readouterr().err
 
 
 def test_deferred_the_first_raises_where_there_is_nothing_to_wait_for(stop):

@@ -137,7 +137,7 @@ def test_a_tag_that_is_hardly_known_is_not_placed(monkeypatch):
     assert set(np.asarray(tag_columns(found)["state"])[found.loose]) == {"hardly known"}
     assert f"{found.placed.sum()} of {(found.placed | found.loose).sum()} placed" in to_text(found)
     monkeypatch.setattr("lmd.survey.survey.LOOSE_M", 1e-6)
-    with pytest.raises(InputError, match="or no tag is well known beside the others"):
+    with pytest.raises(InputError, match="or no tag's pose relative to the others is accurate"):
         found_of(driven, known)
 
 

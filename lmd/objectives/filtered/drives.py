@@ -1,4 +1,4 @@
-"""Drives of a camera or of a rig's body, and the odometry along them, as plain arrays."""
+"""Drives of a camera or of a rig's body, and the odometry along the drives, as plain arrays."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -53,8 +53,8 @@ class Drives(Checked):
 
     @cached_property
     def poses(self) -> FloatArray:
-        """Poses of the camera, or of the rig's body, in all frames, as matrices from its axes to the world's, `(F, 4,
-        4)`.
+        """Poses of the camera, or of the rig's body, in all frames, `(F, 4, 4)`: matrices from the axes of the camera
+        or body to the axes of the world.
         """
         return np.concatenate([drive.poses for drive in self.trajectories])
 
@@ -65,13 +65,13 @@ class Drives(Checked):
 
     @cached_property
     def axes(self) -> FloatArray:
-        """Directions of the optical axis and of the image's right in all frames, unit vectors, `(F, 6)`."""
+        """Unit vectors along the optical axis and to the right in the image, in all frames, `(F, 6)`."""
         return axis_and_right(self.poses)
 
     @cached_property
     def seconds(self) -> FloatArray:
-        """Time until the next frame of the drive, seconds, `(F,)`; the last frame of a drive lasts as long as the frame
-        before.
+        """Time until the next frame of the drive, seconds, `(F,)`. The last frame of a drive lasts as long as the frame
+        before it.
         """
         steps = [np.round(np.diff(drive.time), DECIMALS) for drive in self.trajectories]
         return np.concatenate([np.append(step, step[-1]) for step in steps])
@@ -92,8 +92,8 @@ class Drives(Checked):
 
     @property
     def start(self) -> FloatArray:
-        """Covariance of the initial pose, `(21,)`, in the order of numbers described in
-        `lmd.objectives.filtered.lanes`.
+        """Covariance of the initial pose, `(21,)`. The numbers are in the order that `lmd.objectives.filtered.lanes`
+        states: block of the position, mixed block, block of the rotation.
         """
         start = np.zeros(21)
         start[[0, 3, 5]] = min(self.start_position, UNKNOWN_POSITION) ** 2
@@ -103,7 +103,8 @@ class Drives(Checked):
     @property
     def vaguest(self) -> float:
         """Greatest variance that a pose reaches without tags, along or about an axis, m^2 or rad^2: the initial
-        variance plus the odometry's. Errors of the position that follow from errors of the rotation are ignored.
+        variance plus the variance of the odometry. Errors of the position that follow from errors of the rotation are
+        ignored.
         """
         drift = np.add.reduceat(self.moves[:, 3:], self.first[:-1]).max(axis=0)
         return float((self.start[[0, 15]] + drift).max())
@@ -126,7 +127,8 @@ class Drives(Checked):
         return np.asarray(relevance / whole[self.of_frame])
 
     def share_of(self, values: FloatArray, relevance: FloatArray) -> FloatArray:
-        """Mean of values of the frames `(..., F)` over each drive, `(..., D)`, weighted by relevance `(F,)`.
+        """Mean over each drive, `(..., D)`, of the `values` of the frames, `(..., F)`, weighted by the relevance
+        `(F,)`.
 
         Raises:
             InputError: the total relevance of a drive is zero.

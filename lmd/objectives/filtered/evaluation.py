@@ -1,4 +1,5 @@
-"""Filtered poses for a whole deployment, computed from the information of every frame by a filter along each drive.
+"""Covariances of the filtered poses for a whole deployment, computed by a Kalman filter along each drive. In each
+frame, the filter uses the odometry and the Fisher information of the tags in view.
 
 A reference in NumPy is included; the compiled code must equal the reference bit for bit.
 """
@@ -39,7 +40,7 @@ class FrameInformation(NamedTuple):
 
 
 class FilteredPoses(NamedTuple):
-    """Filtered pose of each frame."""
+    """Accuracy of the filtered pose in each frame."""
 
     known: BoolArray
     """`(F,)` mask of the poses that are known to the tolerance."""
@@ -50,7 +51,7 @@ class FilteredPoses(NamedTuple):
 def frame_information(
     evaluator: Evaluator, deployment: Deployment, asked: Precision, n: int, drives: Drives
 ) -> FrameInformation:
-    """Information of a deployment in each frame.
+    """Fisher information about the pose in each frame, from the tags of a deployment.
 
     Args:
         evaluator: scene and visibility.
@@ -79,9 +80,10 @@ def frame_information(
 
 
 def _cameras(scene: Scene, axes: FloatArray) -> tuple[Any, FloatArray, FloatArray]:
-    """Cameras of the scene, and two arrays for each camera and frame: the offset of the camera from the body, `(C, F,
-    3)`, metres, and the axes of the camera, `(C, F, 6)`. The argument `axes` `(F, 6)` has the axes of the body in each
-    frame.
+    """Cameras of the scene, and two arrays with an entry for each camera and frame.
+
+    The arrays are the offset of the camera from the body, `(C, F, 3)`, metres, and the axes of the camera, `(C, F, 6)`.
+    The argument `axes` `(F, 6)` has the axes of the body in each frame.
     """
     if scene.rig is None:
         return scene.cameras, np.zeros((1, len(axes), 3)), axes[None]
@@ -89,7 +91,7 @@ def _cameras(scene: Scene, axes: FloatArray) -> tuple[Any, FloatArray, FloatArra
 
 
 def filtered_poses(drives: Drives, information: FrameInformation, tolerance: Tolerance) -> FilteredPoses:
-    """Compute the filtered poses of all drives, in compiled code."""
+    """Run a Kalman filter along each drive, in compiled code, and return the covariances of the filtered poses."""
     known, kept = np.zeros(len(information.sums), dtype=np.uint8), np.zeros((len(information.sums), NUMBERS))
     informed = information.informed.astype(np.uint8)
     filter_drives(drives.first, drives.moves, information.sums, informed, drives.start, tolerance, lanes(), known, kept)
@@ -99,7 +101,11 @@ def filtered_poses(drives: Drives, information: FrameInformation, tolerance: Tol
 def reference_information(
     scene: Scene, deployment: Deployment, asked: Precision, n: int, drives: Drives
 ) -> FrameInformation:
-    """Information of each frame, computed frame by frame with the NumPy reference of localisation."""
+    """Fisher information about the pose in each frame, computed frame by frame with the NumPy reference of
+    localisation.
+
+    Arguments as in `frame_information`, with `scene` in place of the evaluator.
+    """
     sums, informed = np.zeros((len(drives.positions), NUMBERS)), np.zeros(len(drives.positions), dtype=np.bool_)
     for f, (position, axes) in enumerate(zip(drives.positions, drives.axes, strict=True)):
         numbers, covered = information_of(scene, deployment, asked, position, axes[None])
@@ -112,8 +118,8 @@ def reference_information(
 
 
 def reference_filter(drives: Drives, information: FrameInformation, tolerance: Tolerance) -> FilteredPoses:
-    """Compute the filtered poses of all drives by the reference; each step advances all drives that have further
-    frames.
+    """Run a Kalman filter along each drive, in NumPy, and return the covariances of the filtered poses. Each step
+    advances by one frame all drives that have further frames.
     """
     known, kept = np.zeros(len(information.sums), dtype=np.bool_), np.zeros_like(information.sums)
     p: FloatArray = np.repeat(drives.start[:, None], len(drives), axis=1)

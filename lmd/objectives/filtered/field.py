@@ -28,7 +28,7 @@ LANDMARK_BYTES = 30  # memory of a landmark in a frame
 
 
 class FilteredState(NamedTuple):
-    """Filtered poses of a deployment: K landmarks and F frames."""
+    """State of the field of filtered poses, for a deployment of K landmarks and F frames."""
 
     poses: np.ndarray
     """`(6, K)` positions, metres, and unit normals."""
@@ -52,7 +52,9 @@ class FilteredState(NamedTuple):
 
 
 class FilteredScratch(NamedTuple):
-    """Working memory with the move tried last; after the move is carried out, with the reverse move."""
+    """Working memory with the results of the move tried last. After the move is carried out, it describes the reverse
+    move.
+    """
 
     units: np.ndarray
     """`(F,)` quantised value of each frame after the move."""
@@ -103,16 +105,16 @@ class FilteredScratch(NamedTuple):
     moment: np.ndarray
     """`(16,)` moments of a landmark (sums over its corners), see `lmd.objectives.localisation.information.moments`."""
     lanes: Lanes
-    """Working memory of the Kalman filters, one filter in each lane."""
+    """Working memory of the Kalman filters, which run along several drives in parallel."""
 
 
 class FilteredField(NamedTuple):
-    """Constant data of the field; a `lmd.incremental.field.Field` with one position for each frame."""
+    """Constant data of the field of filtered poses; a `lmd.incremental.field.Field` with a position for each frame."""
 
     positions: np.ndarray
     """`(3, L)` positions of the frames, metres; L >= F is a multiple of `BLOCK`, the last frame is repeated."""
     axes: np.ndarray
-    """`(6, L)` directions of the optical axis and of the image's right in the frames, unit vectors."""
+    """`(6, L)` unit vectors along the optical axis and to the right in the image, for each frame."""
     cosine: float
     """Lower bound on the cosine of the angle between the optical axis and the direction of a covered landmark."""
     boxes: np.ndarray
@@ -200,7 +202,8 @@ undo.register(FilteredField)(exchange_move)
 def filtered_field(
     evaluator: Evaluator, drives: Drives, precision: Precision, n: int, tolerance: Tolerance
 ) -> FilteredField:
-    """Make the field for drives; the positions of the evaluator must be the positions of the frames.
+    """Make the field (incremental evaluator) of filtered poses along drives. The positions of the evaluator must be the
+    positions of the frames.
 
     Args:
         evaluator: evaluator of a single camera at the positions of the frames.

@@ -10,8 +10,9 @@ covariance:
 
 Here the twist is expressed in the axes of the world: v is the error of the camera's position and w the error of its
 rotation. In these axes Ad(T^-1) is v <- v + w x d with the displacement d of the camera. Odometry with equal noise
-along all axes has the covariance Q = diag(m^2 h, t^2 h) in any axes, with the densities m and t over the time h. I has
-the numbers of `lmd.objectives.localisation.information` times `Tolerance.scale`, which contains the noise.
+along all axes has the covariance Q = diag(m^2 h, t^2 h) in any axes, with the noise densities m and t (position and
+rotation) and the time h. I has the numbers of `lmd.objectives.localisation.information` times `Tolerance.scale`, which
+contains the noise.
 
 A covariance or an information is 21 numbers, in three blocks. The first is the block of v as xx, xy, xz, yy, yz, zz.
 Then come the block of v and w row by row, and the block of w in the order of the block of v. The functions take numbers
@@ -45,8 +46,8 @@ Number = Any  # a number in kernels, an array in the reference
 
 @inlined
 def predicted(p: Any, way: Vector, motion: Number, turn: Number) -> tuple[Number, ...]:
-    """Covariance after the displacement `way` [m]; `motion` [m^2] and `turn` [rad^2] are the variances of the odometry
-    along and about each axis.
+    """Covariance after the displacement `way`, metres, from the covariance `p` before it, 21 numbers each. `motion`
+    [m^2] and `turn` [rad^2] are the variances of the odometry along and about each axis.
     """
     vxx, vxy, vxz, vyy, vyz, vzz, xxx, xxy, xxz, xyx, xyy, xyz, xzx, xzy, xzz, wxx, wxy, wxz, wyy, wyz, wzz = p
     # X' = X - [d]x W, with the rows of X as covariances of v_i with w.
@@ -66,7 +67,9 @@ def predicted(p: Any, way: Vector, motion: Number, turn: Number) -> tuple[Number
 
 @inlined
 def _inverse(matrix: Any) -> tuple[Number, Number, Number, Number, Number, Number]:
-    """Inverse of a positive definite 3 x 3 matrix of six numbers, by the factorisation L D L^T."""
+    """Inverse of a positive definite 3 x 3 matrix, by the factorisation L D L^T. Matrix and inverse are six numbers
+    each: xx, xy, xz, yy, yz, zz.
+    """
     xx, xy, xz, yy, yz, zz = matrix
     a = 1.0 / xx
     p, q = xy * a, xz * a
@@ -108,8 +111,8 @@ def inverted(p: Any) -> tuple[Number, ...]:
 
 @inlined
 def updated(p: Any, i: Any, scale: float) -> tuple[Number, ...]:
-    """Covariance of a pose after an image has updated the covariance `p`. The information of the image is `scale` times
-    `i`, 21 numbers.
+    """Covariance of a pose after an image, from the covariance `p` before the image. The information of the image is
+    `scale` times `i`. Covariances and `i` are 21 numbers each, in the order that the module's docstring states.
     """
     (
         l0, l1, l2, l3, l4, l5, l6, l7, l8, l9, l10, l11, l12, l13, l14, l15, l16, l17, l18, l19, l20
@@ -130,11 +133,14 @@ def update_beyond_rounding(
     """Update a covariance in place with the information of an image, ignoring directions whose information is below the
     rounding error.
 
-    The information is decomposed into directions d h h^T, the largest pivot first. Each direction updates the
-    covariance as a scalar measurement: P <- P - P h h^T P / (h^T P h + 1 / (scale d)).
+    The information is decomposed into terms d h h^T with a pivot d and a direction h, the largest pivot first. Each
+    term updates the covariance P as a scalar measurement: P <- P - P h h^T P / (h^T P h + 1 / (scale d)).
 
     Args:
-        rows, sums: covariances, and information; number j of either is the entry `lane + j * step`.
+        rows, sums: covariances and information of all lanes (drives that are filtered in parallel), 21 numbers each in
+            the order of the module: block of the position (xx, xy, xz, yy, yz, zz), mixed block row by row, block of
+            the rotation.
+        lane, step: number j of the lane is entry `lane + j * step` of `rows` and of `sums`.
         scale: factor of the information.
         least: least pivot d that counts as information; smaller pivots are rounding errors.
         work: working memory, `(3, 6, 6)`.
@@ -186,7 +192,7 @@ MOVES = 5  # numbers of a move, see `Drives.moves`
 
 
 class Tolerance(NamedTuple):
-    """Limits on the covariance of a pose that counts as known, and the unit of the information."""
+    """Limits of the covariance up to which a pose counts as known, and two constants for the information of images."""
 
     position: float
     """Greatest trace of the covariance of the position, m^2."""
@@ -203,7 +209,7 @@ class Tolerance(NamedTuple):
 
 
 class Lanes(NamedTuple):
-    """Working memory of the Kalman filters, one filter in each lane."""
+    """Working memory of the Kalman filters: drives in several lanes, one filter in each, are filtered in parallel."""
 
     covariance: FloatArray
     """`(21 LANES,)` covariance of the pose in each lane."""
@@ -220,7 +226,7 @@ class Lanes(NamedTuple):
 
 
 def lanes() -> Lanes:
-    """New working memory, not yet filled."""
+    """New working memory of the Kalman filters, filled with zeros."""
     return Lanes(
         np.zeros(NUMBERS * LANES), np.zeros(NUMBERS * LANES), np.zeros(MOVES * LANES), np.zeros(LANES, np.uint8),
         np.zeros((2, LANES), np.int64), np.zeros((3, 6, 6)),
@@ -229,7 +235,9 @@ def lanes() -> Lanes:
 
 @inlined
 def column(rows: FloatArray, lane: Integer) -> tuple[Any, ...]:
-    """Read the 21 numbers of a lane from `rows`, a covariance or an information for each lane."""
+    """Read the 21 numbers of a lane (one drive of those filtered in parallel) from `rows`, a covariance or an
+    information for each lane.
+    """
     return (
         rows[lane], rows[lane + _1], rows[lane + _2], rows[lane + _3], rows[lane + _4], rows[lane + _5],
         rows[lane + _6], rows[lane + _7], rows[lane + _8], rows[lane + _9], rows[lane + _10], rows[lane + _11],
@@ -240,7 +248,9 @@ def column(rows: FloatArray, lane: Integer) -> tuple[Any, ...]:
 
 @inlined
 def _write(rows: FloatArray, lane: Integer, p: Any) -> None:
-    """Write the covariance `p` of a lane, 21 numbers, into `rows`, which has the covariances of all lanes."""
+    """Write the covariance `p` of a lane (one drive of those filtered in parallel), 21 numbers, into `rows`, which has
+    the covariances of all lanes.
+    """
     (
         rows[lane], rows[lane + _1], rows[lane + _2], rows[lane + _3], rows[lane + _4], rows[lane + _5],
         rows[lane + _6], rows[lane + _7], rows[lane + _8], rows[lane + _9], rows[lane + _10], rows[lane + _11],
@@ -251,7 +261,7 @@ def _write(rows: FloatArray, lane: Integer, p: Any) -> None:
 
 @inner
 def predict_lanes(lanes: Lanes) -> None:
-    """Predict the covariance of each lane at the lane's next frame from the odometry."""
+    """Predict the covariance in each lane at the next frame of the lane's drive from the odometry, in place."""
     rows, moves = lanes.covariance, lanes.moves
     for lane in range(np.uint64(LANES)):
         way = read3(moves, lane, _1)
@@ -260,8 +270,8 @@ def predict_lanes(lanes: Lanes) -> None:
 
 @overridable
 def update_lanes(least: Any, lanes: Lanes, scale: float) -> None:
-    """Update the covariance of each `informed` lane with the information of the lane; for `least` and `scale` see
-    `Tolerance`.
+    """Update the covariance in each lane whose frame has enough tags in view (`informed`), in place, with the
+    information of this frame. For `least` and `scale` see `Tolerance`.
     """
     for lane in range(LANES):
         if lanes.informed[lane]:
@@ -299,7 +309,8 @@ def filter_drives(
     """Run a Kalman filter along each of D drives; the results are written into `known` and `kept`.
 
     Args:
-        first, moves, start: see `Drives`.
+        first, moves, start: index of the first frame of each drive, `(D + 1,)`; motion before each frame, `(F, 5)`;
+            initial covariance, `(21,)`; see `Drives`.
         sums: information of each frame, `(F, 21)`.
         informed: uint8, 1 for frames whose information is used, `(F,)`.
         tolerance: limits of the covariance up to which a pose counts as known.

@@ -65,7 +65,7 @@ class SeenFrames:
         self._seen += self._views(pose)
 
     def _views(self, pose: Deployment) -> BoolArray:
-        """Mask of the frames in which a single tag at `pose` is seen, `(F,)`."""
+        """Mask `(F,)` of the frames in which a single tag at `pose` is seen."""
         drives, evaluator = self._drives, self._evaluator
         frames = np.arange(len(self._seen))
         if evaluator.scene.rig is None:  # most frames look elsewhere
@@ -141,12 +141,16 @@ class Filtered(AtLeast):
         return f"filtered position known to {1e3 * self.tolerance:g} mm"
 
     def asked(self, scene: Scene) -> Precision:
-        """Edge lengths of the tags, and weight of each corner in the information, as in localisation."""
+        """Edge lengths of the tags, and weight of each corner in the information. The filter does not use the limits
+        that the result also has.
+        """
         camera, limits = scene.cameras[0], (self.tolerance, self.rotation_tolerance)
         return precision(camera, scene.tag, self.pixel_noise, *limits, scene.edges)
 
     def limits(self, scene: Scene) -> Tolerance:
-        """Limits of the covariance up to which a pose counts as known, and the unit of the information."""
+        """Settings of the filter: limits of the covariance up to which a pose counts as known, factor from the sums of
+        information to SI units, and threshold for rounding errors.
+        """
         turn = math.inf if self.rotation_tolerance is None else self.rotation_tolerance
         scale = deviation_per_variance(scene.cameras[0], self.pixel_noise)
         # A view of few points has an information of up to about 100 quanta in directions that it leaves undetermined.
@@ -155,7 +159,7 @@ class Filtered(AtLeast):
         return Tolerance(*limits, 1.0 / scale**2, ROUNDED * QUANTUM if vague else None)
 
     def poses(self, evaluator: Evaluator, deployment: Deployment, drives: Drives | None = None) -> FilteredPoses:
-        """Filtered pose of each frame of `drives`, by default of the training drives."""
+        """Accuracy of the filtered pose in each frame of `drives`, by default of the training drives."""
         scene, along = evaluator.scene, drives or self.drives
         asked, limits = self.asked(scene), self.limits(scene)
         if evaluator.by_reference:
@@ -200,7 +204,7 @@ class Filtered(AtLeast):
         return {"filtered_share": values}
 
     def figures(self, values: FloatArray, relevance: FloatArray) -> dict[str, float]:
-        """Fractions of the time in which the pose is known, for all drives and for the worst drives."""
+        """Two metrics: the fraction of the time in which the pose is known, for all drives and for the worst drives."""
         return self._figures(self.drives, values)
 
     def _figures(self, drives: Drives, values: FloatArray) -> dict[str, float]:

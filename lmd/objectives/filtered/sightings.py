@@ -1,4 +1,4 @@
-"""Landmarks in the frames of drives while one landmark moves: sights, occlusion and information.
+"""Landmarks in view in the frames of drives while one landmark moves: coverage, occlusion and information.
 
 `see` lists the frames in which a move changes the landmarks in view. Occlusion is tested only for landmarks near the
 lines of sight to the moving landmark (`lmd.incremental.occlusion`), block by block of frames.
@@ -32,13 +32,13 @@ _1, _2, _3, _4, _5, _6, _7, _8, _9, _10, _11, _12, _13, _14 = (np.uint64(SPOTS *
 
 @inlined
 def word_of(k: Integer) -> Any:
-    """Index of the word with landmark k's bit, in a bit set of landmarks."""
+    """Index of the 64-bit word with the bit of landmark k, in a bit set of landmarks."""
     return np.uint64(k) // np.uint64(BITS)
 
 
 @inlined
 def bit_of(k: Integer) -> Any:
-    """Word in which only the bit of landmark k is set."""
+    """64-bit word in which only the bit of landmark k is set."""
     return ONE << np.uint64(k) % np.uint64(BITS)
 
 
@@ -56,14 +56,16 @@ def offset_of(place: Vector, f: Integer, field: Any) -> Vector:
 
 @inlined
 def tried_pose(scratch: Any) -> Any:
-    """Position and unit normal of the place tried."""
+    """Position (metres) and unit normal of the place tried."""
     pose = scratch.pose
     return (pose[0], pose[1], pose[2]), (pose[3], pose[4], pose[5])
 
 
 @inlined
 def hide_each_other(i: Integer, pose: Any, k: Integer, other: Any, f: Integer, field: Any) -> Any:
-    """Two flags for landmarks i and k at their poses, seen in frame f: True if i hides k, and True if k hides i."""
+    """Two flags for landmarks i and k as seen in frame f: True if i hides k, and True if k hides i. `pose` and `other`
+    are the positions and normals of i and of k.
+    """
     a, b = offset_of(pose[0], f, field), offset_of(other[0], f, field)
     mine, theirs = sized(field.sight, i), sized(field.sight, k)
     return hide_between(mine, theirs, a, dot3(a, a), b, dot3(b, b), pose[1], other[1])
@@ -71,8 +73,10 @@ def hide_each_other(i: Integer, pose: Any, k: Integer, other: Any, f: Integer, f
 
 @inlined
 def covers_alone(f: Integer, pose: Any, mine: Any, clear: Any, ends: Any, field: Any) -> Any:
-    """True if the camera covers a landmark at `pose` in frame f, other landmarks ignored. The first row of `ends` is
-    the result of `lmd.sight.obstacles.find_ends` for the landmark.
+    """True if the camera covers a landmark at `pose` in frame f, other landmarks ignored.
+
+    `mine` is the landmark's model of sight. `clear` is True if the room has no obstacles. Otherwise the first row of
+    `ends` is the result of `lmd.sight.obstacles.find_ends` for the landmark.
     """
     offset = offset_of(pose[0], f, field)
     reached, low, _, _ = from_position(mine, offset, pose[1], 0.0)
@@ -83,7 +87,7 @@ def covers_alone(f: Integer, pose: Any, mine: Any, clear: Any, ends: Any, field:
 
 @inlined
 def add_landmark(row: FloatArray, sign: float, f: Integer, k: Integer, pose: Any, field: Any, scratch: Any) -> None:
-    """Add to a row of `sums` the information of landmark k at `pose` in frame f, times `sign`."""
+    """Add the information of landmark k at `pose` in frame f, times `sign`, to `row`, a row of `sums`."""
     moment, offset = scratch.moment, offset_of(pose[0], f, field)
     landmark_moments(offset, pose[1], field.precision, k, moment)
     weight = pixel_density(field.sight, offset, field.axes, f)
@@ -93,7 +97,7 @@ def add_landmark(row: FloatArray, sign: float, f: Integer, k: Integer, pose: Any
 
 @inner
 def _mark_ahead(field: Any, scratch: Any) -> None:
-    """Mark the frames in which the place tried may lie in the camera's field of view."""
+    """Mark in `scratch.covered` the frames in which the place tried may lie in the camera's field of view."""
     ahead, (place, _) = scratch.covered, tried_pose(scratch)
     for f in range(np.uint64(len(ahead))):
         offset = offset_of(place, f, field)
@@ -102,8 +106,11 @@ def _mark_ahead(field: Any, scratch: Any) -> None:
 
 @inner
 def _flush(role: Integer, count: Integer, k: Integer, normal: Any, field: Any, scratch: Any) -> None:
-    """Empty the buffer `spots` of a role (old place or place tried): for its first `count` entries, add the information
-    of landmark k to the sums of the entries' frames.
+    """Apply the entries of the buffer `spots` of a role (old place or place tried): change the sums of frames by the
+    information of landmark k.
+
+    For each of the first `count` entries, the information is subtracted from the sums of the entry's frame (old place),
+    or added to these sums (place tried).
     """
     spots, shares, frames, asked = scratch.spots[role], scratch.shares, scratch.spotted[role], field.precision
     right, up = upright_sides(half_of(asked, k), normal)
@@ -128,7 +135,7 @@ def _flush(role: Integer, count: Integer, k: Integer, normal: Any, field: Any, s
 @inlined
 def _spot(role: Integer, count: Integer, f: Integer, k: Integer, pose: Any, field: Any, scratch: Any) -> Any:
     """Append frame f, which shows the moving landmark at `pose`, to the buffer `spots` of a role (old place or place
-    tried); return the number of entries.
+    tried). Return the number of entries; 0 if the buffer was full and has been emptied by `_flush`.
     """
     spots, i, offset = scratch.spots[role], np.uint64(count), offset_of(pose[0], f, field)
     write3(spots, i, _1, offset)
@@ -142,7 +149,9 @@ def _spot(role: Integer, count: Integer, f: Integer, k: Integer, pose: Any, fiel
 
 @inner
 def _list_near(b: Integer, k: Integer, width: float, state: Any, field: Any, scratch: Any) -> None:
-    """List the landmarks that may hide landmark k, or be hidden by landmark k, from the frames of block b."""
+    """Write into the bit sets `scratch.near` the landmarks that may hide landmark k, or be hidden by it, from the
+    frames of block b: one set for the old place, one for the place tried.
+    """
     near, (middle, half) = scratch.near, pair3(field.boxes, b)
     sides = np.float32(half[0]), np.float32(half[1]), np.float32(half[2])
     for role in range(2):
@@ -161,7 +170,7 @@ def _list_near(b: Integer, k: Integer, width: float, state: Any, field: Any, scr
 
 @inner
 def begin(field: Any, k: Integer, pose: FloatArray, surface: Integer, state: Any, scratch: Any) -> None:
-    """Store the place to try, and clear the data of the last move."""
+    """Begin a trial: store the place to try for landmark k in the scratch, and clear the data of the last move."""
     scratch.surface[0], scratch.numbers[PAIRS] = surface, 0
     for i in range(6):
         scratch.pose[i] = pose[i]
@@ -184,7 +193,9 @@ def begin(field: Any, k: Integer, pose: FloatArray, surface: Integer, state: Any
 
 @inner
 def see(field: Any, k: Integer, state: Any, scratch: Any) -> None:
-    """Find the frames in which the move changes the landmarks in view, and compute the information of these frames."""
+    """Find the frames in which the move of landmark k changes the landmarks in view, and compute the sums of
+    information in these frames after the move.
+    """
     poses, width, reaches, mine = state.poses, 0.0, field.sight.reach >= 0.0, sized(field.sight, k)
     clear, ends, d, old, new = is_clear(field.obstacles), scratch.ends, 0, pair3(state.poses, k), tried_pose(scratch)
     if reaches:
@@ -244,8 +255,10 @@ def see(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 @inlined
 def _meet(j: Integer, f: Integer, k: Integer, covered: Any, field: Any, state: Any, scratch: Any) -> Any:
-    """Process another landmark j, as seen in frame f. Count landmark j if it hides landmark k at the place tried. List
-    landmark j if landmark k hides it at the old place or at the place tried.
+    """Process landmark j, which is not the moving landmark k, in frame f.
+
+    The pair of f and j is listed if the move changes whether k hides j. The result is 1 if the camera covers k at the
+    place tried (`covered`) and j hides k there, else 0.
     """
     seen, hiding, change, other = _is_covered(state, f, j), False, np.int64(0), pair3(state.poses, j)
     before, after = scratch.near[0, word_of(j)] & bit_of(j), scratch.near[1, word_of(j)] & bit_of(j)

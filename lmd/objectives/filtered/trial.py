@@ -1,5 +1,5 @@
-"""Moves of single landmarks along drives: the frames in which the landmarks in view change, and the filters from these
-frames on.
+"""Trial of a move of one landmark: it finds the frames of drives in which the landmarks in view change, and filters the
+drives again from these frames on.
 
 A move changes the information of the frames in which the landmark is seen at its old place or at the place tried. The
 move also changes the frames in which the landmark begins or ceases to hide another landmark. Each drive with changed
@@ -35,7 +35,9 @@ from lmd.sight.obstacles import find_ends, is_clear
 
 @inlined
 def _load(lane: Integer, f: Integer, field: Any, state: Any, scratch: Any) -> Any:
-    """Load the odometry and the information of frame f into a lane; return True if the frame has information."""
+    """Load the odometry and the information of frame f into a lane, the working memory of one drive of those filtered
+    in parallel. Return True if the frame has information: at least n landmarks in view.
+    """
     work, changed = scratch.lanes, scratch.changed[f] != 0
     count, s = scratch.counts[f] if changed else state.counts[f], work.information
     row = scratch.sums[f] if changed else state.sums[f]
@@ -56,7 +58,9 @@ def _load(lane: Integer, f: Integer, field: Any, state: Any, scratch: Any) -> An
 
 @inlined
 def _store(lane: Integer, f: Integer, field: Any, scratch: Any) -> None:
-    """Store covariance and value of a lane for frame f."""
+    """Store the covariance of a lane (one drive of those filtered in parallel) as the covariance of frame f, and the
+    value of this frame: `PROBABILITY_ONE` if the pose is known to the tolerance, else 0.
+    """
     work = scratch.lanes
     for j in range(NUMBERS):
         scratch.covariances[f, j] = work.covariance[j * LANES + lane]
@@ -65,7 +69,9 @@ def _store(lane: Integer, f: Integer, field: Any, scratch: Any) -> None:
 
 @inlined
 def _begin_drive(lane: Integer, d: Integer, field: Any, state: Any, scratch: Any) -> None:
-    """Put drive d into a lane, from its first changed frame on."""
+    """Put drive d into a lane of the filter, from the drive's first changed frame on. The filter starts from the
+    covariance of the frame before, or from the drive's initial covariance.
+    """
     work, f = scratch.lanes, scratch.starts[d]
     work.frames[0, lane], work.frames[1, lane] = f, field.first[d + 1]
     for j in range(NUMBERS):
@@ -75,8 +81,8 @@ def _begin_drive(lane: Integer, d: Integer, field: Any, state: Any, scratch: Any
 
 @inner
 def _filter(field: Any, state: Any, scratch: Any) -> None:
-    """Filter again the drives with changed frames, several drives at once, each in a lane. A lane at the end of its
-    drive takes the next drive.
+    """Filter the drives with changed frames again, from the first changed frame on. Several drives are filtered at
+    once, each in a lane; a lane at the end of its drive takes the next drive.
     """
     work, first, starts, d, drives = scratch.lanes, field.first, scratch.starts, 0, len(field.first) - 1
     frames = work.frames
@@ -109,7 +115,9 @@ def _filter(field: Any, state: Any, scratch: Any) -> None:
 
 @inner
 def bound_move(field: Any, k: Integer, pose: FloatArray, surface: Integer, state: Any, scratch: Any) -> None:
-    """Write into `scratch.units` the values after a move of landmark k to `pose` `(6,)` on a surface."""
+    """Write into `scratch.units` the values of the frames after a move of landmark k to `pose` on a surface. `pose`
+    `(6,)` is position (metres) and unit normal.
+    """
     begin(field, k, pose, surface, state, scratch)
     see(field, k, state, scratch)
     _filter(field, state, scratch)
@@ -153,7 +161,7 @@ def exchange_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 @kernel
 def fill_state(field: Any, state: Any, scratch: Any) -> None:
-    """Compute all other arrays of a state from the poses of its landmarks."""
+    """Compute all other arrays of a state from the poses of its landmarks, in place."""
     poses, clear, ends = state.poses, is_clear(field.obstacles), scratch.ends
     for k in range(poses.shape[1]):
         mine, pose = sized(field.sight, k), pair3(poses, k)

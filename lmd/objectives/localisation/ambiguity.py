@@ -3,9 +3,10 @@
 Far from the camera, a square has nearly the same image after its normal is mirrored about the line of sight: these are
 the two solutions of IPPE. Let s be the edge, d >> s the distance, t and u the unit vectors to the square's right and
 up, and b the unit vector to its centre. Let p = t . b and q = u . b, so that p^2 + q^2 is the squared sine of the
-incidence angle. The translation, rotation and foreshortening of the mirrored pose absorb all differences of the two
-images but one, to the leading order in s / d. Perspective moves the corners of one diagonal in one direction and the
-corners of the other diagonal in the opposite direction. This difference leaves the squared residual
+incidence angle, and f the focal length in pixels. The translation, rotation and foreshortening of the mirrored pose
+absorb all differences of the two images but one, to the leading order in s / d. Perspective moves the corners of one
+diagonal in one direction and the corners of the other diagonal in the opposite direction. This difference leaves the
+squared residual
 
     S = (f s^2 / d^2)^2 (p^2 + q^2 - 4 p^2 q^2)
 
@@ -65,8 +66,8 @@ MIRRORED_WIDTH = 32  # length of a row of `sums` with the additional numbers
 
 
 def resolved(asked: Precision, scale: float) -> Precision:
-    """Copy of the precision `asked` that also requires unambiguous views; `scale` is the result of
-    `information.deviation_per_variance`.
+    """Copy of the limits `asked` that also requires unambiguous views. `scale` is the result of
+    `information.deviation_per_variance`: pixel noise over focal length.
     """
     least = 2.0 * NormalDist().inv_cdf(CONFIDENCE) * scale
     return asked._replace(residual=least**2 * (1.0 - TOLERANCE))
@@ -101,8 +102,8 @@ def resolves_ambiguity(precision: Precision) -> bool:
 
 @inlined
 def mirrored_square(tag: Square) -> Number:
-    """Residual S of a tag (see the module), times the cube of the tag's distance, in units of f^2, the squared focal
-    length.
+    """Squared residual S of the mirrored pose of a tag (see the module), times the cube of the tag's distance, in units
+    of f^2, the squared focal length.
     """
     offset, right, up = tag
     squared, along, above = dot3(offset, offset) + TINY, dot3(offset, right), dot3(offset, up)
@@ -112,15 +113,20 @@ def mirrored_square(tag: Square) -> Number:
 
 @inlined
 def residual_ratio(tag: Square, least: Number) -> Number:
-    """Ratio of a tag's residual S to the required residual `least`, times the cube of the tag's distance."""
+    """Ratio of a tag's squared residual S (see the module) to the required residual `least`, times the cube of the
+    tag's distance. Ratios above `MOST` are clipped.
+    """
     squared = dot3(tag[0], tag[0])
     return np.minimum(mirrored_square(tag) / least, MOST * (squared * np.sqrt(squared)))
 
 
 @overridable
 def camera_residual(least: float | None, tag: Square) -> Number:
-    """Contribution of a tag to the last sum of a camera's view, which tells if the two poses of the tag can be
-    distinguished: the `residual_ratio`, or 0 if `least` is None. `share_of` is not applied yet.
+    """Moment of a tag that tells if the tag's two poses can be distinguished: the `residual_ratio`, or 0 if `least` is
+    None.
+
+    `least` is the required squared residual in units of f^2 (`Precision.residual`). The contribution to a view, in the
+    last column of its sums, is this moment times the pixel density (`share_of`).
     """
     return residual_ratio(tag, least)
 
@@ -132,9 +138,11 @@ def _no_camera_residual(least: None, tag: Square) -> Number:
 
 @inlined
 def mirrored_numbers(tag: Square, least: Number) -> tuple[Number, Number, Number, Number, Number]:
-    """Five numbers with which a tag enters the sums of a rig's view, each times the cube of the tag's distance. The
-    numbers are the ratio of S to the required residual `least`, then M and h (three numbers). S and M are in units of
-    f^2.
+    """Five numbers of a tag in a camera of a rig, from which the residual of the mirrored pose is summed over the
+    cameras.
+
+    The numbers are the ratio of S to the required residual `least`, then M and the three components of h (see the
+    module). S and M are in units of f^2. Each number is multiplied by the cube of the tag's distance.
     """
     offset, right, up = tag
     squared, along, above = dot3(offset, offset), dot3(offset, right), dot3(offset, up)
@@ -145,15 +153,18 @@ def mirrored_numbers(tag: Square, least: Number) -> tuple[Number, Number, Number
 
 @inlined
 def rig_ratio(ratio: Number, m: Number, hx: Number, hy: Number, hz: Number, least: Number) -> Number:
-    """Ratio of a rig's residual S to the required residual `least`, from the sums of a single tag's `mirrored_numbers`
-    over the cameras.
+    """Ratio of a rig's squared residual S (see the module) to the required residual `least`. The other arguments are
+    the sums of a single tag's `mirrored_numbers` over the cameras.
     """
     return ratio + (m - (hx * hx + hy * hy + hz * hz) / np.maximum(m, QUANTUM)) / least
 
 
 @overridable
 def has_one_pose(least: float | None, sums: Any, v: Integer, step: Integer) -> Any:
-    """True if the image of a single tag in view v determines one pose; `sums` as in `information`."""
+    """True if the image of a single tag in view v determines one pose; always True if `least` is None.
+
+    Number j of the sums of view v is `sums[v + j * step]`.
+    """
     return sums[v + NUMBERS * step] >= 1.0
 
 
@@ -164,7 +175,10 @@ def _has_any_pose(least: None, sums: Any, v: Integer, step: Integer) -> bool:
 
 @overridable
 def body_has_one_pose(least: float | None, sums: Any, v: Integer, step: Integer) -> Any:
-    """True if the images of a single tag in view v of a rig determine one pose; `sums` as in `information`."""
+    """True if the images of a single tag in view v of a rig determine one pose; always True if `least` is None.
+
+    Number j of the sums of view v is `sums[v + j * step]`; `least` is the required residual.
+    """
     r, m = v + BODY_NUMBERS * step, v + (BODY_NUMBERS + 1) * step
     return rig_ratio(sums[r], sums[m], sums[m + step], sums[m + 2 * step], sums[m + 3 * step], least) >= 1.0
 
@@ -175,7 +189,7 @@ def _body_has_any_pose(least: None, sums: Any, v: Integer, step: Integer) -> boo
 
 
 def width_of(precision: Precision) -> int:
-    """Number of sums that are kept for each view of a rig; there are more if the two poses of a single tag must be
-    distinguished.
+    """Length of the row of sums that is kept for each view of a rig. The row is longer if the two poses of a single tag
+    must be distinguished.
     """
     return MIRRORED_WIDTH if resolves_ambiguity(precision) else BODY_WIDTH

@@ -1,4 +1,4 @@
-"""Versions, for a single camera, of the functions that `views` declares."""
+"""Versions, for a single camera, of the functions that `lmd.objectives.localisation.views` declares."""
 
 from typing import Any
 
@@ -89,7 +89,7 @@ def _clear_moments(views: CameraViews, p: Integer) -> None:
 @inner
 def _update_moments(known: State, k: Integer, p: Integer, field: Any, scratch: Any) -> None:
     """Compute the moments (sums over corners, `information.moments`) of landmark k as seen from position p, at the old
-    place and at the place tried, once per move.
+    place and at the place tried. Nothing is computed if the moments of this move are known already.
     """
     views = scratch.views
     if views.found[p] == 0:
@@ -102,8 +102,8 @@ def _update_moments(known: State, k: Integer, p: Integer, field: Any, scratch: A
 
 @inner
 def _sum_turning(p: Integer, w: Integer, count: Integer, field: Any, known: State, scratch: Any) -> None:
-    """Update the sums of the current views at position p for other landmarks that the move makes appear or
-    disappear.
+    """Update the sums of information of the views that are set up (word w, position p) for other landmarks: those that
+    the move makes appear or disappear.
     """
     trial, views, camera = scratch.coverage, scratch.views, field.coverage.cameras
     for i in range(np.uint64(known.poses.shape[1])):
@@ -137,7 +137,10 @@ def _sum_views(
 def _add(
     moments: FloatArray, pose: Any, seen: np.uint64, p: Integer, w: Integer, sign: float, field: Any, state: Any
 ) -> None:
-    """Add a landmark at `pose`, with `moments`, to the sums of the views `seen` (bits of word w), times `sign`."""
+    """Add the information of a landmark, times `sign`, to the sums of the views `seen` (bits of word w) at position p.
+
+    `moments` are the landmark's sums over corners as seen from p, `pose` its position and normal.
+    """
     look = field.coverage.cameras.sight, field.coverage.cameras.axes
     add_to_sums(moments, seen, _offset(pose, p, field), look, w, sign, first_row(p, w, state), state.sums)
 

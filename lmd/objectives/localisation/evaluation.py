@@ -1,9 +1,9 @@
-"""P_n and L (the probability of a localised view) of whole deployments at each position, in compiled code.
+"""P_n (n landmarks are covered) and L (the view is localised): two probabilities of whole deployments at each position.
 
-Landmarks are counted by the operations of `lmd.sight.kernels`. For the views that cover n landmarks, the information of
-the landmarks (`information`, `ambiguity`) is summed and compared with the required precision. Positions are divided
-among the threads. The module `rig` evaluates rigs, whose cameras have another position for every orientation of the
-body.
+Compiled code counts landmarks by the operations of `lmd.sight.kernels`. For the views that cover n landmarks, the
+information of the landmarks (`information`, `ambiguity`) is summed and compared with the required precision. Positions
+are divided among the threads. The module `rig` evaluates rigs, whose cameras change their positions when the body
+turns.
 """
 
 from typing import Any, NamedTuple
@@ -45,12 +45,12 @@ class ViewValues(NamedTuple):
 def localised_views(
     evaluator: Evaluator, positions: FloatArray, normals: FloatArray, n: int, precision: Precision, keep: bool = False
 ) -> ViewValues:
-    """Evaluate deployments; a view of a rig has the images of all its cameras.
+    """Evaluate the views of B deployments; a view of a rig has the images of all its cameras.
 
     The result does not depend on the number of threads.
 
     Args:
-        evaluator: scene and positions.
+        evaluator: scene and P positions.
         positions, normals: landmarks of B deployments, metres and unit vectors, `(B, K, 3)`.
         n: number of landmarks that must be covered.
         precision: limits that a localised view must satisfy.
@@ -76,13 +76,13 @@ def _localise_range(
     first: Integer, last: Integer, batch: Batch, tables: Any, n: Integer, places: Integer, precision: Precision,
     asks: bool, values: ViewValues,
 ) -> None:  # fmt: skip
-    """Evaluate deployments at the positions `order[first:last]`.
+    """Evaluate deployments at the positions `order[first:last]`, where `order` is the first entry of `batch`.
 
     Args:
         first, last, batch, tables, n: see `kernels.evaluate_range`.
         places: number of binary digits in which landmarks are counted.
         precision, asks: limits that a localised view must satisfy, and the value of `Precision.asks` for these limits.
-        values: receives the values; the variances are empty if they are not asked for.
+        values: receives the values; its variances are empty if they are not computed.
     """
     order, positions, landmarks, normals, sight, horizon, obstacles, axes, bands, weights = batch
     (covered, localised, variances), words = values, np.uint64(axes.shape[1] // BITS)

@@ -1,5 +1,5 @@
-"""Field (incremental evaluator) of localisation: it updates L, the probability of a localised view, at every position
-when single landmarks move. For a camera or a rig.
+"""Field (incremental evaluator) of localisation, for a camera or a rig: it updates L, the probability of a localised
+view, at every position when single landmarks move.
 """
 
 from typing import NamedTuple
@@ -23,7 +23,9 @@ from lmd.sight.evaluator import Evaluator
 
 
 class LocalisationState(NamedTuple):
-    """Localised views of a deployment: Q positions in the order of the field, W words of orientations."""
+    """Sums of information and localised views of a deployment, for Q positions in the order of the field. An
+    orientation is one bit of W 64-bit words.
+    """
 
     units: np.ndarray
     """`(Q,)` quantised value of each position."""
@@ -42,7 +44,7 @@ class LocalisationState(NamedTuple):
 
 
 class LocalisationScratch(NamedTuple):
-    """The move tried last, and working memory.
+    """Working memory with the results of the move tried last.
 
     After the move is carried out, `units`, `located`, `LOCALISED` and `coverage` describe the reverse move.
     """
@@ -98,7 +100,7 @@ class LocalisationField(NamedTuple):
         return self.state_with(self.coverage.state(deployment))
 
     def state_with(self, known: State | RigState) -> LocalisationState:
-        """State of localisation for a deployment, made from `known`, the state of coverage for this deployment."""
+        """New state of localisation, made from `known`, the state of coverage for the deployment."""
         size, words = known.counts.sets.shape[1:]
         width = width_of(self.precision) if self.mounts else WIDTH
         check_views(8.0 * width if self.asks else 0.0, size, BITS * words)
@@ -135,13 +137,14 @@ undo.register(LocalisationField)(undo_move)
 
 
 def localisation_field(evaluator: Evaluator, n: int, precision: Precision, weight: float) -> LocalisationField:
-    """Make the field (incremental evaluator) of L at the positions of an evaluator.
+    """Make the field (incremental evaluator) of L, the probability of a localised view, at the positions of an
+    evaluator.
 
     Args:
         evaluator: positions and cameras.
         n: number of landmarks that must be covered.
         precision: limits that a localised view must satisfy.
-        weight: weight w of P_n in the values, (1 - w) L + w P_n.
+        weight: weight w in the values (1 - w) L + w P_n; P_n is the probability that n landmarks are covered.
     """
     mounts = mounts_of(evaluator, evaluator.groups) if evaluator.groups else ()
     return LocalisationField(coverage_field(evaluator, n), precision, precision.asks, weight, mounts)

@@ -155,10 +155,8 @@ def precision(
 
 @inlined
 def moments(tag: Square, share: float) -> tuple[Number, ...]:
-    """Moments of a landmark, the 15 numbers A, g and C summed over its four corners, times r^3 with the landmark's
-    distance r.
-
-    `share` is the weight of each corner.
+    """Moments of a landmark: the 15 numbers A, g and C of the module, summed over its four corners, times r^3 with the
+    landmark's distance r. `share` is the weight of each corner.
     """
     axx = axy = axz = ayy = ayz = azz = gx = gy = gz = cxx = cxy = cxz = cyy = cyz = czz = 0.0
     for i in range(4):
@@ -190,10 +188,11 @@ def share_of(moment: Number, weight: Number) -> Number:
 
 @inlined
 def _schur(sums: Any, v: Integer, step: Integer, first: int, last: int) -> tuple[Number, Number, Number, Number]:
-    """Four numbers, from which `inverse_trace` computes the trace of S^-1. The first is det A. The next two are the sum
-    of the principal 2 x 2 minors, and the determinant, of the matrix S det A. The last is tr A.
+    """Four numbers from which `inverse_trace` computes tr S^-1 in view v (entries `sums[v + j * step]`), with the Schur
+    complement S of the module. The first is det A. The next two are the sum of the principal 2 x 2 minors, and the
+    determinant, of the matrix S det A. The last is tr A.
 
-    A begins at number `first` and C at `last`: (0, 9) for the position, (9, 0) for the rotation.
+    A begins at number j = `first` and C at j = `last`: (0, 9) for the position, (9, 0) for the rotation.
     """
     a, g = read6(sums, v + first * step, step), read3(sums, v + 6 * step, step)
     (axx, axy, axz, ayy, ayz, azz), (cxx, cxy, cxz, cyy, cyz, czz) = a, read6(sums, v + last * step, step)
@@ -207,8 +206,8 @@ def _schur(sums: Any, v: Integer, step: Integer, first: int, last: int) -> tuple
 
 @inlined
 def inverse_trace(det: Number, minors: Number, rest: Number, trace: Number) -> tuple[Number, Number]:
-    """Trace of S^-1, and a flag. The flag is False if the trace is infinite, because the corners leave a motion
-    undetermined.
+    """Trace of S^-1, computed from the four results of `_schur`, and a flag. The flag is False if the trace is
+    infinite, because the corners leave a motion undetermined.
     """
     fixed = (det > SINGULAR * (trace * trace * trace)) & (minors > 0.0) & (rest > 0.0)
     return minors * det / rest, fixed
@@ -216,15 +215,17 @@ def inverse_trace(det: Number, minors: Number, rest: Number, trace: Number) -> t
 
 @inlined
 def variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
-    """Variance of the camera's position, and the flag of `inverse_trace`."""
+    """Variance of the camera's position in view v (entries `sums[v + j * step]`), and the flag of `inverse_trace`:
+    False if the variance is infinite.
+    """
     det, minors, rest, trace = _schur(sums, v, step, 0, 9)
     return inverse_trace(det, minors, rest, trace)
 
 
 @inlined
 def rotation_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
-    """Variance of the camera's rotation, and the flag of `inverse_trace`. The formula is that of the position with A
-    and C exchanged.
+    """Variance of the camera's rotation in view v (entries `sums[v + j * step]`), and the flag of `inverse_trace`:
+    False if the variance is infinite. The formula is that of the position with A and C exchanged.
     """
     det, minors, rest, trace = _schur(sums, v, step, 9, 0)
     return inverse_trace(det, minors, rest, trace)
@@ -232,14 +233,18 @@ def rotation_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Num
 
 @inlined
 def log_det(sums: Any, v: Integer, step: Integer) -> Number:
-    """Logarithm of the determinant of the information about the camera's pose, det A det S."""
+    """Logarithm of the determinant of the information about the camera's pose in view v (entries `sums[v + j * step]`).
+    This determinant is det A det S.
+    """
     det, _, rest, _ = _schur(sums, v, step, 0, 9)
     return np.log(rest / (det * det))
 
 
 @inlined
 def meets(precision: Precision, sums: Any, v: Integer, step: Integer) -> Any:
-    """True if the information of a view has the required `precision`; ambiguity is not tested."""
+    """True if the information in view v (entries `sums[v + j * step]`) satisfies the limits of `precision`; ambiguity
+    is not tested.
+    """
     position, fixed = variance(sums, v, step)
     rotation, steady = rotation_variance(sums, v, step)
     return within(precision.position, position, fixed) & within(precision.rotation, rotation, steady)
@@ -258,8 +263,8 @@ def gain_of(camera: Camera, first: Camera) -> float:
 
 @inlined
 def about_body(moments: tuple[Number, ...], arm: Vector) -> tuple[Number, ...]:
-    """Information about the body's pose (21 numbers), from the `information.moments` (15 numbers) of a camera at the
-    offset `arm` from the body's origin, metres.
+    """Information about the pose of a rig's body, 21 numbers, from the `moments` (15 numbers) of a landmark. The camera
+    is at the offset `arm` from the body's origin, metres.
     """
     x, y, z = arm
     axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz = moments
@@ -277,8 +282,8 @@ def about_body(moments: tuple[Number, ...], arm: Vector) -> tuple[Number, ...]:
 
 @inlined
 def _body_schur(c: Any, rows: Any, a: Any) -> tuple[Number, Number, Number, Number]:
-    """Four numbers, from which `inverse_trace` computes the trace of S^-1, with S = C - B A^-1 B^T. The first is det A.
-    The next two are the sum of the principal 2 x 2 minors, and the determinant, of the matrix S det A. Then tr A.
+    """Four numbers from which `inverse_trace` computes tr S^-1, with S = C - B A^-1 B^T. The first is det A. The next
+    two are the sum of the principal 2 x 2 minors, and the determinant, of the matrix S det A. The last is tr A.
 
     C and A are symmetric, six numbers each; B is given by its three rows.
     """
@@ -293,8 +298,8 @@ def _body_schur(c: Any, rows: Any, a: Any) -> tuple[Number, Number, Number, Numb
 
 @inlined
 def _position_schur(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number, Number, Number]:
-    """Four numbers of `_body_schur` for the body's position, with A' as A: S = C - B A'^-1 B^T is the information about
-    the position if the rotation is estimated too.
+    """Four numbers of `_body_schur` for the position of the body in view v of `sums`, with A' in place of A. Then S = C
+    - B A'^-1 B^T is the information about the position if the rotation is estimated too.
     """
     x, y, z = v + 6 * step, v + 9 * step, v + 12 * step
     rows = read3(sums, x, step), read3(sums, y, step), read3(sums, z, step)
@@ -303,15 +308,17 @@ def _position_schur(sums: Any, v: Integer, step: Integer) -> tuple[Number, Numbe
 
 @inlined
 def body_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
-    """Variance of the body's position, and the flag of `inverse_trace`."""
+    """Variance of the body's position in view v (entries `sums[v + j * step]`), and the flag of `inverse_trace`: False
+    if the variance is infinite.
+    """
     det, minors, rest, trace = _position_schur(sums, v, step)
     return inverse_trace(det, minors, rest, trace)
 
 
 @inlined
 def body_rotation_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number, Number]:
-    """Variance of the body's rotation, and the flag of `inverse_trace`. The formula is that of the position with C and
-    A' exchanged and B transposed.
+    """Variance of the body's rotation in view v (entries `sums[v + j * step]`), and the flag of `inverse_trace`: False
+    if the variance is infinite. The formula is that of the position with C and A' exchanged and B transposed.
     """
     x, far = v + 6 * step, 3 * step
     columns = read3(sums, x, far), read3(sums, x + step, far), read3(sums, x + 2 * step, far)
@@ -321,14 +328,18 @@ def body_rotation_variance(sums: Any, v: Integer, step: Integer) -> tuple[Number
 
 @inlined
 def body_log_det(sums: Any, v: Integer, step: Integer) -> Number:
-    """Logarithm of the determinant of the information about the body's pose, det A det S."""
+    """Logarithm of the determinant of the information about the body's pose in view v (entries `sums[v + j * step]`).
+    This determinant is det A' det S.
+    """
     det, _, rest, _ = _position_schur(sums, v, step)
     return np.log(rest / (det * det))
 
 
 @inlined
 def body_meets(precision: Precision, sums: Any, v: Integer, step: Integer) -> Any:
-    """True if the information of a view has the required `precision`; ambiguity is not tested."""
+    """True if the information in view v of a rig (entries `sums[v + j * step]`) satisfies the limits of `precision`;
+    ambiguity is not tested.
+    """
     position, fixed = body_variance(sums, v, step)
     rotation, steady = body_rotation_variance(sums, v, step)
     return within(precision.position, position, fixed) & within(precision.rotation, rotation, steady)

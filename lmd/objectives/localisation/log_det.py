@@ -66,8 +66,8 @@ def log_det_selection(
         relevance: weights of the positions, `(P,)`.
         precision: function that returns the `information.Precision` for a scene, which includes the size of the scene's
             tags.
-        prior: information on position and on rotation before the image, each the inverse of a `variance` as in
-            `information`.
+        prior: information before the image, along each axis: a number for the position and a number for the rotation,
+            each the inverse of a variance in the units of `information`.
     """
     kind: type[LogDeterminant] = RigLogDeterminant if evaluator.groups else CameraLogDeterminant
     if evaluator.by_reference:
@@ -76,8 +76,8 @@ def log_det_selection(
 
 
 class LogDeterminant:
-    """Base of the classes whose instances `log_det_selection` returns. Methods of a subclass evaluate poses of one tag
-    size.
+    """Base of the surrogates that `log_det_selection` returns. The methods `gains_of` and `choose` of a subclass
+    evaluate poses of tags of one size.
     """
 
     label = "mean log det of the information"
@@ -112,12 +112,12 @@ class LogDeterminant:
         raise NotImplementedError
 
     def gains_of(self, e: Evaluator, poses: Deployment) -> FloatArray:
-        """Gains `(N,)` of poses with the tag size of evaluator `e`."""
+        """Gains `(N,)` of N poses of tags of one size, the tag size of evaluator `e`."""
         raise NotImplementedError
 
     def choose(self, e: Evaluator, pose: Deployment) -> None:
-        """Add a chosen landmark at `pose` to the information of all views, `sums`, and update their log determinants,
-        `known`.
+        """Add the information of a landmark chosen at `pose` to `sums`, and update the log determinants `known`; both
+        have an entry for each view. Evaluator `e` has the size of the landmark's tag.
         """
         raise NotImplementedError
 
@@ -167,8 +167,10 @@ def _gains(
 
 @kernel
 def _add(start: Integer, stop: Integer, points: FloatArray, normals: FloatArray, parts: Any) -> None:
-    """Update `sums` and `known` by an added landmark, for the camera positions `start` to `stop - 1`; arguments as in
-    `_gains`.
+    """Update `sums` and `known` (information and log determinant of each view) in place, for a landmark that is added.
+
+    The landmark is row 0 of `points` and `normals`, `(1, 3)`. Only views from the camera positions `start` to `stop -
+    1` are updated. `parts` is as in `_gains`.
     """
     positions, sight, obstacles, axes, bands, precision, sums, known = parts
     place, normal = row3(points, 0), row3(normals, 0)
@@ -188,7 +190,7 @@ def _add(start: Integer, stop: Integer, points: FloatArray, normals: FloatArray,
 
 
 class CameraLogDeterminant(LogDeterminant):
-    """Selection by the log determinant for a single camera."""
+    """Surrogate for greedy selection: the mean log determinant of the information about the pose of a single camera."""
 
     def log_det_of(self, numbers: FloatArray) -> Any:
         """See `LogDeterminant.log_det_of`."""
@@ -249,7 +251,10 @@ def _rig_add(
     every: tuple[GroupCoverage, ...], tags: FloatArray, positions: FloatArray, precision: Precision, sums: FloatArray,
     known: FloatArray, views: BodyViews,
 ) -> None:  # fmt: skip
-    """Update `sums` and `known` by an added landmark, the only pose in `every`; arguments as in `_rig_gains`."""
+    """Update `sums` and `known` (information and log determinant of each view) in place, for a landmark that is added.
+
+    The landmark is the only pose in `every` and `tags`; the other arguments are as in `_rig_gains`.
+    """
     words, which, bits = np.uint64(known.shape[1]) // VIEW, np.zeros(1, dtype=np.int64), views.lists[ORIENTATION]
     for p in range(np.uint64(len(positions))):
         place = row3(positions, p)
@@ -265,7 +270,7 @@ def _rig_add(
 
 
 class RigLogDeterminant(LogDeterminant):
-    """Selection by the log determinant for a rig; prior and information are about the pose of the body."""
+    """Surrogate for greedy selection: the mean log determinant of the information about the pose of a rig's body."""
 
     width, of_camera = BODY_WIDTH, False
 
@@ -305,7 +310,7 @@ class RigLogDeterminant(LogDeterminant):
 
 
 class ReferenceLogDeterminant(LogDeterminant):
-    """Selection by the log determinant with NumPy, for visibility models that kernels cannot use."""
+    """The surrogate for greedy selection computed with NumPy, for visibility models that kernels cannot use."""
 
     def __init__(self, evaluator: Evaluator, *prior: Any) -> None:
         self.of_camera = evaluator.scene.rig is None

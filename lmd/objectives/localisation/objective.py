@@ -54,7 +54,7 @@ class Localisation(AtLeast):
             distinguished (`localisation.ambiguity`), `ignored` does not.
         coverage_weight: weight w of P_n in the value, (1 - w) L + w P_n.
         sampling: random positions and orientations on which the fitness is computed; None for the room's grid and the
-            PDF itself.
+            orientations of the scene's PDF.
 
     Raises:
         InputError: a value is out of range.

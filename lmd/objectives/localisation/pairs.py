@@ -1,7 +1,7 @@
-"""Pairs of a landmark and a view of a rig that shows the landmark: pairs are listed first, then the information of all
-pairs is summed.
+"""Information of a rig's views, summed over pairs. A pair is a landmark and a view in which a camera of the rig sees
+it.
 
-The loop over listed pairs vectorises: number j of pair e lies at `work[j * BITS + e]`.
+Pairs are listed first, because a loop over listed pairs vectorises: number j of pair e lies at `work[j * BITS + e]`.
 """
 
 from typing import Any, NamedTuple
@@ -37,8 +37,8 @@ FIRST_MOMENT = np.uint64(13)
 
 
 class Mounts(NamedTuple):
-    """The fields of a `MountGroup` that localisation needs. The tuple is copied in many calls, so it has no further
-    fields.
+    """The fields of a `MountGroup` (mounts of equal cameras) that localisation needs. The tuple is copied in many
+    calls, so it has no further fields.
     """
 
     number: int
@@ -83,14 +83,16 @@ def mounts_of(evaluator: Evaluator, groups: tuple[MountGroup, ...]) -> tuple[Mou
 
 @inlined
 def numbers_of(precision: Precision) -> np.uint64:
-    """Number of sums per view that the test for `precision` uses; a view may have further sums."""
+    """Number of sums that the decision for a view of a rig needs: 26 if the two poses of a single tag must be
+    distinguished, else 21. A row of `sums` may be longer.
+    """
     return np.uint64(BODY_NUMBERS + MIRRORED if resolves_ambiguity(precision) else BODY_NUMBERS)
 
 
 @inner
 def fill_views(left: np.uint64, precision: Precision, views: BodyViews) -> np.uint64:
-    """Set up a view with zero sums for each orientation whose bit is set in the word `left`; return the number of
-    views.
+    """Set up a view with zero sums for each orientation whose bit is set in `left`, a word of 64 orientations. Return
+    the number of views.
     """
     bits, number, rows, count = views.lists[ORIENTATION], views.lists[NUMBER], views.rows, ZERO
     views.lists[TAKEN, 0], views.lists[TAKEN, 1] = left, ZERO
@@ -107,7 +109,9 @@ def fill_views(left: np.uint64, precision: Precision, views: BodyViews) -> np.ui
 
 @inner
 def prefetch_sums(sums: FloatArray, first: Integer, views: BodyViews, count: Integer) -> None:
-    """Prefetch the rows of `sums` `(V, width)` that `load_sums` reads; arguments as in `load_sums`."""
+    """Prefetch the rows of `sums` `(V, width)` that `load_sums` reads for the first `count` views. Row `first` belongs
+    to the first orientation of the word.
+    """
     width, bits = np.uint64(sums.shape[1]), views.lists[ORIENTATION]
     for v in range(count):
         at = (first + bits[v]) * width
@@ -117,8 +121,8 @@ def prefetch_sums(sums: FloatArray, first: Integer, views: BodyViews, count: Int
 
 @inner
 def load_sums(sums: FloatArray, first: Integer, precision: Precision, views: BodyViews, count: Integer) -> None:
-    """Add rows of `sums` `(V, width)` to the sums of the views in one word of orientations; row `first` belongs to the
-    first orientation of the word.
+    """Add to the sums of each of the first `count` views its row of `sums` `(V, width)`. The views are orientations of
+    one word; row `first` belongs to the first orientation of this word.
     """
     bits, rows = views.lists[ORIENTATION], views.rows
     for v in range(count):
@@ -128,7 +132,9 @@ def load_sums(sums: FloatArray, first: Integer, precision: Precision, views: Bod
 
 @inner
 def store_sums(sums: FloatArray, first: Integer, precision: Precision, views: BodyViews, count: Integer) -> None:
-    """Add the sums of the views to the rows of `sums`; arguments as in `load_sums`."""
+    """Add the sums of each of the first `count` views to its row of `sums` `(V, width)`. The views are orientations of
+    one word; row `first` belongs to the first orientation of this word.
+    """
     bits, rows = views.lists[ORIENTATION], views.rows
     for v in range(count):
         for j in range(numbers_of(precision)):
@@ -144,7 +150,9 @@ def tags_of(precision: Precision, positions: FloatArray, normals: FloatArray) ->
 
 @inlined
 def tag_of(tags: FloatArray, k: Integer) -> Square:
-    """Tag k in the rows of `tags_of`: three vectors, the centre and the vectors to the midpoints of two edges."""
+    """Three vectors of tag k from the result of `tags_of`: its centre, and the vectors from the centre to the midpoints
+    of the right and of the upper edge, metres.
+    """
     return row3(tags, k), (tags[k, 3], tags[k, 4], tags[k, 5]), (tags[k, 6], tags[k, 7], tags[k, 8])
 
 
@@ -153,17 +161,20 @@ def add_to_body(
     mounts: Mounts, m: Integer, w: Integer, seen: np.uint64, place: Vector, tag: Square, sign: float,
     precision: Precision, views: BodyViews,
 ) -> None:  # fmt: skip
-    """List the pairs of a given landmark and each view in which a mount sees this landmark; `add_up` adds the listed
-    pairs to the views.
+    """List the pairs of a landmark and each view in which one mount of a rig sees this landmark.
+
+    `add_up` adds the information of the listed pairs to the sums of the views. It is also called here if the list is
+    full.
 
     Args:
-        mounts, m: mount m of a group.
-        w, seen: index of a word, and the orientations of that word with which the mount sees the landmark.
+        mounts, m: mount m of the mount group `mounts`.
+        w, seen: index w of a word (64 orientations of the body), and bit set of its orientations with which the mount
+            sees the landmark. Orientations without a view are ignored.
         place: position of the body, metres.
-        tag: row of `tags_of`.
-        sign: 1 to add the landmark, -1 to remove it.
-        precision: weight of each corner.
-        views: list of pairs, and sums.
+        tag: centre and sides of the landmark, result of `tag_of`.
+        sign: 1 to add the information, -1 to subtract it.
+        precision: limits of a localised view, with the weight of each corner.
+        views: working memory with the views of word w, their sums and the list of pairs.
     """
     taken = views.lists[TAKEN]
     left, filled = seen & taken[0], taken[1]
@@ -194,7 +205,7 @@ def add_to_body(
 
 @inner
 def add_up(precision: Precision, views: BodyViews) -> None:
-    """Add the information of the listed pairs to the views, and clear the list."""
+    """Add the information of the listed pairs of a landmark and a view to the sums of the views, and clear the list."""
     rows, work, whose, filled = views.rows, views.work, views.lists[WHOSE], views.lists[TAKEN, 1]
     _find_moments(work, precision.share, filled)
     if resolves_ambiguity(precision):
@@ -208,8 +219,8 @@ def add_up(precision: Precision, views: BodyViews) -> None:
 
 @inner
 def _find_moments(work: FloatArray, share: float, filled: Integer) -> None:
-    """Compute the information about the body's pose (21 numbers) for the first `filled` pairs; all numbers are in one
-    array, so that LLVM vectorises the loop.
+    """Compute the information about the body's pose (21 numbers) for the first `filled` listed pairs, and write it to
+    `work`. All numbers are in one array, so that LLVM vectorises the loop.
     """
     for i in range(whole(filled)):
         weight, numbers = work[AT[3] + i], moments(_square(work, i), share)
@@ -225,20 +236,22 @@ def _find_moments(work: FloatArray, share: float, filled: Integer) -> None:
 
 @inlined
 def _square(work: FloatArray, i: Integer) -> Square:
-    """Offset and sides of the tag of pair i."""
+    """Tag of the listed pair i, three vectors: offset of the tag's centre from the camera, and the vectors from the
+    centre to the midpoints of its right and upper edges, metres.
+    """
     return read3(work, i, VIEW), read3(work, AT[7] + i, VIEW), read3(work, AT[10] + i, VIEW)
 
 
 @inlined
 def _shares(found: Any, weight: float) -> Vector:
-    """Contribution to the sums (`share_of`) of each of three numbers in `found`."""
+    """Contributions to the sums (`share_of`) of the three numbers in `found`: each number times `weight`, rounded."""
     return share_of(found[0], weight), share_of(found[1], weight), share_of(found[2], weight)
 
 
 @inner
 def _find_mirrored(work: FloatArray, least: float, filled: Integer) -> None:
-    """Compute the `mirrored_numbers`, which tell if a tag's two poses can be distinguished, of the first `filled`
-    pairs.
+    """Compute the `mirrored_numbers`, which tell if a tag's two poses can be distinguished, for the first `filled`
+    listed pairs, and write them to `work`.
     """
     for i in range(whole(filled)):
         weight = work[AT[3] + i]
@@ -249,7 +262,9 @@ def _find_mirrored(work: FloatArray, least: float, filled: Integer) -> None:
 
 @inner
 def _seen_by_group(shown: GroupCoverage, p: Integer, k: Integer, w: Integer) -> np.uint64:
-    """Orientations of word w with which at least one camera of a group covers landmark k from position p."""
+    """Bit set of the orientations of word w with which at least one camera of a group covers landmark k from position
+    p.
+    """
     seen = ZERO
     for m in range(len(shown.sets)):
         seen |= shown.sets[m, p, k, w]
@@ -261,7 +276,9 @@ def _add_of_group(
     shown: GroupCoverage, p: Integer, which: np.ndarray, w: Integer, place: Vector, tags: FloatArray,
     precision: Precision, views: BodyViews,
 ) -> None:  # fmt: skip
-    """Add the landmarks with the indices `which` to the views of the cameras of one mount group, see `add_of_all`."""
+    """Add the information of the landmarks with the indices `which` to the views of word w: the part that the cameras
+    of one mount group contribute, see `add_of_all`.
+    """
     for k in which:
         tag = tag_of(tags, k)
         for m in range(len(shown.sets)):
@@ -270,7 +287,7 @@ def _add_of_group(
 
 @inner
 def seen_by_any(every: tuple[GroupCoverage, ...], p: Integer, k: Integer, w: Integer) -> np.uint64:
-    """Orientations of word w with which at least one camera covers landmark k from position p."""
+    """Bit set of the orientations of word w with which at least one camera covers landmark k from position p."""
     seen = ZERO
     for shown in literal_unroll(every):
         seen |= _seen_by_group(shown, p, k, w)
@@ -282,8 +299,8 @@ def add_of_all(
     every: tuple[GroupCoverage, ...], p: Integer, which: np.ndarray, w: Integer, place: Vector, tags: FloatArray,
     precision: Precision, views: BodyViews,
 ) -> None:  # fmt: skip
-    """Add the landmarks with the indices `which` to the views of all cameras, for the body at position p, whose
-    coordinates are `place`.
+    """Add the information of the landmarks with the indices `which` to the sums of the views of word w, for all cameras
+    of a rig. The body is at position p, with the coordinates `place`, metres.
 
     `every` has the coverage for each mount group, `tags` is the result of `tags_of`.
     """

@@ -50,7 +50,8 @@ def view_information(
 ) -> tuple[FloatArray, BoolArray]:
     """Sums of the landmarks' information in each view, `(16, A)`, and mask `(A, K)` of the covered landmarks.
 
-    The sums are A, g and C, then the residual ratio of `ambiguity`.
+    The 16 sums are the 15 numbers A, g and C of `information`, then the residual ratio of `ambiguity`. A camera at
+    `position` `(3,)`, metres, has the orientations `axes` `(A, 6)`; `asked` has the size of the tags.
     """
     offset, (right, up) = deployment.positions - position, upright(deployment.normals)
     tag: Any = offset.T, (asked.halves[:, None] * right).T, (asked.halves[:, None] * up).T
@@ -67,7 +68,8 @@ def body_information(
 ) -> tuple[FloatArray, BoolArray]:
     """Fisher information about the pose of a rig's body, summed over the cameras, and mask of the covered landmarks.
 
-    Shapes `(width_of(asked), A)` and `(A, K)`; A orientations of the body.
+    The shapes are `(width_of(asked), A)` and `(A, K)`, for A orientations `axes` `(A, 6)` of the body at `position`,
+    metres.
     """
     sums, covered = np.zeros((len(axes), width_of(asked))), np.zeros((len(axes), len(deployment)), dtype=np.bool_)
     sides = [(asked.halves[:, None] * side).T for side in upright(deployment.normals)]
@@ -91,7 +93,9 @@ def body_information(
 def information_of(
     scene: Scene, deployment: Deployment, asked: Precision, position: FloatArray, axes: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Call `body_information` for a rig, and `view_information` for a single camera."""
+    """Result of `body_information` for a rig, and of `view_information` for a single camera: information in each view
+    and mask of the covered landmarks.
+    """
     of = body_information if scene.rig is not None else view_information
     return of(scene, deployment, asked, position, axes)
 
@@ -99,13 +103,13 @@ def information_of(
 def mirrored_probabilities(
     scene: Scene, poses: FloatArray, centres: FloatArray, sides: FloatArray, seen: BoolArray, sigma: FloatArray
 ) -> FloatArray:
-    """Probability P that the mirrored pose of the only tag in view fits the image better than the true pose, see
-    `ambiguity`, `(N,)`.
+    """Probability P, `(N,)`, that the mirrored pose of the only tag in view fits the image better than the true pose,
+    see `ambiguity`.
 
     Args:
         scene: camera or rig.
-        poses: pose of the camera or of the rig's body in each view, as a matrix from its axes to the world's, `(N, 4,
-            4)`.
+        poses: pose of the camera or of the rig's body in each view, as a matrix from its axes to the axes of the world,
+            `(N, 4, 4)`.
         centres: centre of the tag in each view, metres, `(N, 3)`.
         sides: vectors from the centre to the midpoints of the right and of the upper edge, metres, `(2, N, 3)`.
         seen: mask of the cameras that see the tag, `(C, N)`.
@@ -130,8 +134,8 @@ def mirrored_probabilities(
 
 
 def density(lens: Any, axes: FloatArray, offset: FloatArray) -> FloatArray:
-    """Pixel density (`lmd.scene.criteria.pixel_density`) for axes `(..., 6)` and offsets `(..., 3)`; `lens` is None for
-    a pinhole.
+    """Pixel density (`lmd.scene.criteria.pixel_density`) of landmarks at offsets `(..., 3)`, metres, for a camera with
+    `axes` `(..., 6)`. `lens` is None for a pinhole.
     """
     axis, right = axes[..., :3], axes[..., 3:]
     if lens is None:
@@ -143,10 +147,11 @@ def density(lens: Any, axes: FloatArray, offset: FloatArray) -> FloatArray:
 def decided(
     scene: Scene, deployment: Deployment, n: int, asked: Precision, position: FloatArray, axes: FloatArray
 ) -> tuple[BoolArray, BoolArray, FloatArray]:
-    """Mask of the views that cover n landmarks, mask of the localised views, and variance of the camera's position,
-    `(A,)` each.
+    """Three arrays `(A,)`: mask of the views that cover n landmarks, mask of the localised views, and variance of the
+    camera's position.
 
-    The variance is infinite in views that do not determine the pose.
+    The variance is infinite in views that cover fewer than n landmarks or do not determine the pose. The A views are
+    those from `position`, metres, with the orientations `axes` `(A, 6)`; `asked` are the limits of a localised view.
     """
     enough = n_ple_cap(cap_count(coverage_caps(scene, deployment, position, axes)), n)
     found, variances = enough.copy(), np.full(len(axes), np.inf)
@@ -174,7 +179,9 @@ def _judged(
 def localised(
     scene: Scene, deployment: Deployment, n: int, asked: Precision, position: FloatArray, axes: FloatArray
 ) -> BoolArray:
-    """Mask `(A,)` of the localised views; arguments as in `decided`."""
+    """Mask `(A,)` of the localised views, which cover n landmarks and satisfy the limits `asked`. The A views are those
+    from `position`, metres, with the orientations `axes` `(A, 6)`.
+    """
     return decided(scene, deployment, n, asked, position, axes)[1]
 
 

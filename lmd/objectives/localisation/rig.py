@@ -75,19 +75,20 @@ def _localise(
     every: tuple[GroupCoverage, ...], positions: FloatArray, tags: FloatArray, weights: IntArray, n: Integer,
     precision: Precision, asks: bool, views: BodyViews, out: tuple[IntArray, FloatArray],
 ) -> None:  # fmt: skip
-    """Write the values of the rig's views into `out`, which has two arrays: quantised P_n (n landmarks are covered) and
-    L (the view is localised), `(2, P)`; and `variances`, described below.
+    """Compute P_n (n landmarks are covered) and L (the view is localised), both quantised, at each position of a rig's
+    body.
 
     Args:
         every: coverage of the landmarks for each mount group.
         positions: positions of the body, `(P, 3)`, metres.
-        tags: result of `tags_of`.
+        tags: centres and sides of the landmarks, result of `tags_of`.
         weights: quantised probability of each orientation, `(1, D)` or `(P, D)`.
-        n, precision: see `evaluation.localised_views`.
-        asks: value of `Precision.asks`.
+        n, precision: number of landmarks that must be covered, and limits that a localised view must satisfy.
+        asks: value of `Precision.asks`: True if a view needs more than n covered landmarks.
         views: working memory.
-        variances: receives the variance of the body's position in unambiguous views with n landmarks or more, `(P, D)`
-            filled with infinity; empty to skip the variances.
+        out: two arrays. P_n and L are added to the rows of the first array, `(2, P)`. The second array, `(P, D)` filled
+            with infinity, receives the variance of the body's position in each unambiguous view of n landmarks or more;
+            it is empty to skip the variances.
     """
     some: Any = np.zeros(max(n, 2), dtype=np.uint64)
     found, variances = out
@@ -134,7 +135,7 @@ class RigImages(NamedTuple):
     positions: FloatArray
     """`(N, 3)` position of the body, metres."""
     axes: FloatArray
-    """`(N, 6)` directions of the body's x axis and of its right, unit vectors."""
+    """`(N, 6)` directions of the x axis of the body and of the body's right, unit vectors."""
     seen: BoolArray
     """`(C, N, K)` mask of the landmarks that each camera covers."""
 
@@ -145,7 +146,7 @@ class RigImages(NamedTuple):
 
 
 def images_of(evaluator: Evaluator, deployment: Deployment, here: slice = slice(None)) -> RigImages:
-    """Images that a rig takes of a deployment at the positions of an evaluator in the slice `here`."""
+    """Images that a rig takes of a deployment from the positions `evaluator.positions[here]`."""
     places, axes = evaluator.positions[here], evaluator.scene.orientations.axes
     weights = evaluator.weights if len(evaluator.weights) == 1 else evaluator.weights[here]
     weights = np.broadcast_to(weights[:, : len(axes)], (len(places), len(axes)))
@@ -156,14 +157,14 @@ def images_of(evaluator: Evaluator, deployment: Deployment, here: slice = slice(
 
 
 def covers(seen: BoolArray, n: int) -> BoolArray:
-    """Mask `(N,)` of the views in which at least n landmarks are each covered by at least one camera; `seen` is `(C, N,
-    K)`.
+    """Mask `(N,)` of the views of a rig with at least n landmarks, each covered by at least one camera. `seen` `(C, N,
+    K)` is the mask of the landmarks that each camera covers in each view.
     """
     return np.asarray(seen.any(axis=0).sum(axis=1) >= n)
 
 
 def located(evaluator: Evaluator, deployment: Deployment, images: RigImages, n: int, precision: Precision) -> BoolArray:
-    """Mask `(N,)` of the localised views."""
+    """Mask `(N,)` of the localised views among the views of `images`."""
     found = covers(images.seen, n)
     if precision.asks:
         those = images.some(found)
@@ -174,8 +175,9 @@ def located(evaluator: Evaluator, deployment: Deployment, images: RigImages, n: 
 
 
 def body_sums(evaluator: Evaluator, deployment: Deployment, images: RigImages, precision: Precision) -> FloatArray:
-    """Fisher information about the body's pose from all images of each view, `(N, width_of(precision))`. The
-    information is in the units of `information` for the first camera; other cameras are weighted by `gain_of`.
+    """Fisher information about the body's pose from all images of each view, `(N, width_of(precision))`.
+
+    The information is in the units of `information` for the first camera; other cameras are weighted by `gain_of`.
     """
     scene, (positions, axes, seen) = evaluator.scene, images[3:]
     assert scene.rig is not None
@@ -192,7 +194,7 @@ def body_sums(evaluator: Evaluator, deployment: Deployment, images: RigImages, p
 
 @kernel
 def _decide(precision: Precision, sums: FloatArray, several: BoolArray, views: BodyViews, met: BoolArray) -> None:
-    """Write into `met` `(N,)` the mask of the views within the limits of `precision`.
+    """Write into `met` `(N,)` True for the views within the limits of `precision`.
 
     `sums` `(N, width)` is the information of the views; `several` `(N,)` is True for views of two or more landmarks.
     """
@@ -207,8 +209,11 @@ def _add_images(
     mounts: Mounts, positions: FloatArray, tags: FloatArray, seen: BoolArray, precision: Precision, views: BodyViews,
     sums: FloatArray,
 ) -> None:  # fmt: skip
-    """Add to `sums` `(N, width)` the landmarks that one camera of the rig covers in each of N views, the mask `seen`
-    `(N, K)`; `mounts` has the pose of this camera in each view.
+    """Add to `sums` `(N, width)` the information about the body's pose that one camera of a rig contributes to N views.
+
+    `seen` `(N, K)` is the mask of the landmarks that this camera covers in each view. `mounts` has the camera's offset
+    from the body and its axes in each view, `positions` `(N, 3)` the position of the body. `tags` is the result of
+    `tags_of`.
     """
     for i in range(np.uint64(len(positions))):
         bit = ONE << i % VIEW

@@ -1,4 +1,4 @@
-"""Versions, for a rig, of the functions that `views` declares."""
+"""Versions, for a rig, of the functions that `lmd.objectives.localisation.views` declares."""
 
 from typing import Any
 
@@ -105,7 +105,7 @@ def _find_turns_of_rig(known: RigState, trial: RigScratch, lost: WordArray, gain
 
 @inlined
 def _tag(k: Integer, pose: Any, precision: Precision) -> Square:
-    """Landmark k at `pose` as three vectors: its centre, and the vectors from the centre to the midpoints of its right
+    """Three vectors of landmark k at `pose`: its centre, and the vectors from the centre to the midpoints of its right
     and upper edges, metres.
     """
     right, up = upright_sides(half_of(precision, k), pose[1])

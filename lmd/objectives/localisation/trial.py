@@ -61,14 +61,16 @@ GAINED = 2  # views of touched positions in which another landmark appears for s
 @inlined
 def mixed(located: Any, covered: Any, weight: float) -> Any:
     """Quantised value (1 - weight) L + weight P_n of a position, from its quantised L (`located`) and P_n (`covered`).
-    The value never decreases when L or P_n increases.
+
+    L is the probability of a localised view, P_n that of n covered landmarks. The value never decreases when L or P_n
+    increases.
     """
     return located + np.int64(weight * (covered - located))
 
 
 @inner
 def _find_turns(state: Any, scratch: Any) -> None:
-    """Fill `LOST` and `GAINED` at touched positions: the views in which another landmark (not the moving one)
+    """Fill the rows `LOST` and `GAINED` at touched positions: the views in which a landmark other than the moving one
     disappears or appears.
     """
     lost, gained, trial = scratch.sets[LOST], scratch.sets[GAINED], scratch.coverage
@@ -83,15 +85,14 @@ def _decide_word(
     where: Any, lost: np.uint64, gained: np.uint64, has: np.uint64, several: np.uint64, field: Any, state: Any,
     scratch: Any,
 ) -> Any:  # fmt: skip
-    """Decide which of the views `has` (bits of word w, views that cover n landmarks) are localised, and write the set
-    of these views to `LOCALISED`.
+    """Bit set of the localised views after the move, among the orientations of word w at position q.
 
     Args:
-        where: k, q and w: indices of the landmark, of the position and of the word.
-        lost, gained: views in which at least one camera ceases to see another landmark, and views in which at least one
-            camera begins to see another landmark.
-        has: views that cover n landmarks or more.
-        several: views that cover two landmarks or more.
+        where: k, q and w: indices of the moving landmark, of the position and of the word.
+        lost, gained: views in which at least one camera ceases to see a landmark, and views in which at least one
+            camera begins to see a landmark.
+        has: views that cover n landmarks or more after the move.
+        several: views that cover two landmarks or more after the move.
         field, state, scratch: field, state and scratch of localisation.
     """
     k, q, w = where
@@ -106,14 +107,17 @@ def _decide_word(
 
 @inlined
 def _sum_up(q: Integer, located: np.int64, covered: np.int64, weight: float, values: Any) -> None:
-    """Write quantised L, P_n and value of position q to `values`, which is a state or a scratch."""
+    """Write quantised L (`located`), P_n (`covered`) and the value of position q to `values`, which is a state or a
+    scratch.
+    """
     values.located[q], values.coverage.units[q], values.units[q] = located, covered, mixed(located, covered, weight)
 
 
 @inner
 def _decide(k: Integer, positions: WordArray, field: Any, state: Any, scratch: Any) -> None:
-    """Compute the values at `positions` after the move, from the orientations with which landmark k is seen at the
-    place tried (`FRESH`), and from the changed occlusion of other landmarks.
+    """Compute the values at `positions` after the move, and write them to the scratch. They follow from the
+    orientations with which landmark k is seen at the place tried (`FRESH`), and from the changed occlusion of other
+    landmarks.
     """
     known, trial, n, weights = state.coverage, scratch.coverage, field.coverage.n, field.coverage.weights
     counts, enough, digits = known.counts, known.counts.sets[ENOUGH], trial.digits
@@ -144,7 +148,9 @@ def _decide(k: Integer, positions: WordArray, field: Any, state: Any, scratch: A
 
 @inner
 def bound_move(field: Any, k: Integer, pose: FloatArray, surface: Integer, state: Any, scratch: Any) -> None:
-    """Write upper bounds on the values with landmark k at `pose` `(6,)` on a surface into `scratch.units`."""
+    """Write into `scratch.units` upper bounds on the values with landmark k at `pose` on a surface. `pose` `(6,)` is
+    position (metres) and unit normal.
+    """
     cover, known, trial, i = field.coverage, state.coverage, scratch.coverage, np.uint64(k)
     begin_move(i, pose, surface, cover, known, trial)
     for q in range(len(scratch.units)):
@@ -162,7 +168,7 @@ def bound_move(field: Any, k: Integer, pose: FloatArray, surface: Integer, state
 
 @inner
 def finish_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
-    """Replace the bounds of `bound_move` by the exact values."""
+    """Replace the bounds of `bound_move` in `scratch.units` by the exact values."""
     cover, known, trial, i = field.coverage, state.coverage, scratch.coverage, np.uint64(k)
     find_pairs(known, i, NEW_PLACE, cover, trial)
     positions = trial.lists[TOUCHED_LIST][: trial.numbers[TOUCHED_COUNT]]
@@ -172,8 +178,8 @@ def finish_move(field: Any, k: Integer, state: Any, scratch: Any) -> None:
 
 @inner
 def _change_sums(k: Integer, sign: float, field: Any, state: Any, scratch: Any) -> None:
-    """Update the sums by the move tried last (`sign` 1), or undo that update (`sign` -1). When the function is called,
-    the state must have landmark k at its old place.
+    """Update the sums of information in the state by the move tried last (`sign` 1), or undo that update (`sign` -1).
+    When the function is called, the state must have landmark k at its old place.
     """
     if not field.asks:
         return

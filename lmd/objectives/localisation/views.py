@@ -1,4 +1,4 @@
-"""Working memory for the views of one position with the orientations of one word.
+"""Working memory for up to 64 views: the views from one position with the 64 orientations of one word of a bit set.
 
 Number j of view v lies at `rows[j * BITS + v]`, so that loops over views vectorise. Camera and rig share this source,
 which is compiled separately for each. A single camera has one position for all orientations, so a landmark has one set
@@ -6,8 +6,8 @@ of moments (sums over its corners, `information.moments`) for all views of a pos
 position for each orientation. So moments are computed for each pair of a landmark and a view (`pairs`); for a single
 camera, moments for each pair would be up to 64 times the work.
 
-The module also declares the functions of `trial` that differ for camera and rig. These functions handle landmarks that
-appear in views or disappear from views.
+The module also declares the functions called by `trial` that differ for camera and rig. These functions handle
+landmarks that appear in views or disappear from views.
 
 For a single camera (`camera_changes`), a landmark is hidden at a position for all orientations or for none, and has one
 set of moments per position. For a rig (`rig_changes`), occlusion and moments depend on mount and orientation.
@@ -61,7 +61,7 @@ LEFT, TRIED = 0, 1  # moments of the moving landmark at its old place and at the
 
 
 class CameraViews(NamedTuple):
-    """Views of a single camera."""
+    """Working memory for up to 64 views of a single camera, for one position and the orientations of one word."""
 
     lists: WordArray
     """`(4, BITS)` indices. Row `ORIENTATION` has the orientation of each view, row `NUMBER` the view of each
@@ -87,7 +87,7 @@ class CameraViews(NamedTuple):
 
 
 class BodyViews(NamedTuple):
-    """Views of a rig, for the orientations of its body."""
+    """Working memory for up to 64 views of a rig, for one position and the orientations of the body in one word."""
 
     lists: WordArray
     """See `CameraViews`."""
@@ -107,14 +107,14 @@ Views: TypeAlias = CameraViews | BodyViews
 
 
 def camera_views(size: int) -> CameraViews:
-    """New working memory for a single camera at `size` positions."""
+    """New working memory for the views of a single camera, with entries for `size` positions."""
     lists, met, found = np.zeros((4, BITS), np.uint64), np.zeros(BITS, np.uint8), np.zeros(size, np.uint8)
     rows, weights, moments = np.zeros(WIDTH * BITS), np.zeros((2, BITS)), np.zeros((2, size, WIDTH))
     return CameraViews(lists, rows, met, weights, moments, found, np.zeros(WIDTH))
 
 
 def body_views() -> BodyViews:
-    """New working memory for a rig."""
+    """New working memory for the views of a rig."""
     lists, met = np.zeros((4, BITS), np.uint64), np.zeros(BITS, np.uint8)
     return BodyViews(lists, np.zeros(MIRRORED_WIDTH * BITS), met, np.zeros(WORK * BITS))
 
@@ -137,16 +137,14 @@ def _body_is_met(views: BodyViews, precision: Precision, v: Integer, several: An
 
 @inlined
 def whole(count: Integer) -> np.uint64:
-    """Number of views `count`, rounded up to a multiple of the vector length, so that loops need no scalar
-    remainder.
-    """
+    """Number of views rounded up to a multiple of the vector length, so that loops need no scalar remainder."""
     return (count + GROUP - ONE) & ~(GROUP - ONE)
 
 
 @inner
 def met_views(precision: Precision, views: Views, count: Integer, several: np.uint64) -> np.uint64:
-    """Set of the orientations whose views are within the limits of `precision`; `several` is the set of orientations
-    with two landmarks or more in view.
+    """Bit set of the orientations whose views are within the limits of `precision`, among the first `count` views.
+    `several` is the bit set of the orientations with two landmarks or more in view.
     """
     bits, met, good = views.lists[ORIENTATION], views.met, ZERO
     for v in range(whole(count)):
@@ -158,10 +156,9 @@ def met_views(precision: Precision, views: Views, count: Integer, several: np.ui
 
 @inlined
 def seen_twice(was: np.uint64, now: np.uint64, digits: WordArray) -> np.uint64:
-    """Set of the orientations that see two landmarks or more after a landmark moves.
-
-    The counts `digits` `(J,)` are from before the move. `was` and `now` are the orientations that see the landmark
-    before and after the move.
+    """Bit set of the orientations with which two landmarks or more are seen after one landmark moves. `digits` `(J,)`
+    are the binary digits of the counts before the move. `was` and `now` are the orientations with which the moving
+    landmark is seen before and after the move.
     """
     found, change = ZERO, was ^ now
     for j in range(np.uint64(len(digits))):
@@ -187,8 +184,8 @@ def landmark_moments(offset: Vector, normal: Vector, precision: Precision, k: In
 def weigh(
     which: int, seen: np.uint64, offset: Vector, camera: Any, w: Integer, views: CameraViews, count: Integer
 ) -> None:
-    """Write into row `which` of `weights` the pixel density of a landmark in the views of word w; the views that do not
-    see the landmark get 0.
+    """Write into row `which` of `weights` the pixel density of a landmark in each of the first `count` views. The views
+    are orientations of word w; `seen` is the bit set of those with the landmark in view, the others get 0.
     """
     bits, weights = views.lists[ORIENTATION], views.weights[which]
     for v in range(count):
@@ -201,7 +198,9 @@ def weigh(
 
 @inner
 def add_moments(rows: FloatArray, moments: FloatArray, weights: FloatArray, sign: float, count: Integer) -> None:
-    """Add a landmark with `moments` `(WIDTH,)` to the rows of a camera's views, times `sign`."""
+    """Add the contributions of a landmark with `moments` `(WIDTH,)`, times `sign`, to the sums `rows` of a camera's
+    views.
+    """
     for j in range(np.uint64(len(moments))):
         moment = moments[j]
         for v in range(whole(count)):
@@ -212,8 +211,8 @@ def add_moments(rows: FloatArray, moments: FloatArray, weights: FloatArray, sign
 def replace_moments(
     rows: FloatArray, lost: FloatArray, gained: FloatArray, weights: FloatArray, count: Integer
 ) -> None:
-    """Subtract a landmark with the moments `lost` from the rows of a camera's views, and add a landmark with the
-    moments `gained`.
+    """Replace one landmark by another in the sums `rows` of a camera's views: subtract the contributions of the moments
+    `lost`, and add those of the moments `gained`.
     """
     for j in range(np.uint64(len(lost))):
         old, new = lost[j], gained[j]
@@ -224,8 +223,8 @@ def replace_moments(
 
 @inlined
 def load_rows(left: np.uint64, first: Integer, sums: FloatArray, views: CameraViews) -> np.uint64:
-    """Set up a view for each orientation whose bit is set in the word `left`; prefetch the rows of `sums` for these
-    views, from row `first` on.
+    """Set up a view for each orientation whose bit is set in `left`, a word of 64 orientations, and prefetch the rows
+    of `sums` for these views. Row `first` belongs to the first orientation of the word.
 
     Returns:
         number of views that were set up.
@@ -241,7 +240,7 @@ def load_rows(left: np.uint64, first: Integer, sums: FloatArray, views: CameraVi
 
 @inlined
 def read_rows(first: Integer, sums: FloatArray, views: CameraViews, count: Integer) -> None:
-    """Copy the rows of `sums` that `load_rows` has prefetched into the views."""
+    """Copy the rows of `sums` that `load_rows` has prefetched into the first `count` views."""
     bits, rows = views.lists[ORIENTATION], views.rows
     for v in range(count):
         for j in range(np.uint64(WIDTH)):
@@ -253,7 +252,11 @@ def add_to_sums(
     moments: FloatArray, seen: np.uint64, offset: Vector, look: Any, w: Integer, sign: float, first: Integer,
     sums: FloatArray,
 ) -> None:  # fmt: skip
-    """Add a landmark with `moments` `(WIDTH,)` to the rows of `sums` for the orientations `seen` of word w."""
+    """Add the contributions of a landmark with `moments` `(WIDTH,)`, times `sign`, to rows of `sums`.
+
+    The rows belong to the orientations `seen` (bits of word w); row `first` belongs to the first orientation of the
+    word. `offset` is the landmark's offset from the camera, metres; `look` has the model of sight and the axes.
+    """
     while seen:
         bit = lowest(seen)
         seen &= seen - ONE
@@ -281,29 +284,29 @@ def see_place(known: Any, k: Integer, n: Integer, localised: WordArray, cover: A
 
 @dispatched_call
 def see_touched(known: Any, k: Integer, n: Integer, positions: WordArray, cover: Any, trial: Any) -> None:
-    """Repeat `see_place` at the `positions` marked as `TOUCHED`: those from which the move changes the occlusion of a
-    landmark.
+    """Repeat `see_place` at the `positions` marked as `TOUCHED`, from which the move changes the occlusion of a
+    landmark. The result is written to `FRESH`.
     """
 
 
 @dispatched_call
 def see_rest(known: Any, k: Integer, cover: Any, trial: Any) -> None:
-    """Add to `FRESH` the orientations with which landmark k is seen at the place tried and which `see_place` has left
-    out; called before a move is carried out.
+    """Complete `FRESH` before a move is carried out: find the orientations with which landmark k is seen at the place
+    tried, those included that `see_place` has left out.
     """
 
 
 @dispatched_call
 def find_turns(known: Any, trial: Any, lost: WordArray, gained: WordArray) -> None:
-    """Add to `lost` `(Q, W)` the orientations with which at least one camera ceases to see another landmark. Add to
-    `gained` `(Q, W)` the orientations with which at least one camera begins to see another landmark.
+    """Add to `lost` `(Q, W)` the orientations with which at least one camera ceases to see a landmark other than the
+    moving one. Add to `gained` `(Q, W)` the orientations with which at least one camera begins to see such a landmark.
     """
 
 
 @overridable
 def clear_moments(views: Any, p: Integer) -> None:
-    """Discard the moments (`information.moments`) of the moving landmark that the last move stored for position p; for
-    a rig, no moments are stored.
+    """Discard the stored moments (`information.moments`) of the moving landmark as seen from position p. For a rig, no
+    moments are stored.
     """
 
 
@@ -311,8 +314,8 @@ def clear_moments(views: Any, p: Integer) -> None:
 def sum_views(
     known: Any, k: Integer, p: Integer, w: Integer, left: np.uint64, field: Any, state: Any, scratch: Any
 ) -> Any:
-    """Set up a view for each orientation whose bit is set in `left` (bits of word w), and compute the sums of these
-    views after the move.
+    """Set up a view for each orientation in `left` (bits of word w) at position p, and compute the sums of information
+    in these views after the move.
 
     Returns:
         number of views that were set up.
@@ -324,12 +327,14 @@ def change_sums(
     known: Any, k: Integer, p: Integer, w: Integer, changed: np.uint64, sign: float, field: Any, state: Any,
     scratch: Any,
 ) -> None:  # fmt: skip
-    """Change the sums of the views `changed` (bits of word w) by the effect of a move, times `sign`."""
+    """Change the sums of information of the views `changed` (bits of word w, position p) by the effect of a move, times
+    `sign`.
+    """
 
 
 @dispatched
 def sum_anew(known: Any, p: Integer, w: Integer, seen: np.uint64, field: Any, state: Any, scratch: Any) -> Any:
-    """Set up the views `seen` (bits of word w) with zero sums, and add all landmarks to the sums.
+    """Set up the views `seen` (bits of word w) at position p, and sum the information of all landmarks in these views.
 
     Returns:
         number of views that were set up.

@@ -66,7 +66,7 @@ SMALLEST_SIZE = 0.2  # size of footprints, relative to the true size, when the s
 class Annealing(DeploymentSearch):
     """Simulated annealing of stacks of landmarks and then of single landmarks, which lie flat (flush) on a surface.
 
-    A start that is not random (`uniform`, `file`) is improved without stacks, under the conditions `given`, with
+    A start that is not random (`uniform`, `file`) is improved without stacks. Its stage has the conditions `given`, and
     footprints of their true size from the beginning. Landmarks are flush, because tilting a landmark never helps inside
     a cuboid.
 
@@ -82,7 +82,7 @@ class Annealing(DeploymentSearch):
             stacks.
         stacked_share: share of the budget spent on stacks.
         climb_share: share of the budget spent on the ascent, for an objective with a sampling.
-        walkers: number of groups of landmarks that are moved at the same time, see `Surrogate`.
+        walkers: largest number of walks that move landmarks at the same time, see `Surrogate`.
         seed: see `Optimiser`.
 
     Raises:
@@ -152,11 +152,16 @@ class Annealing(DeploymentSearch):
         return self._spend(problem, budget, callback, step, lambda: self.spent / count)
 
     def _begin(self, problem: Problem, stack: int, limit: float, stop: Callable[[], bool]) -> int:
-        """Draw the start of the run, as stacks if the budget suffices. Return the part of the budget that this has
-        cost, expressed as a number of moved landmarks.
+        """Draw the start of the run: greedily, as stacks if the budget suffices, or as single landmarks.
 
         Args:
+            problem: the problem.
+            stack: number of landmarks in a stack; 0 if there are no stacks.
+            limit: budget, as a number of moved landmarks.
             stop: function that returns True when the time limit is reached.
+
+        Returns:
+            cost of the start, as a number of moved landmarks.
         """
         count = problem.count
         self.rng = np.random.default_rng(self.seed)
@@ -178,18 +183,20 @@ class Annealing(DeploymentSearch):
         return 0
 
     def _is_greedy(self, problem: Problem, stack: int) -> bool:
-        """True if the start of the run is chosen greedily."""
+        """True if the run starts greedily; `stack` is the number of landmarks in a stack, 0 without stacks."""
         return not stack and problem.start.varies and isinstance(problem.objective, Selectable)
 
     def _walk(self, problem: Problem, surrogate: Surrogate, used: float, left: float) -> tuple[int, Deployment | None]:
-        """Do one phase of the walk (a number of moves under constant conditions). Return the number of moved landmarks
-        and the deployment after the phase, or None instead of a deployment that cannot be the best.
+        """Do one phase of the walk, that is, a number of moves under constant conditions.
 
         Args:
             problem: the problem.
             surrogate: surrogate of `problem`.
             used: fraction of the budget that is spent.
             left: number of landmarks that may still be moved before the walk ends.
+
+        Returns:
+            number of moved landmarks; deployment that is to be evaluated, None if there is no candidate for the best.
         """
         count, stack = problem.count, surrogate.stack
         if self.in_stacks and used >= self.stacked_share:
@@ -213,8 +220,16 @@ class Annealing(DeploymentSearch):
         return moves * each + count, self.walked
 
     def _climb(self, problem: Problem, used: float, left: float) -> tuple[int, Deployment | None]:
-        """Do some steps of the gradient ascent. Arguments and result are as in `_walk`, except that `left` is the
-        number of landmarks that may still be moved before the run ends.
+        """Do some steps of the gradient ascent.
+
+        Args:
+            problem: the problem.
+            used: fraction of the budget that is spent.
+            left: number of landmarks that may still be moved before the run ends.
+
+        Returns:
+            number of moved landmarks; deployment that is to be evaluated, None if the rest of the budget is too small
+            for a step.
         """
         count, each = problem.count, PLACES_TRIED * problem.free_count
         steps = int(min(ASCENT_STEPS, (left - count) / each))
@@ -229,7 +244,10 @@ class Annealing(DeploymentSearch):
         return steps * each + count, self.here
 
     def _conditions(self, problem: Problem, stack: int, used: float) -> Conditions:
-        """Conditions of the walk when the fraction `used` of the budget is spent."""
+        """Conditions of the walk when the fraction `used` of the budget is spent.
+
+        `stack` is the number of landmarks in a stack; 0 if there are no stacks.
+        """
         if self.in_stacks:
             done = used / self.stacked_share
             return Conditions(True, 1.0, done, self.stacked.settings(done, near=0.0))
@@ -246,8 +264,10 @@ class Annealing(DeploymentSearch):
         return Conditions(False, size, done, stage.settings(done, near * size))
 
     def _climb_share(self, problem: Problem) -> float:
-        """Fraction of the budget for the gradient ascent; 0 for an objective that is evaluated on the grid instead of
-        on random samples of poses, because the ascent would overfit the grid.
+        """Fraction of the budget for the gradient ascent.
+
+        The fraction is 0 for an objective that is evaluated on the grid instead of on random samples of poses, because
+        the ascent would overfit the grid.
         """
         return 0.0 if problem.objective.sampling is None else self.climb_share
 
@@ -258,8 +278,10 @@ class Annealing(DeploymentSearch):
         return self.best
 
     def _mean(self, problem: Problem) -> Deployment:
-        """Deployment that results from a walk on random samples. Each landmark is at the mean of its places in the
-        walk, or, while growing footprints still push landmarks apart, at its last place.
+        """Deployment that results from a phase of the walk of single landmarks.
+
+        For an objective on random samples, each landmark is at the mean of its places in the walk. On the grid, or
+        after stacks, whose growing footprints push landmarks apart, each landmark is at its last place.
         """
         if problem.objective.sampling is None or self.angles is not None:
             return self.here
@@ -267,8 +289,9 @@ class Annealing(DeploymentSearch):
         return self.mean_places.add(self.here)
 
     def _separated(self, problem: Problem, stack: int, size: float) -> Deployment:
-        """Separate the landmarks of each stack so that footprints of `size` times their true size do not overlap; a
-        landmark that belongs to no stack keeps its place in the start.
+        """Separate the landmarks of each stack so that footprints of `size` times their true size do not overlap.
+
+        A landmark that belongs to no stack keeps its place in the start. `stack` is the number of landmarks in a stack.
         """
         assert self.angles is not None, "there are stacks"
         distance = STACK_SPREAD * size * problem.scene.spacing

@@ -1,9 +1,8 @@
-"""Gradient ascent of all landmarks together on random samples, the last stage of annealing for objectives with a
-sampling.
+"""Gradient ascent of all landmarks together, the last stage of annealing for objectives on random samples of poses.
 
-A walk on samples does not reach a local optimum, because the gain of a small step of one landmark is smaller than the
-sampling error. In the ascent each sample is used for the slopes of all landmarks, and a step averages the slopes over
-samples.
+A walk (random moves of single landmarks) on samples does not reach a local optimum, because the gain of a small step of
+one landmark is smaller than the sampling error. In the ascent each sample is used for the slopes of all landmarks, and
+a step averages the slopes over samples.
 
 The slope of the smoothed objective (`walk`) along u and v of a landmark's surface is a central difference (f(x + d) -
 f(x - d)) / 2 d. The values f are exact on the sample, occlusion included. So any objective with a field (an incremental
@@ -84,8 +83,9 @@ def slopes(
 
 
 def moved_along(problem: Problem, here: Deployment, surfaces: SurfaceArrays, away: FloatArray) -> Deployment:
-    """Move the K landmarks of `here` by `away` `(K, 2)`, metres, along u and v of their surfaces, and push overlapping
-    footprints apart.
+    """Deployment `here` with its K landmarks moved by `away` `(K, 2)`, metres, along u and v of their surfaces.
+
+    Fixed landmarks do not move. Overlapping footprints are pushed apart; if they find no room, `here` is returned.
     """
     at = surfaces.coordinates(here.surfaces, here.positions) + away
     moved = Deployment(surfaces.points(here.surfaces, at), here.normals, here.surfaces)
@@ -105,7 +105,7 @@ class Ascent:
     def step(
         self, problem: Problem, here: Deployment, progress: float, samples: int, rng: np.random.Generator
     ) -> Deployment:
-        """Move each landmark of `here` that is not fixed by one step along its surface.
+        """Return the deployment after one step: each landmark of `here` that is not fixed moves along its surface.
 
         Args:
             problem: problem whose objective has a sampling.
@@ -147,7 +147,7 @@ class Ascent:
         return {"mean": self._mean, "square": self._square, "steps": self._steps}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Take over the `state` of another ascent with K landmarks.
+        """Take over the running means of another ascent with K landmarks from its `state`.
 
         Raises:
             InputError: `state` is not the state of an ascent with K landmarks.

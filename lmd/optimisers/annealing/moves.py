@@ -1,8 +1,8 @@
 """Moves that the walk of simulated annealing (`walk`) proposes, and the conditions of its stages.
 
-A landmark is a column of `here`, the poses and surfaces of all K landmarks. A move changes a `group` of landmarks,
-indices `(G,)`: their new poses, position and normal, are written to `new` `(G, 6)`, and their new surfaces to `on`
-`(G,)`.
+In all functions, `here` has the poses and surfaces of all K landmarks, and `group` `(G,)` the indices of the landmarks
+that a move changes. The new poses (position and normal) of these landmarks are written to `new` `(G, 6)`, their new
+surfaces to `on` `(G,)`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -41,16 +41,18 @@ class Settings(NamedTuple):
     along v, metres.
     """
     together: float
-    """Probability that a landmark moves with its n - 1 nearest neighbours, whose offsets from it stay unchanged."""
+    """Probability that a landmark and its n - 1 nearest neighbours move together, with unchanged offsets."""
     exchange: float
     """Probability that a landmark exchanges its place with a landmark of another size, if there are several sizes."""
 
 
 class FootprintArrays(NamedTuple):
-    """Footprints, the squares that K landmarks cover on their surfaces, and the trapezoids in which landmarks may hang,
-    in arrays for S sizes of landmarks, W surfaces and T trapezoids.
+    """Footprints of K landmarks, and the regions where landmarks may hang, in arrays.
 
-    A move is not tried if footprints would overlap, or if a landmark would leave the places where it may hang.
+    A footprint is the square that a landmark covers on its surface. The regions are T trapezoids, for S sizes of
+    landmarks on W surfaces.
+
+    A move is not tried if footprints would overlap, or if a landmark would leave these regions.
     """
 
     edges: FloatArray
@@ -76,7 +78,11 @@ def _reflect(value: float, extent: float) -> float:
 def _place(
     k: int, here: Places, surfaces: SurfaceArrays, settings: Settings, rng: np.random.Generator
 ) -> tuple[int, float, float]:
-    """Draw a place for landmark k: index of a surface and coordinates along its u and v, metres."""
+    """Draw a random place for a move of landmark k.
+
+    Returns:
+        index of a surface, and coordinates along u and v of that surface, metres.
+    """
     kind = rng.random()
     if kind < settings.jump:
         t, drawn = 0, rng.random()
@@ -99,7 +105,10 @@ def _place(
 
 @inner
 def gather(k: int, members: IntArray, poses: FloatArray, group: IntArray) -> None:
-    """Fill `group` with landmark k and its nearest neighbours among the `members`."""
+    """Write landmark k and its nearest neighbours among the `members` into `group`, as indices.
+
+    The length of `group` is the number of these landmarks. `poses` `(6, K)` are the poses of all landmarks.
+    """
     group[0] = k
     for m in range(1, len(group)):
         nearest = np.inf
@@ -120,8 +129,9 @@ def propose(
     group: IntArray, here: Places, surfaces: SurfaceArrays, footprints: FootprintArrays, settings: Settings,
     rng: np.random.Generator, new: FloatArray, on: IntArray,
 ) -> bool:  # fmt: skip
-    """Propose a pose for the first landmark of `group`; the other landmarks of the group keep their offsets from it
-    along u and v. The proposed poses and surfaces are written to `new` and `on`.
+    """Propose new poses for the landmarks of `group`, which keep their offsets from the first of them along u and v.
+
+    The proposed poses (position and normal) are written to `new` `(G, 6)`, the surfaces to `on` `(G,)`.
 
     Returns:
         True if all landmarks may hang at their new places.
@@ -147,17 +157,16 @@ def propose(
 
 @inner
 def _may_hang(k: int, s: int, a: float, b: float, footprints: FootprintArrays) -> bool:
-    """Return True if landmark k may hang at the coordinates (a, b) of surface s; False if s is negative, which means no
-    surface.
-    """
+    """True if landmark k may hang at (a, b), metres along u and v of surface s; False if s is negative (no surface)."""
     first = footprints.first[footprints.of[k]]
     return s >= 0 and allows(footprints.pieces, first[s], first[s + 1], a, b)
 
 
 @inner
 def pair_up(k: int, members: IntArray, footprints: FootprintArrays, rng: np.random.Generator, pair: IntArray) -> bool:
-    """Fill `pair` with landmark k and a landmark of another size among the `members`; return False if there is no such
-    landmark.
+    """Write landmark k and a landmark of another size among the `members` into `pair`, as indices.
+
+    Return False if there is no landmark of another size.
     """
     start = int(rng.random() * len(members))
     for i in range(len(members)):
@@ -172,7 +181,13 @@ def pair_up(k: int, members: IntArray, footprints: FootprintArrays, rng: np.rand
 def exchange(
     pair: IntArray, here: Places, surfaces: SurfaceArrays, footprints: FootprintArrays, new: FloatArray, on: IntArray
 ) -> bool:
-    """Propose that the landmarks of `pair` exchange their places; the result is as in `propose`."""
+    """Propose that the two landmarks of `pair` exchange their places.
+
+    The proposed poses (position and normal) are written to `new` `(2, 6)`, the surfaces to `on` `(2,)`.
+
+    Returns:
+        True if both landmarks may hang at their new places.
+    """
     for m in range(2):
         other = pair[1 - m]
         s, a, b = here.surfaces[other], 0.0, 0.0
@@ -190,8 +205,10 @@ def exchange(
 def overlap(
     group: IntArray, on: IntArray, new: FloatArray, here: Places, surfaces: SurfaceArrays, footprints: FootprintArrays
 ) -> bool:
-    """Return True if the footprint of a landmark in `group` would, at its new pose, overlap another footprint on its
-    surface.
+    """True if the footprint of a landmark in `group` would overlap another footprint on its surface.
+
+    The landmarks of `group` have their new poses `new` `(G, 6)` on the surfaces `on` `(G,)`, all others those of
+    `here`.
     """
     poses, edges = here.poses, footprints.edges
     for m in range(len(group)):
@@ -229,8 +246,10 @@ Course = Annotated[Sequence[float], partial(vector, size=2, above=0.0)]
 
 @dataclass(frozen=True)
 class Stage(Checked):
-    """Conditions of one stage of the walk. A condition given as a pair of numbers changes from the first number to the
-    second during the stage, with geometric interpolation between them.
+    """Conditions of one stage of the walk.
+
+    A condition that is a pair of numbers changes during the stage from the first number to the second, with geometric
+    interpolation.
 
     Raises:
         InputError: a value is out of range.
@@ -253,7 +272,7 @@ class Stage(Checked):
     join: float = 0.1
     """Probability of a move to a place near another landmark."""
     together: Share = 0.0
-    """Probability that a landmark moves with its n - 1 nearest neighbours."""
+    """Probability that a landmark and its n - 1 nearest neighbours move together, with unchanged offsets."""
     exchange: Share = 0.05
     """Probability that a landmark exchanges its place with a landmark of another size, if there are several sizes."""
 
@@ -288,8 +307,9 @@ CHOSEN_STAGE = replace(GIVEN_STAGE, temperature=(5e-5, 2e-6), step=(0.3, 0.05), 
 
 
 def changed(name: str, default: Stage, given: Stage | Mapping[str, Any]) -> Stage:
-    """Return the stage `given`. If `given` is a mapping, return a copy of the stage `default` in which the conditions
-    named by the mapping have the mapping's values.
+    """Return the stage `given` or, if `given` is a mapping, the stage `default` with the conditions of the mapping.
+
+    `name` is the name of the argument in messages.
 
     Raises:
         InputError: a value is out of range, or a key of the mapping is not the name of a condition.

@@ -75,8 +75,10 @@ class Surrogate:
         self._walkers: list[Walker]
 
     def _lay_out(self, evaluator: Evaluator, relevance: FloatArray) -> None:
-        """Arrange the evaluator's positions and orientations, and the relevance of the positions, in memory as the walk
-        needs them.
+        """Set the field (incremental evaluator) and the target (functions that compute the fitness) of the walk.
+
+        Both are made from the positions and orientations of `evaluator` and from the `relevance` `(P,)` of its
+        positions.
         """
         objective = self._problem.objective
         self._true = field_of(objective, evaluator)
@@ -84,12 +86,11 @@ class Surrogate:
 
     @property
     def stack(self) -> int:
-        """Number of landmarks in a stack, see `stack_of`."""
+        """Number of landmarks in a stack; 0 if the objective allows no stacks."""
         return stack_of(self._true)
 
     def is_true(self, count: int, conditions: Conditions) -> bool:
-        """True if there is a single walk, and it is on the problem itself. Then the fitness that the walk records is
-        exact.
+        """True if there is a single walk, on the problem itself; then the fitness that the walk records is exact.
 
         Args:
             count: number of landmarks or stacks.
@@ -101,8 +102,7 @@ class Surrogate:
     def walk(
         self, here: Deployment, best: Deployment, conditions: Conditions, moves: int, rng: np.random.Generator
     ) -> tuple[Deployment, Deployment | None]:
-        """Make `moves` moves from `here`; return the resulting deployment, and the best deployment met on the way, or
-        None if it is not better than `best`.
+        """Make moves that begin at the deployment `here`, in several walks at the same time.
 
         Args:
             here: deployment at the beginning: the stacks, or all landmarks.
@@ -110,6 +110,10 @@ class Surrogate:
             conditions: conditions of the walk.
             moves: number of landmarks, or stacks, to move.
             rng: random generator for all random numbers.
+
+        Returns:
+            resulting deployment; best deployment met on the way, None if it is not better than `best` or its fitness is
+            not exact (`is_true`).
         """
         places = self._prepare(here, best, conditions, rng)
         before, number = self._walkers[0].best.fitness[0], len(self._walkers)
@@ -166,16 +170,22 @@ class Surrogate:
         return 0 if in_stacks else self._problem.fixed_count
 
     def _shared_out(self, count: int, in_stacks: bool) -> tuple[int, int]:
-        """Two numbers for `count` landmarks or stacks: the most landmarks that one move moves together, and the number
-        of simultaneous walks.
+        """Largest number of landmarks that one move changes, and number of simultaneous walks.
+
+        Both are for `count` landmarks, or for `count` stacks if `in_stacks` is True.
         """
         movable = count - self._first_movable(in_stacks)
         together = 1 if in_stacks else max(1, min(self.stack, movable))
         return together, max(1, min(self._most_walkers, movable // together))
 
     def _walker(self, best: Deployment | None, together: int, members: IntArray, state: Any) -> Walker:
-        """Make a walk that begins with the deployment of `state`; its best deployment is `best` or, if that is None,
-        the deployment of `state`.
+        """Make a walk that begins with the deployment of a field's `state` and moves the landmarks `members`.
+
+        Args:
+            best: best deployment found until now; None for the deployment of `state`.
+            together: largest number of landmarks that move together with unchanged offsets.
+            members: indices of the landmarks that the walk moves, `(M,)`.
+            state: state of the field.
         """
         exchanged = 2 if len(self._footprints.first) > 1 else 1
         scratches = layers(self._field.scratch(state), max(together, exchanged))
@@ -185,8 +195,9 @@ class Surrogate:
         return Walker(members, np.empty(together, dtype=np.int64), state, scratches, met)
 
     def _footprints_of(self, count: int, size: float) -> FootprintArrays:
-        """Footprints of `count` landmarks, with edges of `size` times their true length. Stacks have no footprints; for
-        these `size` is 0.
+        """Footprints of `count` landmarks, with edges of `size` times their true length.
+
+        Stacks have no footprints; for stacks, `size` is 0.
         """
         footprints, sizes = self._problem.scene.footprints, self._problem.sizes
         papers = footprints.tag.paper_share * sizes if size else np.full(count, footprints.edge)
@@ -195,8 +206,9 @@ class Surrogate:
         return FootprintArrays(size * papers * (1.0 - TOUCHING), of.astype(np.int64), pieces, first)
 
     def _slices(self, here: Deployment, first: int, number: int, rng: np.random.Generator) -> list[IntArray]:
-        """Divide the landmarks from index `first` on among `number` slices of the room; return the indices in each
-        slice.
+        """Divide the landmarks from index `first` on among `number` slices of the room, across a random direction.
+
+        Return the indices of the landmarks in each slice.
         """
         movable = np.arange(first, len(here))
         if number == 1:
@@ -222,8 +234,7 @@ def count_stacks(problem: Problem, stack: int) -> int:
 
 
 def pulled_apart(problem: Problem, stacks: Deployment, angles: FloatArray, stack: int, distance: float) -> Deployment:
-    """Separate the landmarks of each stack: put them on a circle around the place of the stack, so that neighbours on
-    the circle are `distance` metres apart.
+    """Separate the landmarks of each stack: spread them evenly on a circle around the place of the stack.
 
     Args:
         problem: problem with the surfaces.
@@ -261,9 +272,7 @@ class MeanPlaces:
         self._places = np.zeros(len(start))
 
     def add(self, here: Deployment) -> Deployment:
-        """Add the places of the deployment `here` to the mean; return the mean places as a deployment on the surfaces
-        of `here`.
-        """
+        """Update the mean places with the deployment `here`; return them as a deployment on the surfaces of `here`."""
         away = here.positions - self._mean
         jumped = (here.surfaces != self._surfaces) | (np.linalg.norm(away, axis=1) > RESTART_M)
         self._places = np.where(jumped, 1.0, self._places + 1.0)
@@ -276,7 +285,7 @@ class MeanPlaces:
         return {"mean": self._mean, "surfaces": self._surfaces, "places": self._places}
 
     def restore(self, state: Mapping[str, Any], problem: Problem) -> None:
-        """Continue the mean with the `state` of an earlier mean of K landmarks in the room of `problem`.
+        """Take over the `state` of another mean of K landmarks in the room of `problem`.
 
         Raises:
             InputError: `state` is not the state of a mean of K landmarks in that room.

@@ -1,4 +1,4 @@
-"""Metropolis walk of simulated annealing: landmarks move, one or a few at a time, on a smoothed objective.
+"""Metropolis walk of simulated annealing: one landmark or a few landmarks move at a time, on a smoothed objective.
 
 An objective that counts positions above a threshold is piecewise constant, so it gives no credit for a position that is
 nearly qualified. The walk maximises a smooth surrogate (`smoothed`); for coverage it is the relevance-weighted mean
@@ -6,6 +6,7 @@ over positions of
 
     1 / (1 + exp(-(P_n - thold_p - margin) / width)) + share * P_n.
 
+P_n is the value of a position: the probability that at least n landmarks are seen from it; thold_p is the threshold.
 The walk records the best deployment by the true objective (`contribution`), to which the surrogate converges as `width`
 shrinks.
 
@@ -62,11 +63,9 @@ class Walker(NamedTuple):
     state: Any
     """State of the field (the incremental evaluator) with the landmarks at the end of the walk's last phase."""
     scratches: Any
-    """Working memory of the field: one scratch for each landmark of a group that moves together (`layers`)."""
+    """Working memory of the field: one layer for each landmark that a single move can change (`layers`)."""
     best: Best
-    """Best deployment of the walk. This deployment is the best of the true problem only if there is a single walk on
-    that problem.
-    """
+    """Best deployment of the walk; the best of the problem only if there is a single walk, on the problem itself."""
 
 
 class Known(NamedTuple):
@@ -84,8 +83,9 @@ class Known(NamedTuple):
 
 @inner
 def _sum_values(units: IntArray, known: Known, target: Any, settings: Settings) -> float:
-    """Return the smoothed fitness for the quantised values `units`, and write the contribution of each position into
-    `known.tried`.
+    """Return the smoothed fitness of a tried move, after which the quantised values are `units` `(Q,)`.
+
+    The contribution of each position is written into `known.tried`.
     """
     accepted, terms, tried = known.units, known.terms, known.tried
     total = 0.0
@@ -100,8 +100,9 @@ def _sum_values(units: IntArray, known: Known, target: Any, settings: Settings) 
 
 @inner
 def _keep_best(units: IntArray, here: Places, target: Any, best: Best) -> None:
-    """Replace `best` by the deployment `here` if its fitness is higher; `units` are the quantised values of the
-    positions for this deployment.
+    """Overwrite `best` with the deployment `here` if the fitness of `here` is higher.
+
+    `units` `(Q,)` are the quantised values of the positions for `here`.
     """
     fitness, places = total_fitness(target, units), best.places
     if fitness > best.fitness[0]:
@@ -117,7 +118,10 @@ def _try(
     tried: Any, field: Any, state: Any, scratches: Any, target: Any, settings: Settings, rng: np.random.Generator,
     known: Known,
 ) -> tuple[float, bool]:  # fmt: skip
-    """Make the move `tried` (the arguments `group`, `new` and `on` of `propose`), or reject it by Metropolis' rule.
+    """Make a move, or reject it by Metropolis' rule.
+
+    `tried` has the indices `group` `(G,)` of the landmarks, their new poses `new` `(G, 6)`, and their new surfaces `on`
+    `(G,)`.
 
     Returns:
         smoothed fitness after the decision, and True if the landmarks were moved.
@@ -155,8 +159,9 @@ def walk(
     moves: int, places: Places, walker: Walker, field: Any, target: Any, room: tuple[SurfaceArrays, FootprintArrays],
     settings: Settings, rng: np.random.Generator,
 ) -> None:  # fmt: skip
-    """Propose moves, beginning at `places`, until `moves` landmarks have been in a proposed move; afterwards the state
-    of `walker` is the state of the last deployment.
+    """Make a walk: propose moves, and accept or reject each move by Metropolis' rule.
+
+    The `state` and the `best` deployment of `walker` are updated in place.
 
     Args:
         moves: length of the walk, counted in landmarks: a proposal for g landmarks counts g, also if it is rejected.

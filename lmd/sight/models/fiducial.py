@@ -5,8 +5,8 @@ predicts 95 to 96 % of these detections; its probability of seeing at least n ta
 to within 0.02. A tag is seen under five conditions:
 
 - The incidence angle is at most `incidence`.
-- The pitch is at least sqrt(pitch^2 + (blur sigma)^2), with `pitch` and `blur` of the detector. The pitch is the least
-  image length of a module over all directions in the tag's plane. Here sigma^2 = psf_sigma^2 + (c / 4)^2 +
+- The pitch is at least sqrt(pitch^2 + (blur sigma)^2), with the limits `pitch` and `blur` of the detector. The pitch is
+  the least image length of a module over all directions in the tag's plane. Here sigma^2 = psf_sigma^2 + (c / 4)^2 +
   motion_blur^2 / 12. At the depth of the tag's centre, the circle of confusion of a thin lens has the diameter c.
 - The square root of the image area is at least `edge` pixels.
 - The corners of the black square lie in the rectangular image, at least `margin` pixels from the border.
@@ -14,8 +14,9 @@ to within 0.02. A tag is seen under five conditions:
 
 Let (u, v, w) be the tag's centre in the camera frame, and t, s the tag's unit vectors to the right and up. The Jacobian
 J maps metres in the plane of the tag to pixels. The column for t is (f_u (t_u - t_w u / w) / w, f_v (t_v - t_w v / w) /
-w). The column for s has s_u, s_v and s_w in place of t_u, t_v and t_w. The smaller eigenvalue of J^T J is at least T if
-2 T <= |J|^2 and T^2 - |J|^2 T + det(J)^2 >= 0. Moreover |det J| = f_u f_v |n . d| / w^3.
+w). The column for s has s_u, s_v and s_w in place of t_u, t_v and t_w. The smaller eigenvalue of J^T J is at least a
+number T if 2 T <= |J|^2 and T^2 - |J|^2 T + det(J)^2 >= 0. Moreover |det J| = f_u f_v |n . d| / w^3, with the unit
+normal n of the tag and its offset d from the camera.
 
 Each border of a pinhole image bounds a half-space in the camera frame, so the corner farthest out decides. With lens
 distortion, the centre and each corner are projected one by one and must lie within `Camera.widest_angle` of the axis,
@@ -24,7 +25,7 @@ the depth is 0 at 90 degrees from the axis.
 
 All tags hang upright (`lmd.geometry.squares.upright`).
 
-Shapes: A orientations, K tags. Lengths are metres, frames world unless said otherwise.
+Shapes: A orientations, K tags. Lengths are in metres, vectors in the world frame unless said otherwise.
 """
 
 import math
@@ -115,7 +116,7 @@ class Fiducial(Checked):
         return of_sizes(sights) if camera.lens is None else of_sizes_behind_lens(sights)
 
     def _sight_of(self, tag: Tag, camera: Camera) -> FiducialSight | LensSight:
-        """Compiled model for a tag of one size."""
+        """Compiled model of sight of a camera for tags of one size."""
         limits = self.limits
         assert isinstance(limits, Limits)
         margin, (centre_u, centre_v), (focal_u, focal_v) = limits.margin, camera.principal_point, camera.focal_pixels
@@ -163,8 +164,11 @@ class Fiducial(Checked):
     def verdicts(
         self, camera: Camera, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
     ) -> dict[str, BoolArray]:
-        """Masks `(A, K)` of the tags that meet each criterion, keyed by the criterion's name; arguments as in
-        `covered`.
+        """Masks `(A, K)` of the tags that meet each criterion, keyed by the criterion's name.
+
+        The camera is at `position` `(3,)`, metres, with the orientations `axes` `(A, 6)`: unit vectors along the
+        optical axis and to the right in the image. The tags have the centres `landmarks` `(K, 3)`, metres, and the unit
+        normals `normals`.
         """
         sight, offset = self.sight(camera), landmarks - position
         flat = sight.flat if isinstance(sight, LensSight) else sight
@@ -184,7 +188,7 @@ class Fiducial(Checked):
         }
 
     def limits_for(self, camera: Camera) -> dict[str, str]:
-        """Limit of each criterion for a camera, in a few words, keyed as in `verdicts`."""
+        """Limit of each criterion for a camera, in a few words, keyed by the criterion's name."""
         limits, view = self.limits, camera.field_of_view
         assert isinstance(limits, Limits)
         across, down = math.degrees(view.left + view.right), math.degrees(view.top + view.bottom)
@@ -200,9 +204,8 @@ class Fiducial(Checked):
 
 @lru_cache
 def _through(lens: Lens, widest: float, flat: FiducialSight) -> LensSight:
-    """Compiled model for a lens with distortion; `widest` is the greatest angle from the optical axis, rad.
-
-    `flat` is the compiled model without distortion.
+    """Compiled model of sight for a lens with distortion, made from `flat`, the model without distortion. `widest` is
+    the greatest angle from the optical axis, rad.
     """
     bounds = lens.stretch(widest)
     # An arc between two directions in view leaves the cone of the widest angle only if that angle exceeds 90 degrees.

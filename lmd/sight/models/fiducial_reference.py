@@ -1,6 +1,6 @@
 """NumPy reference of each criterion of `lmd.sight.models.fiducial`; compiled code repeats the operations in order.
 
-Shapes: A orientations, K tags. Lengths are metres; frames are the world's unless said otherwise.
+Shapes: A orientations, K tags. Lengths are in metres, vectors in the world frame unless said otherwise.
 """
 
 import numpy as np
@@ -15,7 +15,9 @@ from lmd.sight.models.paper import dot
 
 
 def faces(sight: FiducialSight, offset: FloatArray, normals: FloatArray) -> BoolArray:
-    """Mask `(K,)` of the tags with a small enough incidence angle: -n . d >= cos(incidence) |d|."""
+    """Mask `(K,)` of the tags whose incidence angle is at most the limit: -n . d >= cos(limit) |d|. Here n is the unit
+    normal of a tag (`normals` `(K, 3)`), and d its offset from the camera (`offset` `(K, 3)`, metres).
+    """
     return np.asarray(-dot(normals, offset) >= sight.facing * np.sqrt(dot(offset, offset)))
 
 
@@ -25,7 +27,7 @@ def in_rectangle(sight: FiducialSight, centre: FloatArray, sides: list[FloatArra
     Args:
         sight: compiled model, with the borders of the image.
         centre: centres (u, v, w) in the camera frame, metres, `(3, A, K)`.
-        sides: right and up of the tags, unit vectors in the camera frame, `(3, A, K)` each.
+        sides: right and up vectors of the tags, unit vectors in the camera frame, `(3, A, K)` each.
     """
     (u, v, w), half, ((tu, tv, tw), (su, sv, sw)) = centre, sight.half, sides
     inside = half * (abs(tw) + abs(sw)) < w
@@ -37,9 +39,13 @@ def in_rectangle(sight: FiducialSight, centre: FloatArray, sides: list[FloatArra
 
 
 def in_bent_rectangle(sight: LensSight, centre: FloatArray, sides: list[FloatArray]) -> BoolArray:
-    """Mask of the tags with centre and corners in the image, and within the widest angle of a lens with distortion.
+    """Mask `(A, K)` of the tags with centre and corners in the image, and within the widest angle of a lens with
+    distortion.
 
-    Arguments as in `in_rectangle`.
+    Args:
+        sight: compiled model, with the lens and the borders of the image.
+        centre: centres (u, v, w) of the tags in the camera frame, metres, `(3, A, K)`.
+        sides: right and up vectors of the tags, unit vectors in the camera frame, `(3, A, K)` each.
     """
     right, up = sides
     inside, flat = np.ones(centre.shape[1:], dtype=np.bool_), sight.flat
@@ -55,7 +61,15 @@ def in_bent_rectangle(sight: LensSight, centre: FloatArray, sides: list[FloatArr
 def resolved(
     sight: FiducialSight, centre: FloatArray, sides: list[FloatArray], offset: FloatArray, normals: FloatArray
 ) -> BoolArray:
-    """Mask `(A, K)` of the tags whose pitch and image area suffice; arguments as in `in_rectangle` and `faces`."""
+    """Mask `(A, K)` of the tags whose pitch (least image length of a module) and image area suffice.
+
+    Args:
+        sight: compiled model, with the limits.
+        centre: centres (u, v, w) of the tags in the camera frame, metres, `(3, A, K)`.
+        sides: right and up vectors of the tags, unit vectors in the camera frame, `(3, A, K)` each.
+        offset: offsets of the tags from the camera, world frame, metres, `(K, 3)`.
+        normals: unit normals of the tags, world frame, `(K, 3)`.
+    """
     (u, v, w), ((tu, tv, tw), (su, sv, sw)) = centre, sides
     with np.errstate(all="ignore"):  # a tag beside the camera is not resolved; NaN compares as False
         per = 1.0 / w
@@ -66,7 +80,13 @@ def resolved(
 
 
 def resolved_by_lens(sight: LensSight, centre: FloatArray, sides: list[FloatArray]) -> BoolArray:
-    """Mask `(A, K)` of the tags whose pitch and image area suffice, for a lens with distortion."""
+    """Mask `(A, K)` of the tags whose pitch and image area suffice, for a lens with distortion.
+
+    Args:
+        sight: compiled model, with the lens and the limits.
+        centre: centres (u, v, w) of the tags in the camera frame, metres, `(3, A, K)`.
+        sides: right and up vectors of the tags, unit vectors in the camera frame, `(3, A, K)` each.
+    """
     (u, v, w), ((tu, tv, tw), (su, sv, sw)), flat = centre, sides, sight.flat
     with np.errstate(all="ignore"):
         xu, xv, xw, yu, yv, yw = slope_of(sight.lens, u, v, w)
@@ -79,8 +99,8 @@ def resolved_by_lens(sight: LensSight, centre: FloatArray, sides: list[FloatArra
 
 
 def _suffices(sight: FiducialSight, square: FloatArray, determinant: FloatArray, per: FloatArray) -> BoolArray:
-    """Mask of the tags whose pitch and image area suffice. `square` is |J|_F^2 and `determinant` is |det J|
-    (`lmd.sight.models.fiducial`); the depth is 1 / `per`.
+    """Mask of the tags whose pitch and image area suffice. `square` is |J|_F^2 and `determinant` is |det J|, with the
+    Jacobian J of `lmd.sight.models.fiducial`; `per` is the reciprocal of the depth, 1 / metre.
     """
     blur = sight.defocus - sight.focus * per
     least = sight.sharp + sight.blurred * (blur * blur)
@@ -89,9 +109,10 @@ def _suffices(sight: FiducialSight, square: FloatArray, determinant: FloatArray,
 
 
 def hidden_by_others(sight: FiducialSight, offset: FloatArray, normals: FloatArray) -> BoolArray:
-    """Mask `(K,)` of the tags of which the centre or a corner is behind the footprint of another tag.
+    """Mask `(K,)` of the tags whose centre or one of whose corners is behind the footprint of another tag.
 
     A footprint does not hide points at most `TOLERANCE` metres behind its plane, such as tags on the footprint's wall.
+    `offset` `(K, 3)` are the offsets of the tags from the camera, metres, and `normals` `(K, 3)` their unit normals.
     """
     right, up = upright(normals)
     half = np.reshape(sight.half, (-1, 1))  # one number, or a column

@@ -58,7 +58,8 @@ def may_hide(
     """False only if no landmark can hide another from any position of the camera.
 
     The function returns False if all camera positions are in front of all footprints, and no corner of a tag is behind
-    a footprint within the `horizon` (metres). Other arguments as in `SightModel.among`.
+    a footprint within the `horizon` (metres). `low` and `high` are opposite corners of a box around the camera
+    positions, metres; `landmarks` and `normals` are the tags' centres, metres, and unit normals, `(B, 3, K)` each.
     """
     return sight.reach >= 0.0 and _some_behind(
         low, high, landmarks, normals, float(np.max(sight.half)), sight.level, horizon
@@ -117,7 +118,7 @@ class FiducialSight(NamedTuple):
     facing: float
     """Cosine of the greatest incidence angle at which a tag is detected."""
     half: Column
-    """Half the edge length of the black square, metres."""
+    """Half the edge length of the whole picture, which in some families is larger than the black square, metres."""
     footprint: Column
     """Half the edge length of the footprint (black square and quiet zone), metres."""
     level: float
@@ -231,9 +232,7 @@ def _from_position(sight: Any, offset: Vector, normal: Vector, slack: float) -> 
 
 @from_around.register(FiducialSight)
 def _from_around(sight: Any, offset: Vector, normal: Vector, radius: float) -> Any:
-    """See `criteria.from_around`; of the criteria, only the limit on the incidence angle is used, so the bounds are
-    loose.
-    """
+    """See `criteria.from_around`. The bounds are loose, because only the limit on the incidence angle is used."""
     distance, along = math.sqrt(dot3(offset, offset)), radius - dot3(normal, offset)
     nearest, farthest = max(distance - radius, 0.0), distance + radius
     reached = (along >= min(sight.facing * nearest, sight.facing * farthest)) & (along >= 0.0)
@@ -255,7 +254,8 @@ def _frame_of(sight: Any, normal: Vector) -> Any:
 def _inside(sight: Any, tag: tuple[Vector, Vector, Vector]) -> Any:
     """True if the image contains all corners of a tag.
 
-    Centre (u, v, w), right (tu, tv, tw) and up (uu, uv, uw) of the tag are in the camera frame.
+    `tag` has the centre (u, v, w), metres, and the unit vectors right (tu, tv, tw) and up (uu, uv, uw) of the tag, in
+    the camera frame.
     """
     (u, v, w), (tu, tv, tw), (uu, uv, uw) = tag
     half, left, right, top, bottom = sight.half, sight.left, sight.right, sight.top, sight.bottom
@@ -268,7 +268,11 @@ def _inside(sight: Any, tag: tuple[Vector, Vector, Vector]) -> Any:
 
 @inlined
 def _clear(sight: Any, tag: tuple[Vector, Vector, Vector], along: float) -> Any:
-    """True if the pitch and the image area of a tag suffice; arguments as in `_inside`, `along` is n . d."""
+    """True if the pitch (least image length of a module) and the image area of a tag suffice.
+
+    `tag` has the centre, metres, and the unit vectors right and up of the tag, in the camera frame. `along` is n . d,
+    with the tag's unit normal n and its offset d from the camera.
+    """
     (u, v, w), (tu, tv, tw), (uu, uv, uw) = tag
     per = 1.0 / w
     fu, fv, at_u, at_v = sight.focal_u * per, sight.focal_v * per, u * per, v * per

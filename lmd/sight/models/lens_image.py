@@ -16,7 +16,7 @@ from lmd.scene.criteria import TOLERANCE
 
 @inlined
 def _polynomial(coefficients: Any, h: float) -> Any:
-    """Value at h of a polynomial of degree 5 with the `coefficients` of h^0 to h^5."""
+    """Value at h of the polynomial of degree 5 whose `coefficients` belong to h^0, h^1, ..., h^5."""
     a, b, c, d, e, f = coefficients
     s = h * h
     return a + b * h + s * (c + d * h + s * (e + f * h))
@@ -24,20 +24,20 @@ def _polynomial(coefficients: Any, h: float) -> Any:
 
 @inlined
 def stretch_at(sight: Any, height: float) -> Any:
-    """Upper bound on the local scale of the lens: the distance by which an image point moves, divided by the angle by
-    which its direction turns. The bound holds for all directions whose angle theta from the optical axis satisfies
-    1 - cos(theta) <= `height`.
+    """Upper bound on the local scale of the lens, in focal lengths per radian.
 
-    The bound is in focal lengths per radian.
+    The local scale is the distance by which an image point moves, divided by the angle by which its direction turns.
+    The bound holds for all directions whose angle theta from the optical axis satisfies 1 - cos(theta) <= `height`.
     """
     return _polynomial(sight.stretch, min(height, sight.stretch_end))
 
 
 @inlined
 def room_within(sight: Any, point: Vector, per: float) -> Any:
-    """Approximate distance of the image of a point from the nearest border, in focal lengths; negative outside.
+    """Approximate distance of the image of a point from the nearest border, in focal lengths; negative outside the
+    image.
 
-    The error is at most `image_error`; 1 / `per` is the distance of the point.
+    The error is at most `image_error`. `point` is in the camera frame, and 1 / `per` is its distance from the camera.
     """
     flat, scale = sight.flat, per * _polynomial(sight.approximation, 1.0 - point[2] * per)
     across, down = scale * point[0], scale * point[1]
@@ -54,7 +54,9 @@ def in_rectangle(sight: Any, point: Vector) -> Any:
 
 @inlined
 def is_inside(sight: Any, point: Vector) -> Any:
-    """Result of `in_rectangle`; the exact test is made only if the approximate projection does not decide."""
+    """True if the image contains a point of the camera frame. The point is projected exactly (`in_rectangle`) only if
+    the approximate projection does not decide.
+    """
     per = 1.0 / np.sqrt(dot3(point, point))
     room = room_within(sight, point, per)
     if (point[2] * per > sight.cosine + TOLERANCE) & (abs(room) > sight.image_error):
@@ -64,7 +66,10 @@ def is_inside(sight: Any, point: Vector) -> Any:
 
 @inlined
 def corners_inside(sight: Any, tag: tuple[Vector, Vector, Vector]) -> Any:
-    """True if the image contains all corners of a tag. `tag` has the tag's centre, right and up in the camera frame."""
+    """True if the image contains all corners of a tag.
+
+    `tag` has the centre, metres, and the unit vectors right and up of the tag, in the camera frame.
+    """
     (centre, right, up), half = tag, sight.flat.half
     p, q = times3(half, plus3(right, up)), times3(half, minus3(right, up))  # offsets of a corner and of its neighbour
     inside = is_inside(sight, plus3(centre, p)) and is_inside(sight, minus3(centre, p))
@@ -73,7 +78,10 @@ def corners_inside(sight: Any, tag: tuple[Vector, Vector, Vector]) -> Any:
 
 @inlined
 def resolves(sight: Any, tag: tuple[Vector, Vector, Vector]) -> Any:
-    """True if pitch and area of the tag suffice; arguments as in `corners_inside`."""
+    """True if the pitch (least image length of a module) and the image area of a tag suffice.
+
+    `tag` has the centre, metres, and the unit vectors right and up of the tag, in the camera frame.
+    """
     flat, ((u, v, w), right, up) = sight.flat, tag
     xu, xv, xw, yu, yv, yw = slope_of(sight.lens, u, v, w)
     x, y, fu, fv = (xu, xv, xw), (yu, yv, yw), flat.focal_u, flat.focal_v

@@ -2,12 +2,12 @@
 
 The functions differ from `fiducial_sight` in two points:
 
-- the centre and each corner are projected through the lens. The projections must lie in the image rectangle and within
+- The centre and each corner are projected through the lens. The projections must lie in the image rectangle and within
   the camera's widest angle from the optical axis, which may exceed 90 degrees.
 - J is the Jacobian of the projection through the lens.
 
 Bounds follow from the local scale of the lens (`lmd.geometry.lens.Stretch`). Two inequalities hold anywhere in the
-image, for a tag at the distance d with the incidence i.
+image, for a tag at the distance d with the incidence angle i.
 
     min_pitch cos(i) / d <= pitch <= max_pitch cos(i) / d,
     min_area cos(i) / d^2 <= |det J| <= max_area cos(i) / d^2.
@@ -194,7 +194,10 @@ def _from_position(sight: Any, offset: Vector, normal: Vector, slack: float) -> 
 
 @overridable
 def _by_depth(lens: Any, pinholes: Any, offset: Vector, normal: Vector, slack: float) -> Any:
-    """Results `reached`, `high` and `sure` of `from_position`, computed with the two pinhole models `pinholes`."""
+    """Bounds on the coverage of a tag, computed with the two pinhole models `pinholes`. They are the results `reached`,
+    `high` and `sure` of `criteria.from_position`: False only if no orientation covers the tag, the greatest depth of a
+    covered tag, and the depth up to which coverage is certain, metres.
+    """
     _, _, _, sure = from_position(pinholes[0], offset, normal, slack)
     reached, _, high, _ = from_position(pinholes[1], offset, normal, slack)
     return reached, high, sure

@@ -26,10 +26,12 @@ class Limits(Checked):
     """Limits within which a detector finds a tag, in the terms of `lmd.detection.corner_errors`.
 
     Args:
-        pitch: a, least pitch (image length of a module) without blur, pixels per module.
-        blur: k, increase with the blur sigma: the least pitch is sqrt(pitch^2 + (blur sigma)^2).
-        edge: m, least square root of the image area, pixels.
-        incidence: b, greatest angle between the tag's normal and the direction to the camera, degrees.
+        pitch: least pitch (image length of a module) in an image without blur, pixels per module. Called a in presets.
+        blur: increase of the least pitch with the blur sigma, in pixels: the least pitch is sqrt(pitch^2 + (blur
+            sigma)^2). Called k in presets.
+        edge: least square root of the image area, pixels. Called m in presets.
+        incidence: greatest angle between the tag's normal and the direction to the camera, degrees. Called b in
+            presets.
         margin: least distance of the corners from the image's border, pixels.
 
     Raises:
@@ -144,7 +146,7 @@ def limits_of(detector: str, family: str, changes: Mapping[str, Any]) -> Limits:
     for name, own in measured():
         families.setdefault(name, []).append(own)
     pairs = "; ".join(f"{name} with {', '.join(own)}" for name, own in families.items())
-    others = "".join(f", or detector={name} be taken" for name, own in families.items() if kind in own)
+    others = "".join(f"; or choose detector={name}" for name, own in families.items() if kind in own)
     raise InputError(
         f"detector {detector} was not measured with tags of family {family} (measured: {pairs}), "
         f"so limits must give {', '.join(NAMES)}{others}.",

@@ -10,7 +10,7 @@ Let z be the depth along the optical axis of a landmark at distance d. The landm
 
 where `min_cosine` follows from the field of view, `min_depth` from focus, and `max_depth` from focus and resolution.
 
-Shapes: A orientations, K landmarks. Lengths are metres, angles radians, frames world.
+Shapes: A orientations, K landmarks. Lengths are in metres, angles in radians, vectors in the world frame.
 Source: Lei et al., "Optimization of Directional Landmark Deployment for Visual Observer on SE(3)".
 """
 
@@ -177,8 +177,11 @@ class Visibility(Checked):
     def verdicts(
         self, camera: Camera, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
     ) -> dict[str, BoolArray]:
-        """Masks `(A, K)` of the landmarks that meet each criterion, keyed by the criterion's name; arguments as in
-        `covered`.
+        """Masks `(A, K)` of the landmarks that meet each criterion, keyed by the criterion's name.
+
+        The camera is at `position` `(3,)`, metres, with the orientations `axes` `(A, 6)`, of which only the optical
+        axes are used. The landmarks have the positions `landmarks` `(K, 3)`, metres, and the unit normals `normals`
+        `(K, 3)`.
         """
         offset = landmarks - position
         distance = np.sqrt(dot(offset, offset))
@@ -193,7 +196,7 @@ class Visibility(Checked):
         }
 
     def limits_for(self, camera: Camera) -> dict[str, str]:
-        """Limit of each criterion for a camera, in a few words, keyed as in `verdicts`."""
+        """Limit of each criterion for a camera, in a few words, keyed by the criterion's name."""
         near, far = camera.depth_of_field(self.circle_of_confusion)
         in_focus = "any depth ahead: no aperture" if camera.is_pinhole else f"depth from {near:.3g} to {far:.3g} m"
         half_angle = math.degrees(camera.cone_half_angle)
@@ -232,9 +235,12 @@ def dot(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def resolution(camera: Camera, depth: FloatArray) -> FloatArray:
-    """C^R = f d_s / ((d_s - f) z max(s_u, s_v)), pixel/mm (Eq. C_k^R).
+    """Resolution C^R = f d_s / ((d_s - f) z max(s_u, s_v)) at the depth z, pixel/mm (Eq. C_k^R).
+
+    The camera has the focal length f, the focus distance d_s and the pixel sizes s_u and s_v.
 
     Args:
+        camera: intrinsics.
         depth: z^c, any shape, metres; the resolution behind the camera is 0.
     """
     positive = np.where(depth > 0.0, depth, np.inf)
@@ -243,12 +249,14 @@ def resolution(camera: Camera, depth: FloatArray) -> FloatArray:
 
 
 def field_of_view(camera: Camera, depth: FloatArray, distance: FloatArray) -> BoolArray:
-    """C^FOV: z > 0 and sqrt(x^2 + y^2) / z <= tan(min(phi)) (Eq. C_k^FOV), tested in the form z >= |s| cos(min(phi)).
+    """Mask C^FOV of the landmarks in the cone of view: z > 0 and sqrt(x^2 + y^2) / z <= tan(min(phi)) (Eq. C_k^FOV).
 
-    Both forms describe one cone. The second form needs no division, and neither x nor y, which depend on the camera's
-    roll.
+    The landmark is at (x, y, z) in the camera frame, and min(phi) is the cone's half-angle. The test has the form z >=
+    |s| cos(min(phi)), which describes the same cone. It needs no division, and neither x nor y, which depend on the
+    camera's roll.
 
     Args:
+        camera: intrinsics.
         depth: z^c, metres.
         distance: |s^c|, metres, shape of `depth`.
     """
@@ -256,7 +264,9 @@ def field_of_view(camera: Camera, depth: FloatArray, distance: FloatArray) -> Bo
 
 
 def focus(camera: Camera, circle_of_confusion: float, depth: FloatArray) -> BoolArray:
-    """C^F: mask of the depths z in focus, d_n <= z <= d_f (Eq. C_k^F), shape of `depth`."""
+    """Mask C^F of the depths z in focus, d_n <= z <= d_f (Eq. C_k^F), with the shape of `depth`. The limits d_n and d_f
+    of the depth of field follow from the permissible `circle_of_confusion`, pixels.
+    """
     near, far = camera.depth_of_field(circle_of_confusion)
     return np.asarray((depth >= near * (1.0 - TOLERANCE)) & (depth <= far * (1.0 + TOLERANCE)))
 
@@ -264,7 +274,7 @@ def focus(camera: Camera, circle_of_confusion: float, depth: FloatArray) -> Bool
 def faces_away(offset: FloatArray, distance: FloatArray, normals: FloatArray) -> BoolArray:
     """Mask `(K,)` of the landmarks with zeta >= pi/2, whose front face the camera cannot see (Eq. occlusion1).
 
-    cos(zeta) = n . (p - s) / |p - s| is compared with 0.
+    The incidence angle zeta has cos(zeta) = n . (p - s) / |p - s|, which is compared with 0.
 
     Args:
         offset: s_k - p, metres, `(K, 3)`.

@@ -1,3 +1,4 @@
-"""Sweeps. Each job of a sweep runs in its own process; one tracked parent run and one table cover all jobs; an
-interrupted sweep can be continued.
+"""Sweeps: several jobs, each in its own process, with one tracked parent run and one table for all jobs.
+
+An interrupted sweep can be continued.
 """

@@ -1,4 +1,4 @@
-"""Hydra callback that begins and ends a sweep: it keeps the tracked parent run, and writes the table of the jobs."""
+"""Hydra callback for the beginning and the end of a sweep: the tracked parent run, and the table of the jobs."""
 
 import atexit
 import os
@@ -22,12 +22,10 @@ from .supervisor import STOPPED, SWEEP_VARIABLE, lost, settle
 
 
 class SweepRecord(Callback):
-    """Hydra callback that starts the tracked parent run of a sweep and, at the end, writes the table of the sweep's
-    jobs.
-    """
+    """Hydra callback that starts the tracked parent run of a sweep; at the end, it writes the table of the jobs."""
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Start the tracked parent run of the sweep, or continue it if this command extends an earlier sweep."""
+        """Start the tracked parent run of the sweep, or continue that of an earlier sweep that this command extends."""
         folder = SweepFolder(pin_sweep_folder(config))
         folder.path.mkdir(parents=True, exist_ok=True)
         with held(folder.path):  # another process may begin an equal command
@@ -38,7 +36,7 @@ class SweepRecord(Callback):
         say(f"sweep {sweep_name(config)} in {folder.path}{done if is_extended else ''}")
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
-        """Write the table, end the parent run, and exit with 1 if a job has failed."""
+        """Write the table, end the parent run, and exit with code 1 if a job has failed."""
         atexit.unregister(_cut_short)
         try:
             failed = _close(config)
@@ -49,8 +47,10 @@ class SweepRecord(Callback):
 
 
 def _begin(config: DictConfig, folder: SweepFolder) -> bool:
-    """Start the tracked parent run of a sweep, or continue the run of the earlier sweep in this folder; return True if
-    such a run exists.
+    """Start the tracked parent run of a sweep, or continue the parent run of the earlier sweep in this folder.
+
+    Returns:
+        True if there is an earlier sweep in this folder.
     """
     from lmd.core.checks import InputError
 
@@ -91,7 +91,9 @@ def _close(config: DictConfig, reason: str = "") -> bool:
     """Write the table of a sweep and end its tracked run; return True unless the run ended as FINISHED.
 
     Args:
-        reason: reason why the run has failed; if it is empty, the run counts as failed if one of its jobs failed.
+        config: configuration of the sweep.
+        reason: reason why the run has failed; if it is empty, the run counts as failed only if one of its jobs failed
+            or there are no jobs.
     """
     from lmd.core.words import as_code
 

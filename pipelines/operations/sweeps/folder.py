@@ -1,4 +1,4 @@
-"""Records of a sweep and its jobs on disk. Processes and machines share the records, and later commands add to them."""
+"""Records of a sweep and its jobs on disk; processes and machines share them, and later commands add to them."""
 
 import os
 import shutil
@@ -13,7 +13,7 @@ from ...outputs import JOB_VARIABLE, read_document, write_document
 
 @dataclass(frozen=True)
 class Sweep:
-    """Record of a sweep; `sweep.json` in the sweep's folder holds it."""
+    """Record of a sweep, stored as `sweep.json` in the sweep's folder."""
 
     name: str
     """Name of the sweep: the name of its experiment, or else the varied keys."""
@@ -27,7 +27,7 @@ class Sweep:
 
 @dataclass(frozen=True)
 class Job:
-    """Record of a job of a sweep; `job.json` in the job's folder holds it."""
+    """Record of a job of a sweep, stored as `job.json` in the job's folder."""
 
     sweep: str
     """Name of the sweep."""
@@ -52,12 +52,14 @@ class Job:
 
     @property
     def label(self) -> str:
-        """Text with those overrides of the job that differ from the overrides of the sweep's other jobs."""
+        """Text with the overrides that distinguish this job from the other jobs of the sweep."""
         return " ".join(f"{key}={value}" for key, value in self.varied.items()) or " ".join(self.overrides)
 
     def tags(self, name: str) -> dict[str, str]:
-        """Labels of the job's tracked run (tags of mlflow), among them the name of the sweep and `name`, the name of
-        the job's folder.
+        """Labels of the job's tracked run (tags of mlflow): the sweep, the job, and the parent run if there is one.
+
+        Args:
+            name: name of the job's folder, which is the label of the job.
         """
         from ..tracking import PARENT_TAG
 
@@ -82,7 +84,7 @@ class JobFolder:
         return read_document(self.record, lambda values: Job(**values | {"overrides": tuple(values["overrides"])}))
 
     def finished(self) -> Job | None:
-        """Read the record of the job if the job has finished and its metrics are complete; otherwise return None."""
+        """Read the record of the job; None unless the job has finished and its metrics are complete."""
         job = self.load()
         is_lost = self.metrics.exists() and not self.figures()
         return None if job is None or job.status != "finished" or is_lost else job
@@ -118,14 +120,16 @@ class SweepFolder:
         write_document(self.record, asdict(sweep))
 
     def job_of(self, digest: str) -> JobFolder | None:
-        """Folder of the job whose configuration has the digest `digest`, which is the end of the folder's name; None if
-        no folder has this end.
+        """Folder of the job whose configuration has the digest `digest`; None if there is no such folder.
+
+        The name of a job's folder ends with the digest.
         """
         return next((JobFolder(path) for path in self.path.glob(f"*{digest}")), None)
 
     def jobs(self) -> list[tuple[JobFolder, Job]]:
-        """Jobs with their folders: the jobs of the last command, in the order of the command, followed by finished jobs
-        of earlier commands.
+        """Jobs with their folders.
+
+        The jobs of the last command come first, in the order of the command. Finished jobs of earlier commands follow.
         """
         last = 0 if (sweep := self.load()) is None else sweep.round
         found = [(folder, job) for folder in map(JobFolder, self.path.iterdir()) if (job := folder.load()) is not None]
@@ -133,21 +137,21 @@ class SweepFolder:
         return sorted(kept, key=lambda entry: (-entry[1].round, entry[1].number))
 
     def discard(self) -> None:
-        """Remove the record of a sweep that has no job yet, and also its folder unless the folder holds other files."""
+        """Remove the record of a sweep that has no job yet, and the folder unless it contains other files."""
         self.record.unlink(missing_ok=True)
         if {path.name for path in self.path.iterdir()} <= {"multirun.yaml", LOCK}:  # the first is Hydra's own file
             shutil.rmtree(self.path)
 
 
 def current_job() -> tuple[JobFolder, Job] | None:
-    """Job of this process, and its folder; None outside of a sweep."""
+    """Folder and record of the job that this process runs; None outside of a sweep."""
     path = os.environ.get(JOB_VARIABLE)
     job = (folder := JobFolder(path)).load() if path else None
     return (folder, job) if job else None
 
 
 def reason_of(error: BaseException) -> str:
-    """One-line text about the error that ended a run."""
+    """Text of one line about the error that ended a run."""
     from lmd.core.checks import InputError
 
     if isinstance(error, SystemExit) and not isinstance(error.code, str):

@@ -1,5 +1,6 @@
-"""Jobs as processes that are forked from Python's fork server, which has imported the modules of jobs beforehand
-(`ready`).
+"""Jobs as processes that are forked from Python's fork server.
+
+The fork server has already imported the modules that jobs need (`ready`).
 """
 
 import importlib
@@ -22,7 +23,7 @@ context = multiprocessing.get_context("forkserver")
 
 
 class Descriptor:
-    """File descriptor that this process passes to a process forked from the fork server."""
+    """File descriptor of this process that is passed to a process forked from the fork server."""
 
     def __init__(self, number: int) -> None:
         self._number = number
@@ -34,15 +35,16 @@ class Descriptor:
 def process(
     pipeline: str, arguments: list[str], environment: dict[str, str], streams: Mapping[int, int], kept: Iterable[int]
 ) -> ForkServerProcess:
-    """Make the process of a job, in its own session; the first such process waits until the fork server has imported
-    `ready`.
+    """Make the process of a job, in a session of its own.
+
+    The first such process waits until the fork server has imported `ready`.
 
     Args:
         pipeline: module whose `main` is called.
-        arguments: arguments of its command line.
+        arguments: arguments of the command line.
         environment: environment variables of the job; packages that the server has imported may already have read the
             server's variables.
-        streams: descriptors that become the job's standard streams, keyed by their numbers 0, 1 and 2.
+        streams: descriptors that become the job's standard streams, keyed by the numbers 0, 1 and 2 of these streams.
         kept: further descriptors that stay open in the job.
     """
     multiprocessing.set_start_method("forkserver", force=True)  # workers of joblib use another start method
@@ -54,7 +56,7 @@ def process(
 def _do(
     pipeline: str, arguments: list[str], environment: dict[str, str], streams: dict[int, int], _kept: list[int]
 ) -> None:
-    """Run a job in a process that was forked from the fork server."""
+    """Run a job in a process that was forked from the fork server, with the arguments of `process`."""
     ready = sys.modules.get(READY_MODULE)
     for number, handler in (ready.BEFORE if ready else {}).items():
         signal.signal(number, handler)
@@ -67,9 +69,9 @@ def run_module(pipeline: str, arguments: list[str], environment: dict[str, str],
 
     Args:
         pipeline: name of the module.
-        arguments: arguments of its command line.
+        arguments: arguments of the command line.
         environment: environment variables of the job; variables that imported modules have set are kept.
-        streams: descriptors that become the job's standard streams, keyed by their numbers 0, 1 and 2.
+        streams: descriptors that become the job's standard streams, keyed by the numbers 0, 1 and 2 of these streams.
     """
     for number, descriptor in streams.items():
         os.dup2(descriptor, number)

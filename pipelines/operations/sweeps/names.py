@@ -1,4 +1,4 @@
-"""Names of sweeps and jobs: of their tracked runs, and of their folders."""
+"""Names of sweeps and jobs, used for their tracked runs and for their folders."""
 
 import re
 from collections.abc import Sequence
@@ -20,14 +20,15 @@ NOT_IN_NAME = ("hydra", "validate")  # keys that change neither the problem nor 
 
 
 def override_tags(overrides: Sequence[str]) -> dict[str, str]:
-    """Labels of a tracked run (tags of mlflow): one for all overrides, and one for each override."""
+    """Labels of a tracked run (tags of mlflow) for its overrides: one for each override, and one for all together."""
     each = {f"override.{key}": value for key, value in map(key_and_value, overrides)}
     return {"overrides": " ".join(overrides)} | each
 
 
 def short_name(subject: str, overrides: Sequence[str], given: Sequence[str] = ()) -> str:
-    """Name of a run, such as `ega n=4 p=0.7 s1` or `n=4 ega room=hall`. Values that vary come first, because tables cut
-    long names.
+    """Name of a run, such as `ega n=4 p=0.7 s1` or `n=4 ega room=hall`.
+
+    Values that vary come first, because tables cut long names.
 
     Args:
         subject: subject of the run, one word.
@@ -41,9 +42,10 @@ def short_name(subject: str, overrides: Sequence[str], given: Sequence[str] = ()
 
 
 def in_name(overrides: Sequence[str], *left_out: str) -> str:
-    """Text of the overrides in the form used in names: `n=4` for `objective.n=4`, `s1` for the seed 1, and for a path
-    only the name of the file. Overrides that change no result, and overrides with one of the values `left_out`, are
-    omitted.
+    """Text of the overrides in the form used in names.
+
+    This is `n=4` for `objective.n=4`, and `s1` for the seed 1. A path is shortened to the name of the file. Overrides
+    that change no result, and overrides with one of the values `left_out`, are omitted.
     """
     words = []
     for key, text in map(key_and_value, overrides):
@@ -55,27 +57,28 @@ def in_name(overrides: Sequence[str], *left_out: str) -> str:
 
 
 def slug(text: str) -> str:
-    """Replace all characters of `text` that would need quotes in a path or an override."""
+    """Replace characters that would need quotes in a path or an override by hyphens, and cut a long text."""
     return re.sub(r"[^\w.-]+", "-", text)[:SLUG_LENGTH].strip("-.")
 
 
 def _settings(root: DictConfig) -> Any:
-    """Resolved configuration as plain data. The node `hydra`, and keys that do not affect results, are left out."""
+    """Resolved configuration as plain data, without the node `hydra` and without keys that do not affect results."""
     task = OmegaConf.masked_copy(root, [str(key) for key in root if key != "hydra"])
     resolved: Any = OmegaConf.to_container(task, resolve=True)
     return {key: value for key, value in resolved.items() if changes_results(key)}
 
 
 def swept(root: DictConfig) -> list[str]:
-    """Overrides of a sweep: first the overrides stored with the sweep's experiment, then the overrides of the command
-    line.
+    """All overrides of a sweep.
+
+    The overrides stored with the sweep's experiment come first, then the overrides of the command line.
     """
     stored = root.hydra.sweeper.get("params") or {}
     return [*(f"{key}={value}" for key, value in stored.items()), *root.hydra.overrides.task]
 
 
 def varied_keys(overrides: Sequence[str]) -> tuple[str, ...]:
-    """Keys for which the `overrides` list more than one value."""
+    """Config keys for which the `overrides` list more than one value."""
     from hydra.core.override_parser.overrides_parser import OverridesParser
 
     parsed = OverridesParser.create().parse_overrides(list(overrides))
@@ -83,14 +86,15 @@ def varied_keys(overrides: Sequence[str]) -> tuple[str, ...]:
 
 
 def sweep_name(root: DictConfig) -> str:
-    """Name of a sweep: the name of its experiment or search or, if neither is given, the varied keys."""
+    """Name of a sweep: the name of its experiment or, without an experiment, the varied keys."""
     stored = root.hydra.runtime.choices.get("experiment")
     return slug(stored or "_".join(varied_keys(swept(root)))) or "sweep"
 
 
 def sweep_title(root: DictConfig) -> str:
-    """Name of a sweep's tracked run: the varied keys, then the other overrides, as in `n x thold_p x optimiser
-    room=hall`.
+    """Name of a sweep's tracked run, such as `n x thold_p x optimiser room=hall`.
+
+    The varied keys come first, then the other overrides.
     """
     varied = varied_keys(swept(root))
     given = [o for o in root.hydra.overrides.task if key_and_value(o)[0] not in varied]
@@ -99,16 +103,20 @@ def sweep_title(root: DictConfig) -> str:
 
 
 def sweep_folder(*, _root_: DictConfig) -> str:
-    """Name of a sweep's folder. Two sweeps have equal names if they vary the same keys (over any values) and agree in
-    all other settings that affect results.
+    """Name of a sweep's folder.
+
+    Two sweeps have equal names if they vary the same keys (over any values) and agree in all other settings that affect
+    results.
     """
     varied = sorted(varied_keys(swept(_root_)))
     return f"{slug(sweep_name(_root_))}-{digest(_settings(_root_), varied)[:DIGEST_LENGTH]}"
 
 
 def job_folder(*, _root_: DictConfig) -> str:
-    """Name of a job's folder within the sweep's folder. Two jobs have equal names if they agree in all settings that
-    affect results, and in the contents of files. The values of all varied keys, even of `threads`, must also agree.
+    """Name of a job's folder within the sweep's folder.
+
+    Two jobs have equal names if they agree in all settings that affect results, and in the contents of files. The
+    values of all varied keys, even of `threads`, must also agree.
     """
     folder = SweepFolder(_root_.hydra.sweep.dir)
     sweep, values = folder.load(), map(key_and_value, _root_.hydra.overrides.task)
@@ -122,10 +130,10 @@ def job_folder(*, _root_: DictConfig) -> str:
 
 
 def pin_sweep_folder(config: DictConfig) -> Path:
-    """Compute the path of the sweep's folder, write it into the configuration of the jobs, and return it. The jobs
-    cannot compute the path themselves.
+    """Compute the path of the sweep's folder, write it into the configuration of the jobs, and return it.
 
-    Values such as +5 are quoted in the path, because Hydra would read them as numbers.
+    The jobs cannot compute the path themselves. Values such as +5 are quoted in the overrides, because Hydra would read
+    them as numbers.
     """
     folder = Path(config.hydra.sweep.dir)
     with read_write(config.hydra):

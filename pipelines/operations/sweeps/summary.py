@@ -44,8 +44,9 @@ def outcomes(jobs: Iterable[tuple[JobFolder, Job]]) -> list[Outcome]:
 
 
 def write_jobs(path: Path, sweep: Sweep, found: list[Outcome]) -> None:
-    """Write a table with a row for each job: folder, varied keys, status, metrics, seconds, and the reason of a
-    failure.
+    """Write a table with a row for each job.
+
+    The columns are the folder, the varied keys, the status, the metrics, the seconds, and the reason of a failure.
     """
     known = [key for key in FIGURES if _values(found, key)]
     with path.open("w", newline="") as file:
@@ -57,8 +58,10 @@ def write_jobs(path: Path, sweep: Sweep, found: list[Outcome]) -> None:
 
 
 def best_group(sweep: Sweep, found: list[Outcome]) -> dict[str, float]:
-    """Metrics of the group of jobs with the highest median fitness: the best value and the median, over the seeds, of
-    each metric. Empty if the jobs have different problems.
+    """Metrics of the group of jobs with the highest median fitness.
+
+    For each metric, the result has the best value and the median over the seeds. It is empty if the jobs have different
+    problems or none has a fitness.
     """
     known = [members for members in _groups(sweep, found).values() if _values(members, "fitness")]
     if not known or any(map(_is_of_problem, grouping_keys(sweep))):
@@ -70,8 +73,10 @@ def best_group(sweep: Sweep, found: list[Outcome]) -> dict[str, float]:
 
 
 def draw_groups(path: Path, sweep: Sweep, found: list[Outcome]) -> list[Path]:
-    """Draw the results of the groups that contain finished searches; return the paths of the pictures, empty if no
-    search has finished.
+    """Draw the results of the groups that contain finished searches.
+
+    Returns:
+        paths of the pictures; empty if no search has finished.
     """
     from lmd.plot.charts import Searched, save_groups_figure
 
@@ -88,9 +93,10 @@ def draw_groups(path: Path, sweep: Sweep, found: list[Outcome]) -> list[Path]:
 
 
 def by_group(sweep: Sweep, found: list[Outcome]) -> str:
-    """Table in Markdown: one row for each group of jobs, with the best value and the median of each metric over the
-    group. If two keys vary, a table of medians comes first, with a column for each value of the first of the
-    `grouping_keys` and a row for each value of the second.
+    """Table in Markdown with a row for each group of jobs: best value and median of each metric over the group.
+
+    If two or more keys vary, a table of medians comes first. It has a column for each value of the first of the
+    `grouping_keys` (at most `MOST_COLUMNS`), and a row for each combination of values of the other keys.
     """
     from lmd.core.words import escaped, markdown_table
 
@@ -118,8 +124,9 @@ def by_group(sweep: Sweep, found: list[Outcome]) -> str:
 
 
 def grouping_keys(sweep: Sweep) -> list[str]:
-    """Varied keys except the seed: first the keys that choose the method, such as the optimiser, then the keys of the
-    problem.
+    """Varied keys except the seed, by which jobs are grouped.
+
+    The keys that choose the method, such as the optimiser, come first, then the keys of the problem.
     """
     return sorted((key for key in sweep.varied if key != SEED), key=_is_of_problem)
 

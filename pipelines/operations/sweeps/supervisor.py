@@ -30,10 +30,10 @@ LOST = "its process was killed, and the sweep with it"
 
 
 def run(cfg: DictConfig, pipeline: Callable[[DictConfig], float | None]) -> float | None:
-    """Run a pipeline: in a new process if the pipeline is a job of a sweep that `SweepRecord` began, otherwise in this
-    process.
+    """Run a pipeline; return its value, which is NaN if it is a job of a sweep that has failed.
 
-    The process of a job writes the outcome to the job's folder, and stops when the sweep has ended.
+    A job of a sweep that `SweepRecord` began runs in a new process. All other pipelines run in this process. The
+    process of a job writes the outcome to the job's folder, and stops when the sweep has ended.
     """
     if HydraConfig.get().mode == RunMode.MULTIRUN and SWEEP_VARIABLE in os.environ:
         return _supervise(cfg)
@@ -54,8 +54,9 @@ def run(cfg: DictConfig, pipeline: Callable[[DictConfig], float | None]) -> floa
 
 
 def _stop_with_the_sweep() -> None:
-    """Stop this process by a signal as soon as its standard input is closed. The sweep keeps this input open, so it is
-    closed when the sweep ends.
+    """Stop this process by a signal when its standard input is closed.
+
+    The sweep keeps this input open, so it is closed when the sweep ends.
     """
     while os.read(0, 1):
         pass
@@ -64,11 +65,13 @@ def _stop_with_the_sweep() -> None:
 
 
 def _supervise(cfg: DictConfig) -> float | None:
-    """Run one job of a sweep in a process of its own, unless the job has finished before; return the value of the job,
-    NaN after a failure.
+    """Run one job of a sweep in a process of its own, unless the job has finished before.
 
     A failure is recorded but not raised, so that a failed job does not end the sweep; this holds for every launcher of
     Hydra.
+
+    Returns:
+        value of the job; NaN after a failure.
     """
     folder, job, launcher = JobFolder(run_directory()), _job(), HydraConfig.get().launcher
     # Number of threads: as configured, else 1 if jobs share a machine; None stands for every processor.
@@ -113,12 +116,20 @@ def _job() -> Job:
 
 
 def _execute(arguments: list[str], threads: int | None, folder: JobFolder, lock: int | None) -> tuple[int, bool]:
-    """Run the process of a job to its end; return the exit code, and True if the sweep was interrupted while the job
-    ran.
+    """Run the process of a job to its end.
 
     The process has a session of its own, so Ctrl-C in the terminal does not reach it directly. The process is told to
     stop only once, when the pipe to its standard input is closed. The process inherits the lock of its folder, so the
     folder stays locked if the sweep is killed.
+
+    Args:
+        arguments: arguments of the job's command line.
+        threads: number of threads; None for every processor.
+        folder: folder of the job.
+        lock: file descriptor of the lock of the folder; None if there is no lock.
+
+    Returns:
+        exit code; True if the sweep was interrupted while the job ran.
     """
     if threads is not None:  # set before the server starts, as its packages read the variables at import
         os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(threads)))
@@ -144,8 +155,9 @@ def _execute(arguments: list[str], threads: int | None, folder: JobFolder, lock:
 
 
 def _settled(job: Job, code: int) -> Job:
-    """Record of a job whose process has ended with the exit code `code`. If the job has not recorded its own end, the
-    code gives the status and the reason.
+    """Record of a job whose process has ended with the exit code `code`.
+
+    If the job has not recorded its own end, the code gives the status and the reason.
     """
     if job.status != "running":
         return job
@@ -157,15 +169,17 @@ def _settled(job: Job, code: int) -> Job:
 
 
 def lost(job: Job, stopped: bool = False) -> Job:
-    """Record of a job whose process ended together with the whole sweep, before the job wrote its record; `stopped` is
-    True if a signal ended the sweep.
+    """Record of a job whose process ended together with the whole sweep, before the process wrote the outcome.
+
+    `stopped` is True if a signal ended the sweep.
     """
     return replace(job, status="interrupted" if stopped else "killed", reason=STOPPED if stopped else LOST)
 
 
 def settle(tracking: DictConfig, folder: JobFolder, job: Job, params: Mapping[str, Any] | None = None) -> None:
-    """End the tracked runs of a job whose process has ended. If the job has none, and `params` is given, a new run is
-    recorded for the job.
+    """End the tracked runs of a job whose process has ended.
+
+    If the job has no tracked run and did not finish, a new run is recorded for it, with the parameters `params`.
     """
     from lmd.core.checks import InputError
 

@@ -1,7 +1,7 @@
-"""Journal of a run: entries are written to disk before they are sent, and can be sent later if the store does not
-answer.
+"""Journal of a run: entries are written to disk before they are sent to the store.
 
-The labels of `this_process` tell a run whose process has ended from a run that is still going on.
+If the store does not answer, the entries can be sent later. The labels of `this_process` tell a run whose process has
+ended from a run that is still going on.
 """
 
 import itertools
@@ -38,8 +38,9 @@ class Journal:
 
     @classmethod
     def of(cls, folder: Path) -> "Journal":
-        """Read the journal in the folder of a run; the journal is empty if there is no file. An incomplete last line is
-        ignored.
+        """Read the journal in the folder of a run; the journal is empty if there is no file.
+
+        An incomplete last line is ignored.
 
         Args:
             folder: folder of the run.
@@ -65,8 +66,9 @@ class Journal:
         return next((str(entry["uri"]) for entry in reversed(self.entries) if {"run_id", "uri"} <= entry.keys()), None)
 
     def add(self, entry: Entry) -> None:
-        """Add an entry to the journal. If the disk is full, the entry is kept in memory, and is written together with a
-        later entry.
+        """Add an entry to the journal.
+
+        If the disk is full, the entry is kept in memory, and is written together with a later entry.
         """
         self.entries.append(entry)
         with suppress(OSError):
@@ -90,17 +92,18 @@ class Journal:
         self.on_disk = len(self.entries)
 
     def remove(self) -> None:
-        """Remove the journal's file, because all entries have been sent."""
+        """Remove the journal's file; called when all entries have been sent."""
         with suppress(OSError):
             self.path.unlink(missing_ok=True)
 
 
 def hand_in(journal: Journal, uri: str) -> str:
-    """Send the journal that an ended run has left, and remove the journal's file. Entries that are in the store already
-    are not duplicated.
+    """Send the journal that an ended run has left to the store `uri`, and remove the journal's file.
+
+    Entries that are in the store already are not duplicated. The journal of a run that still goes on is left.
 
     Returns:
-        one-line text about the outcome.
+        text of one line about the outcome.
 
     Raises:
         InputError: the store cannot be used, or no run has written the journal.
@@ -134,8 +137,9 @@ def hand_in(journal: Journal, uri: str) -> str:
 
 
 def end_those_gone(store: Store) -> None:
-    """Mark as FAILED those unfinished runs whose process was on this host and has ended, and print the names of these
-    runs on stderr.
+    """Mark unfinished runs as FAILED if their process was on this host and has ended.
+
+    The names of these runs are printed on stderr.
     """
     for run in store.matching("attributes.status = 'RUNNING'"):
         if is_gone(run.data.tags):
@@ -149,8 +153,9 @@ def this_process() -> dict[str, str]:
 
 
 def is_gone(tags: dict[str, str]) -> bool:
-    """True if the process that the labels `tags` identify has ended; False if it was on another host, or if the labels
-    identify no process.
+    """True if the process that the labels `tags` identify has ended.
+
+    The result is False if the process was on another host, or if the labels identify no process.
     """
     process = tags.get("process", "")
     if tags.get("host") != socket.gethostname() or not IDENTITY.fullmatch(process):
@@ -162,8 +167,9 @@ def is_gone(tags: dict[str, str]) -> bool:
 
 
 def _identity(number: int) -> str:
-    """Text that identifies a process: its number, and its start time counted from the boot, because the clock may be
-    changed. Without /proc only the number.
+    """Text that identifies a process: its number and its start time; without /proc only the number.
+
+    The start time is counted from the boot, because the clock may be changed.
 
     Raises:
         FileNotFoundError, ProcessLookupError: there is no such process.

@@ -21,7 +21,8 @@ class MlflowTracker(NoTracker):
     """Tracker that records runs in mlflow, by default in a sqlite file that needs no server.
 
     Every entry is written to a journal in the run's folder, then sent. If the store does not answer, one warning is
-    printed and the run continues; entries that were not sent by the end of the run stay in the journal for `hand_in`.
+    printed and the run continues. Entries that were not sent by the end of the run stay in the journal, and `hand_in`
+    can send them later.
 
     Args:
         uri: tracking store: `sqlite:///path` (relative to the working directory) or the address of a server.
@@ -78,14 +79,14 @@ class MlflowTracker(NoTracker):
                 self._send(self._journal)
 
     def _send(self, journal: Journal) -> None:
-        """Send the entries that have not been sent."""
+        """Send the entries of the journal that have not been sent yet."""
         while self._sent < len(journal.entries):
             self.store.send(str(self._run_id), journal.entries[self._sent])
             self._sent += 1
 
     @contextmanager
     def _warning(self) -> Iterator[None]:
-        """Context that prints a warning once if the store no longer answers; other errors are raised."""
+        """Context in which an error of the store becomes a warning, printed only once; other errors are raised."""
         try:
             with self.store.errors_reported():
                 yield
@@ -155,7 +156,7 @@ class MlflowTracker(NoTracker):
         uri, journal = self.store.uri, self._journal
         if journal is not None and journal.path.exists():
             again = f"{command_of('runs')} sync={journal.path.parent} tracking.uri={uri}"
-            return f"not in {uri} yet; when it answers again: {again}"
+            return f"not in {uri} yet; when the server answers again, run: {again}"
         shown_by = "make ui" if IN_CHECKOUT else f"mlflow ui --backend-store-uri {uri}"
         return f"run {self._run_id} in {uri}" + (f" ({shown_by})" if self.store.is_local else "")
 

@@ -83,7 +83,7 @@ class Store:
 
     @contextmanager
     def errors_reported(self) -> Iterator[None]:
-        """Context that raises `InputError` if the store cannot be used."""
+        """Context that raises `InputError` in place of an error of the store."""
         try:
             yield
         except Exception as error:
@@ -92,15 +92,18 @@ class Store:
             raise InputError(f"tracking.uri = {self.uri!r} cannot be used: {first_line(error)}") from error
 
     def undisturbed(self) -> AbstractContextManager[None]:
-        """Context in which signals wait while a file is written, because writing locks the database for other
-        processes.
+        """Context in which signals wait while the database is written, as writing locks it for other processes.
 
         For a store on a server the context has no effect: no file is locked, and a call may take minutes to fail.
         """
         return stop.postponed() if self.is_local else nullcontext()
 
     def create(self, name: str, params: Mapping[str, str], tags: Mapping[str, str], ago: float) -> str:
-        """Create a run that began `ago` seconds ago, and return the run's id; the name of the run ends with this id."""
+        """Create a run that began `ago` seconds ago, and return the id of the run.
+
+        The name of the run is `name` followed by the beginning of this id. `params` and `tags` are recorded with the
+        run.
+        """
         from mlflow.entities import Param
 
         # Tags are set when the run is created, as a kill could otherwise leave a run without tags.
@@ -126,7 +129,7 @@ class Store:
         return list(self.client.search_runs(experiments, filter_string=wanted))
 
     def send(self, run_id: str, entry: Entry) -> None:
-        """Send one entry of a journal; sending an entry again changes nothing."""
+        """Send one entry of a journal to the record of the run `run_id`; sending an entry again changes nothing."""
         from mlflow.entities import Dataset, DatasetInput, InputTag, Metric, RunTag
         from mlflow.exceptions import MlflowException
 
@@ -172,6 +175,8 @@ def _prepared(client: "MlflowClient", name: str, artifacts: str | None = None) -
     """Id of the mlflow experiment `name`, which is created if it does not exist.
 
     Args:
+        client: client of the store.
+        name: name of the experiment.
         artifacts: address for the files of a new experiment; None for the default of the store.
 
     Raises:
@@ -213,7 +218,7 @@ def is_of_store(error: Exception) -> bool:
 
 
 def first_line(error: Exception) -> str:
-    """First line of an error's message that states the cause of the error."""
+    """First line of an error's message that states the cause."""
     lines = (str(error) or type(error).__name__).splitlines()
     return next((line for line in lines if not line.startswith("(raised as a result of")), lines[0])
 
@@ -227,7 +232,7 @@ class MlflowReader(Store):
     """Reader of the runs that `MlflowTracker` has recorded.
 
     Args:
-        uri: as for `MlflowTracker`.
+        uri: tracking store: `sqlite:///path` (relative to the working directory) or the address of a server.
         experiment_name: mlflow experiment that holds the runs.
 
     Raises:
@@ -245,10 +250,10 @@ class MlflowReader(Store):
             self._experiment_id = _id_of(self._client, uri, experiment_name)
 
     def runs(self) -> "pd.DataFrame":
-        """All runs, the oldest first, indexed by their ids.
+        """Table of all runs, the oldest first, indexed by their ids.
 
         The columns are `name`, `status` and `started` (UTC), and one column for each key that any run has:
-        `params.<key>` and `tags.<key>` (text), `metrics.<key>` (last value); NaN where a run lacks the key.
+        `params.<key>` and `tags.<key>` (text), `metrics.<key>` (last value). An entry is NaN if the run lacks the key.
         """
         import pandas as pd
 
@@ -266,7 +271,7 @@ class MlflowReader(Store):
                 return pd.DataFrame.from_dict(rows, orient="index")
 
     def artifact(self, run_id: str, name: str) -> Path:
-        """Local copy of a file of a run.
+        """Path of a local copy of the file `name` of a run.
 
         Raises:
             InputError: the run has no such file, or the store is a local database and the run has files on a server.

@@ -44,8 +44,10 @@ class NoTracker:
         """
 
     def goes_on(self, run_id: str, folder: Path, params: Mapping[str, Any]) -> bool:
-        """True if the record of the run `run_id` can be continued: the run has the parameters `params`, is unfinished,
-        was last in `folder`, and has not been continued by another run.
+        """True if the record of the run `run_id` can be continued.
+
+        The run must have the parameters `params`, be unfinished, have been last in `folder`, and not have been
+        continued by another run.
 
         Raises:
             InputError: the store cannot be used.
@@ -58,17 +60,18 @@ class NoTracker:
     def settle(self, run: RunStart, status: str, reason: str = "", files: Sequence[Path] = ()) -> None:
         """Correct the records of all runs that have the `tags` of `run`; their processes have ended.
 
-        A record gets the `status` and the `reason` if its status is RUNNING, or if it was marked as failed because its
-        process was gone. Then all these records except the newest are deleted, and the newest gets the `files`. If no
-        run has these tags, `run` itself is recorded unless the status is FINISHED.
+        A record gets the `status` and the `reason` in two cases: its status is RUNNING, or it was marked as failed
+        because its process was gone. Then all these records except the newest are deleted, and the newest gets the
+        `files`. If no run has these tags, `run` itself is recorded unless the status is FINISHED.
 
         Raises:
             InputError: the store cannot be used.
         """
 
     def log_curve(self, metric: str, points: Iterable[tuple[int, float, float]]) -> None:
-        """Record a curve of the run for the metric `metric`, given as points (step, value, seconds since the beginning
-        of the run).
+        """Record a curve of the metric `metric` over the run.
+
+        `points` are triples (step, value, seconds since the beginning of the run).
         """
 
     def log_metrics(self, metrics: Mapping[str, float]) -> None:
@@ -78,15 +81,16 @@ class NoTracker:
         """Record copies of the files `paths` with the run."""
 
     def finish(self, status: str, reason: str = "") -> None:
-        """End the run as FINISHED, KILLED or FAILED, and record the reason as a label of the run (a tag of mlflow)."""
+        """End the run with the status FINISHED, KILLED or FAILED, and record the reason as a label (tag of mlflow)."""
 
     def describe(self) -> str:
         """One-line text that names the place where the run is recorded."""
         return "not tracked (tracking=none)"
 
     def views(self, params: Sequence[str]) -> list[str]:
-        """Links to pages that show the child runs of this run, grouped by the parameters `params`; empty if the store
-        does not answer.
+        """Links to pages that show the child runs of this run, grouped by the parameters `params`.
+
+        The list is empty if the store does not answer.
         """
         return []
 

@@ -27,8 +27,9 @@ FIGURES = ("off_grid", "qualified_ratio", "localised_share", "evaluations", "wal
 
 
 def view_of(figures: Sequence[str] = ()) -> str:
-    """View of an experiment with a column for each of the given metrics; by default the metrics of deployments and of
-    sweeps.
+    """View of an experiment with a column for each of the metrics `figures`.
+
+    The columns are the metrics of deployments and of sweeps if `figures` is empty or contains one of these.
     """
     if not figures or {*figures} & {*FIGURES}:
         figures = (FIGURES[0], "best/off_grid", "median/off_grid", *FIGURES[1:])
@@ -52,7 +53,7 @@ def sweep_view(run_id: str, params: Sequence[str]) -> str:
 
 
 def share(client: "MlflowClient", experiment_id: str, view: str, name: str = VIEW) -> None:
-    """Add a view to an experiment under the name `name`, by which links refer to it."""
+    """Add the view `view` to an experiment under the name `name`, by which links refer to it."""
     client.set_experiment_tag(experiment_id, f"{SHARED}{name}", view)
 
 
@@ -70,8 +71,15 @@ def link(address: str, experiment_id: str, view: str = VIEW, mode: str = "TABLE"
 
 
 def _state(params: Sequence[str], figures: Sequence[str], *parts: str, **changes: Any) -> str:
-    """Settings of mlflow's page of runs in the form used in links: columns of parameters come first, then columns of
-    metrics.
+    """Settings of mlflow's page of runs, in the form used in links.
+
+    Columns of parameters come first, then columns of metrics.
+
+    Args:
+        params: parameters that get a column.
+        figures: metrics that get a column.
+        parts: names of the settings in `views.json` that are included.
+        changes: further settings, which replace those of `parts`.
     """
     states = json.loads(Path(__file__).with_suffix(".json").read_text())
     columns = [*(f"params.`{param}`" for param in params), *(f"metrics.`{figure}`" for figure in figures)]
