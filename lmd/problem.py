@@ -327,7 +327,7 @@ class Problem:
             **({} if scene.tag.is_point else {"tag": _fields(scene.tag)}),
             **{key: value for key, value in _fields(scene.visibility).items() if key != "edges"},
             **({} if scene.crowd is None else {"crowd": _fields(scene.crowd.crowd)}),
-            **({} if np.isnan(self.edges).all() else {"edges": self.edges.tolist()}),
+            **({} if np.isnan(self.edges).all() else {"edges": _finite(self.edges.tolist())}),
         }
 
 

@@ -5,6 +5,7 @@ are optimised.
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 from typing_extensions import override
@@ -140,14 +141,16 @@ class CameraProblem(Problem):
         return isinstance(self.objective, Coverage)
 
     def _corners(self) -> tuple[Mount, ...]:
-        """Mounts at the corners of the faces that may carry cameras, for the test that the body is inside the room."""
-        at = [
+        """Mounts at the corners of the body's boxes and of the rectangles in which cameras may be placed. If all these
+        corners are in the room, so is the body.
+        """
+        boxes = [np.array(corner) for box in np.dstack(self.space.body.corners) for corner in product(*box)]
+        places = [
             face.point(a, b) + self.space.body.standoff * face.normal
             for face in self.space.body.surfaces()
-            for a in (0.0, face.extent[0])
-            for b in (0.0, face.extent[1])
+            for a, b in product(*([0.0, side] for side in face.extent))
         ]
-        return tuple(Mount(self.space.lenses[0], tuple(place.tolist())) for place in at)
+        return tuple(Mount(self.space.lenses[0], tuple(place.tolist())) for place in (*places, *boxes))
 
     def stay(self, mounts: Sequence[Mount]) -> bool:
         """True if all cameras are inside the room at every position of the body.

@@ -91,7 +91,7 @@ def in_one_world(sightings: Sightings, start: Start, prior: Prior, origin: int |
 def _check_groups(group: IntArray) -> None:
     """Raise `InputError` if no tag has a group."""
     if group.max(initial=-1) < 0:
-        raise InputError("detections have no frame with two tags of which at least one has an unambiguous pose.", "detections")
+        raise InputError("detections have no frame with two tags, at least one with an unambiguous pose.", "detections")
 
 
 def _mounted(sightings: Sightings, apart: Poses) -> Poses:

@@ -138,9 +138,10 @@ def test_methods_are_for_landmarks_or_for_cameras():
         make("camera_annealing").check(tagged())
 
 
-def test_a_body_that_leaves_the_room_is_refused():
+def test_a_body_that_leaves_the_room_is_refused_also_where_it_carries_no_camera():
+    low, top = [-0.2, -0.2, 0.0], {"low": [-0.2, -0.2, 0.1], "high": [0.2, 0.2, 0.9], "name": "mast", "faces": []}
     with pytest.raises(InputError, match=r"^boxes: the body leaves the room: rig has a camera at"):
-        problem(body=Body([{"low": [-0.2, -0.2, 0.0], "high": [0.2, 0.2, 0.9]}]))
+        problem(body=Body([{"low": low, "high": [0.2, 0.2, 0.1]}, top]))
 
 
 def test_a_camera_that_leaves_the_room_between_the_corners_of_its_body_has_no_fitness():

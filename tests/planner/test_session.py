@@ -133,6 +133,7 @@ def test_a_new_tag_has_the_least_free_id_and_the_columns_of_the_file(write):
 
 def test_of_several_sizes_the_user_chooses():
     planned = session(problem(tag=Tag(edges=(0.1, 0.4), counts=(20, 10))))
+    assert planned.problem.scene.tag.size == 0.4
     for edge in (0.1, 0.4):
         number = planned.add(0, np.array([1.0, 1.0]), edge)
         assert planned.deployment.edges[planned.plan.index_of(number)] == edge

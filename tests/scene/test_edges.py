@@ -76,12 +76,6 @@ def test_a_paper_hangs_where_its_own_size_has_room(path):
         Footprints(ROOM, TAG).draw(FileDeployment(path), None)
 
 
-def test_without_an_edge_it_is_the_largest():
-    tag = Tag(edges=[0.06, 0.2, 0.1])
-    assert tag.size == 0.2
-    assert not tag.is_point
-
-
 def test_a_measured_tag_without_a_size_has_that_of_its_plan(path, tmp_path):
     plan = Deployment.from_csv(path).with_surfaces(ROOM)
     measured = tmp_path / "measured.csv"

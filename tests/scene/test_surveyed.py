@@ -151,11 +151,12 @@ def test_a_turn_in_the_plane_is_kept_wherever_the_tag_goes(angle, tmp_path):
 
 def test_fixed_tags_keep_what_was_measured_of_them_through_a_search(tmp_path):
     room = paper_room(spacing=1.5)
-    tags = hanging(room, 4)
-    ups = turned_by(tags, 0.1)
+    ups = turned_by(tags := hanging(room, 4), 0.1)
     path = saved(tmp_path / "tags.csv", moved(tags, -0.02), ups)
     scene = Scene(room, paper_camera(), pdf.grid_with_ends(4), SEEN, TAG)
-    problem = Problem(scene, Coverage(1, 0.5), RandomDeployment(3), fixed=Deployment.from_csv(path))
+    fixed = replace(Deployment.from_csv(path), edges=np.array([0.1, np.nan, 0.1, 0.1]))
+    problem = Problem(scene, Coverage(1, 0.5), RandomDeployment(3), fixed=fixed)
+    assert problem.settings()["edges"] == [0.1, None, 0.1, 0.1, None, None, None]
     found = RandomSearch(seed=0).run(problem, Budget(20)).deployment
     assert_array_equal(found.places[:4], Deployment.from_csv(path).positions)
     assert_allclose(found.ups[:4], ups, atol=1e-12)
