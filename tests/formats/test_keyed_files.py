@@ -65,7 +65,8 @@ def test_a_file_has_the_values_of_the_table(family, name):
     row = CALIBRATIONS[name] if family == "calibration" else MAPS[name]
     expected = {key: value for key, value in row.items() if key not in ARGUMENTS}
     found = read(family, name, place(family, name))
-    assert_same(found, USUAL | expected if family == "calibration" else expected, 1e-8)
+    # Fitted coefficients hardly change the image, and differ by some 1e-8 from machine to machine.
+    assert_same(found, USUAL | expected if family == "calibration" else expected, 1e-6)
 
 
 def permuted(tree, rng):
