@@ -55,7 +55,7 @@ def detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector",
             check_family(detections, found.family, tag.family)
         return without_copies(found if cfg.images is None else with_images(found, cfg.images))
     if cfg.images is not None:
-        raise InputError(f"images = {str(cfg.images)!r} is for detections: leave it out if photographs is given.")
+        raise InputError(f"images = {str(cfg.images)!r} goes with detections, not with photographs.")
     words = {"topic": topic, "rate": cfg.rate, "workers": cfg.workers}
     each = partial(in_batches, cfg.workers)
     with keyed():

@@ -273,7 +273,7 @@ def test_annealing_does_without_stacks_and_selection_and_greedy_says_what_it_lac
     result = Annealing().run(p, Budget(100))
     assert result.fitness > result.history[0].best_fitness
     greedy = Greedy()
-    with pytest.raises(InputError, match=r"^Unselected has no selection, the surrogate of a greedy choice\.$"):
+    with pytest.raises(InputError, match=r"^Unselected has no `selection`, which greedy choices need\.$"):
         greedy.run(p, Budget(100))
     assert not greedy.ledger.history
 

@@ -238,7 +238,7 @@ def arrays_of(path: Any, name: str, largest: float, most: float = LARGEST_ARRAY)
         raise InputError(f"{where} cannot be read as arrays ({reason}).", name) from None
     if not found:
         raise InputError(
-            f"{where} has no array of up to {most:g} numbers: use numpy.savez('lens.npz', mtx=mtx, dist=dist).", name
+            f"{where} has no array of at most {most:g} numbers: use numpy.savez('lens.npz', mtx=mtx, dist=dist).", name
         )
     return found
 

@@ -223,7 +223,7 @@ def selectable(objective: Objective) -> Selectable:
     """
     if isinstance(objective, Selectable):
         return objective
-    raise InputError(f"{type(objective).__name__} has no selection, the surrogate of a greedy choice.", "objective")
+    raise InputError(f"{type(objective).__name__} has no `selection`, which greedy choices need.", "objective")
 
 
 @dataclass(frozen=True)

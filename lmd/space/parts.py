@@ -165,7 +165,7 @@ def made(name: str, value: Any, kind: type[T]) -> T:
     try:
         return kind(**value)
     except TypeError:
-        raise InputError(f"{name} lacks a required key (its keys: {', '.join(fields)}), got {value!r}.", name) from None
+        raise InputError(f"{name} lacks one of its keys, {', '.join(fields)}: got {value!r}.", name) from None
     except InputError as error:
         raise error.within(name) from None
 

@@ -90,7 +90,7 @@ class TagChoice(BlackBox):
     def deployment(self, genes: FloatArray) -> Deployment:
         deployment = self._hung(checked_genes(genes, self.dim))
         if deployment is None:
-            raise InputError(f"{self.name}: the candidate hangs no tag, or its tags find no room.", "genes")
+            raise InputError(f"{self.name}: the candidate hangs no tag, or its tags do not fit.", "genes")
         return deployment
 
     def values_of(self, deployment: Deployment) -> FloatArray:

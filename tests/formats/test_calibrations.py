@@ -147,7 +147,7 @@ def test_arrays_that_are_no_calibration_are_named(tmp_path):
         with pytest.raises(InputError, match=words):
             read_calibration(path)
     np.savez(path, mtx=np.array([{"a": 1}], dtype=object))
-    with pytest.raises(InputError, match=r"has no array of up to \d+ numbers: use numpy\.savez"):
+    with pytest.raises(InputError, match=r"has no array of at most \d+ numbers: use numpy\.savez"):
         read_calibration(path)
 
 

@@ -161,7 +161,7 @@ CASES = [
     ("survey", "export=[wpilib]", "export needs a room: give run=DIR"),
     ("survey", "detectors=[apriltag,aruco]", "detectors must name one detector, got ['apriltag', 'aruco']"),
     ("survey", "audit=true", "audit needs a visibility model of tags: visibility=fiducial"),
-    ("survey", "images=two.csv", "images = 'two.csv' is for detections: leave it out if photographs is given"),
+    ("survey", "images=two.csv", "images = 'two.csv' goes with detections, not with photographs"),
     ("survey", "deployment=random", "deployment must be a file"),
     ("survey", "camera.path=two.csv", "two.csv"),
     ("localise", "map=null", "a tag map (map=FILE) or a run (run=DIR) must be given"),
